@@ -279,6 +279,9 @@ class Candidate:
         if self.shortest is None:
             return None
         held, statics = self.shortest.trajectory, self.found.trajectory.statics
+        # The least time needs no pack: its flight lacks the charge and the loss of a charge plan.
+        if np.shape(held.states)[1:] != np.shape(self.found.trajectory.states)[1:]:
+            return None
         path = held if len(held.statics) == len(statics) else replace(held, statics=statics)
         return self._retried(path)
 

@@ -1,7 +1,8 @@
 """Least energy against least charge: the same mission planned for each, on the plan's own mesh."""
 
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from time import thread_time
+from typing import TYPE_CHECKING, Any
 
 from pyomo_quad.collocation import Progress
 from pyomo_quad.flight import Plan, Planner
@@ -15,8 +16,8 @@ if TYPE_CHECKING:
 _AIMS = (Aim.ENERGY, Aim.CHARGE)
 # Share of the charge by which the two optima may differ without a warning.
 DISAGREEMENT = 0.005
-# Time for the other aim, at least [s].
-_LEAST_LIMIT_S = 5.0
+# Processor time after which the other aim is given up [s].
+_LONGEST_S = 10.0
 
 
 class AimColumn(StrEnum):
@@ -46,8 +47,8 @@ def energy_and_charge(
 ) -> "pd.DataFrame":
     """Return energy and charge of the plan, and of the plan for the other of the two aims.
 
-    The other is solved from the plan on its mesh, without refinement, in the time that the plan
-    took, and flown like it.
+    The other is solved from the plan on its mesh, without refinement, and flown like it; a search
+    that takes long is given up.
 
     Returns
     -------
@@ -65,20 +66,26 @@ def energy_and_charge(
     if scenario.mission.aim not in _AIMS:
         return pd.DataFrame(columns=columns)
     other = next(aim for aim in _AIMS if aim is not scenario.mission.aim)
-    # Not worth more than the plan itself.
-    seconds = max(_LEAST_LIMIT_S, plan.timings.get("solve", 0.0))
-    limit = min(seconds, scenario.solver.time_limit or seconds)
-    briefly = {"max_refinements": 0, "time_limit": limit}
-    once = {"solver": scenario.solver.model_copy(update=briefly)}
+    once = {"solver": scenario.solver.model_copy(update={"max_refinements": 0})}
     told = scenario.with_mission(aim=other).model_copy(update=once)
-    found = planner.solve(told, warm_start=plan, progress=progress)
-    if not found.is_verified:
+    found = planner.solve(told, warm_start=plan, progress=_briefly(progress))
+    if found.verification is None:
         return pd.DataFrame(columns=columns)
     rows = [
         (one.scenario.mission.aim.value, one.energy, charge_drawn(one), one is plan)
         for one in sorted((plan, found), key=lambda one: _AIMS.index(one.scenario.mission.aim))
     ]
     return pd.DataFrame(rows, columns=columns)
+
+
+def _briefly(progress: Progress | None) -> Progress:
+    """Return a progress that also ends a solve after a while."""
+    end = thread_time() + _LONGEST_S
+
+    def goes_on(*state: Any) -> bool:  # noqa: ANN401  handed on
+        return thread_time() < end and (progress is None or progress(*state) is not False)
+
+    return goes_on
 
 
 def charge_beyond_least(aims: "pd.DataFrame") -> float:
