@@ -185,7 +185,7 @@ class Solution(Outcome):
     trajectory : Trajectory
         Unknowns on the mesh.
     restraint : Restraint or None
-        Effect on the objective of bounds between the points; None if none are imposed.
+        Change of the objective caused by bounds between the points; None if none are imposed.
     notes : tuple of str
         Warnings of the solve itself, one line each.
     """

@@ -347,7 +347,7 @@ class PolynomialTrajectory:
 def fit_pieces(
     motion: Motion, path_error_m: float, most_pieces: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Fit the smallest number of equal pieces that meets the path error to a plan.
+    """Fit a plan by the fewest equal pieces that stay within the path error.
 
     The pieces belong to a spline of degree 7 through the plan, with the plan's velocity,
     acceleration and jerk at both ends; all derivatives except the last are continuous.

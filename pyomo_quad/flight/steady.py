@@ -73,14 +73,14 @@ class HoverState:
 
 
 class SteadyFlight:
-    """A vehicle in steady flight, by its compiled equations.
+    """Steady flight of a vehicle, computed from its compiled equations.
 
     Parameters
     ----------
     scenario : Scenario
         The scenario, with the initial position and state of charge.
     dynamics : Dynamics
-        The equations, in the air of the flight; `Planner.steady_flight` uses still air.
+        The equations, with the wind of the flight; `Planner.steady_flight` uses still air.
     known : mapping, optional
         State name -> initial value, for states of a user's own model.
     """

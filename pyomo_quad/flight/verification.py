@@ -213,11 +213,11 @@ class Verification:
     terminal_miss : mapping
         State name to flown minus planned final value, in the state's unit.
     terminal_miss_m : float
-        Distance of the final positions.
+        Distance between the flown and the planned final position.
     worst_miss : str
         State whose miss is largest, relative to the larger of 1 and its value.
     max_violation, worst_constraint : float, str
-        Worst violation of a limit between points, relative, and the limit's name.
+        Largest relative violation of a limit along the flight, and the limit's name.
     broken_limits : tuple of str
         Every limit violated by more than the tolerance, with the amount.
     energy_difference_J, flown_energy_J : float

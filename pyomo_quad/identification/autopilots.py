@@ -87,7 +87,7 @@ def _seconds_aloft(
 
 
 def read_ulog(file: Path) -> pd.DataFrame:
-    """Return a PX4 log averaged over seconds, in the columns of `COLUMNS`.
+    """Return a PX4 log as averages over one second, in the columns of `COLUMNS`.
 
     The log is one flight, named after its file. All airborne rows count as cruise, the payload is
     0, and without a barometer the density is that at sea level. The wind is the autopilot's
@@ -155,7 +155,7 @@ _USUAL_CELSIUS = 15.0
 
 
 def read_ardupilot(file: Path) -> pd.DataFrame:
-    """Return an ArduPilot log averaged over seconds, in the columns of `COLUMNS`.
+    """Return an ArduPilot log as averages over one second, in the columns of `COLUMNS`.
 
     Motion and wind are those of the first core of EKF3; if the filter does not estimate the wind,
     the air is calm.

@@ -35,12 +35,12 @@ _PACKS: tuple[tuple[str, dict[str, int]], ...] = (
 
 @dataclass(frozen=True, kw_only=True)
 class PackFacts:
-    """Energy and power of a battery pack, and of the hover that it feeds.
+    """Energy and power of a battery pack, and of a hover powered by it.
 
     Attributes
     ----------
     stored_energy_J : float
-        Energy down to one hundredth of the charge, without load.
+        Energy without load, from full to 1 % of the charge.
     shortfalls : tuple of str
         Shortfalls of the pack for hovering through the mission, one line each.
     """

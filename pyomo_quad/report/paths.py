@@ -195,7 +195,7 @@ def draw_space(
 
 
 def leaving_paths(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
-    """Return the flights so far from the optimum's path that the figure cuts them off."""
+    """Return the flights whose paths are too far from the optimum's to fit the figure."""
     return _further(flights, ASTRAY)
 
 

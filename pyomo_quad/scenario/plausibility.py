@@ -7,7 +7,7 @@ P_i | ideal power of hover, T^(3/2) / sqrt(2 rho A), the least for a disc area A
 
 A motor with k_t k_v = 1 conserves energy; a larger product would create power. No rotor hovers
 below P_i (momentum theory). No moment of inertia of a body exceeds the sum of the other two,
-because each is an integral of two of three squares.
+because each integrates the squares of two of the three coordinates.
 """
 
 from collections.abc import Iterator

@@ -121,7 +121,7 @@ class Scenario(Part):
         Raises
         ------
         ScenarioError
-            If fields are not allowed; the message has one line for each.
+            If fields are unknown, missing or out of range; the message has one line for each.
         FeasibilityError
             If the rotors cannot carry the vehicle.
         """

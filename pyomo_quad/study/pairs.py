@@ -93,7 +93,7 @@ class MotionPrices:
 
 
 class Pairs:
-    """Pairs of thrust and airspeed of a vehicle, with their power by its compiled equations.
+    """Pairs of thrust and airspeed of a vehicle, with the power that its compiled equations give.
 
     Parameters
     ----------

@@ -339,7 +339,7 @@ def _often(
 def _priced(
     flights: tuple[Flight, ...], scenario: Scenario, planner: Planner, progress: Progress | None
 ) -> tuple[Flight, ...]:
-    """Return the flights with the energy that their end states owe in the actual wind.
+    """Return the flights with the energy still needed from their end states, in the actual wind.
 
     A plan for a forecast prices end states in that forecast; the other flights need the end prices
     of a plan for the actual wind.

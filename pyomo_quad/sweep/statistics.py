@@ -68,7 +68,7 @@ class Spread:
     least_case, greatest_case : int
         Cases at the ends of the range.
     linear_share : float
-        Fraction of the variance explained by a plane over the random fields; NaN without random
+        Fraction of the variance explained by a linear fit in the random fields; NaN without random
         fields, or with too few cases for a plane.
     """
 

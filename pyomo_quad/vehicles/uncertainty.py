@@ -66,7 +66,7 @@ class PowerBand:
 
 
 def power_band(vehicle: EstimatedVehicle, planner: Planner | None = None) -> PowerBand:
-    """Return the polar of an estimated vehicle with its uncertainty."""
+    """Return the power over airspeed of an estimated vehicle, with its uncertainty."""
     scenario, planner = scenario_of(vehicle), planner or Planner()
     power = level_powers(scenario, AIRSPEEDS, planner)
     causes = []

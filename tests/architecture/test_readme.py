@@ -51,11 +51,11 @@ def phrases():
         f"({tuned['speed']:.1f} m/s, {tuned['acceleration']:.1f} m/s², {tuned['jerk']:.1f} m/s³)",
         f"**{rival['energy_J']:.0f} J in {rival['duration_s']:.1f} s**",
         f"over that autopilot | {rival['saving_percent']:.1f} % |",
-        f"not fitted | {float(model['mean_absolute_error_percent']):.2f} % |",
+        f"held out of the fit | {float(model['mean_absolute_error_percent']):.2f} % |",
         f"in the paper's first mission | {calm['certificate']['gap_percent']:.2f} % |",
-        f"of {total} random missions: solved or proven impossible | {total - counts['lost']} |",
+        f"solved or proven infeasible, out of {total} | {total - counts['lost']} |",
         f"Python 3.{oldest} to 3.{int(beyond) - 1}",
-        f"of version {version}:",
+        f"Once {version} is released",
     ]
 
 

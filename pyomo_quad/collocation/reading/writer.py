@@ -312,7 +312,7 @@ class TemplateWriter:
         )
 
     def declared_bounds(self, data: Any) -> tuple[float | None, float | None]:
-        """Return the bounds that a variable's declaration gives a member, as numbers."""
+        """Return the numeric bounds of a member by the declaration of its variable."""
         variable, address = data.parent_component(), self.addresses.of(data)
         rule = bounds_rule_of(variable)
         if rule is None:

@@ -245,7 +245,7 @@ def _unit(solution: Solution) -> float:
 
 
 def _gap(solution: Solution) -> float:
-    """Return the barrier's gap relative to the size of the objective's parts."""
+    """Return the barrier's complementarity gap relative to the sizes of the objective's terms."""
     program, z = solution.program, solution.unknowns
     least = min(_unit(solution), _LEAST_SIZE / solution.scaling.objective)
     size = max(program.objective_size(z), least)
@@ -418,7 +418,7 @@ def _restraints(solution: Solution) -> FloatArray:
 
 
 def _of_all(shares: FloatArray) -> FloatArray:
-    """Return each element's share times the number of elements, at most the sum of all shares."""
+    """Return the error if all elements had this element's share, at most the sum of the shares."""
     return np.asarray(np.minimum(len(shares) * shares, shares.sum(axis=0)))
 
 
