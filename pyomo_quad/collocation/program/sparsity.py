@@ -6,12 +6,12 @@ The compact form: see docs/theory/transcription.md, eq. (4).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
+from scipy.sparse import csr_matrix, kron, vstack
 
 from pyomo_quad.collocation.mesh import FloatArray, interpolation_matrix, radau_rule
 
@@ -23,22 +23,6 @@ if TYPE_CHECKING:
 IndexArray = NDArray[np.intp]
 # Ipopt's integer type; it halves the memory of large meshes.
 Places = NDArray[np.int32]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Elements:
-    """The elements of one degree; each repeats the pattern of the first.
-
-    An index of theirs is a pair: its value at node 0, and its increment from node to node.
-    """
-
-    degree: int
-    first_nodes: Places
-    widths: FloatArray
-
-    def everywhere(self, places: Places) -> Places:
-        """Return the indices of all elements, shape (n_elements, n), from pairs, shape (n, 2)."""
-        return places[:, 0] + self.first_nodes[:, None] * places[:, 1]
 
 
 @dataclass(frozen=True)
@@ -104,77 +88,46 @@ class Layout:
         return varying + self.n_statics
 
     @cached_property
-    def elements(self) -> tuple[Elements, ...]:
-        """The elements by degree."""
-        if self.mesh is None:
-            return ()
-        firsts, degrees = np.asarray(self.mesh.first_node), np.asarray(self.mesh.degrees)
-        return tuple(
-            Elements(
-                degree=degree,
-                first_nodes=firsts[:-1][degrees == degree].astype(np.int32),
-                widths=self.mesh.widths[degrees == degree],
-            )
-            for degree in np.unique(degrees).tolist()
-        )
-
-    @cached_property
     def slope_matrix(self) -> csr_matrix:
         """Matrix from states at the nodes to rates at the points."""
+        if self.mesh is None:
+            return csr_matrix((0, 1))
         parts = [
-            tuple(
-                array.ravel()
-                for array in np.broadcast_arrays(
-                    radau_rule(e.degree).differentiation / e.widths[:, None, None],
-                    (e.first_nodes[:, None] + np.arange(e.degree))[:, :, None],
-                    (e.first_nodes[:, None] + np.arange(e.degree + 1))[:, None, :],
-                )
-            )
-            for e in self.elements
+            radau_rule(degree).differentiation.ravel() / width
+            for degree, width in zip(self.mesh.degrees, self.mesh.widths, strict=True)
         ]
-        slopes, points, nodes = _joined(parts, 3)
-        return csr_matrix((slopes, (points, nodes)), shape=(self.points, self.points + 1))
-
-    def states_in(self, elements: Elements, states: IndexArray) -> Places:
-        """Return the columns of states at the nodes of elements, shape (degree + 1, n, 2)."""
-        nodes = np.arange(elements.degree + 1)[:, None]
-        return _places(self.stride * nodes + states, self.stride)
-
-    def variables_in(self, elements: Elements, variables: IndexArray) -> Places:
-        """Return the columns of states, algebraics and statics at points, shape (degree, n, 2)."""
-        points = np.arange(elements.degree)[:, None]
-        nodes = points + (variables < self.n_states)
-        is_static = variables >= self.stride
-        first_static = self.unknowns - self.n_statics
-        return _places(
-            np.where(is_static, first_static - self.stride, self.stride * nodes) + variables,
-            np.where(is_static, 0, self.stride),
-        )
+        element = self.mesh.element_of_point
+        counts = np.asarray(self.mesh.degrees)[element] + 1
+        starts = np.append(0, np.cumsum(counts))
+        nodes = np.arange(starts[-1]) - np.repeat(starts[:-1], counts)
+        nodes += np.repeat(self.mesh.first_node[element], counts)
+        shape = (self.points, self.points + 1)
+        return csr_matrix((np.concatenate(parts), nodes, starts), shape=shape)
 
     @cached_property
-    def _met(self) -> dict[int, NDArray[np.bool_]]:
-        """Whether other elements or conditions may share an element's columns, by degree."""
-        met = np.zeros(self.unknowns, dtype=bool)
-        met[self.point_values.indices] = True
-        for elements in self.elements:
-            ends = elements.first_nodes[:, None] + np.array([0, elements.degree])
-            met[self.state_columns[ends]] = True
-        return {
-            elements.degree: np.any(
-                met[
-                    self.stride * elements.first_nodes[:, None]
-                    + np.arange(elements.degree * self.stride + self.n_states)
-                ],
-                axis=0,
-            )
-            for elements in self.elements
-        }
+    def path_variables(self) -> csr_matrix:
+        """Matrix from the unknowns to rates, states, algebraic variables and statics at points.
 
-    def is_met(self, elements: Elements, places: Places) -> NDArray[np.bool_]:
-        """Return whether columns, shape (..., 2), may be shared with other terms in any element."""
-        is_static = places[..., 1] == 0
-        met = self._met[elements.degree][np.where(is_static, 0, places[..., 0])]
-        return np.where(is_static, True, met)
+        The rows are those of the first point, then those of the second, and so on.
+        """
+        slopes, n = self.slope_matrix, self.n_states
+        rates = kron(slopes, np.eye(n)) @ _chosen(self.state_columns.ravel(), self.unknowns)
+        statics = np.broadcast_to(self.static_columns, (self.points, self.n_statics))
+        values = np.hstack([self.state_columns[1:], self.algebraic_columns, statics])
+        chosen = _chosen(values.ravel(), self.unknowns)
+        order = np.hstack(
+            [
+                np.arange(self.points * n).reshape(self.points, n),
+                self.points * n + np.arange(values.size).reshape(values.shape),
+            ]
+        )
+        return vstack([rates, chosen], format="csr")[order.ravel()]
+
+    @cached_property
+    def condition_variables(self) -> csr_matrix:
+        """Matrix from the unknowns to the values at declared times and the statics."""
+        statics = _chosen(self.static_columns, self.unknowns)
+        return vstack([self.point_values, statics], format="csr")
 
     @cached_property
     def point_values(self) -> csr_matrix:
@@ -218,98 +171,66 @@ def _nonzero(columns: IndexArray, weights: FloatArray) -> tuple[IndexArray, Floa
     return columns[kept], weights[kept]
 
 
-def _places(starts: Any, step: Any) -> Places:
-    """Return indices as pairs: the value at node 0, and the increment to the next node."""
-    return np.stack(np.broadcast_arrays(starts, step), axis=-1).astype(np.int32)
+def _chosen(columns: IndexArray, width: int) -> csr_matrix:
+    """Return the matrix from the unknowns to chosen ones."""
+    entries = np.ones(columns.size), columns, np.arange(columns.size + 1)
+    return csr_matrix(entries, shape=(columns.size, width))
 
 
 class Contributions:
-    """Collects entries (row, column) += weight * source until a `Scatter` is made of them.
-
-    Contributions that repeat in each element are sorted once.
-    """
+    """Collects entries (row, column) += weight * source until a `Scatter` is made of them."""
 
     def __init__(self) -> None:
-        self._whole: list[tuple[NDArray[Any], ...]] = []
-        self._repeated: dict[int, tuple[Elements, list[tuple[NDArray[Any], ...]]]] = {}
+        self._parts: list[tuple[NDArray[Any], ...]] = []
 
-    def add(self, rows: Any, columns: Any, sources: Any, weights: FloatArray | float) -> None:
+    def add(self, rows: Any, columns: Any, sources: Any, weights: Any) -> None:
         """Add entries; the arrays broadcast against each other."""
-        entries = np.broadcast_arrays(rows, columns, sources, weights)
-        kept = entries[3] != 0.0
-        places = (entry[kept].astype(np.int32) for entry in entries[:3])
-        self._whole.append((*places, entries[3][kept]))
+        rows, columns, sources, weights = np.broadcast_arrays(rows, columns, sources, weights)
+        kept = weights != 0.0
+        places = (entry[kept].astype(np.int32) for entry in (rows, columns, sources))
+        self._parts.append((*places, weights[kept]))
 
-    def repeat(
-        self,
-        elements: Elements,
-        rows: Places,
-        columns: Places,
-        sources: Places,
-        weights: FloatArray,
-        power: int,
-        is_met: NDArray[np.bool_],
+    def add_slopes(
+        self, variables: csr_matrix, rows: Any, of: IndexArray, sources: Any, weights: Any
     ) -> None:
-        """Add entries of each element, with weights times a power of its width.
-
-        The arrays broadcast against each other. `is_met` marks entries that may coincide with those
-        of other terms.
-        """
-        shape = np.broadcast_shapes(
-            *(p.shape[:-1] for p in (rows, columns, sources)), weights.shape
+        """Add slopes by variables, each of which is a row of a matrix from the unknowns."""
+        rows, of, sources, weights = (
+            held.ravel() for held in np.broadcast_arrays(rows, of, sources, weights)
         )
-        places = [np.broadcast_to(p, (*shape, 2)).reshape(-1, 2) for p in (rows, columns, sources)]
-        factors = np.broadcast_to(weights, shape).ravel()
-        is_met = np.broadcast_to(is_met, shape).ravel() & (factors != 0.0)
-        rows, columns, sources = (elements.everywhere(p[is_met]) for p in places)
-        here = elements.widths[:, None] ** power * factors[is_met]
-        self.add(rows, columns, sources, here)
-        own = ~is_met & (factors != 0.0)
-        parts = self._repeated.setdefault(elements.degree, (elements, []))[1]
-        parts.append((*(p[own] for p in places), factors[own], np.full(own.sum(), power)))
+        spread = variables[of].tocoo()
+        k = spread.row
+        self.add(rows[k], spread.col, sources[k], weights[k] * spread.data)
+
+    def add_curvatures(
+        self, variables: csr_matrix, first: IndexArray, second: IndexArray, sources: IndexArray
+    ) -> None:
+        """Add the terms h * first * second of a Hessian, of which each pair is given once.
+
+        A square term lists every pair of unknowns twice, so half of them are dropped. A mixed term
+        counts twice where it falls on the diagonal.
+        """
+        one = variables[first].tocoo()
+        other = variables[second[one.row]].tocoo()
+        pair = one.row[other.row]
+        a, b = one.col[other.row], other.col
+        weights = one.data[other.row] * other.data
+        is_square = (first == second)[pair]
+        weights = np.where(
+            is_square, np.where(a >= b, weights, 0.0), np.where(a == b, 2.0, 1.0) * weights
+        )
+        self.add(np.maximum(a, b), np.minimum(a, b), sources[pair], weights)
 
     def scatter(self, n_columns: int, n_sources: int) -> Scatter:
         """Return the pattern and the map from sources to its values."""
-        pieces = [_tiled(*held, n_columns) for held in self._repeated.values()]
-        rows, columns, sources, weights = _joined(self._whole, 4)
-        firsts, counts, order = _sorted(rows, columns, n_columns)
-        pieces.append((rows[firsts], columns[firsts], counts, sources[order], weights[order]))
-        rows, columns, counts, sources, weights = _joined(pieces, 5)
-        starts = np.zeros(len(rows) + 1, dtype=np.int32)
-        np.cumsum(counts, out=starts[1:], dtype=np.int32)
-        matrix = csr_matrix((weights, sources, starts), shape=(len(rows), n_sources))
-        return Scatter(rows=rows, columns=columns, matrix=matrix)
-
-
-def _tiled(
-    elements: Elements, parts: list[tuple[NDArray[Any], ...]], n_columns: int
-) -> tuple[NDArray[Any], ...]:
-    """Return rows, columns and number of sources of each nonzero, and the sources themselves."""
-    rows, columns, sources, factors, powers = _joined(parts, 5)
-    row, column = (elements.everywhere(places)[0] for places in (rows, columns))
-    firsts, counts, order = _sorted(row, column, n_columns)
-    widths = elements.widths[:, None] ** np.arange(-2, 2)
-    found = (
-        elements.everywhere(rows[firsts]),
-        elements.everywhere(columns[firsts]),
-        np.broadcast_to(counts, (len(elements.widths), counts.size)),
-        elements.everywhere(sources[order]),
-        widths[:, powers[order] + 2] * factors[order],
-    )
-    return tuple(entries.ravel() for entries in found)
-
-
-def _joined(parts: list[tuple[NDArray[Any], ...]], count: int) -> list[NDArray[Any]]:
-    empty = np.zeros(0, dtype=np.int32)
-    return [np.concatenate([part[k] for part in parts] or [empty]) for k in range(count)]
-
-
-def _sorted(rows: Places, columns: Places, n_columns: int) -> tuple[IndexArray, Places, IndexArray]:
-    """Return the first position of each entry, its number of occurrences, and the sort order."""
-    keys = rows.astype(np.int64) * n_columns + columns
-    order = np.argsort(keys, kind="stable")
-    _, firsts, counts = np.unique(keys[order], return_index=True, return_counts=True)
-    return order[firsts], counts.astype(np.int32), order
+        empty = (np.zeros(0, dtype=np.int32),) * 3 + (np.zeros(0),)
+        rows, columns, sources, weights = (
+            np.concatenate(held) for held in zip(empty, *self._parts, strict=True)
+        )
+        keys = rows.astype(np.int64) * n_columns + columns
+        places, positions = np.unique(keys, return_inverse=True)
+        matrix = csr_matrix((weights, (positions, sources)), shape=(places.size, n_sources))
+        own = np.divmod(places, n_columns)
+        return Scatter(rows=own[0].astype(np.int32), columns=own[1].astype(np.int32), matrix=matrix)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -357,188 +278,73 @@ class JacobianScatter:
         return dense
 
 
-def _add_path_rows(
-    compiled: CompiledModel,
-    layout: Layout,
-    elements: Elements,
-    into: Contributions,
-    entries: NDArray[np.intp],
-    rows: Places,
-    weights: FloatArray,
-    power: int,
-) -> None:
-    """Add nonzeros of the point Jacobian, at every point, to rows of the program.
-
-    The rows' shape is (degree, n_entries, 2), that of weights (degree,).
-    """
-    n_sources, slopes = (
-        len(compiled.path.jacobian_rows),
-        radau_rule(elements.degree).differentiation,
-    )
-    sources = _places(n_sources * np.arange(elements.degree)[:, None] + entries, n_sources)
-    columns = compiled.path.jacobian_columns[entries]
-    by_rate = columns < layout.n_states
-    at = layout.variables_in(elements, columns[~by_rate] - layout.n_states)
-    is_met = (rows[:, ~by_rate, 1] == 0) & layout.is_met(elements, at)
-    into.repeat(
-        elements, rows[:, ~by_rate], at, sources[:, ~by_rate], weights[:, None], power, is_met
-    )
-    at = layout.states_in(elements, columns[by_rate])[None]
-    rows, sources = rows[:, None, by_rate], sources[:, None, by_rate]
-    is_met = (rows[..., 1] == 0) & layout.is_met(elements, at)
-    by_node = (slopes * weights[:, None])[:, :, None]
-    into.repeat(elements, rows, at, sources, by_node, power - 1, is_met)
-
-
 def jacobian_scatter(compiled: CompiledModel, layout: Layout) -> JacobianScatter:
     """Return the map from the derivatives at the points to Jacobian and gradient.
 
     Sources are the nonzeros of the path Jacobian point by point, those of the conditions' Jacobian,
     and a final 1.
     """
-    n_path = layout.points * len(compiled.path.jacobian_rows)
-    n_sources = n_path + len(compiled.points.jacobian_rows) + 1
+    path, points = compiled.path, compiled.points
+    n_path = layout.points * len(path.jacobian_rows)
+    n_sources = n_path + len(points.jacobian_rows) + 1
     n, n_conditions = compiled.n_equations, len(compiled.declared.conditions)
+    first_condition_row = layout.points * n
+    first_integral_row = first_condition_row + n_conditions
     rows, objective = Contributions(), Contributions()
     integrals = [Contributions() for _ in compiled.row_integrals]
-    first_integral_row = layout.points * n + n_conditions
-    defined = list(compiled.static_of_integral)
-    for elements in layout.elements:
-        add = partial(_add_path_rows, compiled, layout, elements)
-        quadrature, points = (
-            radau_rule(elements.degree).weights,
-            np.arange(elements.degree)[:, None],
-        )
-        entries = np.flatnonzero(compiled.path.jacobian_rows < n)
-        at = _places(n * points + compiled.path.jacobian_rows[entries], n)
-        add(rows, entries, at, np.ones(elements.degree), 0)
-        for integral in (*defined, *compiled.row_integrals):
-            entries = np.flatnonzero(compiled.path.jacobian_rows == n + integral)
-            is_row = integral in defined
-            row = first_integral_row + defined.index(integral) if is_row else 0
-            target = rows if is_row else integrals[compiled.row_integrals.index(integral)]
-            at = _places(row + 0 * (points + entries), 0)
-            add(target, entries, at, -quadrature if is_row else quadrature, 1)
-    for position, integral in enumerate(defined):
-        column = layout.static_columns[[compiled.static_of_integral[integral]]]
-        rows.add(first_integral_row + position, column, n_sources - 1, 1.0)
-    slope_sources, slope_integrals = _add_conditions(
-        compiled, layout, rows, objective, layout.points * n, n_path
+    at, width = np.arange(layout.points)[:, None], path.values.size1_in(0)
+    quadrature = layout.mesh.quadrature_weights[:, None] if layout.mesh else np.zeros((0, 1))
+
+    def add(into: Contributions, entries: IndexArray, row: Any, weights: Any) -> None:
+        of = width * at + path.jacobian_columns[entries]
+        sources = len(path.jacobian_rows) * at + entries
+        into.add_slopes(layout.path_variables, row, of, sources, weights)
+
+    entries = np.flatnonzero(path.jacobian_rows < n)
+    add(rows, entries, n * at + path.jacobian_rows[entries], 1.0)
+    for position, (integral, static) in enumerate(compiled.static_of_integral.items()):
+        at_row = first_integral_row + position
+        add(rows, np.flatnonzero(path.jacobian_rows == n + integral), at_row, -quadrature)
+        rows.add(at_row, layout.static_columns[[static]], n_sources - 1, 1.0)
+    for into, integral in zip(integrals, compiled.row_integrals, strict=True):
+        add(into, np.flatnonzero(path.jacobian_rows == n + integral), 0, quadrature)
+    direct = layout.condition_variables.shape[0]
+    is_direct, is_objective = (
+        points.jacobian_columns >= direct,
+        points.jacobian_rows == n_conditions,
     )
+    for into, chosen in ((objective, is_objective), (rows, ~is_objective)):
+        entries = np.flatnonzero(chosen & ~is_direct)
+        row = np.where(into is objective, 0, first_condition_row + points.jacobian_rows[entries])
+        of = points.jacobian_columns[entries]
+        into.add_slopes(layout.condition_variables, row, of, n_path + entries, 1.0)
     return JacobianScatter(
         rows=rows.scatter(layout.unknowns, n_sources),
         objective=objective.scatter(layout.unknowns, n_sources),
         integrals=tuple(i.scatter(layout.unknowns, n_sources) for i in integrals),
-        slope_sources=slope_sources,
-        slope_integrals=slope_integrals,
+        slope_sources=np.flatnonzero(is_direct),
+        slope_integrals=points.jacobian_columns[is_direct] - direct,
         n_integrals=len(compiled.row_integrals),
         n_path_sources=n_path,
         unknowns=layout.unknowns,
     )
 
 
-def _add_conditions(
-    compiled: CompiledModel,
-    layout: Layout,
-    rows: Contributions,
-    objective: Contributions,
-    first_row: int,
-    first_source: int,
-) -> tuple[IndexArray, IndexArray]:
-    """Add derivatives of conditions and objective; return the positions of those by integrals."""
-    n_conditions = len(compiled.declared.conditions)
-    n_values = len(compiled.declared.point_symbols)
-    slope_sources, slope_integrals = [], []
-    entries = zip(compiled.points.jacobian_rows, compiled.points.jacobian_columns, strict=True)
-    for entry, (row, column) in enumerate(entries):
-        is_objective = row == n_conditions
-        target = objective if is_objective else rows
-        at = np.array([0 if is_objective else first_row + row])
-        if column >= n_values + layout.n_statics:
-            slope_sources.append(entry)
-            slope_integrals.append(column - n_values - layout.n_statics)
-            continue
-        columns, weights = _expand(layout, int(column))
-        target.add(at, columns, np.array([first_source + entry]), weights)
-    return np.array(slope_sources, dtype=np.intp), np.array(slope_integrals, dtype=np.intp)
-
-
-def _expand(layout: Layout, column: int) -> tuple[IndexArray, FloatArray]:
-    """Return the unknowns and weights behind one variable of the conditions."""
-    n_values = len(layout.declared.point_symbols)
-    if column >= n_values:
-        return layout.static_columns[[column - n_values]], np.ones(1)
-    matrix = layout.point_values
-    span = slice(matrix.indptr[column], matrix.indptr[column + 1])
-    return matrix.indices[span].astype(np.intp), matrix.data[span]
-
-
 def hessian_scatter(compiled: CompiledModel, layout: Layout) -> Scatter:
     """Return the map from the point Hessians to the lower triangle of the program's Hessian."""
-    into = Contributions()
-    n_path = layout.points * len(compiled.path.hessian_rows)
-    n_sources = n_path + len(compiled.points.hessian_rows)
-    for elements in layout.elements:
-        _add_path_hessian(into, compiled, layout, elements)
-    entries = zip(compiled.points.hessian_rows, compiled.points.hessian_columns, strict=True)
-    for entry, (i, j) in enumerate(entries):
-        first, first_weights = _expand(layout, int(i))
-        second, second_weights = _expand(layout, int(j))
-        a, b = (m.ravel() for m in np.meshgrid(first, second, indexing="ij"))
-        weights = _in_triangle(
-            a, b, np.outer(first_weights, second_weights).ravel(), is_square=i == j
-        )
-        into.add(np.maximum(a, b), np.minimum(a, b), n_path + entry, weights)
-    return into.scatter(layout.unknowns, n_sources)
-
-
-def _add_path_hessian(
-    into: Contributions, compiled: CompiledModel, layout: Layout, elements: Elements
-) -> None:
-    """Add the nonzeros (i, j) of the point Hessian at every point, with i >= j.
-
-    Rates come first among a point's variables, so j is a rate whenever i is one.
-    """
-    every_i, every_j = compiled.path.hessian_rows, compiled.path.hessian_columns
-    n_sources, n = len(every_i), layout.n_states
-    slopes = radau_rule(elements.degree).differentiation[:, :, None]
-    # Loop over the number of rates in the pair: 0, 1 or 2, each with an axis of nodes.
-    for power in range(3):
-        entries = np.flatnonzero((every_i < n).astype(int) + (every_j < n) == power)
-        i, j = every_i[entries], every_j[entries]
-        sources = _places(n_sources * np.arange(elements.degree)[:, None] + entries, n_sources)
-        if power == 0:
-            a, b = (layout.variables_in(elements, k - n) for k in (i, j))
-            weights = np.ones((elements.degree, 1))
-        elif power == 1:
-            a = layout.variables_in(elements, i - n)[:, None]
-            b = layout.states_in(elements, j)[None]
-            sources, weights = sources[:, None], slopes
-        else:
-            a = layout.states_in(elements, i)[None, :, None]
-            b = layout.states_in(elements, j)[None, None]
-            sources, weights = sources[:, None, None], slopes[:, :, None] * slopes[:, None]
-        a, b = np.broadcast_arrays(a, b)
-        # The order of two unknowns is the same in every element.
-        first, second = (p[..., 0] + elements.first_nodes[0] * p[..., 1] for p in (a, b))
-        is_lower = (first >= second)[..., None]
-        into.repeat(
-            elements,
-            np.where(is_lower, a, b),
-            np.where(is_lower, b, a),
-            sources,
-            _in_triangle(first, second, weights, is_square=i == j),
-            -power,
-            layout.is_met(elements, a) & layout.is_met(elements, b),
-        )
-
-
-def _in_triangle(
-    a: NDArray[Any], b: NDArray[Any], weights: FloatArray, *, is_square: Any
-) -> FloatArray:
-    """Return the weight of the term h * variable_a * variable_b in the lower triangle.
-
-    A square term lists every pair of unknowns twice, so half of them are dropped. A mixed term
-    counts twice where it falls on the diagonal.
-    """
-    return np.where(is_square, np.where(a >= b, weights, 0.0), np.where(a == b, 2.0, 1.0) * weights)
+    into, path, points = Contributions(), compiled.path, compiled.points
+    n_path, count = layout.points * len(path.hessian_rows), len(path.hessian_rows)
+    first = path.values.size1_in(0) * np.arange(layout.points)[:, None]
+    into.add_curvatures(
+        layout.path_variables,
+        (first + path.hessian_rows).ravel(),
+        (first + path.hessian_columns).ravel(),
+        np.arange(layout.points * count),
+    )
+    into.add_curvatures(
+        layout.condition_variables,
+        points.hessian_rows,
+        points.hessian_columns,
+        n_path + np.arange(len(points.hessian_rows)),
+    )
+    return into.scatter(layout.unknowns, n_path + len(points.hessian_rows))
