@@ -160,7 +160,7 @@ def test_the_matrice_100_flies_as_its_flights_did(tmp_path):
     np.testing.assert_allclose(reach.loc[0.0], reach.loc[180.0], rtol=1e-9)
     assert reach.max() < summary["range_m"] / 2
     report = (out / "report.md").read_text()
-    assert "**It means:** to stay up longest fly at the first of these speeds" in report
+    assert "**It means:** fly at the first of these speeds for the longest time aloft" in report
     assert len(list((out / "figures").glob("*.svg"))) == 3
 
 
