@@ -98,6 +98,24 @@ def _follow(*, is_quiet: bool) -> Iterator[Callable[[str, int, int], None] | Non
         yield step
 
 
+def _steady_study(
+    file: Path, overrides: list[str] | None, out: Path | None, study: str
+) -> tuple[Scenario, Path]:
+    """Return the scenario of a study of steady flight, and the folder of its report.
+
+    Raises
+    ------
+    ScenarioError
+        If the scenario has a model builder of its own.
+    """
+    resolved = load_scenario(file, overrides or ())
+    if resolved.model is not None:
+        raise ScenarioError(f"{file}: model = {resolved.model!r}; {study} reads declared models.")
+    folder = out or Path("reports") / f"{resolved.name}_{study}"
+    refuse_output_folder(folder)
+    return resolved, folder
+
+
 def polar(
     scenario: ScenarioFile,
     *,
@@ -107,11 +125,7 @@ def polar(
     quiet: Quiet = False,
 ) -> int:
     """Solve steady flight over airspeed, payload and wind: best speeds, range, endurance, reach."""
-    resolved = load_scenario(scenario, overrides or ())
-    folder = out or Path("reports") / f"{resolved.name}_polar"
-    if resolved.model is not None:
-        raise ScenarioError(f"{scenario}: model = {resolved.model!r}; polar reads declared models.")
-    refuse_output_folder(folder)
+    resolved, folder = _steady_study(scenario, overrides, out, "polar")
     from pyomo_quad.polar.polar import find_polar  # noqa: PLC0415  takes a second
     from pyomo_quad.polar.report import write_polar  # noqa: PLC0415
 
@@ -142,27 +156,16 @@ def reach(
     quiet: Quiet = False,
 ) -> int:
     """Draw how far one pack takes a vehicle from its start in the wind, and back with --return."""
-    resolved = load_scenario(scenario, overrides or ())
-    folder = out or Path("reports") / f"{resolved.name}_reach"
-    if resolved.model is not None:
-        raise ScenarioError(f"{scenario}: model = {resolved.model!r}; reach reads declared models.")
-    refuse_output_folder(folder)
-    from pyomo_quad.polar.reach import (  # noqa: PLC0415  takes a second
-        boundary_geojson,
-        find_reach,
-        reach_summary,
-        write_reach,
-    )
+    resolved, folder = _steady_study(scenario, overrides, out, "reach")
+    from pyomo_quad.polar.reach import find_reach, write_reach  # noqa: PLC0415  takes a second
 
     with raise_on_interrupt(), _report_folder(folder, is_quiet=quiet) as (aside, lines):
-        found = find_reach(resolved, has_return=has_return)
-        write_reach(aside, found, figures)
-        told = reach_summary(found)
+        told = write_reach(aside, find_reach(resolved, has_return=has_return), figures)
         lines.append(
             f"{told['least_reach_m'] / 1e3:.2f} to {told['greatest_reach_m'] / 1e3:.2f} km from "
             f"the start{' and back' if has_return else ''}, by the course"
         )
-        if boundary_geojson(found) is None:
+        if resolved.mission.origin is None:
             lines.append("no GeoJSON: give mission.origin to place it on a map")
     return ExitCode.VERIFIED
 

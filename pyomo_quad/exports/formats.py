@@ -9,6 +9,7 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -411,22 +412,22 @@ def _write_text(path: Path, text: str, mark: str = MARK) -> None:
         aside.write_text(text, encoding="utf-8", newline="\n")
 
 
-def _write_qgroundcontrol(
-    motion: Motion, path: Path, error_m: float, origin: GeodeticOrigin
+def _write_mission(
+    spelled: Callable[[dict[str, Any]], str],
+    mark: str,
+    motion: Motion,
+    path: Path,
+    error_m: float,
+    origin: GeodeticOrigin,
 ) -> _Written:
+    """Write a plan's waypoints by a function that spells a mission in its format."""
     legs = thin(motion, error_m)
-    text = json.dumps(mission(legs, origin, motion, error_m), indent=1, allow_nan=False)
-    _write_text(path, f"{text}\n")
+    _write_text(path, spelled(mission(legs, origin, motion, error_m)), mark)
     return len(legs.times), "waypoints", _deviation(legs, motion), None
 
 
-def _write_mission_planner(
-    motion: Motion, path: Path, error_m: float, origin: GeodeticOrigin
-) -> _Written:
-    legs = thin(motion, error_m)
-    text = waypoint_file(mission(legs, origin, motion, error_m))
-    _write_text(path, text, mark=WAYPOINT_FILE_HEADER)
-    return len(legs.times), "waypoints", _deviation(legs, motion), None
+def _as_json(held: dict[str, Any]) -> str:
+    return json.dumps(held, indent=1, allow_nan=False) + "\n"
 
 
 def _deviation(legs: Legs, motion: Motion) -> float:
@@ -501,14 +502,14 @@ trajectory = PolynomialTrajectory(
 
 _WRITERS = {
     Format.QGROUNDCONTROL: _Writer(
-        write=_write_qgroundcontrol,
+        write=partial(_write_mission, _as_json, MARK),
         ending=".plan",
         option="--path-error",
         default=0.25,
         is_on_globe=True,
     ),
     Format.MISSION_PLANNER: _Writer(
-        write=_write_mission_planner,
+        write=partial(_write_mission, waypoint_file, WAYPOINT_FILE_HEADER),
         ending=".waypoints",
         option="--path-error",
         default=0.25,

@@ -24,6 +24,7 @@ from pyomo_quad.exports.ground_station import (
 from pyomo_quad.scenario import Scenario, ScenarioError, scenario_from_mapping
 from pyomo_quad.scenario.airspace import ENDLESS_M, MOST_CORNERS, Shape
 from pyomo_quad.scenario.earth import GLOBE, GeodeticOrigin
+from pyomo_quad.scenario.fields import is_number
 from pyomo_quad.scenario.messages import printable, shown
 
 _TAKEOFFS = {Command.TAKEOFF, Command.VTOL_TAKEOFF}
@@ -201,10 +202,9 @@ def _list(value: object) -> list[Any]:
 
 
 def _number(value: object, where: str, low: float, high: float) -> float:
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not is_number or not low <= value <= high:  # type: ignore[operator]
+    if not is_number(value) or not low <= value <= high:
         _refuse(where, f"{shown(value)}; must be a number from {low:g} to {high:g}")
-    return float(value)  # type: ignore[arg-type]
+    return float(value)
 
 
 def _on_globe(place: Sequence[object], where: str) -> tuple[float, float]:
@@ -483,7 +483,7 @@ def _inscribed(
 
 
 def _toml(tables: Mapping[str, Any], left_out: Sequence[str]) -> str:
-    """Return tables as TOML, with comments that tell what they do not hold."""
+    """Return tables as TOML, with a comment for each content of the file that is left out."""
     lines = ["#:schema ./scenario.schema.json"]
     lines += [f"# Not of the mission's file: {note}." for note in left_out]
     for name, value in tables.items():

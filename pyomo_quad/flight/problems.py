@@ -6,8 +6,13 @@ import time
 from collections.abc import Callable, Hashable, Mapping
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
 from pyomo_quad.collocation import Dynamics, Problem, compile
+from pyomo_quad.flight.baselines import declared_start
 from pyomo_quad.flight.caches import MOST_PROBLEMS, MOST_STEADY, PROBLEMS, Recent
+from pyomo_quad.flight.flight import POSITION_STATES
 from pyomo_quad.flight.least_time import declared_free_times
 from pyomo_quad.flight.steady import SteadyFlight
 from pyomo_quad.flight.verdict import horizon_of
@@ -17,7 +22,10 @@ from pyomo_quad.model.limits import without_reserve
 from pyomo_quad.model.wind import still_air
 from pyomo_quad.scenario import Scenario
 
+FloatArray = NDArray[np.float64]
 Builder = Callable[[Scenario], Any]
+
+_WIND = ("wind.velocity_x", "wind.velocity_y")
 
 
 class Problems:
@@ -105,3 +113,14 @@ class Problems:
         """
         problem, numbers = self.problem_for(scenario)[0], self.parameters(scenario)
         return problem.dynamics(parameters=without_reserve(numbers), horizon=horizon_of(scenario))
+
+    def winds_at(self, scenario: Scenario, places: ArrayLike) -> FloatArray:
+        """Return the wind along world x and y at places (n, 3) as the mission begins [m/s]."""
+        dynamics, held = self.dynamics(scenario), np.atleast_2d(places)
+        names = list(dynamics.state_names)
+        start = dynamics.initial_states() | declared_start(scenario, dynamics)
+        states = np.tile([start[name] for name in names], (len(held), 1))
+        states[:, [names.index(name) for name in POSITION_STATES]] = held
+        controls = np.zeros((len(held), len(dynamics.control_names)))
+        times = np.full(len(held), dynamics.start)
+        return dynamics.table(tuple((name, None) for name in _WIND), times, states, controls)

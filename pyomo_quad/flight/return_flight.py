@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 _SLOWEST_M_S, _FASTEST_M_S = 1.0, 25.0
 _TOLERANCE_M_S = 1e-3
 _SECONDS_PER_HOUR = 3600.0
-_WINDS = ("wind.velocity_x", "wind.velocity_y")
 
 
 def with_return_flight(problems: "Problems", scenario: Scenario) -> Scenario:
@@ -38,22 +37,11 @@ def with_return_flight(problems: "Problems", scenario: Scenario) -> Scenario:
         return scenario
     plain = scenario.as_forecast().with_mission(return_reserve=False)
     steady = problems.steady_flight(plain)
-    wind = _wind_at_start(problems, plain)
+    wind = float(np.hypot(*problems.winds_at(plain, mission.start.position)[0]))
     airspeed = told.airspeed or _cheapest(scenario, steady, wind)
     current = told.current or _current(scenario, steady, airspeed)
     held = told.model_copy(update={"airspeed": airspeed, "current": current})
     return scenario.with_mission(return_flight=held)
-
-
-def _wind_at_start(problems: "Problems", scenario: Scenario) -> float:
-    """Return the speed of the wind at the start of the mission [m/s]."""
-    dynamics = problems.dynamics(scenario)
-    start = dynamics.initial_states()
-    states = np.array([[start.get(name, 0.0) for name in dynamics.state_names]])
-    controls = np.zeros((1, len(dynamics.control_names)))
-    keys = tuple((name, None) for name in _WINDS)
-    found = dynamics.table(keys, np.array([dynamics.start]), states, controls)
-    return float(np.hypot(*found[0]))
 
 
 def _cheapest(scenario: Scenario, steady: SteadyFlight, wind: float) -> float:

@@ -114,7 +114,7 @@ class Search:
         return time.thread_time() - self._patient_from
 
     def restart_patience(self) -> None:
-        """Wait anew for a search that soon ends, after the choice of what it is for."""
+        """Count from now the wait before a flyable plan is sought."""
         self._patient_from = time.thread_time()
 
     def begin_effort(self, most: float) -> None:

@@ -154,7 +154,7 @@ def write_predictions(folder: Path, frame: pd.DataFrame, power: FloatArray) -> S
 
 
 def vehicle_file(changed: Mapping[str, tuple[float, str]], base: str, battery: str = "") -> str:
-    """Return a vehicle file: that of the base, with some fields changed, each with its source.
+    """Return the base's vehicle file with some fields changed, each with its source.
 
     `battery` names a pack beside the file, in place of the base's.
     """

@@ -1,4 +1,4 @@
-"""What an equivalent circuit adds to the pack: a slow voltage drop, a temperature, their effects.
+"""Equivalent circuit of a pack: slow voltage drop, temperature, and their effect on its voltage.
 
 symbol | name | unit | meaning
 u_1 | relaxation_voltage | V | slow part of the pack's voltage drop, a state

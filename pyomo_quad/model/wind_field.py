@@ -125,12 +125,14 @@ def mean_of_field(scenario: Scenario, grid: WindGrid) -> FloatArray:
     return np.asarray(scenario.wind.field_scale * np.nanmean(told, axis=1))
 
 
-def is_wind_known(scenario: Scenario, places: FloatArray) -> NDArray[np.bool_]:
-    """Return where the wind is known as the mission begins, of places (n, 3), shape (n,)."""
+def is_wind_known(
+    scenario: Scenario, times: FloatArray | float, places: FloatArray
+) -> NDArray[np.bool_]:
+    """Return where the wind is known, of places (n, 3) at times in flight [s], shape (n,)."""
     wind = scenario.wind
     if wind.grid is None or wind.beyond is Beyond.HOLD:
         return np.ones(len(places), dtype=bool)
-    return wind.grid.is_known(places, np.full(len(places), wind.time_offset))
+    return wind.grid.is_known(places, times + wind.time_offset)
 
 
 def unknown_wind(scenario: Scenario, times: FloatArray, places: FloatArray) -> str:
@@ -142,15 +144,13 @@ def unknown_wind(scenario: Scenario, times: FloatArray, places: FloatArray) -> s
         Times in flight [s].
     places : ndarray, shape (n, 3)
     """
-    wind = scenario.wind
-    if wind.grid is None or wind.beyond is Beyond.HOLD:
-        return ""
-    lost = np.flatnonzero(~wind.grid.is_known(places, times + wind.time_offset))
+    lost = np.flatnonzero(~is_wind_known(scenario, times, places))
     if not lost.size:
         return ""
     at, place = float(times[lost[0]]), _spelled(places[lost[0]])
     return (
-        f"at {at:.4g} s the flight is at {place} m, where wind.field = {shown(str(wind.field))} "
+        f"at {at:.4g} s the flight is at {place} m, where wind.field = "
+        f"{shown(str(scenario.wind.field))} "
         'has no wind: keep out of there, give more of the field, or set wind.beyond = "hold".'
     )
 

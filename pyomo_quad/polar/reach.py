@@ -20,8 +20,6 @@ from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
 from pyomo_quad.flight import Planner
-from pyomo_quad.flight.baselines import declared_start
-from pyomo_quad.flight.flight import POSITION_STATES
 from pyomo_quad.model.wind_field import is_wind_known
 from pyomo_quad.polar.polar import COURSE, REACH, SteadyCurve, steady_curve
 from pyomo_quad.report import Figures
@@ -36,7 +34,6 @@ FloatArray = NDArray[np.float64]
 TABLE_NAME, OUTLINE_NAME = "reach.csv", "reach.geojson"
 #: Columns of `Reach.boundary`, beside `COURSE` and `REACH`.
 EAST, NORTH, IS_CUT = "x_m", "y_m", "is_cut"
-_WIND_NAMES = ("wind.velocity_x", "wind.velocity_y")
 _COURSES = 72  # every 5 degrees
 _STEPS = 400  # along each course, in the integral of the pack's share
 # Speeds and angles of the wind between which the share of the pack per metre is interpolated.
@@ -82,9 +79,9 @@ def find_reach(scenario: Scenario, *, has_return: bool) -> Reach:
     headings = np.column_stack([np.cos(courses), np.sin(courses), np.zeros(_COURSES)])
     start = np.array(scenario.mission.start.position)
     places = start + along[None, :, None] * headings[:, None, :]
-    is_known = is_wind_known(scenario, places.reshape(-1, 3)).reshape(_COURSES, _STEPS)
+    is_known = is_wind_known(scenario, 0.0, places.reshape(-1, 3)).reshape(_COURSES, _STEPS)
     winds = np.zeros((*is_known.shape, 2))
-    winds[is_known] = _winds(planner, scenario, places[is_known])
+    winds[is_known] = planner.winds_at(scenario, places[is_known])
     share = _shares(curve, winds, courses[:, None], has_return=has_return)
     rows = [
         _boundary_on(course, along, share[k], is_known[k], start)
@@ -96,18 +93,6 @@ def find_reach(scenario: Scenario, *, has_return: bool) -> Reach:
 def _farthest(curve: SteadyCurve) -> float:
     """Return a distance beyond every reach [m]: the fastest flight, and a wind as fast, one way."""
     return float(2.0 * curve.airspeeds[-1] * curve.endurances.max())
-
-
-def _winds(planner: Planner, scenario: Scenario, places: FloatArray) -> FloatArray:
-    """Return the wind along world x and y at places as the mission begins, shape (n, 2) [m/s]."""
-    dynamics = planner.dynamics(scenario)
-    names = list(dynamics.state_names)
-    start = dynamics.initial_states() | declared_start(scenario, dynamics)
-    states = np.tile([start[name] for name in names], (len(places), 1))
-    states[:, [names.index(name) for name in POSITION_STATES]] = places
-    controls = np.zeros((len(places), len(dynamics.control_names)))
-    times = np.full(len(places), dynamics.start)
-    return dynamics.table(tuple((name, None) for name in _WIND_NAMES), times, states, controls)
 
 
 def _shares(
@@ -184,17 +169,23 @@ def boundary_geojson(reach: Reach) -> dict[str, Any] | None:
     }
 
 
-def write_reach(folder: Path, reach: Reach, figures: Figures = Figures.SVG) -> None:
-    """Write the boundary (CSV, GeoJSON), its figure and the report into an empty folder."""
+def write_reach(folder: Path, reach: Reach, figures: Figures = Figures.SVG) -> dict[str, Any]:
+    """Write the boundary (CSV, GeoJSON), its figure and the report into an empty folder.
+
+    Returns
+    -------
+    dict
+        The summary, as it is in `summary.json`.
+    """
     outline = boundary_geojson(reach)
     if outline is not None:
         (folder / OUTLINE_NAME).write_text(json.dumps(outline, indent=1), encoding="utf-8")
-    boundary = reach.boundary
+    boundary, summary = reach.boundary, reach_summary(reach)
     write_study(
         folder,
         "polar/reach.md.j2",
         tables={TABLE_NAME: boundary},
-        summary=reach_summary(reach),
+        summary=summary,
         drawings=(Drawing("reach", "Within reach", _CAPTION, partial(draw_reach_map, reach)),),
         figures=figures,
         reach=reach,
@@ -204,6 +195,7 @@ def write_reach(folder: Path, reach: Reach, figures: Figures = Figures.SVG) -> N
         columns=(COURSE, REACH, IS_CUT),
         is_cut=bool(boundary[IS_CUT].any()),
     )
+    return summary
 
 
 def reach_summary(reach: Reach) -> dict[str, Any]:
@@ -254,8 +246,8 @@ def _draw_winds(axes: Any, reach: Reach) -> None:  # noqa: ANN401  matplotlib's 
     at_x, at_y = (held.ravel() for held in np.meshgrid(x, y))
     height = reach.scenario.mission.start.position[2]
     places = np.column_stack([at_x, at_y, np.full(at_x.size, height)])
-    places = places[is_wind_known(reach.scenario, places)]
-    winds = _winds(Planner(), reach.scenario, places)
+    places = places[is_wind_known(reach.scenario, 0.0, places)]
+    winds = Planner().winds_at(reach.scenario, places)
     fastest = float(np.hypot(*winds.T).max(initial=0.0))
     if fastest > 0.0:
         scale = fastest / ((x[1] - x[0]) * _KILO)  # the longest arrow reaches the next one

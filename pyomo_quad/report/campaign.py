@@ -53,7 +53,7 @@ def write_campaign(
 
 
 def campaign_summary(campaign: Campaign) -> dict[str, Any]:
-    """Return what a campaign found, as values for JSON."""
+    """Return the results of a campaign as values for JSON."""
     plans = [flight.plan for flight in campaign.flights]
     return {
         "missions": [mission.name for mission in campaign.missions],
@@ -69,7 +69,7 @@ def campaign_summary(campaign: Campaign) -> dict[str, Any]:
 
 
 def campaign_words(campaign: Campaign) -> list[str]:
-    """Return one sentence for each charge: its flights, their time and energy, and what ends it."""
+    """Return a sentence for each charge with its flights, their time and energy, and its end."""
     said = []
     for charge, (count, ending) in enumerate(
         zip(campaign.counts, campaign.endings, strict=True), start=1

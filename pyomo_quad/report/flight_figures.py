@@ -333,7 +333,7 @@ def _draw_elements(axes: Axes, mesh: "Mesh", duration: float) -> None:
 
 
 def draw_power(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figure:
-    """Draw the power of flights over time, with that of hovering."""
+    """Draw the power of flights over time, and the power of hovering."""
     figure, ((axes,),) = panel_grid(1, 1, panel_height=1.9, legend_entries=1 + len(flights))
     axes.axhline(hover_energy_J / flights[0].duration_s, label="hovering", **_HOVER_LINE)
     draw_panels((axes,), (POWER,), flights)

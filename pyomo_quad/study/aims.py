@@ -2,13 +2,14 @@
 
 from enum import StrEnum
 from time import thread_time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from pyomo_quad.collocation import Progress
+from pyomo_quad.collocation import Iteration, Progress
 from pyomo_quad.flight import Plan, Planner
 from pyomo_quad.model.battery import CHARGE_STATE
 from pyomo_quad.scenario import Attitude
 from pyomo_quad.scenario.mission import Aim
+from pyomo_quad.study.front import planned_alike
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -66,9 +67,7 @@ def energy_and_charge(
     if scenario.mission.aim not in _AIMS:
         return pd.DataFrame(columns=columns)
     other = next(aim for aim in _AIMS if aim is not scenario.mission.aim)
-    once = {"solver": scenario.solver.model_copy(update={"max_refinements": 0})}
-    told = scenario.with_mission(aim=other).model_copy(update=once)
-    found = planner.solve(told, warm_start=plan, progress=_briefly(progress))
+    found = planned_alike(plan, planner, _briefly(progress), aim=other)
     if found.verification is None:
         return pd.DataFrame(columns=columns)
     rows = [
@@ -82,8 +81,8 @@ def _briefly(progress: Progress | None) -> Progress:
     """Return a progress that also ends a solve after a while."""
     end = thread_time() + _LONGEST_S
 
-    def goes_on(*state: Any) -> bool:  # noqa: ANN401  handed on
-        return thread_time() < end and (progress is None or progress(*state) is not False)
+    def goes_on(iteration: Iteration) -> bool:
+        return thread_time() < end and (progress is None or progress(iteration) is not False)
 
     return goes_on
 

@@ -66,11 +66,18 @@ def energy_time_front(
     for price in prices:
         if isclose(price, own, rel_tol=0.1, abs_tol=0.1 * hover_power):
             continue
-        once = {"solver": plan.scenario.solver.model_copy(update={"max_refinements": 0})}
-        dearer = plan.scenario.with_mission(price_of_time=price, aim=aim)
-        found = planner.solve(dearer.model_copy(update=once), warm_start=plan, progress=progress)
+        found = planned_alike(plan, planner, progress, price_of_time=price, aim=aim)
         is_new = not any(isclose(found.duration_s, row[1], rel_tol=_SAME_TIME) for row in rows)
         if found.verification is not None and is_new:
             rows.append((price, found.duration_s, found.energy, False))
     front = pd.DataFrame(rows, columns=columns)
     return front.sort_values(FrontColumn.DURATION, ignore_index=True)
+
+
+def planned_alike(
+    plan: Plan, planner: Planner, progress: Progress | None, **changed: object
+) -> Plan:
+    """Return the plan of a mission with some fields changed, from a plan and on its mesh alone."""
+    once = {"solver": plan.scenario.solver.model_copy(update={"max_refinements": 0})}
+    told = plan.scenario.with_mission(**changed).model_copy(update=once)
+    return planner.solve(told, warm_start=plan, progress=progress)
