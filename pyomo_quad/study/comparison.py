@@ -1,7 +1,6 @@
 """Comparison of the flights of a mission, one row each, and the effect of adaptation."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from enum import StrEnum
 from math import isclose, isfinite, nan
 from typing import TYPE_CHECKING
 
@@ -29,6 +28,7 @@ from pyomo_quad.flight.flight import (
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.tables import Reference, Replanning
 from pyomo_quad.study.certificate import SAME_TIME, Certificate
+from pyomo_quad.study.tables import TableColumn
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -91,7 +91,7 @@ INSIDE_DISTANCE_M = 0.1
 _PLACE = tuple(column_of(state).name for state in POSITION_STATES)
 
 
-class ComparisonColumn(StrEnum):
+class ComparisonColumn(TableColumn):
     """Columns of a comparison, in order."""
 
     SCENARIO = "scenario"
@@ -158,8 +158,6 @@ def compare_flights(
     above hover, since the two floors differ.  There is no saving above hover either if the optimum
     takes less energy than hovering: it would exceed 100 %.
     """
-    import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
-
     is_told_the_wind = scenario.wind.forecast is None
     optimum = next((f for f in flights if f.name == OPTIMAL and is_comparable(f)), None)
     rows = []
@@ -200,7 +198,7 @@ def compare_flights(
                 **_measured(scenario, flight.frame),
             }
         )
-    compared = pd.DataFrame(rows, columns=[column.value for column in ComparisonColumn])
+    compared = ComparisonColumn.of_rows(rows)
     if scenario.limits.reserve:
         compared[RESERVE] = [_reserve_percent(scenario, flight.frame) for flight in flights]
     return compared
@@ -222,7 +220,7 @@ def _hover_energy(scenario: Scenario, flight: Flight, hover_energy_J: float) -> 
     return hover_energy_J * flight.duration_s / scenario.mission.fixed_duration
 
 
-class LegColumn(StrEnum):
+class LegColumn(TableColumn):
     """Columns of the legs of a flight, in order."""
 
     LEG = "leg"
@@ -234,9 +232,7 @@ class LegColumn(StrEnum):
 
 def leg_table(mission: Scenario, frame: "pd.DataFrame") -> "pd.DataFrame":
     """Return `leg_rows` as a table with the columns of `LegColumn`."""
-    import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
-
-    return pd.DataFrame(leg_rows(mission, frame), columns=[column.value for column in LegColumn])
+    return LegColumn.of_rows(leg_rows(mission, frame))
 
 
 def leg_rows(
@@ -299,7 +295,7 @@ def way_flown(flown: "Mapping[str, FloatArray] | pd.DataFrame") -> FloatArray:
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
-class ReplanningColumn(StrEnum):
+class ReplanningColumn(TableColumn):
     """Columns of the table of re-planned flights, in order."""
 
     FLIGHT = "flight"
@@ -326,8 +322,6 @@ def replanning_table(flights: Sequence[Flight], settings: Replanning) -> "pd.Dat
     DataFrame
         One row for each flight with solves, columns of `ReplanningColumn`.
     """
-    import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
-
     rows = []
     for flight in flights:
         if not flight.resolves:
@@ -349,7 +343,7 @@ def replanning_table(flights: Sequence[Flight], settings: Replanning) -> "pd.Dat
                 ReplanningColumn.LONGEST_SOLVE: float(times[2]),
             }
         )
-    return pd.DataFrame(rows, columns=[column.value for column in ReplanningColumn])
+    return ReplanningColumn.of_rows(rows)
 
 
 def is_comparable(flight: Flight) -> bool:
@@ -369,7 +363,7 @@ def combine(frames: "Sequence[pd.DataFrame]") -> "pd.DataFrame":
     import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
     if not frames:
-        return pd.DataFrame(columns=[column.value for column in ComparisonColumn])
+        return ComparisonColumn.of_rows(())
     return pd.concat(frames, ignore_index=True)
 
 
