@@ -12,6 +12,7 @@ from pyomo.core.expr import numeric_expr, relational_expr
 from pyomo.core.expr.numvalue import NumericValue, native_numeric_types
 from pyomo.dae import ContinuousSet, DerivativeVar, Integral
 
+from pyomo_quad.model.screening import instances, is_over
 from pyomo_quad.model.wind import HARMONICS
 
 
@@ -302,10 +303,9 @@ def typeset_equations(model: ConcreteModel) -> tuple[TypesetEquation, ...]:
 
 
 def _component(component: IndexedComponent, time: ContinuousSet, instant: float) -> Iterator[str]:
-    if not component.is_indexed() or all(s is not time for s in component.index_set().subsets()):
+    if not is_over(component, time):
         return
-    instances = [d for index, d in component.items() if _time_of(index) == instant]
-    first = instances[0]
+    first = instances(component, instant)[0]
     writer = _Writer(has_free_index=len(_index(first)) > 0)
     if component.ctype is Constraint:
         yield writer.relation(first.expr)
@@ -323,10 +323,6 @@ def _index(data: ComponentData) -> tuple[Hashable, ...]:
         s.ctype is ContinuousSet for s in data.parent_component().index_set().subsets()
     )
     return whole[:-1] if is_over_time else whole
-
-
-def _time_of(index: Hashable) -> Hashable:
-    return index[-1] if isinstance(index, tuple) else index
 
 
 class _Writer:
