@@ -177,11 +177,6 @@ def as_flights(points: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
     )
 
 
-def computed_power(scenario: Scenario, points: pd.DataFrame) -> FloatArray:
-    """Return the power of a vehicle at steady points, W, by the declared equations."""
-    return LoggedMotion(scenario, as_flights(points, scenario)).power()[::2]
-
-
 def level_powers(scenario: Scenario, airspeeds: Sequence[float], planner: Planner) -> FloatArray:
     """Return the power of level flight at rising airspeeds, W; NaN above the greatest airspeed."""
     steady = planner.steady_flight(scenario)

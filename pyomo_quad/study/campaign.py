@@ -6,7 +6,7 @@ flight that has no plan: it would leave less charge than the pack must keep, or 
 fall below its limit.  No pack rests between two flights, or ages.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import cycle
 from typing import TYPE_CHECKING
@@ -111,11 +111,7 @@ class Campaign(Summarised):
 
 
 def fly_campaign(
-    missions: Sequence[Scenario],
-    planners: Sequence[Planner],
-    *,
-    charges: int = 1,
-    follow: Callable[[CampaignFlight], None] = lambda _flight: None,
+    missions: Sequence[Scenario], planners: Sequence[Planner], *, charges: int = 1
 ) -> Campaign:
     """Plan missions in a row until the pack is at its limit, on so many charges.
 
@@ -125,8 +121,6 @@ def fly_campaign(
         With one and the same battery and vehicle; each charge begins with that of the first.
     planners : sequence of Planner
         One for each mission.
-    follow : callable, optional
-        Called after each flight.
 
     Raises
     ------
@@ -151,7 +145,6 @@ def fly_campaign(
             flights.append(_flight(charge, number, plan))
             left = {"battery.initial_state_of_charge": flights[-1].charge_at_end}
             left |= fields_after(told, _ended(plan))
-            follow(flights[-1])
         else:
             endings.append(f"{MOST_FLIGHTS} flights, after which a campaign is not continued")
     return Campaign(

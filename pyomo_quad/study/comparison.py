@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pyomo_quad.collocation import Dynamics
-from pyomo_quad.flight import Planner
 from pyomo_quad.flight.baselines import (
     ClosedLoopFlight,
     baseline_name,
@@ -25,6 +24,7 @@ from pyomo_quad.flight.flight import (
     VELOCITY_STATES,
     Flight,
 )
+from pyomo_quad.flight.references import ReferencePath
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.tables import Reference, Replanning
 from pyomo_quad.study.certificate import SAME_TIME, Certificate
@@ -43,42 +43,27 @@ TRUE = tuple(f"true_disturbance_{axis}_m_per_s2" for axis in "xyz")
 _ESTIMATES = tuple(f"disturbance_{axis}_m_per_s2" for axis in "xyz")
 
 
-def adaptation_study(
-    scenario: Scenario,
-    reference: Reference = Reference.QUINTIC,
-    *,
-    dynamics: Dynamics | None = None,
-) -> "pd.DataFrame":
-    """Fly a mission under the adaptive controller, with adaptation and without."""
+def adaptation_study(scenario: Scenario, *, dynamics: Dynamics) -> "pd.DataFrame":
+    """Fly a mission's smooth reference under the controller, with adaptation and without."""
     import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
-    vehicle = Planner().dynamics(scenario) if dynamics is None else dynamics
-    with_it, without_it = (
-        fly_reference(
-            scenario.with_values({"baseline.adaptation": adapts}), reference, dynamics=vehicle
-        )
-        for adapts in (True, False)
-    )
-    flown = with_it.flown
+    told = (scenario.with_values({"baseline.adaptation": adapts}) for adapts in (True, False))
+    flights = [fly_reference(one, Reference.QUINTIC, dynamics=dynamics) for one in told]
+    path = reference_path(scenario, Reference.QUINTIC)
+    flown = flights[0].flown
     keys = tuple((force, None) for force in AIR_FORCE)
-    forces = vehicle.table(keys, flown.t, flown.states, flown.controls)
+    forces = dynamics.table(keys, flown.t, flown.states, flown.controls)
     columns = [CONTROLLER_STATES.index(name) for name in _ESTIMATES]
-    table = {
-        TIME: flown.t,
-        ERROR_WITH: _error(scenario, reference, vehicle, with_it),
-        ERROR_WITHOUT: _error(scenario, reference, vehicle, without_it),
-    }
-    table |= dict(zip(ESTIMATED, with_it.controller_states[:, columns].T, strict=True))
+    errors = (_error(path, dynamics, flight) for flight in flights)
+    table = {TIME: flown.t} | dict(zip((ERROR_WITH, ERROR_WITHOUT), errors, strict=True))
+    table |= dict(zip(ESTIMATED, flights[0].controller_states[:, columns].T, strict=True))
     table |= dict(zip(TRUE, forces.T / scenario.vehicle.total_mass, strict=True))
     return pd.DataFrame(table)
 
 
-def _error(
-    scenario: Scenario, reference: Reference, vehicle: Dynamics, flight: ClosedLoopFlight
-) -> FloatArray:
-    path = reference_path(scenario, reference)
+def _error(path: ReferencePath, dynamics: Dynamics, flight: ClosedLoopFlight) -> FloatArray:
     wanted = np.array([path(t).place[:3] for t in flight.flown.t])
-    columns = [vehicle.state_names.index(name) for name in POSITION_STATES]
+    columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
     return np.linalg.norm(flight.flown.states[:, columns] - wanted, axis=1)
 
 

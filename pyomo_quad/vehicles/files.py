@@ -1,7 +1,6 @@
 """Files of an estimated vehicle: vehicle and pack, every number with its source."""
 
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any
 
 from pyomo_quad.report.folder import MARK
@@ -48,23 +47,14 @@ def _numbers(section: str, numbers: Mapping[str, Estimate]) -> Iterator[str]:
         yield from with_source(f"{section}.{name}", value, one.source)
 
 
-def scenario_of(vehicle: EstimatedVehicle, folder: Path | None = None) -> Scenario:
-    """Return a mission of an estimated vehicle under the momentum model.
-
-    Parameters
-    ----------
-    folder : Path, optional
-        Where the vehicle's files are; without, its numbers stand in the scenario itself.
-    """
+def scenario_of(vehicle: EstimatedVehicle) -> Scenario:
+    """Return a mission of an estimated vehicle under the momentum model, in its own numbers."""
     tables: dict[str, Any] = {
         "name": vehicle.known.name,
         "wind": {"use": "calm", "coupling": "drag"},
         "power": {"model": "momentum"},
         "mission": {"goal": {"position": [40.0, 0.0, 0.0]}, "duration": 10.0},
     }
-    if folder is not None:
-        tables["vehicle"] = {"use": f"{vehicle.known.name}.toml"}
-        return scenario_from_mapping(tables, source=vehicle.known.name, folder=folder)
     tables["vehicle"] = {name: one.value for name, one in vehicle.fields.items()}
     tables["limits"] = {name: one.value for name, one in vehicle.limits.items()}
     tables["battery"] = {
