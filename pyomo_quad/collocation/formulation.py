@@ -24,6 +24,7 @@ from pyomo_quad.collocation.program.compiled import (
     compile_declarations,
 )
 from pyomo_quad.collocation.program.transcription import Data, Transcription
+from pyomo_quad.collocation.reading.clock import index_tuple
 from pyomo_quad.collocation.reading.model import read_declarations
 from pyomo_quad.collocation.reading.model_source import LiveModel, declared_magnitudes
 from pyomo_quad.collocation.reading.schedules import BESIDE
@@ -40,13 +41,6 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.reading.model_source import ModelSnapshot
     from pyomo_quad.collocation.reading.symbols import Declarations
     from pyomo_quad.collocation.reading.writer import TemplateWriter
-
-
-def index_tuple(index: Any) -> tuple[Any, ...]:
-    """Return a component's index without time as a tuple."""
-    if index is None:
-        return ()
-    return index if isinstance(index, tuple) else (index,)
 
 
 class WrittenComponents:

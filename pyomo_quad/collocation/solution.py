@@ -13,7 +13,6 @@ import numpy as np
 from pyomo_quad.collocation.costates import Costates, costate_errors_of, costates_of
 from pyomo_quad.collocation.dynamics import Dynamics
 from pyomo_quad.collocation.errors import TranscriptionError
-from pyomo_quad.collocation.formulation import index_tuple
 from pyomo_quad.collocation.guess import TIME_COLUMN
 from pyomo_quad.collocation.mesh import (
     FloatArray,
@@ -26,6 +25,7 @@ from pyomo_quad.collocation.mesh import (
     radau_rule,
 )
 from pyomo_quad.collocation.program.ipopt import IpoptResult, Iteration, Status
+from pyomo_quad.collocation.reading.clock import index_tuple
 from pyomo_quad.collocation.reading.writer import symbol_names
 from pyomo_quad.collocation.starts import ColdStart, WarmStart, warm_start_of
 

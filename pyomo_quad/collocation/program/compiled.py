@@ -561,16 +561,7 @@ def _with_integral_variables(declared: Declarations) -> Declarations:
         if _is_static(declared, integral.name):
             continue
         if integral.symbol.name() in in_conditions or symbol_names(slope) & variables:
-            statics.append(
-                Slot(
-                    name=integral.name,
-                    component=integral.name,
-                    index=(),
-                    symbol=integral.symbol,
-                    lower=casadi.SX(-casadi.inf),
-                    upper=casadi.SX(casadi.inf),
-                )
-            )
+            statics.append(integral.slot)
     return replace(declared, statics=tuple(statics))
 
 

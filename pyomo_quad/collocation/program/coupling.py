@@ -20,14 +20,15 @@ from pyomo.dae import Integral as PyomoIntegral
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.program.bounds import nominal_magnitudes
 from pyomo_quad.collocation.program.nonlinear import Bounds, Multipliers
-from pyomo_quad.collocation.reading.clock import FreeTimes, free_times
+from pyomo_quad.collocation.reading.clock import FreeTimes, free_times, index_tuple
 from pyomo_quad.collocation.reading.copy import (
     WorkingCopy,
     continuous_sets,
     copies_with_template_times,
 )
 from pyomo_quad.collocation.reading.model import ModelReader
-from pyomo_quad.collocation.reading.symbols import PointCondition, PointSymbol, Slot, index_of
+from pyomo_quad.collocation.reading.objectives import objective_of
+from pyomo_quad.collocation.reading.symbols import PointCondition, PointSymbol, Slot
 from pyomo_quad.collocation.reading.writer import TemplateWriter, symbol_names
 
 if TYPE_CHECKING:
@@ -91,8 +92,12 @@ class CouplingWriter(TemplateWriter):
         if data.name not in self.links:
             reader = next(r for r in self._readers if r.copy.time is over)
             self._refuse_interior(reader, data)
-            slot = _free_slot(
-                f"{data.name} (coupled)", data.parent_component().name, index_of(data)
+            name, index = f"{data.name} (coupled)", index_tuple(data.index())
+            slot = Slot(
+                name=name,
+                component=data.parent_component().name,
+                index=index,
+                symbol=casadi.SX.sym(name),
             )
             address, value = reader.addresses.of(data), reader.writer.leaf(data)
             table, time = reader.symbols, float(address.time or 0.0)
@@ -130,18 +135,6 @@ class CouplingWriter(TemplateWriter):
                 if component.get_continuousset() is reader.copy.time:
                     return reader.writer.named(expression)
         return super().named(expression)
-
-
-def _free_slot(name: str, component: str, index: tuple[Any, ...], symbol: Any = None) -> Slot:
-    """Return a static variable without bounds."""
-    return Slot(
-        name=name,
-        component=component,
-        index=index,
-        symbol=casadi.SX.sym(name) if symbol is None else symbol,
-        lower=casadi.SX(-casadi.inf),
-        upper=casadi.SX(casadi.inf),
-    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,7 +179,7 @@ def read_horizons(model: Any, times: FreeTimes | None) -> CoupledDeclarations:
     writer = CouplingWriter(readers, statics)
     coupling = ModelReader(writer)
     _refuse_gaps(coupling.conditions, list(writer.links.values()), free)
-    objective = coupling.objective()
+    objective = objective_of(coupling.copy)
     cost = casadi.SX(0) if objective is None else writer.write_objective(objective)
     links = list(writer.links.values())
     held = casadi.vertcat(casadi.SX(0, 1), *[c.expression for c in coupling.conditions])
@@ -251,7 +244,7 @@ def _own_cost(reader: ModelReader, cost: Any, in_conditions: frozenset[str]) -> 
 def _integrals_in(reader: ModelReader, names: frozenset[str]) -> list[Slot]:
     """Return static variables for the integrals that appear in the coupling."""
     return [
-        _free_slot(integral.name, integral.name, (), integral.symbol)
+        integral.slot
         for integral in reader.writer.integrals.values()
         if integral.symbol.name() in names
     ]
