@@ -18,7 +18,7 @@ from pyomo.core import Var
 from pyomo.dae import Integral as PyomoIntegral
 
 from pyomo_quad.collocation.errors import TranscriptionError
-from pyomo_quad.collocation.program.bounds import nominal_magnitudes
+from pyomo_quad.collocation.program.bounds import crossed, nominal_magnitudes
 from pyomo_quad.collocation.program.nonlinear import Bounds, Multipliers
 from pyomo_quad.collocation.reading.clock import FreeTimes, free_times, index_tuple
 from pyomo_quad.collocation.reading.copy import (
@@ -287,7 +287,8 @@ class Union:
         self.statics = {name: k for k, name in enumerate(own, start=firsts[-1])}
         self.unknowns = firsts[-1] + len(own)
         columns = self.statics | {
-            name: firsts[at.program] + _column(self.programs[at.program], at)
+            name: firsts[at.program]
+            + self.programs[at.program].layout.state_column(at.state, at.fraction)
             for name, at in states.items()
         }
         self.places: list[NDArray[np.intp]] = [
@@ -325,10 +326,7 @@ class Union:
             upper[places] = np.minimum(upper[places], part.upper)
         for name, column in self.statics.items():
             if lower[column] > upper[column]:
-                raise TranscriptionError(
-                    f"{name}: lower bound {lower[column]:g} is above upper bound "
-                    f"{upper[column]:g}; relax one of the two."
-                )
+                raise crossed(name, lower[column], upper[column])
         return Bounds(
             lower=lower,
             upper=upper,
@@ -356,13 +354,6 @@ class Union:
             lower=self.joined([part.lower for part in parts]),
             upper=self.joined([part.upper for part in parts]),
         )
-
-
-def _column(program: Transcription, at: StateValue) -> int:
-    nodes = program.mesh.node_fractions if program.mesh else np.zeros(1)
-    node = int(np.argmin(np.abs(nodes - at.fraction)))
-    names = [slot.name for slot in program.compiled.declared.states]
-    return int(program.layout.state_columns[node, names.index(at.state)])
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import cyipopt
@@ -504,16 +504,10 @@ def run_past_the_barrier(
     size : callable
         Returns the size of the objective's parts at a point.
     """
-    result = run(
-        program,
-        bounds,
-        scaling,
-        start,
-        options=options,
-        multipliers=multipliers,
-        progress=progress,
-    )
+    solve = partial(run, program, bounds, progress=progress)
+    result = solve(scaling, start, options=options, multipliers=multipliers)
     share = _GAP_SHARE * (options.tolerance or _TOLERANCE)
+    fewer = options.at_most(_PATIENCE)
     factor = scaling.objective
     for _ in range(_SHARPENINGS):
         if not result.is_converged:
@@ -524,15 +518,8 @@ def run_past_the_barrier(
         if excess <= 1.0:
             break
         factor *= min(_AIMED * excess, _LARGEST_STEP)
-        sharper = run(
-            program,
-            bounds,
-            replace(scaling, objective=factor),
-            result.z,
-            options=replace(options, max_iterations=min(_PATIENCE, options.max_iterations)),
-            multipliers=result.multipliers,
-            progress=progress,
-        )
+        steeper = replace(scaling, objective=factor)
+        sharper = solve(steeper, result.z, options=fewer, multipliers=result.multipliers)
         if not sharper.is_converged:
             break
         result = replace(

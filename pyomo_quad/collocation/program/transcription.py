@@ -277,16 +277,13 @@ class Transcription:
     def _derivative_sources(self, z: FloatArray) -> FloatArray:
         """Return the derivatives that gradient and Jacobian are assembled from, computed once."""
         if self._differentiated is None or not np.array_equal(self._differentiated, z):
-            self._sources = self._sources_at(z)
+            path = np.zeros(0)
+            if self.layout.points:
+                path = self._path[1](self.path_variables(z), self._path_data)[0].ravel()
+            point = self._point[1](self.point_variables(z), self._point_data)[0].ravel()
+            self._sources = np.concatenate([path, point, [1.0]])
             self._differentiated = np.array(z)
         return self._sources
-
-    def _sources_at(self, z: FloatArray) -> FloatArray:
-        path = np.zeros(0)
-        if self.layout.points:
-            path = self._path[1](self.path_variables(z), self._path_data)[0].ravel()
-        point = self._point[1](self.point_variables(z), self._point_data)[0].ravel()
-        return np.concatenate([path, point, [1.0]])
 
     def gradient(self, z: FloatArray) -> FloatArray:
         """Return the gradient of the objective to minimise."""
@@ -322,17 +319,17 @@ class Transcription:
         self, z: FloatArray, multipliers: FloatArray, factor: float | None = None
     ) -> FloatArray:
         """Return the multiplier of each path equation and each integrand at each point."""
-        factor = self._sign if factor is None else factor
         n, points = self.compiled.n_equations, self.layout.points
-        on_integral = self._integral_weights(z, multipliers, factor)
+        on_integral = self.integral_weights(z, multipliers, factor)
         densities = self._weights()[:, None] * on_integral[None, :]
         equations = multipliers[: points * n].reshape(points, n)
         return np.hstack([equations, densities])
 
-    def _integral_weights(
-        self, z: FloatArray, multipliers: FloatArray, factor: float
+    def integral_weights(
+        self, z: FloatArray, multipliers: FloatArray, factor: float | None = None
     ) -> FloatArray:
         """Return the weight of each integral in the Lagrangian, shape (n_integrals,)."""
+        factor = self._sign if factor is None else factor
         weights = np.zeros(len(self.compiled.declared.integrals))
         weights[list(self.compiled.row_integrals)] = factor * self._objective_slopes(z)
         for row, integral in enumerate(self.compiled.static_of_integral):
@@ -381,10 +378,6 @@ class Transcription:
         at_column = np.searchsorted(columns, path.jacobian_columns[chosen])
         slopes[:, at_row, at_column] = entries[:, chosen]
         return slopes
-
-    def integral_weights(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
-        """Return the weight of each integral in the Lagrangian, shape (n_integrals,)."""
-        return self._integral_weights(z, multipliers, self._sign)
 
     def lagrangian_density(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
         """Return integrands times their weights in the Lagrangian, shape (n_points,)."""
