@@ -461,9 +461,8 @@ def load_values(*solutions: Solution) -> None:
             values.load(slot, None, float(number))
         for fraction in values.declared_fractions():
             time = float(solution.timeline.time(np.float64(fraction)))
-            slots = (*declared.states, *declared.outputs, *declared.algebraics)
             _, *row = solution.to_frame([time]).iloc[0]
-            for slot, number in zip(slots, row, strict=True):
+            for slot, number in zip(declared.varying, row, strict=True):
                 values.load(slot, fraction, float(number))
             values.load_rates(fraction, partial(solution.value, t=time))
         totals = solution.program.integrals(solution.unknowns).tolist()

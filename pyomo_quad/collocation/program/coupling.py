@@ -19,6 +19,7 @@ from pyomo.dae import Integral as PyomoIntegral
 
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.program.bounds import crossed, nominal_magnitudes
+from pyomo_quad.collocation.program.compiled import stacked
 from pyomo_quad.collocation.program.nonlinear import Bounds, Multipliers
 from pyomo_quad.collocation.reading.clock import FreeTimes, free_times, index_tuple
 from pyomo_quad.collocation.reading.copy import (
@@ -182,7 +183,7 @@ def read_horizons(model: Any, times: FreeTimes | None) -> CoupledDeclarations:
     objective = objective_of(coupling.copy)
     cost = casadi.SX(0) if objective is None else writer.write_objective(objective)
     links = list(writer.links.values())
-    held = casadi.vertcat(casadi.SX(0, 1), *[c.expression for c in coupling.conditions])
+    held = stacked([c.expression for c in coupling.conditions])
     horizons, integrals = {}, []
     states: dict[str, tuple[str, PointSymbol]] = {}
     for reader in readers:

@@ -269,7 +269,6 @@ class LiveModel:
 
     def snapshot(self, declared: Declarations, horizon: tuple[float, float]) -> ModelSnapshot:
         """Return a copy of the model's present values; functions of time cover a horizon."""
-        varying = (*declared.states, *declared.algebraics, *declared.outputs)
         components = list(self.model.component_objects(descend_into=True))
         limits = self.model.component_objects((Var, Constraint), descend_into=True)
         units = {name: self.unit(name) for name in {family_name(c.name) for c in limits}}
@@ -284,13 +283,13 @@ class LiveModel:
                 if self.has(slot.component)
             },
             variables={(s.name, None): self.variable(s) for s in declared.statics}
-            | {(s.name, t): self.variable(s, t) for s in varying for t in self.times},
+            | {(s.name, t): self.variable(s, t) for s in declared.varying for t in self.times},
             signals={
                 slot.name: self._signal_kept(slot, horizon, asked) for slot in declared.signals
             },
             guesses={
                 slot.name: _kept(slot, guess, horizon, asked)
-                for slot in varying
+                for slot in declared.varying
                 if (guess := self.first_guess(slot)) is not None
             },
             schedules=tuple(

@@ -369,6 +369,11 @@ class Declarations:
         return bool(self.signals or self.scheduled)
 
     @property
+    def varying(self) -> tuple[Slot, ...]:
+        """Everything that is solved for over time: states, outputs, then algebraic variables."""
+        return (*self.states, *self.outputs, *self.algebraics)
+
+    @property
     def path_data(self) -> tuple[Any, ...]:
         """Symbols of a point's data, in order: fraction, signals, schedules, parameters."""
         slots = (*self.signals, *self.scheduled, *self.parameters)
