@@ -285,10 +285,6 @@ class Dynamics:
             changed[:, data.shape[1] - len(names) + names.index(name)] = column
         return changed
 
-    def _inputs(self, t: FloatArray, states: FloatArray, controls: FloatArray) -> list[FloatArray]:
-        """Return the inputs of an `Evaluator` for n times at once."""
-        return self.solved(t, states, controls).inputs
-
     def _algebraics(self, determined: FloatArray, controls: FloatArray) -> FloatArray:
         """Return all algebraic variables in their declared order."""
         names = [s.name for s in self._determined]

@@ -134,17 +134,11 @@ def _one_output(declared: Declarations) -> tuple[Slot, PathEquation] | None:
             only_here
             and one_rate
             and equation.is_equality
-            and _is_free(slot)
+            and is_unbounded(slot.lower, slot.upper)
             and _held_at_start_only(declared, slot)
         ):
             return slot, equation
     return None
-
-
-def _is_free(slot: Slot) -> bool:
-    return bool(casadi.is_equal(slot.lower, casadi.SX(-casadi.inf))) and bool(
-        casadi.is_equal(slot.upper, casadi.SX(casadi.inf))
-    )
 
 
 def _held_at_start_only(declared: Declarations, slot: Slot) -> bool:

@@ -273,10 +273,6 @@ class JacobianScatter:
         slopes[self.slope_integrals] = point_sources[self.slope_sources]
         return slopes
 
-    def integral_slopes(self, sources: FloatArray) -> FloatArray:
-        """Return d objective / d integral from all derivative sources."""
-        return self.objective_slopes(sources[self.n_path_sources :])
-
     def gradient(self, sources: FloatArray, slopes: FloatArray) -> FloatArray:
         """Return the dense gradient of the objective."""
         dense = np.zeros(self.unknowns)

@@ -120,7 +120,12 @@ class Transcription:
         self._sign = -1.0 if compiled.declared.maximise else 1.0
         self._jacobian = jacobian_scatter(compiled, self.layout)
         self._hessian = hessian_scatter(compiled, self.layout)
-        self._map()
+        n = max(self.layout.points, 1)
+        path, points = self.compiled.path, self.compiled.points
+        self._path = [MappedFunction(f, n) for f in (path.values, path.jacobian, path.hessian)]
+        self._point = [
+            MappedFunction(f, 1) for f in (points.values, points.jacobian, points.hessian)
+        ]
         self._hold(data)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -143,14 +148,6 @@ class Transcription:
         self._sources = np.zeros(0)
         self._seen: FloatArray | None = None
         self._differentiated: FloatArray | None = None
-
-    def _map(self) -> None:
-        n = max(self.layout.points, 1)
-        path, points = self.compiled.path, self.compiled.points
-        self._path = [MappedFunction(f, n) for f in (path.values, path.jacobian, path.hessian)]
-        self._point = [
-            MappedFunction(f, 1) for f in (points.values, points.jacobian, points.hessian)
-        ]
 
     @property
     def n_rows(self) -> int:
@@ -288,7 +285,7 @@ class Transcription:
     def gradient(self, z: FloatArray) -> FloatArray:
         """Return the gradient of the objective to minimise."""
         sources = self._derivative_sources(z)
-        slopes = self._jacobian.integral_slopes(sources)
+        slopes = self._jacobian.objective_slopes(sources[self._jacobian.n_path_sources :])
         return self._sign * self._jacobian.gradient(sources, slopes)
 
     def jacobianstructure(self) -> tuple[Any, Any]:
