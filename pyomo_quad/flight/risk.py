@@ -24,7 +24,7 @@ from pyomo_quad.flight.breaching import (
 )
 from pyomo_quad.flight.candidate import Candidate
 from pyomo_quad.flight.covariance import Spread, spread_along
-from pyomo_quad.flight.deadline import Deadline
+from pyomo_quad.flight.deadline import Deadline, TimeIsUpError
 from pyomo_quad.flight.ensemble import Squadron
 from pyomo_quad.flight.flight import HELD_BREACH, POSITION_STATES
 from pyomo_quad.flight.limit_words import limit_words
@@ -48,7 +48,7 @@ from pyomo_quad.model import build_model
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.mission import Aim
 from pyomo_quad.scenario.tables import Reference
-from pyomo_quad.scenario.wind import Intensity, Turbulence
+from pyomo_quad.scenario.wind import Intensity, Turbulence, WindCoupling
 
 FloatArray = NDArray[np.float64]
 
@@ -96,14 +96,19 @@ def plan_at_risk(
     -------
     Plan
         With `risk`; of a scenario that asks for none the plan of `Planner.solve`.  Where the risk
-        cannot be had, or the user stops the search, the plan of the least risk found.
+        cannot be had, or the search is stopped, the plan of the least risk found.
     """
     with planner.until_stopped() as is_stopped:
         paper = planner.solve(scenario, progress=progress, **solve)
-        is_own = planner.builder is not build_model
-        if risk_asked(scenario) >= 1.0 or not paper.is_verified or is_own:
+        if risk_asked(scenario) >= 1.0 or not paper.is_flyable:
             return paper
-        return _Search(paper, planner, progress, is_stopped).best()
+        search = _Search(paper, planner, progress, is_stopped)
+        if planner.builder is not build_model:
+            return search.unfinished("a model of one's own has no covariance; leave model out")
+        try:
+            return search.best()
+        except TimeIsUpError as error:
+            return search.unfinished(str(error).removesuffix("."))
 
 
 def _again(
@@ -174,6 +179,8 @@ class _Search:
         self._progress, self._is_stopped = progress, is_stopped
         self._risk = risk_asked(paper.scenario)
         self._least: Mapping[str, float] = {}
+        # The last plan that can be flown, and its margins.
+        self._last: tuple[Plan, Mapping[str, float]] = (paper, {})
         self._told = paper.scenario
         if self._told.wind.turbulence is None:
             wind = self._told.wind.model_copy(update={"turbulence": _USUAL_TURBULENCE})
@@ -198,6 +205,21 @@ class _Search:
         counts, failed, tried = min(found, key=lambda one: (one[1], one[2].plan.energy))
         return self._stated(tried, counts, failed)
 
+    def unfinished(self, why: str) -> Plan:
+        """Return the last plan that can be flown; no flights have judged it."""
+        plan, margins = self._last
+        taken = RiskTaken(
+            asked=self._risk,
+            predicted=1.0,
+            failed=0,
+            flown=0,
+            is_had=False,
+            margins=dict(margins),
+            paper_energy_J=self._paper.energy,
+            stopped=why,
+        )
+        return replace(plan, risk=taken)
+
     def _stated(self, tried: _Tried, counts: Counter[str], failed: int) -> Plan:
         """Return the plan with its risk stated."""
         is_had = failed <= self._risk * _FLIGHTS
@@ -211,7 +233,8 @@ class _Search:
             margins=dict(tried.margins),
             paper_energy_J=self._paper.energy,
             limiting=limiting,
-            advice="" if is_had else self._advice(limiting),
+            advice="" if is_had else self._advice(tried, limiting),
+            stopped="the search was stopped" if self._is_stopped() and not is_had else "",
         )
         return replace(tried.plan, risk=taken)
 
@@ -223,7 +246,10 @@ class _Search:
         plan = _again(self._planner, tried.plan, held, self._progress, is_rough=False)
         if not plan.is_flyable:
             plan = self._planner.solve(held, progress=self._progress)
-        return self._tried(self._owned(plan, tried.margins), tried.margins)
+        owned = self._owned(plan, tried.margins)
+        if owned.is_flyable:
+            self._last = owned, tried.margins
+        return self._tried(owned, tried.margins)
 
     def _owned(self, plan: Plan, margins: Mapping[str, float]) -> Plan:
         """Return a plan with margins as a plan of the scenario as stated."""
@@ -389,18 +415,43 @@ class _Search:
             margins[name] = min(grown, most)
         return margins
 
-    def _advice(self, limiting: tuple[str, ...]) -> str:
+    def _advice(self, tried: _Tried, limiting: tuple[str, ...]) -> str:
         """Return what would help against the limit that is broken most."""
         first = limiting[0] if limiting else ""
         if first.startswith(("keep-out", "floor", "ceiling")):
             return "start, waypoints and goal farther from it, or a lower limits.speed_max"
         if "waypoint" in first or "hold place" in first:
             return "a larger radius of the waypoint, or a later time to pass it"
-        if self._least:
-            return (
-                "weaker turbulence, or faster baseline.gains: no longer flight arrives more often"
+        longer = "" if self._scenario.mission.is_free else "a longer mission.duration, or "
+        return f"{longer}{self._weaker(tried)}"
+
+    def _weaker(self, tried: _Tried) -> str:
+        """Return in what wind the flights would arrive, by the spread along the plan."""
+        allowed = _SHARE_OF_GOAL * self._risk
+        places = [miss for miss in tried.missed if not miss.field]
+        low, high = 0.0, 1.0
+        for _ in range(_HALVINGS):
+            middle = (low + high) / 2
+            missed = sum(miss.shrunk(middle).probability for miss in places)
+            low, high = (middle, high) if missed <= allowed else (low, middle)
+        turbulence = self._told.wind.turbulence
+        strength = 0.0 if turbulence is None else turbulence.strength
+        if high == 1.0:
+            return "weaker turbulence"
+        found = (
+            f"wind.turbulence.wind_at_6_m of about {low * strength:.2g} m/s instead of "
+            f"{strength:.3g} m/s, stated errors as much smaller"
+        )
+        if self._scenario.wind.coupling is WindCoupling.ACCELERATION:
+            found += (
+                ', or wind.coupling = "drag": as "acceleration" a gust pushes at '
+                f"{self._scenario.wind.acceleration_coefficient:g} m/s² for each m/s"
             )
-        return "a longer mission.duration, or weaker turbulence"
+        return found
+
+
+# Of the strength of turbulence, to a thousandth.
+_HALVINGS = 10
 
 
 def _cost(tried: _Tried) -> float:

@@ -1,18 +1,26 @@
 """Plans with a stated risk: probabilities against simulation, and margins against flights."""
 
+import re
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.special import ndtri
 
-from pyomo_quad.flight import Plan, risk
+from pyomo_quad.cli.endings import ExitCode
+from pyomo_quad.cli.solving import complain_about, exit_code_of
+from pyomo_quad.flight import Plan, PlanStatus, risk
 from pyomo_quad.flight.breaching import Approach, Miss, _crossing
+from pyomo_quad.flight.deadline import TimeIsUpError
 from pyomo_quad.flight.margins import (
     DURATION,
     HOLD,
     RADIUS,
     SPEED,
+    RiskTaken,
     greatest_margin,
     passing_times,
     tightened,
@@ -145,6 +153,79 @@ def test_the_excess_of_a_miss_is_what_must_be_nearer_for_its_probability():
     assert miss.probability > 0.3
     assert 0.018 < nearer.probability < 0.0201
     assert Miss(words="", field="", off=off, within=9.0).excess(0.02) == 0.0
+
+
+def taken(**found):
+    known = {"asked": 0.01, "predicted": 0.2, "failed": 31, "flown": 200, "is_had": False}
+    return RiskTaken(**known | {"paper_energy_J": 400.0} | found)
+
+
+def test_a_risk_that_cannot_be_had_says_how_much_limits_it_and_what_would_help():
+    said = taken(limiting=("speed at the end", "floor"), advice="weaker turbulence").words(410.0)
+    assert said == (
+        "A risk of 0.01 cannot be had: by the plan of the least risk found 31 of 200 flights that "
+        "had no part in the plan broke a limit, most often speed at the end; what would help: "
+        "weaker turbulence; the margins cost 10 J (2.5 %) beside the paper plan."
+    )
+
+
+def test_a_search_that_was_stopped_does_not_say_that_the_risk_cannot_be_had():
+    said = taken(stopped="the search was stopped").words(410.0)
+    assert said.startswith("A risk of 0.01 is not reached: the search was stopped; 31 of 200")
+    said = taken(flown=0, failed=0, stopped="given up after solver.time_limit = 9 s").words(400.0)
+    assert said.startswith("No flight confirms a risk of 0.01: given up after solver.time_limit")
+
+
+@pytest.mark.parametrize("status", [PlanStatus.VERIFIED, PlanStatus.USABLE])
+def test_a_plan_without_the_risk_asked_for_has_a_status_of_its_own(status, capsys, tmp_path):
+    plan = SimpleNamespace(
+        scenario=mission(risk=0.01),
+        status=status,
+        is_verified=status is PlanStatus.VERIFIED,
+        is_flyable=True,
+        failure=None,
+        message="stopped",
+        risk=taken(advice="weaker turbulence"),
+        risk_words="A risk of 0.01 cannot be had",
+    )
+    assert exit_code_of(plan) == ExitCode.RISK_NOT_HAD
+    complain_about(plan, tmp_path, ())
+    assert "A risk of 0.01 cannot be had" in capsys.readouterr().err
+    plan.risk = taken(is_had=True)
+    assert exit_code_of(plan) == ExitCode.VERIFIED
+
+
+def test_a_usable_plan_without_time_for_margins_says_so(monkeypatch):
+    """Time ends while the first plan's flight without gusts is flown."""
+    told = mission(risk=0.01)
+    paper = replace(PLANNER.solve(told), status=PlanStatus.USABLE)
+
+    def give_up(*_):
+        raise TimeIsUpError("given up after solver.time_limit = 9 s; allow more time.")
+
+    monkeypatch.setattr(risk, "spread_along", give_up)
+    monkeypatch.setattr(PLANNER, "solve", lambda *_, **__: paper)
+    plan = plan_at_risk(told, PLANNER)
+    assert plan.status is PlanStatus.USABLE
+    assert not plan.risk.is_had
+    assert "No flight confirms a risk of 0.01: given up after" in plan.risk_words
+
+
+@pytest.mark.parametrize("coupling", ["drag", "acceleration"])
+def test_the_weaker_turbulence_advised_is_that_in_which_the_goal_is_met(coupling):
+    """Of a normal distribution in one direction: quantiles tell by how much it must shrink."""
+    told = mission(risk=0.1).with_values({"wind.coupling": coupling})
+    off = np.abs(np.random.default_rng(3).standard_normal((1, 200_000)))
+    within = 0.1
+    missed = (Miss(words="speed at the end", field="", off=off, within=within),)
+    search = risk._Search(SimpleNamespace(scenario=told), PLANNER)
+    said = search._weaker(SimpleNamespace(missed=missed))
+    # Three tenths of the risk are left to the goal.
+    shrunk = within / ndtri(1 - 0.03 / 2)
+    strength = told.wind.turbulence.strength
+    found = float(re.search(r"of about (\S+) m/s instead of", said)[1])
+    assert found == pytest.approx(shrunk * strength, rel=0.05)
+    assert ("wind.coupling" in said) is (coupling == "acceleration")
 
 
 @pytest.mark.slow
