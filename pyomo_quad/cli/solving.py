@@ -197,8 +197,9 @@ def plan_to_continue(run: Path, overrides: Sequence[str]) -> tuple[Plan, Scenari
 
 
 def _lacks_risk(plan: Plan) -> bool:
-    """Say whether a plan does not keep the risk that was asked for."""
-    return plan.is_flyable and plan.risk is not None and not plan.risk.is_had
+    """Say whether a plan does not keep the risk that its scenario states."""
+    is_stated = plan.scenario.mission.risk is not None
+    return is_stated and plan.is_flyable and plan.risk is not None and not plan.risk.is_had
 
 
 def exit_code_of(plan: Plan) -> ExitCode:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pyomo_quad.collocation import Progress, SolverOptions
+from pyomo_quad.collocation import Progress, SolveError, SolverOptions
 from pyomo_quad.flight.baselines import reference_path
 from pyomo_quad.flight.breaching import (
     Approach,
@@ -24,7 +24,7 @@ from pyomo_quad.flight.breaching import (
 )
 from pyomo_quad.flight.candidate import Candidate
 from pyomo_quad.flight.covariance import Spread, spread_along
-from pyomo_quad.flight.deadline import Deadline, TimeIsUpError
+from pyomo_quad.flight.deadline import Deadline
 from pyomo_quad.flight.ensemble import Squadron
 from pyomo_quad.flight.flight import HELD_BREACH, POSITION_STATES
 from pyomo_quad.flight.limit_words import limit_words
@@ -45,13 +45,15 @@ from pyomo_quad.flight.strategies import FIRST, PROOF, carry_out
 from pyomo_quad.flight.verdict import plan_of
 from pyomo_quad.flight.weather import as_expected, draw
 from pyomo_quad.model import build_model
-from pyomo_quad.scenario import Scenario
+from pyomo_quad.scenario import Attitude, Scenario
 from pyomo_quad.scenario.mission import Aim
 from pyomo_quad.scenario.tables import Reference
 from pyomo_quad.scenario.wind import Intensity, Turbulence, WindCoupling
 
 FloatArray = NDArray[np.float64]
 
+# Of a plan that chooses its duration, where the scenario states none.
+_USUAL_RISK = 0.01
 # Meets a plan with a risk where the scenario states no turbulence.
 _USUAL_TURBULENCE = Turbulence(intensity=Intensity.LIGHT)
 # Flights that judge a plan, and the seed of the first of them; each plan has winds of its own.
@@ -75,11 +77,22 @@ _LONGER = 0.75
 _GROWTH, _GROWTH_OF_RESERVE = 1.5, 1.1
 # s, by how much earlier each plan is at a hold than the last one, and at most.
 _EARLIER_S, _EARLIEST_S = 0.3, 1.5
+# Why a search for margins ended early.
+_STOPPED = "the search was stopped"
+_OWN_MODEL = "margins are found for the declared equations only, not for a model of one's own"
 
 
 def risk_asked(scenario: Scenario) -> float:
-    """Return the risk that a scenario asks for, 1 where it asks for none."""
-    return 1.0 if scenario.mission.risk is None else scenario.mission.risk
+    """Return the risk that a scenario asks for, 1 where it asks for none.
+
+    A plan that chooses its duration uses all that the rotors give, and no controller can follow it:
+    without a word of the scenario it is asked for a risk, except of the paper's equations.
+    """
+    stated = scenario.mission.risk
+    if stated is not None:
+        return stated
+    is_of_paper = scenario.vehicle.attitude is Attitude.PAPER
+    return _USUAL_RISK if scenario.mission.is_free and not is_of_paper else 1.0
 
 
 def plan_at_risk(
@@ -104,10 +117,13 @@ def plan_at_risk(
             return paper
         search = _Search(paper, planner, progress, is_stopped)
         if planner.builder is not build_model:
-            return search.unfinished("a model of one's own has no covariance; leave model out")
+            is_stated = scenario.mission.risk is not None
+            return search.unfinished(_OWN_MODEL) if is_stated else paper
+        if is_stopped():
+            return search.unfinished(_STOPPED)
         try:
             return search.best()
-        except TimeIsUpError as error:
+        except SolveError as error:
             return search.unfinished(str(error).removesuffix("."))
 
 
@@ -234,7 +250,7 @@ class _Search:
             paper_energy_J=self._paper.energy,
             limiting=limiting,
             advice="" if is_had else self._advice(tried, limiting),
-            stopped="the search was stopped" if self._is_stopped() and not is_had else "",
+            stopped=_STOPPED if self._is_stopped() and not is_had else "",
         )
         return replace(tried.plan, risk=taken)
 

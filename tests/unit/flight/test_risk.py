@@ -1,6 +1,7 @@
 """Plans with a stated risk: probabilities against simulation, and margins against flights."""
 
 import re
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
@@ -26,6 +27,7 @@ from pyomo_quad.flight.margins import (
     tightened,
 )
 from pyomo_quad.flight.risk import plan_at_risk, risk_asked
+from pyomo_quad.model import build_model
 from tests.declared_model import scenario
 from tests.flights import PLANNER
 
@@ -195,20 +197,38 @@ def test_a_plan_without_the_risk_asked_for_has_a_status_of_its_own(status, capsy
     assert exit_code_of(plan) == ExitCode.VERIFIED
 
 
+@cache
+def paper_plan():
+    return PLANNER.solve(mission(risk=0.01))
+
+
+def planner_of(builder=build_model, is_stopped=False):
+    return SimpleNamespace(
+        builder=builder,
+        solve=lambda *_, **__: replace(paper_plan(), status=PlanStatus.USABLE),
+        until_stopped=lambda: nullcontext(lambda: is_stopped),
+    )
+
+
 def test_a_usable_plan_without_time_for_margins_says_so(monkeypatch):
     """Time ends while the first plan's flight without gusts is flown."""
-    told = mission(risk=0.01)
-    paper = replace(PLANNER.solve(told), status=PlanStatus.USABLE)
 
     def give_up(*_):
         raise TimeIsUpError("given up after solver.time_limit = 9 s; allow more time.")
 
     monkeypatch.setattr(risk, "spread_along", give_up)
-    monkeypatch.setattr(PLANNER, "solve", lambda *_, **__: paper)
-    plan = plan_at_risk(told, PLANNER)
+    plan = plan_at_risk(mission(risk=0.01), planner_of())
     assert plan.status is PlanStatus.USABLE
     assert not plan.risk.is_had
     assert "No flight confirms a risk of 0.01: given up after" in plan.risk_words
+
+
+def test_no_risk_is_looked_for_once_the_user_has_stopped_nor_in_a_model_of_ones_own():
+    told, own = mission(risk=0.01), planner_of(lambda _: None)
+    assert "No flight confirms a risk of 0.01: margins are" in plan_at_risk(told, own).risk_words
+    assert plan_at_risk(mission(duration="free"), own).risk is None
+    stopped = plan_at_risk(told, planner_of(is_stopped=True))
+    assert stopped.risk.stopped == "the search was stopped"
 
 
 @pytest.mark.parametrize("coupling", ["drag", "acceleration"])
@@ -287,9 +307,12 @@ def test_flights_of_the_paper_plan_break_the_limit_that_it_flies_at():
     assert shares[1] < 0.15
 
 
-def test_a_mission_that_states_no_risk_asks_for_none():
+def test_a_free_duration_asks_for_a_risk_unless_it_is_the_papers():
     assert risk_asked(mission()) == 1.0
-    assert risk_asked(mission(duration="free")) == 1.0
+    free = mission(duration="free")
+    assert risk_asked(free) == 0.01
+    assert risk_asked(free.with_values({"mission.risk": 1.0})) == 1.0
+    assert risk_asked(free.with_values({"vehicle.attitude": "paper"})) == 1.0
     assert risk_asked(mission(risk=0.2)) == 0.2
 
 
