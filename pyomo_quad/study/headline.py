@@ -58,12 +58,12 @@ class Headline:
 
     @property
     def words(self) -> str:
-        """The headline, in three sentences."""
+        """The headline, in three or four sentences."""
         charge = ""
         if self.battery_percent is not None:
             charge = f" ({self.battery_percent:.2f} % of the battery)"
         plan = f"The plan takes {self.energy_J:.2f} J{charge} and {self.duration_s:.6g} s."
-        return f"{plan} {self._saving} {self._share}"
+        return " ".join(filter(None, (plan, self._saving, self._share, self._price)))
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -100,12 +100,21 @@ class Headline:
     def _share(self) -> str:
         if self.often is not None:
             return self.often.words
-        if self.risk is None:
+        if self.risk is None or not self.risk.flown:
             return "No flights in turbulence were flown."
         held = self.risk.flown - self.risk.failed
         return (
             f"Of {self.risk.flown} flights in turbulence {held} arrive and keep every limit "
             f"({100.0 * held / self.risk.flown:.1f} %)."
+        )
+
+    @property
+    def _price(self) -> str:
+        if self.risk is None:
+            return ""
+        joules, percent = self.risk.price(self.energy_J)
+        return (
+            f"The margins for a risk of {self.risk.asked:g} cost {joules:.3g} J ({percent:.2g} %)."
         )
 
 
