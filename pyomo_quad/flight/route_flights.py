@@ -173,13 +173,14 @@ class RouteFlights:
         if self._known is not None:
             known, self._known = self._known, None
             return known
-        told, past = self._told, self._mission.past_waypoints
+        told, mission = self._told, self._mission
         guess: Any = guess_along(journey, told.nominal_times, is_open=told.mission.is_free)
-        if self._is_plain and past is not None:
-            begun = past.solve_roughly(mesh=self._mesh, guess=guess)
+        if self._is_plain and mission.past_waypoints is not None:
+            begun = mission.past_waypoints.solve_roughly(mesh=self._mesh, guess=guess)
             guess = begun.trajectory if begun.status.is_solved else guess
-        rough = self._mission.solve_roughly(mesh=self._mesh, guess=guess)
-        if self._is_plain or past is None or not rough.status.has_failed:
+        rough = mission.solve_roughly(mesh=self._mesh, guess=guess)
+        is_new = rough.status.has_failed and not self._is_plain
+        if not is_new or mission.past_waypoints is None:
             return rough
         self._is_plain = True
         return self.fly(journey)
