@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pyomo_quad.collocation import Mesh, Solution, SolveError, Status
+from pyomo_quad.flight.corridors import blows_by_drag, corridor_journeys, estimate_of
 from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
 from pyomo_quad.flight.long_flight import best_speed
 from pyomo_quad.flight.mission_problem import MissionProblem
@@ -99,6 +100,7 @@ class RouteFlights:
                 energy_J=self.energy_of(known[k]) if known[k].status.is_solved else None,
                 is_refined=k in refined and refined[k].status.is_solved,
                 is_kept=k == best and solution.status.is_solved,
+                estimate_J=estimate_of(journey),
             )
             for k, (journey, _) in enumerate(flown)
             if k in known
@@ -141,6 +143,9 @@ class RouteFlights:
         """Return the journeys to fly, the shortest first; for a proof all of them."""
         told = self._told
         journeys = find_journeys(told.airspace, told.mission.positions)[:most]
+        if blows_by_drag(told) and most is None:
+            steady = self._mission.problems.steady_flight(told)
+            return corridor_journeys(told, steady, journeys[0])
         if told.solver.accuracy is Accuracy.PROOF or len(journeys) == 1:
             return journeys
         return promising(journeys, self._cost_per_metre(journeys[0]))
