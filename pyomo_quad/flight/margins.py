@@ -51,8 +51,11 @@ _LEFT_OF_ROOM = 0.01
 _LEFT_OF_SPEED = 0.1
 
 
-#: What is said of a plan without a risk.
-PAPER_PLAN = "A paper plan: it leaves nothing to the controller; mission.risk asks for margins."
+#: Warning on a plan without a risk.
+PAPER_PLAN = (
+    "No margins: the plan may fly exactly at its limits, and gusts or a wrong wind forecast would "
+    "break them; mission.risk asks for a plan with margins."
+)
 
 
 @dataclass(frozen=True, kw_only=True)
