@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pyomo_quad.collocation import Mesh, Solution, SolveError, Status
-from pyomo_quad.flight.corridors import blows_by_drag, corridor_journeys, estimate_of
+from pyomo_quad.flight.corridors import has_corridors, corridor_journeys, estimate_of
 from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
 from pyomo_quad.flight.long_flight import best_speed
 from pyomo_quad.flight.mission_problem import MissionProblem
@@ -143,7 +143,7 @@ class RouteFlights:
         """Return the journeys to fly, the shortest first; for a proof all of them."""
         told = self._told
         journeys = find_journeys(told.airspace, told.mission.positions)[:most]
-        if blows_by_drag(told) and most is None:
+        if has_corridors(told) and most is None:
             steady = self._mission.problems.steady_flight(told)
             return corridor_journeys(told, steady, journeys[0])
         if told.solver.accuracy is Accuracy.PROOF or len(journeys) == 1:
