@@ -285,8 +285,8 @@ class InTurbulence:
         for saving in self.savings:
             low, middle, high = saving.percent
             found += (
-                f" Against {saving.rival.name} in the same winds the plan saves {middle:.1f} % in "
-                f"the median ({low:.1f} to {high:.1f} % in 90 % of them)."
+                f" Against an autopilot ({saving.rival.name}) in the same winds the plan saves "
+                f"{middle:.1f} % in the median ({low:.1f} to {high:.1f} % in 90 % of them)."
             )
         return found
 
