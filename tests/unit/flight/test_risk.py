@@ -280,7 +280,7 @@ def _few_flights(monkeypatch):
 def test_a_plan_with_a_risk_leaves_the_margin_that_its_flights_need(tmp_path):
     paper, held = plans()
     assert paper.risk is None
-    assert "paper plan" in paper.risk_words
+    assert "No margins" in paper.risk_words
     assert held.is_verified
     taken = held.risk
     assert taken.is_had
