@@ -112,12 +112,14 @@ class Headline:
 
     @property
     def _price(self) -> str:
-        if self.risk is None:
+        risk = self.risk
+        if risk is None:
             return ""
-        joules, percent = self.risk.price(self.energy_J)
-        return (
-            f"The margins for a risk of {self.risk.asked:g} cost {joules:.3g} J ({percent:.2g} %)."
-        )
+        joules, percent = risk.price(self.energy_J)
+        price = f"cost {joules:.3g} J ({percent:.2g} %)"
+        if risk.is_had:
+            return f"The margins for a risk of {risk.asked:g} {price}."
+        return f"A risk of {risk.asked:g} is not reached, and the margins {price}."
 
 
 def cruise_words(settings: "CruiseSettings") -> str:
