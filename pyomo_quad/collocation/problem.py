@@ -333,7 +333,7 @@ class Problem(Summarised, Formulation):
             options = options.for_a_change(change * scaling.objective, kept.sides)
         if damping is not None and damping.gap and start.warm is not None:
             parameter = damping.gap * scaling.objective / kept.sides
-            options = options.on_the_path(parameter, is_near=damping.is_still)
+            options = options.on_the_path(parameter, damping.way)
         solve = partial(run_past_the_barrier, size=program.objective_size) if to_the_gap else run
         result = solve(
             changed, kept, scales, z, options=options, multipliers=multipliers, progress=progress
