@@ -26,7 +26,6 @@ from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import RegularGridInterpolator
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
@@ -81,6 +80,8 @@ class WindMap:
         self._grid, self._is_held = grid, wind.beyond is Beyond.HOLD
         self._scale, self._offset = wind.field_scale, wind.time_offset
         values = np.moveaxis(grid.components[:2], 0, -1)
+        from scipy.interpolate import RegularGridInterpolator  # noqa: PLC0415  for fields alone
+
         self._read = RegularGridInterpolator(
             grid.axes, np.where(np.isfinite(values), values, 0.0), bounds_error=False
         )
@@ -155,9 +156,16 @@ class LineCosts:
         return blocked
 
 
-def blows_by_drag(told: Scenario) -> bool:
-    """Return whether a wind field acts by the airspeed, on which the table of powers depends."""
-    return told.wind.grid is not None and told.wind.coupling is WindCoupling.DRAG
+def has_corridors(told: Scenario) -> bool:
+    """Return whether the cost of steady flight differs from place to place at one height.
+
+    It does in a wind field that changes over the ground and acts by the airspeed, on which the
+    table of powers depends.
+    """
+    if told.wind.grid is None or told.wind.coupling is not WindCoupling.DRAG:
+        return False
+    values = told.wind.grid.components
+    return bool(np.any(values != values[:, :1, :1]))
 
 
 def estimate_of(journey: Journey) -> float | None:

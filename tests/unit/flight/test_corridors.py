@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 from scipy.optimize import minimize_scalar
 
-from pyomo_quad.flight.corridors import Corridors, blows_by_drag
+from pyomo_quad.flight.corridors import Corridors, has_corridors
 from pyomo_quad.scenario import load_scenario
 
 X, Y = np.linspace(0, 200, 41), np.linspace(0, 120, 25)
@@ -34,7 +34,7 @@ def corridors_in(folder, wind, **airspace):
             },
         }
     )
-    assert blows_by_drag(told)
+    assert not has_corridors(told)
     return Corridors(told, power, ENDS, told.nominal_duration)
 
 
