@@ -1,4 +1,4 @@
-"""What knowing the wind between buildings saves, over all directions from which it may blow.
+"""The saving by knowing the wind between buildings, over all directions from which it may blow.
 
     python -m tests.benchmarks fields [--minutes M]
 
@@ -15,6 +15,7 @@ from math import atan2, hypot, nan
 from pathlib import Path
 from time import perf_counter, process_time
 
+import matplotlib.pyplot as plt
 import numpy as np
 
 from pyomo_quad.flight import Planner
@@ -34,9 +35,10 @@ ABOUT = (
     "`scenarios/winds`, 6 m/s undisturbed; the directions are those flown so far. *Field*: planned "
     "with the wind field. *Mean*: planned with the mean of the field everywhere. *Straight*: the "
     "shortest clear way from rest to rest, as an autopilot flies it at 10 m/s over ground. Each is "
-    "flown in the field under the same adaptive controller; energies are those of these flights, in "
-    "J. Plans to the accuracy `quick`, 0.1 % of energy. Limits are those of the scenario, which "
-    f"leave a controller no reserve. A plan counts only where it was verified.\n\n![{TITLE}]({FIGURE})"
+    "flown in the field under the same adaptive controller; energies are those of these flights. "
+    "Plans have the accuracy `quick`, 0.1 % of energy. Limits are those of the scenario, which "
+    "leave a controller no reserve. A plan counts only where it was verified."
+    f"\n\n![{TITLE}]({FIGURE})"
 )
 SCENARIO = Path(__file__).parents[2] / "scenarios" / "street.toml"
 # Neighbours lie far apart in this order, so that a run that was stopped has directions all round.
@@ -145,3 +147,63 @@ def fly_all(minutes, results=RESULTS):
         flown = fly(*asked, planner)
         with results.open("a", encoding="utf-8") as file:
             file.write(json.dumps(asdict(flown)) + "\n")
+
+
+def is_sound(flown):
+    """Return whether a flight arrived and kept all limits."""
+    return flown.has_arrived and not flown.broken
+
+
+def rows_of(flights):
+    """Yield a row for each direction: energies, limits, and what the field saves."""
+    by_key = {(flown.direction_deg, flown.way): flown for flown in flights}
+    for direction in sorted({flown.direction_deg for flown in flights}):
+        ways = [by_key.get((direction, way)) for way in WAYS]
+        energies = ["-" if w is None or np.isnan(w.flown_J) else f"{w.flown_J:.0f}" for w in ways]
+        limits = ["-" if w is None else _ending(w) for w in ways]
+        savings = [_saving(ways[0], other) for other in ways[1:]]
+        yield [direction, *energies, *limits, *savings]
+
+
+def _ending(flown):
+    if np.isnan(flown.flown_J):
+        return flown.detail
+    return ("" if flown.has_arrived else "did not arrive; ") + (flown.broken or "kept")
+
+
+def _saving(field, other):
+    """Return the share of another flight's energy that planning with the field saves."""
+    if field is None or other is None or np.isnan(field.flown_J + other.flown_J):
+        return "-"
+    return f"{100.0 * (1.0 - field.flown_J / other.flown_J):.1f}"
+
+
+def draw(flights, folder=FOLDER):
+    """Draw the energies over the direction of the undisturbed wind."""
+    figure, axes = plt.subplots(figsize=(6.4, 3.6), layout="constrained")
+    for way, marker in zip(WAYS, "os^", strict=True):
+        told = sorted((f.direction_deg, f.flown_J / 1e3) for f in flights if f.way == way)
+        axes.plot(*zip(*told, strict=True), marker, label=way, fillstyle="none")
+    axes.set(xlabel="Wind toward, from x counter-clockwise (deg)", ylabel="Energy flown (kJ)")
+    axes.legend(frameon=False)
+    figure.savefig(folder / FIGURE, metadata={"Date": None})
+    plt.close(figure)
+
+
+def measure(arguments):
+    """Return tables of the directions flown and of the effort."""
+    fly_all(arguments.minutes)
+    flights = finished()
+    draw(flights)
+    header = ["wind toward deg", *(f"{way} J" for way in WAYS), *(f"limits, {w}" for w in WAYS),
+              *(f"saved over {w} %" for w in WAYS[1:])]  # fmt: skip
+    seconds = [
+        [way, len(spent), f"{np.median(spent):.0f}", f"{max(spent):.0f}"]
+        for way in WAYS
+        if (spent := [f.processor_s for f in flights if f.way == way])
+    ]
+    effort = ["way", "flights", "median s", "longest s"]
+    return [
+        Table(name="fields", title="Energies flown", header=header, rows=list(rows_of(flights))),
+        Table(name="fields_effort", title="Effort, plan and flights", header=effort, rows=seconds),
+    ]
