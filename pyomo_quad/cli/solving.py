@@ -34,6 +34,7 @@ from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 from pyomo_quad.scenario.loader import parse_overrides
 from pyomo_quad.study.comparison import ComparisonColumn, against_hovering
 from pyomo_quad.study.headline import headline_of, settled_of
+from pyomo_quad.study.limits_kept import limit_lines
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -291,6 +292,8 @@ def run_lines(result: "RunResult") -> Iterator[str | Table]:
     yield from verdict_lines(result.plan)
     if not result.comparison.empty:
         yield comparison_table(result.comparison)
+    if any(flight.broken_limits for flight in result.flights):
+        yield from limit_lines(result.plan, result.flights)
     yield from _certificate_lines(result)
 
 

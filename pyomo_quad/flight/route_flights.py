@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pyomo_quad.collocation import Mesh, Solution, SolveError, Status
-from pyomo_quad.flight.corridors import has_corridors, corridor_journeys, estimate_of
+from pyomo_quad.flight.corridors import corridor_journeys, estimate_of, has_corridors
 from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
 from pyomo_quad.flight.long_flight import best_speed
 from pyomo_quad.flight.mission_problem import MissionProblem
