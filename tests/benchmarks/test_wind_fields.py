@@ -1,12 +1,12 @@
 """Rows of the directions: what is missing or lost is said, and savings are of energies flown."""
 
-from math import nan
+from math import isnan, nan
 
 from tests.benchmarks.wind_fields import DIRECTIONS_DEG, Flown, rows_of, street
 
 
 def flown(way, energy, broken=""):
-    return Flown(40, way, energy, energy, 30.0, energy == energy, broken, "lost", 1.0)
+    return Flown(40, way, energy, energy, 30.0, not isnan(energy), 0.1, broken, "lost", 1.0)
 
 
 def test_a_row_tells_savings_limits_and_what_is_missing():

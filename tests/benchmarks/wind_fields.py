@@ -60,6 +60,7 @@ class Flown:
     flown_J: float
     duration_s: float
     has_arrived: bool
+    miss_m: float
     broken: str
     detail: str
     processor_s: float
@@ -116,6 +117,7 @@ def fly(direction_deg, way, planner):
         flown_J=flight.energy_J,
         duration_s=flight.duration_s,
         has_arrived=has_arrived(flight),
+        miss_m=flight.terminal_miss_m,
         broken="; ".join(flight.broken_limits),
         detail=flight.doubt,
         processor_s=process_time() - began,
@@ -123,7 +125,7 @@ def fly(direction_deg, way, planner):
 
 
 def _lost(direction_deg, way, detail, began):
-    return Flown(direction_deg, way, nan, nan, nan, False, "", detail, process_time() - began)
+    return Flown(direction_deg, way, nan, nan, nan, False, nan, "", detail, process_time() - began)
 
 
 def finished(results=RESULTS):
@@ -168,7 +170,9 @@ def rows_of(flights):
 def _ending(flown):
     if np.isnan(flown.flown_J):
         return flown.detail
-    return ("" if flown.has_arrived else "did not arrive; ") + (flown.broken or "kept")
+    return ("" if flown.has_arrived else f"ends {flown.miss_m:.2g} m off; ") + (
+        flown.broken or "kept"
+    )
 
 
 def _saving(field, other):
