@@ -196,8 +196,16 @@ def plan_to_continue(run: Path, overrides: Sequence[str]) -> tuple[Plan, Scenari
     return plan, plan.scenario.with_values(values)
 
 
+def _lacks_risk(plan: Plan) -> bool:
+    """Say whether a plan does not keep the risk that its scenario states."""
+    is_stated = plan.scenario.mission.risk is not None
+    return is_stated and plan.is_flyable and plan.risk is not None and not plan.risk.is_had
+
+
 def exit_code_of(plan: Plan) -> ExitCode:
-    """Return the exit status for the status of a plan."""
+    """Return the exit status for the status of a plan and for the risk asked of it."""
+    if _lacks_risk(plan):
+        return ExitCode.RISK_NOT_HAD
     return _EXIT_CODES[plan.status]
 
 
@@ -247,7 +255,8 @@ def verdict_lines(plan: Plan) -> Iterator[str]:
     for found in plan.scenario.contradictions:
         yield f"{plan.scenario.name}: no such vehicle can exist: {found.message}"
     if plan.is_flyable:
-        yield f"{plan.scenario.name}: {plan.risk_words}"
+        if not _lacks_risk(plan):
+            yield f"{plan.scenario.name}: {plan.risk_words}"
         yield f"{plan.scenario.name}: {accuracy_words(plan)}."
     if plan.failure is not None:
         diagnosis = plan.failure.diagnosis
@@ -268,6 +277,8 @@ def complain_about(plan: Plan, folder: Path, cautions: Sequence[str]) -> None:
         complain(f"{name}: {_OUTCOMES[plan.status]}: {first} See {folder}.")
         for cause in others:
             complain(f"{name}: {cause}")
+    if _lacks_risk(plan):
+        complain(f"{name}: {plan.risk_words}")
     for caution in cautions:
         complain(f"{name}: warning: {caution}")
 

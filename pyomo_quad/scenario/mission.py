@@ -223,7 +223,7 @@ class Mission(Part):
     risk: Number | None = late_quantity(
         "1",
         "largest allowed probability that a flight of the plan under feedback breaks a limit; no "
-        "bound when 1 or absent",
+        "bound when 1; when absent 0.01 where the duration is free, else no bound",
         None,
         gt=0,
         le=1,

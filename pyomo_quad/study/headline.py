@@ -58,12 +58,12 @@ class Headline:
 
     @property
     def words(self) -> str:
-        """The headline: energy and time, saving, and flights in turbulence."""
+        """The headline: energy and time, saving, flights in turbulence, price of the margins."""
         charge = ""
         if self.battery_percent is not None:
             charge = f" ({self.battery_percent:.2f} % of the battery)"
         plan = f"The plan takes {self.energy_J:.2f} J{charge} and {self.duration_s:.4g} s"
-        return f"{plan}: {self._saving}. {self._share}"
+        return " ".join(filter(None, (f"{plan}: {self._saving}.", self._share, self._price)))
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -102,13 +102,24 @@ class Headline:
     def _share(self) -> str:
         if self.often is not None:
             return self.often.words
-        if self.risk is None:
+        if self.risk is None or not self.risk.flown:
             return "Flights in gusts were not simulated."
         held = self.risk.flown - self.risk.failed
         return (
             f"In turbulence, {held} of {self.risk.flown} simulated flights arrive and keep every "
             f"limit ({100.0 * held / self.risk.flown:.1f} %)."
         )
+
+    @property
+    def _price(self) -> str:
+        if self.risk is None:
+            return ""
+        joules, percent = self.risk.price(self.energy_J)
+        cost = f"{joules:.3g} J ({percent:.2g} %)"
+        risk = f"{100.0 * self.risk.asked:g} %"
+        if not self.risk.is_had:
+            return f"A risk of {risk} was not reached; the margins cost {cost}."
+        return f"Margins that keep the risk of a broken limit at or below {risk} cost {cost}."
 
 
 def cruise_words(settings: "CruiseSettings") -> str:
