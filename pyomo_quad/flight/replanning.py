@@ -1,4 +1,4 @@
-"""Re-planning in flight (model-predictive control): repeated solves of the remaining mission.
+"""Re-planning in flight (model-predictive control) by repeated solves of the remaining mission.
 
 Every interval the state is measured, and the flight of the rest of the mission with the least
 energy is solved for, from where the vehicle will be once the solve is done, warm-started from the
@@ -123,13 +123,13 @@ _TOLERANCE = 1e-6
 
 
 def replanned_name(knowledge: Knowledge) -> str:
-    """Return the name of a flight that is re-planned."""
+    """Return the name of a re-planned flight by its knowledge of the wind."""
     return f"mpc/{knowledge.value}"
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Belief:
-    """Estimates from the flight: the mass [kg], the horizontal acceleration by the air."""
+    """Estimated mass [kg] and horizontal acceleration by the air [m/s^2]."""
 
     mass: float
     unexplained: tuple[float, float]
@@ -137,7 +137,7 @@ class _Belief:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Remainder:
-    """The remaining mission after some of its waypoints."""
+    """Part of the mission that remains after some of its waypoints."""
 
     problem: Problem
     begin: float
@@ -154,7 +154,7 @@ class _Remainder:
 
     @property
     def planned_until(self) -> float:
-        """Time until which re-planning continues [s]."""
+        """Time after which re-planning ends [s]."""
         if not self.passages:
             return self.end - min(_LAST, _LAST_SHARE * (self.end - self.begin))
         ahead = self.passages[0] - self.begin
@@ -162,14 +162,14 @@ class _Remainder:
         return self.passages[0] - min(near[0], near[1] * ahead)
 
     def timeline(self, t: float) -> Timeline:
-        """Return the times of the remaining mission, from a given time."""
+        """Return the passing times of the remaining mission, counted from a given time."""
         return Timeline(
             fractions=np.array(self.problem.compiled.declared.clock.fractions),
             times=np.array([t, *self.passages, self.end]),
         )
 
     def guess(self, mesh: Mesh, now: Timeline, last: Solution) -> Trajectory:
-        """Return the part of a previous plan that remains, on a mesh of the remaining mission."""
+        """Return the rest of the previous plan as a guess on a mesh of the remaining mission."""
         path = last.trajectory
         nodes, points = (
             last.timeline.fraction(now.time(fractions))
@@ -189,7 +189,7 @@ class _Remainder:
 
 @dataclass(frozen=True, kw_only=True)
 class _Course:
-    """A plan in flight, with the estimates and the remaining mission that it was made for."""
+    """Plan that is being flown, with the estimates and the remaining mission behind it."""
 
     plan: Trajectories
     belief: _Belief
@@ -200,7 +200,7 @@ class _Course:
 
 @dataclass(frozen=True, kw_only=True)
 class _Leg:
-    """A part of the flight: a plan's own controls, or the plan under feedback."""
+    """Part of a flight, in open loop or under feedback."""
 
     course: _Course
     start: float
@@ -211,7 +211,7 @@ class _Leg:
 
 
 class Replanner:
-    """Solves the remaining mission with the present estimates of mass and wind.
+    """Solver of the remaining mission with the present estimates of mass and wind.
 
     Parameters
     ----------
@@ -251,7 +251,7 @@ class Replanner:
         self._last: dict[_Remainder, Solution] = {}
 
     def released(self, t: float) -> float:
-        """Return the payload released until a time [kg]."""
+        """Return the mass of the payload released until a time [kg]."""
         return max((rest.released for rest in self.remainders if rest.begin < t), default=0.0)
 
     def at(self, t: float) -> _Remainder:
@@ -259,12 +259,12 @@ class Replanner:
         return next(rest for rest in self.remainders[::-1] if rest.begin <= t)
 
     def prepare(self, plan: Trajectories, belief: _Belief) -> None:
-        """Solve the mission after each waypoint once, from the state of a first plan there."""
+        """Solve the remaining mission after each waypoint once, to have warm starts in flight."""
         for rest in self.remainders[1:]:
             self.solve(rest.begin, plan.states_at(np.array([rest.begin]))[0], belief)
 
     def solve(self, t: float, state: FloatArray, belief: _Belief) -> Solution:
-        """Return the solution of the remaining mission from a time and a state on."""
+        """Solve the remaining mission from a state at a time."""
         limits = self._scenario.limits
         held = dict(zip(self.dynamics.state_names, state.tolist(), strict=True))
         # Rotors that run a little beyond their limit leave no flight within it to be found.
@@ -302,7 +302,7 @@ class Replanner:
         return numbers | self._air | learnt | {"vehicle.mass": belief.mass - rest.released}
 
     def path(self, course: _Course) -> SampledPath:
-        """Return a course as a reference for the controller."""
+        """Return a course as a reference path for the controller."""
         flow = course.rest.problem.dynamics(
             parameters=self._with(course.belief, course.rest), horizon=course.plan.horizon
         )
@@ -312,7 +312,7 @@ class Replanner:
     def predicted(
         self, course: _Course, start: float, end: float, state: FloatArray, unexplained: FloatArray
     ) -> FloatArray:
-        """Return the state that a course leads to."""
+        """Return the state that a course predicts at a time."""
         speeds = [self.dynamics.state_names.index(name) for name in VELOCITY_STATES]
         limits = self.dynamics.control_limits(HELD_BREACH)
         inside = self.dynamics.just_after(start)
@@ -330,7 +330,7 @@ class Replanner:
 
 
 def _remainders(believed: Scenario) -> tuple[_Remainder, ...]:
-    """Return the remaining missions after none, one, ... all of the waypoints."""
+    """Return the remaining missions after each number of passed waypoints."""
     mission, times = believed.mission, believed.nominal_times
     ahead = [
         believed.model_copy(
@@ -362,7 +362,7 @@ def _compiled(left: Scenario) -> Problem:
 
 
 class _Observer:
-    """The identifier of the adaptive law: estimates the acceleration not in the equations."""
+    """Estimator of the acceleration that the equations do not explain (adaptive law)."""
 
     def __init__(self, scenario: Scenario, replanner: Replanner, velocity: FloatArray) -> None:
         gains = scenario.baseline.gains
@@ -384,7 +384,7 @@ class _Observer:
 
     @property
     def estimate(self) -> FloatArray:
-        """Acceleration that the equations do not explain, shape (3,), [m/s^2]."""
+        """Estimated acceleration that the equations do not explain, shape (3,) [m/s^2]."""
         return self._states[-3:].copy()
 
     def belief(self, flown: Flown) -> _Belief:
@@ -405,7 +405,7 @@ class _Observer:
         )
 
     def watch(self, flown: Flown) -> None:
-        """Learn from a part of the flight."""
+        """Update the estimate with a part of the flight."""
         explained = self._dynamics.table(_SLOPES, flown.t, flown.states, flown.controls)
         seen = np.hstack([flown.states[:, self._columns], explained])
 
@@ -419,7 +419,7 @@ class _Observer:
 
 
 class _Aircraft:
-    """The vehicle that really flies, under plans."""
+    """Simulated vehicle in the actual wind that flies the plans."""
 
     def __init__(self, scenario: Scenario, replanner: Replanner, dynamics: Dynamics) -> None:
         self.dynamics = dynamics
@@ -430,15 +430,15 @@ class _Aircraft:
         self._measured = [dynamics.state_names.index(n) for n in replanner.dynamics.state_names]
 
     def measured(self, state: FloatArray) -> FloatArray:
-        """Return the states that a planner knows, without the states of the turbulence."""
+        """Return the measured states, without the states of the turbulence."""
         return state[self._measured]
 
     def seen(self, flown: Flown) -> Flown:
-        """Return a part of the flight in the states that a planner knows of."""
+        """Return a part of the flight with the measured states only."""
         return replace(flown, states=flown.states[:, self._measured])
 
     def fly(self, leg: _Leg, state: FloatArray, integrator: Integrator) -> Flown:
-        """Return a part of the flight."""
+        """Simulate a part of the flight."""
         plan, belief = leg.course.plan, leg.course.belief
         if leg.is_tracked:
             return fly(
@@ -466,14 +466,14 @@ class _Aircraft:
 
 
 def _with_mass(scenario: Scenario, belief: _Belief, released: float) -> Scenario:
-    """Return the controller's vehicle, with the estimated mass less the released payload."""
+    """Return the controller's vehicle with the estimated mass, less the released payload."""
     vehicle = scenario.vehicle
     learnt = vehicle.model_copy(update={"mass": belief.mass - released - vehicle.payload})
     return scenario.model_copy(update={"vehicle": learnt})
 
 
 class _ReplannedFlight:
-    """One flight: its parts so far, the plan in flight, and the observations."""
+    """Re-planned flight in progress: its parts, the present plan and the observer."""
 
     def __init__(
         self,
@@ -507,7 +507,7 @@ class _ReplannedFlight:
         self.resolves: list[Resolve] = []
 
     def fly(self) -> None:
-        """Fly the whole mission."""
+        """Simulate the whole mission."""
         measured_at = self._settings.interval
         for rest in self._replanner.remainders:
             measured_at = max(measured_at, rest.begin)
@@ -519,7 +519,7 @@ class _ReplannedFlight:
         self._advance(self._end)
 
     def _replan(self, measured_at: float) -> float:
-        """Solve from a measurement, fly on meanwhile, and return when the plan came."""
+        """Solve from a measurement while the flight goes on; return the time of the new plan."""
         meant_for = measured_at + self._settings.solve_time
         estimate, belief = np.zeros(3), self._replanner.belief
         if self._is_observing:
@@ -555,7 +555,7 @@ class _ReplannedFlight:
         self._course = _Course(plan=plan, belief=belief, rest=rest, estimate=estimate)
 
     def _solved(self, t: float, state: FloatArray, belief: _Belief) -> Solution | None:
-        """Return the rest of the mission; None where it is not found, or none starts out there."""
+        """Return the solution of the remaining mission, None if the solve fails."""
         try:
             solution = self._replanner.solve(t, state, belief)
         except TranscriptionError:
@@ -563,7 +563,7 @@ class _ReplannedFlight:
         return solution if solution.is_converged else None
 
     def _advance(self, end: float) -> None:
-        """Fly the plan at hand until a time, alone as long as the next is not due."""
+        """Fly the present plan until a time, under feedback once the next plan is due."""
         border = self._t if self._is_followed else min(max(self._due, self._t), end)
         for start, stop, is_tracked in ((self._t, border, False), (border, end, True)):
             if stop - start > _SHORTEST * self._end:
@@ -583,7 +583,7 @@ class _ReplannedFlight:
         self._observer.watch(self._aircraft.seen(flown))
 
     def flown_twice(self) -> list[tuple[Flown, Flown]]:
-        """Fly each part again, by the other integrator, from the state that it was flown from.
+        """Simulate each part again with the other integrator, from the same initial state.
 
         That is where it was measured and planned from: flown again all the way, by plans that
         answered other roundings, a flight leaves them within seconds as any without feedback does.
@@ -612,7 +612,7 @@ def fly_replanned(
     plan: Plan | None = None,
     computer: Computer | None = None,
 ) -> Flight:
-    """Fly a mission with the rest of it planned again and again.
+    """Simulate a mission with repeated re-planning.
 
     It is verified as a controlled flight is, from one solve to the next: the plan at hand, applied
     by another integrator from the same state, ends at the same place and spends the same energy.
