@@ -29,8 +29,7 @@ from pyomo_quad.scenario.messages import printable
 if TYPE_CHECKING:
     import pandas as pd
 
-    from pyomo_quad.identification.fitting import IdentifiedParameter
-    from pyomo_quad.identification.steady import SteadyParameter
+    from pyomo_quad.identification.fitting import FittedParameter, IdentifiedParameter
     from pyomo_quad.identification.validation import Scores
 
 _PAPER_FOLDER = Path("reports/paper")
@@ -332,7 +331,7 @@ def _identify_steady(
 
 
 def _parameter_lines(
-    parameters: "Sequence[SteadyParameter | IdentifiedParameter]",
+    parameters: "Sequence[FittedParameter | IdentifiedParameter]",
     together: Sequence[tuple[str, str]],
 ) -> Iterator[str]:
     """Yield a line for each fitted parameter, with the parameter that it is confounded with."""
