@@ -341,7 +341,7 @@ def _equal_shares(count: int) -> FloatArray:
 def _samples_near_zones(
     airspace: Airspace, dynamics: Dynamics, mesh: Mesh, states: FloatArray, spacing: float
 ) -> list[FloatArray]:
-    """Return the sample times in each element, as shares of it, that suffice to check all zones.
+    """Return the sample times in each element, as shares, that suffice to check all zones.
 
     Between two nodes, samples are at most `spacing` [m] apart where a path as long as their
     distance may reach a zone.
