@@ -130,7 +130,7 @@ def cruise_words(settings: "CruiseSettings") -> str:
 
 
 def headline_of(result: "RunResult") -> Headline | None:
-    """Return the headline of a run; None without a plan, or with a plan for another wind."""
+    """Return the headline of a run, None without a plan or with a plan for a forecast."""
     told_otherwise = result.scenario.wind.forecast is not None
     if result.comparison.empty or told_otherwise or not result.plan.is_flyable:
         return None
@@ -180,7 +180,7 @@ _CRUISE_WORDS = "an autopilot on straight legs at this speed"
 
 
 def legend_of(rows: Iterable[Row]) -> list[tuple[list[str], str]]:
-    """Return names of flights and their meaning, in order; equal meanings share an entry."""
+    """Return the meanings of flights, each with all names that share it, in order."""
     found: dict[str, list[str]] = {}
     for row in rows:
         name = row[ComparisonColumn.FLIGHT]
