@@ -4,10 +4,11 @@ A margin is an amount of a field of the scenario.  Fields are parameters of the 
 that a plan with other margins is a re-solve.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from pyomo_quad.collocation.limits import LimitValues
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.mission import Waypoint
 
@@ -142,6 +143,14 @@ def tightened(scenario: Scenario, margins: Mapping[str, float]) -> Scenario:
         for table, values in tables.items()
     }
     return scenario.model_copy(update=changed)
+
+
+def used_up(planned: LimitValues, flown: LimitValues) -> Iterator[tuple[str, float]]:
+    """Yield for each end of a limit its field, and how much nearer a flight comes than its plan."""
+    fields = FIELDS.get(planned.name.partition("[")[0], ("", ""))
+    for side, name in zip((1.0, -1.0), fields, strict=True):
+        if name:
+            yield name, float((side * (flown.values - planned.values)).max())
 
 
 def _narrowed(waypoint: Waypoint, margins: Mapping[str, float]) -> Waypoint:

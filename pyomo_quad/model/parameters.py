@@ -64,7 +64,7 @@ def fields_of(table: str, *names: str, **renamed: str) -> tuple[Parameter, ...]:
 
 
 def parameters_in(block_name: str) -> Callable[[Table], Table]:
-    """Decorator that registers a function as the parameter table of a block."""
+    """Return a decorator that registers a function as the parameter table of a block."""
 
     def register(table: Table) -> Table:
         _TABLES[block_name] = table

@@ -188,7 +188,7 @@ _RotorRule = Callable[[Block, int, float], NumericExpression]
 def _power_of_each_rotor(
     m: ConcreteModel, name: str, *, doc: str
 ) -> Callable[[_RotorRule], _RotorRule]:
-    """Decorator that declares a function as the power of each rotor in block `power`."""
+    """Return a decorator that declares a function as the power of each rotor in `power`."""
 
     def declare(rule: _RotorRule) -> _RotorRule:
         m.power.add_component(name, Expression(m.rotors.rotor, m.time, rule=rule, doc=doc))

@@ -149,7 +149,7 @@ class Scenario(Part):
 
     @property
     def provenance(self) -> Mapping[str, str]:
-        """Origin of each field: ``default``, ``library NAME``, ``scenario``, ``--set`` or ``file``."""
+        """Origin of each field: ``default``, ``library NAME``, ``--set``, ``file NAME`` etc."""
         everywhere = {spell(path): "default" for path, _ in leaves(self.model_dump())}
         return MappingProxyType(everywhere | dict(self._provenance))
 

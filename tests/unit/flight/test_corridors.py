@@ -16,12 +16,12 @@ def power(airspeed):
     return np.where(airspeed <= 24.0, 300.0 + 0.05 * np.asarray(airspeed) ** 3, np.inf)
 
 
-def corridors_in(folder, wind, **airspace):
+def mission_in(folder, wind, **airspace):
     east, north = np.meshgrid(X, Y, indexing="ij")
     u, v = (np.broadcast_to(part, east.shape) for part in wind(east, north))
     held = {n: (("x", "y"), part, {"units": "m s-1"}) for n, part in (("u", u), ("v", v))}
     xr.Dataset(held, {"x": X, "y": Y}).to_netcdf(folder / "field.nc")
-    told = load_scenario(
+    return load_scenario(
         {
             "name": "corridors",
             "vehicle": {"use": "dji_phantom_2", "drag_linear": 0.3},
@@ -34,7 +34,10 @@ def corridors_in(folder, wind, **airspace):
             },
         }
     )
-    assert not has_corridors(told)
+
+
+def corridors_in(folder, wind, **airspace):
+    told = mission_in(folder, wind, **airspace)
     return Corridors(told, power, ENDS, told.nominal_duration)
 
 
@@ -86,3 +89,8 @@ def test_corridors_keep_out_of_zones_and_of_places_without_wind(tmp_path):
         assert not unknown.any()
     assert found.routes()
     assert found.energy_of(ENDS) is None
+
+
+def test_only_a_field_that_changes_over_the_ground_is_searched(tmp_path):
+    assert not has_corridors(mission_in(tmp_path, lambda _x, _y: (5.0, 1.0)))
+    assert has_corridors(mission_in(tmp_path, lambda _x, y: (0.01 * y, 0.0)))
