@@ -1,4 +1,4 @@
-"""A Pyomo.DAE model read and compiled: its equations, its data, its programs on meshes.
+"""Compiled Pyomo.DAE model: its equations, its data, and its programs on meshes.
 
 The structural index tells how often the equations must be differentiated with respect to time.
 """
@@ -44,8 +44,18 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.reading.writer import TemplateWriter
 
 
+<<<<<<< HEAD
+=======
+def index_tuple(index: Any) -> tuple[Any, ...]:
+    """Return the index of a component, without time, as a tuple."""
+    if index is None:
+        return ()
+    return index if isinstance(index, tuple) else (index,)
+
+
+>>>>>>> words
 class WrittenComponents:
-    """A model's components over time, written before pickling, with the interface of a writer.
+    """Components over time as CasADi expressions, detached from the Pyomo model for pickling.
 
     Parameters
     ----------
@@ -71,7 +81,7 @@ class WrittenComponents:
 
 
 class Evaluator:
-    """Writes components of the model as CasADi functions of a point, each of them once.
+    """Compiler and evaluator of model components at points, with a cache of functions.
 
     The inputs of a function are the rates, states and algebraic variables (outputs after the
     states of the program), the static variables, and the data: fraction, signals, parameters.
@@ -98,7 +108,7 @@ class Evaluator:
         return cls(inputs, writer)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the components as expressions, each of them once."""
+        """Pickle each component once, as an expression."""
         written: dict[tuple[str, tuple[Any, ...]], Any] = {}
         for name, index in self._writer.components_over_time():
             try:
@@ -108,7 +118,7 @@ class Evaluator:
         return _unpacked, (packed((self.inputs, written)),)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Evaluator:
-        """Return itself: it holds no number of the model."""
+        """Return the evaluator itself, which holds no data of the model."""
         return self
 
     def expression(self, component: Any, index: Any = None) -> Any:
@@ -281,7 +291,7 @@ class Formulation:
 
     @classmethod
     def of(cls, model: Any, declared: Declarations, reader: ModelReader) -> Self:
-        """Return the formulation of declarations that have been read already."""
+        """Compile declarations that were already read."""
         formulation = object.__new__(cls)
         formulation._hold(*_compiled(model, declared, reader))
         return formulation
@@ -297,7 +307,7 @@ class Formulation:
         self._programs: dict[Mesh | None, Transcription] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle equations and numbers, without the Pyomo model."""
+        """Pickle equations and data without the Pyomo model."""
         return _restored, (type(self), self.compiled, self.values.snapshot(), self.evaluator)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
@@ -307,7 +317,7 @@ class Formulation:
         return other
 
     def holding(self, model: Any) -> Self:
-        """Return the same equations with the numbers, first values and scales of another model.
+        """Return the compiled equations with data, guesses and scales of another model.
 
         Nothing is compiled. The other model must have the same declarations; the values of its
         parameters, its variables and its suffix `scaling_factor` may differ.
@@ -322,7 +332,7 @@ class Formulation:
 
     @property
     def model(self) -> Any:
-        """The Pyomo model.
+        """Pyomo model of the formulation.
 
         Raises
         ------
@@ -337,7 +347,7 @@ class Formulation:
         return self.compiled.declared.has_horizon
 
     def required_breakpoints(self, instance: Instance) -> tuple[float, ...]:
-        """Return fractions of the horizon at which an element must end: conditions and jumps."""
+        """Return the fractions of the horizon at which elements must end: conditions, jumps."""
         declared = self.compiled.declared
         fractions = {p.fraction for p in declared.point_symbols} | {f for _, f in declared.fixed}
         return tuple(sorted(f for f in fractions.union(instance.jumps) if 0.0 < f < 1.0))
@@ -345,7 +355,7 @@ class Formulation:
     def instance(
         self, parameters: Overrides | None = None, horizon: tuple[float, float] | None = None
     ) -> Instance:
-        """Read the numbers of one solve from the model and the caller."""
+        """Read the data of one solve from the model and the arguments."""
         if horizon is not None and not horizon[1] > horizon[0]:
             raise TranscriptionError(
                 f"horizon: end {horizon[1]:g} is not after start {horizon[0]:g}."
@@ -359,7 +369,7 @@ class Formulation:
         )
 
     def signals(self, instance: Instance, fractions: FloatArray) -> FloatArray:
-        """Return fraction and signals, one row per fraction."""
+        """Return the fraction and the time-dependent parameters, one row per fraction."""
         if not self.compiled.declared.has_signals:
             return fractions[:, None]
         at = self.values.signals(instance)
@@ -370,12 +380,12 @@ class Formulation:
         return Data(parameters=instance.parameters, signals=self.signals(instance, fractions))
 
     def data_at_starts(self, instance: Instance) -> FloatArray:
-        """Return the data of the equations at the start and just after each jump, row by row."""
+        """Return the data of the equations at the start and just after each jump."""
         after = np.array(instance.jumps) + 2.0 * BESIDE
         return self.data_of(instance, np.concatenate([np.zeros(1), after])).at_points()
 
     def program(self, mesh: Mesh | None, instance: Instance) -> Transcription:
-        """Return the program on a mesh; a mesh that was used before is cached."""
+        """Return the program on a mesh, from a cache if the mesh was used before."""
         data = self.data_of(instance, mesh.point_fractions if mesh else np.zeros(0))
         if mesh not in self._programs:
             if len(self._programs) >= _CACHED_MESHES:
@@ -477,7 +487,7 @@ def structural_index(declared: Declarations) -> StructuralIndex:
 
 
 def refuse_high_index(declared: Declarations) -> None:
-    """Refuse a DAE whose index is above 2.
+    """Raise an error for a DAE of index above 2.
 
     Raises
     ------

@@ -115,11 +115,20 @@ class Headline:
         risk = self.risk
         if risk is None:
             return ""
+<<<<<<< HEAD
         joules, percent = risk.price(self.energy_J)
         price = f"cost {joules:.3g} J ({percent:.2g} %)"
         if risk.is_had:
             return f"The margins for a risk of {risk.asked:g} {price}."
         return f"A risk of {risk.asked:g} is not reached, and the margins {price}."
+=======
+        joules, percent = self.risk.price(self.energy_J)
+        cost = f"{joules:.3g} J ({percent:.2g} %)"
+        risk = f"{100.0 * self.risk.asked:g} %"
+        if not self.risk.is_had:
+            return f"A risk of {risk} was not reached; the margins cost {cost}."
+        return f"Margins that keep the risk of a broken limit at or below {risk} cost {cost}."
+>>>>>>> words
 
 
 def cruise_words(settings: "CruiseSettings") -> str:
@@ -130,7 +139,7 @@ def cruise_words(settings: "CruiseSettings") -> str:
 
 
 def headline_of(result: "RunResult") -> Headline | None:
-    """Return the headline of a run; None without a plan, or with a plan for another wind."""
+    """Return the headline of a run, None without a plan or with a plan for a forecast."""
     told_otherwise = result.scenario.wind.forecast is not None
     if result.comparison.empty or told_otherwise or not result.plan.is_flyable:
         return None
@@ -180,7 +189,7 @@ _CRUISE_WORDS = "an autopilot on straight legs at this speed"
 
 
 def legend_of(rows: Iterable[Row]) -> list[tuple[list[str], str]]:
-    """Return names of flights and their meaning, in order; equal meanings share an entry."""
+    """Return the meanings of flights, each with all names that share it, in order."""
     found: dict[str, list[str]] = {}
     for row in rows:
         name = row[ComparisonColumn.FLIGHT]

@@ -1,4 +1,4 @@
-"""Moments of inertia from a mass model of arms, motors, pack and body.
+"""Moments of inertia from a mass model of arms, motors, battery and body.
 
 Derivation: see docs/theory/vehicle_from_data.md, eq. (9).
 """
@@ -26,7 +26,7 @@ class MassModel:
 
     @property
     def empty(self) -> float:
-        """Mass without the pack, kg; a pack above half of the mass counts as half."""
+        """Mass without the battery [kg]; at least half of the total mass."""
         return max(self.mass - self.pack_mass, 0.5 * self.mass)
 
     @property

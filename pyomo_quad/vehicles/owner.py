@@ -1,4 +1,4 @@
-"""Estimation of a complete vehicle from mass, propeller and any further data of its owner.
+"""Estimation of a complete vehicle from mass, propeller and optional data of its owner.
 
 Derivation: see docs/theory/vehicle_from_data.md.
 """
@@ -44,7 +44,7 @@ DRIVE_RANGE, BLADE_RANGE = (0.85, 1.2), (0.6, 1.6)
 
 @dataclass(frozen=True, kw_only=True)
 class Known:
-    """An owner's data on a vehicle, in SI units; mass and propeller are required.
+    """Data of an owner's vehicle in SI units; mass and propeller are required.
 
     `voltage_constant` is in rad/s/V and `hover_power` in W; both are None if unknown.
     """
@@ -63,7 +63,7 @@ class Known:
 
 @dataclass(frozen=True, kw_only=True)
 class EstimatedVehicle:
-    """A vehicle with the origin of every number: `fields` and `limits` as in its file."""
+    """Estimated vehicle with the origin of every number."""
 
     known: Known
     pack: Pack
@@ -81,7 +81,7 @@ class EstimatedVehicle:
 
 
 def estimate_vehicle(known: Known) -> EstimatedVehicle:
-    """Complete an owner's data to a vehicle.
+    """Estimate all numbers of a vehicle from its owner's data.
 
     Raises
     ------
@@ -191,7 +191,7 @@ def _motor(known: Known, pack: Pack, hover: RotorHover, model: MassModel) -> dic
 
 
 def _powers(known: Known, hover: RotorHover) -> tuple[dict[str, Estimate], float]:
-    """Return the numbers of the momentum model, and the hover power from the estimates alone, W."""
+    """Return the parameters of the momentum model, and the hover power without measurement [W]."""
     electronics = _ELECTRONICS_W * (known.mass / _AT_KG) ** _ELECTRONICS_EXPONENT
     loss = 1 / hover.drive_efficiency
     alone = known.rotors * hover.shaft_power * loss + electronics
@@ -280,7 +280,7 @@ def _limits(pack: Pack, hover: RotorHover, fields: Mapping[str, Estimate]) -> di
 
 
 def _positions(rotors: int, arm: float) -> tuple[tuple[float, float], ...] | None:
-    """Return the places of six or eight rotors in a ring, None for a cross of four."""
+    """Return the rotor positions of six or eight rotors in a ring, None for four."""
     if rotors not in ROTOR_COUNTS:
         raise ScenarioError(
             f"--rotors {rotors}; must be one of {', '.join(map(str, ROTOR_COUNTS))}."

@@ -162,7 +162,7 @@ def limits_at_points(program: Transcription) -> Iterator[Limit]:
 
 
 def _refuse_crossed(program: Transcription, lower: FloatArray, upper: FloatArray) -> None:
-    """Raise if any bounds cross, naming the worst variable; rounding errors are tolerated."""
+    """Raise an error if bounds cross, naming the worst variable; rounding is tolerated."""
     gap = lower - upper
     scale = 1e-9 * (1.0 + np.minimum(np.abs(lower), np.abs(upper)))
     close = (gap > 0.0) & (gap <= scale)
@@ -278,7 +278,7 @@ def refuse_unsolvable(program: Transcription, bounds: Bounds, z: FloatArray) -> 
 
 
 def counted(bounds: Bounds) -> str:
-    """Return the numbers of equations and unknowns, as text."""
+    """Return the numbers of equations and unknowns in words."""
     free = int(np.sum(bounds.lower < bounds.upper))
     return f"{bounds.surplus + free} equations for {free} free unknowns"
 
@@ -286,7 +286,7 @@ def counted(bounds: Bounds) -> str:
 def refuse_overdetermined(
     program: NonlinearProgram, bounds: Bounds, z: FloatArray, held: Iterable[str]
 ) -> None:
-    """Refuse more equations than free unknowns if they are linear and contradict each other.
+    """Raise an error for contradictory linear equations that exceed the free unknowns.
 
     For nonlinear equations only a solve can decide. `held` are the variables that are not free.
     """
@@ -331,7 +331,7 @@ _ROUNDING = 1e-9
 
 
 def without_settled_rows(program: NonlinearProgram, bounds: Bounds, z: FloatArray) -> Bounds:
-    """Return bounds without the rows that hold only fixed unknowns and are satisfied.
+    """Return bounds without rows that involve only fixed unknowns and are satisfied.
 
     A path equality at a point where all its states are fixed is redundant; its zero slopes would
     make the remaining equations appear dependent.
@@ -359,7 +359,7 @@ def is_defined(program: Transcription, z: FloatArray) -> bool:
 
 
 def refuse_not_finite(program: Transcription, z: FloatArray) -> None:
-    """Refuse equations and slopes that are not finite at a point."""
+    """Raise an error if equations or derivatives are not finite at a point."""
     rows = program.constraints(z)
     bad = np.flatnonzero(~np.isfinite(rows))
     if bad.size:

@@ -58,7 +58,7 @@ class MappedFunction:
             self._chunks.append((slice(start, start + size), *made[size]))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Give a copy its own buffers, because CasADi's buffers cannot be copied."""
+        """Pickle without the buffers, which each copy allocates anew."""
         return type(self), self._arguments
 
     def __call__(self, *inputs: FloatArray) -> list[FloatArray]:
@@ -81,7 +81,7 @@ class MappedFunction:
 
 
 def set_outputs_aside(declared: Declarations) -> Declarations:
-    """Return the declarations with output states and their equations set apart.
+    """Separate output states and their equations from the declarations.
 
     A state is an output if its symbol and rate appear in one equality only, it has no bounds, and
     it is fixed at the start and nowhere else. Repetition finds outputs that feed other outputs
@@ -142,7 +142,7 @@ def _one_output(declared: Declarations) -> tuple[Slot, PathEquation] | None:
 
 
 def _held_at_start_only(declared: Declarations, slot: Slot) -> bool:
-    """Return whether conditions fix the slot at the start, as equalities, and hold no others."""
+    """Return whether conditions fix a variable at the start and appear nowhere else."""
     names = _names_at(declared, slot)
     if names & symbol_names(declared.objective):
         return False
@@ -174,7 +174,7 @@ class SimpleBound:
 
 
 def _own_limits(slot: Slot) -> SimpleBound:
-    """Return the bounds that a variable is declared with."""
+    """Return the declared bounds of a variable."""
     return SimpleBound(
         name=slot.name, variable=slot.name, slope=1.0, lower=slot.lower, upper=slot.upper
     )
@@ -283,7 +283,7 @@ class CompiledModel:
         return _unpacked, (packed(parts),)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> CompiledModel:
-        """Return itself: it is immutable and shares its symbols with other objects."""
+        """Return the model itself, which is immutable."""
         return self
 
     def scaled(self, magnitudes: Mapping[str, float]) -> CompiledModel:
@@ -377,7 +377,7 @@ def _times(declared: Declarations, parameters: Any) -> Any:
 
 
 def with_moving_limits(declared: Declarations) -> Declarations:
-    """Move limits that depend on static variables from the sides of relations into expressions.
+    """Rewrite limits that depend on static variables as relations with constant sides.
 
     A free time makes the time in a rule such as `m.x[t] <= t` depend on static variables, but the
     sides of a relation and the bounds of a variable may depend on data alone.
@@ -436,7 +436,7 @@ def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> l
 
 
 def _unless(unbounded: Any, none: Any) -> Any:
-    """Return a side of zero, or `none` where there is no limit."""
+    """Return a side of zero, or ``none`` where there is no limit."""
     zero = casadi.SX(0)
     return zero if unbounded.is_zero() else casadi.if_else(unbounded, none, zero)
 
@@ -492,7 +492,7 @@ def _values(name: str, rows: Any, variables: Any, data: Any) -> Any:
 
 
 def _anonymous(function: Any) -> str:
-    """Return the code of a function without the names of its symbols, which depend on times."""
+    """Return the code of a function with anonymous symbols, whose names depend on time."""
     symbols = [casadi.SX.sym(f"i{k}", function.size1_in(k)) for k in range(function.n_in())]
     return str(casadi.Function("f", symbols, function.call(symbols)).serialize())
 

@@ -1,4 +1,4 @@
-"""Several horizons: reading each of them, their coupling, and one program of all.
+"""Problems with several horizons: their declarations, their coupling, and the joint program.
 
 A constraint over a continuous set, or on values of one set alone, belongs to that horizon. All
 other constraints and the objective see a horizon through static variables that equal its values at
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Link:
-    """A static variable that equals a value of the horizon that `reader` reads.
+    """Static variable that equals a value of one horizon.
 
     `state` is given if the value is an unknown itself: a state at a node.
     """
@@ -65,7 +65,7 @@ class Link:
 
 
 class CouplingWriter(TemplateWriter):
-    """Writes constraints that couple horizons, with static variables in place of their values.
+    """Writer of constraints that couple horizons, with static variables for their values.
 
     Attributes
     ----------
@@ -268,7 +268,7 @@ Part = TypeVar("Part", "Bounds", "Scaling", "IpoptResult")
 
 
 class Union:
-    """Positions of the unknowns and rows of several programs in their union.
+    """Positions of the unknowns and rows of several programs in the joint program.
 
     Static variables with the same name share one unknown.
 

@@ -180,13 +180,13 @@ def _nonzero(columns: IndexArray, weights: FloatArray) -> tuple[IndexArray, Floa
 
 
 def _chosen(columns: IndexArray, width: int) -> csr_matrix:
-    """Return the matrix from the unknowns to chosen ones."""
+    """Return the matrix that selects some of the unknowns."""
     entries = np.ones(columns.size), columns, np.arange(columns.size + 1)
     return csr_matrix(entries, shape=(columns.size, width))
 
 
 class Contributions:
-    """Collects entries (row, column) += weight * source until a `Scatter` is made of them."""
+    """Accumulator of entries (row, column) += weight * source for a `Scatter`."""
 
     def __init__(self) -> None:
         self._parts: list[tuple[NDArray[Any], ...]] = []

@@ -129,7 +129,7 @@ class Transcription:
         self._hold(data)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the arguments from which it is built."""
+        """Pickle the arguments of the constructor."""
         return type(self), (self.compiled, self.mesh, self.data)
 
     def with_data(self, data: Data) -> Transcription:
@@ -234,7 +234,7 @@ class Transcription:
         return self._sign * direct @ self._objective_slopes(z)
 
     def objective_size(self, z: FloatArray) -> float:
-        """Return the size of the objective: integrals of absolute values, so that none cancel."""
+        """Return the size of the objective: integrals of absolute values, without cancellation."""
         parts = float(self._weights() @ np.abs(self.objective_density(z)))
         return max(abs(self.objective(z)), parts)
 
@@ -413,7 +413,7 @@ def linearised(program: Transcription, variables: FloatArray, data: FloatArray) 
 def rate_corrections(
     program: Transcription, variables: FloatArray, data: FloatArray, rows: FloatArray
 ) -> FloatArray:
-    """Return the corrections to the rates with which the differential equations hold."""
+    """Return the corrections to the rates that satisfy the differential equations."""
     equations = linearised(program, variables, data)
     matrices, residuals = equations.by_rate, rows[:, equations.rows]
     if matrices.shape[1] == matrices.shape[2]:

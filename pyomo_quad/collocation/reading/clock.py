@@ -33,7 +33,7 @@ LEAST_PHASE = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class PhaseTimes:
-    """Phases of the horizon between times that may be free; flags select the phase that holds.
+    """Phases of the horizon between times that may be free; flags select the present phase.
 
     Attributes
     ----------

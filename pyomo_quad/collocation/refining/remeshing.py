@@ -107,7 +107,7 @@ _SLIVER = 0.02
 
 @dataclass(frozen=True)
 class _Piece:
-    """A new element: its end, its degree, its predicted error, and whether it was changed."""
+    """New element: end, degree, predicted error, and whether it was changed."""
 
     end: float
     degree: int
@@ -117,7 +117,7 @@ class _Piece:
 
 @dataclass(frozen=True, kw_only=True)
 class Marks:
-    """Elements that are too coarse, and elements that must not be merged or lowered in degree."""
+    """Sets of elements to refine, and of elements that must keep their degree."""
 
     coarse: frozenset[int]
     kept: frozenset[int]
@@ -303,7 +303,7 @@ def _integrand_sizes(solution: Solution, e: int) -> FloatArray:
 
 
 def _decay(sizes: FloatArray) -> float:
-    """Return the decades by which the coefficients fall per degree, by least squares.
+    """Return the decay rate of Legendre coefficients in decades per degree, by least squares.
 
     The constant term gives no information on smoothness, and rounding levels off the tail.
     """

@@ -167,7 +167,7 @@ def test_a_risk_that_cannot_be_had_says_how_much_limits_it_and_what_would_help()
     assert said == (
         "A risk of 0.01 cannot be had: by the plan of the least risk found 31 of 200 flights that "
         "had no part in the plan broke a limit, most often speed at the end; what would help: "
-        "weaker turbulence; the margins cost 10 J (2.5 %) beside the paper plan."
+        "weaker turbulence; the margins cost 10 J (2.5 %)."
     )
 
 
