@@ -44,16 +44,6 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.reading.writer import TemplateWriter
 
 
-<<<<<<< HEAD
-=======
-def index_tuple(index: Any) -> tuple[Any, ...]:
-    """Return the index of a component, without time, as a tuple."""
-    if index is None:
-        return ()
-    return index if isinstance(index, tuple) else (index,)
-
-
->>>>>>> words
 class WrittenComponents:
     """Components over time as CasADi expressions, detached from the Pyomo model for pickling.
 

@@ -115,20 +115,12 @@ class Headline:
         risk = self.risk
         if risk is None:
             return ""
-<<<<<<< HEAD
         joules, percent = risk.price(self.energy_J)
-        price = f"cost {joules:.3g} J ({percent:.2g} %)"
-        if risk.is_had:
-            return f"The margins for a risk of {risk.asked:g} {price}."
-        return f"A risk of {risk.asked:g} is not reached, and the margins {price}."
-=======
-        joules, percent = self.risk.price(self.energy_J)
         cost = f"{joules:.3g} J ({percent:.2g} %)"
-        risk = f"{100.0 * self.risk.asked:g} %"
-        if not self.risk.is_had:
-            return f"A risk of {risk} was not reached; the margins cost {cost}."
-        return f"Margins that keep the risk of a broken limit at or below {risk} cost {cost}."
->>>>>>> words
+        asked = f"{100.0 * risk.asked:g} %"
+        if not risk.is_had:
+            return f"A risk of {asked} was not reached; the margins cost {cost}."
+        return f"Margins that keep the risk of a broken limit at or below {asked} cost {cost}."
 
 
 def cruise_words(settings: "CruiseSettings") -> str:
