@@ -52,8 +52,11 @@ _LEFT_OF_ROOM = 0.01
 _LEFT_OF_SPEED = 0.1
 
 
-#: What is said of a plan without a risk.
-PAPER_PLAN = "A paper plan: it leaves nothing to the controller; mission.risk asks for margins."
+#: Warning on a plan without a risk.
+PAPER_PLAN = (
+    "No margins: the plan may fly exactly at its limits, and gusts or a wrong wind forecast would "
+    "break them; mission.risk asks for a plan with margins."
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,6 +81,8 @@ class RiskTaken:
         The limits that flights break most, in words, the most frequent first.
     advice : str
         What would help where the risk cannot be had.
+    stopped : str
+        Why the search for margins ended early; empty where it did not.
     """
 
     asked: float
@@ -89,6 +94,7 @@ class RiskTaken:
     paper_energy_J: float
     limiting: tuple[str, ...] = ()
     advice: str = ""
+    stopped: str = ""
 
     def price(self, energy: float) -> tuple[float, float]:
         """Return what a plan of this energy costs more than the paper plan [J], [%]."""
@@ -100,13 +106,18 @@ class RiskTaken:
         joules, percent = self.price(energy)
         price = f"the margins cost {joules:.3g} J ({percent:.2g} %) beside the paper plan"
         seen = f"{self.failed} of {self.flown} flights that had no part in the plan broke a limit"
+        most = f", most often {self.limiting[0]}" if self.limiting else ""
         if self.is_had:
             return f"Risk at most {self.asked:g}: {seen}; {price}."
-        most = f", most often {self.limiting[0]}" if self.limiting else ""
+        if not self.flown:
+            return f"No flight confirms a risk of {self.asked:g}: {self.stopped}; {price}."
+        if self.stopped:
+            return (
+                f"A risk of {self.asked:g} is not reached: {self.stopped}; {seen}{most}; {price}."
+            )
         return (
-            f"A risk of {self.asked:g} cannot be had: with the least found {seen}{most}; "
-            "what would help: "
-            f"{self.advice}; {price}."
+            f"A risk of {self.asked:g} cannot be had: by the plan of the least risk found {seen}"
+            f"{most}; what would help: {self.advice}; {price}."
         )
 
 
