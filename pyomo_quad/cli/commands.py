@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -48,14 +48,17 @@ from pyomo_quad.cli.terminal import (
 from pyomo_quad.report import Figures
 from pyomo_quad.report.folder import discard_unfinished, output_folder, refuse_output_folder
 from pyomo_quad.report.tables import plan_summary, run_summary, write_summary
-from pyomo_quad.scenario import load_scenario
+from pyomo_quad.scenario import Scenario, load_scenario
 from pyomo_quad.scenario.messages import FeasibilityError, PyomoQuadError, ScenarioError
 from pyomo_quad.scenario.tables import Knowledge, Reference
 from pyomo_quad.version import __version__
 
+if TYPE_CHECKING:
+    from pyomo_quad.flight import Flight, Planner
+
 
 class Controller(StrEnum):
-    """Source of the rotor commands of a flight."""
+    """Controller of a simulated flight."""
 
     ADAPTIVE = "adaptive"
     OPEN_LOOP = "open_loop"
@@ -64,7 +67,7 @@ class Controller(StrEnum):
 
 
 class Plant(StrEnum):
-    """Vehicle model in flight: the declared equations, or RotorPy's."""
+    """Simulated vehicle: the declared equations, or RotorPy."""
 
     DECLARED = "declared"
     ROTORPY = "rotorpy"
@@ -132,7 +135,7 @@ def fly(
     as_json: AsJson = False,
     allow_code: AllowCode = False,
 ) -> int:
-    """Fly a scenario under feedback, its plan in open loop, re-planned, or many times in wind."""
+    """Simulate a flight: under feedback, in open loop, re-planned, or many times in random wind."""
     if flights is not None or is_plan(scenario):
         _refuse_other_flights(scenario, flights, controller, plant, reference)
         import_scipy_alone()
@@ -150,22 +153,33 @@ def fly(
             as_json=as_json,
             is_code_allowed=allow_code,
         )
-    return _fly_once(
-        scenario,
-        controller,
-        reference,
-        knowledge,
-        plant,
-        out=out,
-        overrides=overrides or (),
-        quiet=quiet,
-        as_json=as_json,
-        allow_code=allow_code,
-    )
+    watch = Stopwatch()
+    followed = _followed(controller, reference)
+    _refuse_unfit(controller, plant)
+    resolved = load_scenario(scenario, overrides or ())
+    if controller is Controller.MPC and resolved.baseline.mpc is None:
+        resolved = resolved.with_values({"baseline.mpc": {}})
+    flown = [plant] if plant is Plant.ROTORPY else []
+    # A single flight must not replace the report of the scenario in reports/NAME.
+    name = "-".join((resolved.name, *flown, controller, followed or knowledge))
+    folder = out or Path("reports") / name
+    refuse_output_folder(folder)
+    with watch.phase("import"):
+        import_scipy_alone()
+        from pyomo_quad.cli import flying, solving  # noqa: PLC0415  takes seconds
+    if plant is Plant.ROTORPY:
+        flying.refuse_outside(resolved)
+    planner = solving.planner_for(resolved, is_code_allowed=allow_code, is_quiet=quiet or as_json)
+    resolved, flight = _flown(planner, resolved, controller, plant, followed, knowledge, watch)
+    with output_folder(folder) as aside:
+        summary = flying.write_flight(aside, planner, resolved, flight, watch.seconds)
+    lines = [flying.verdict(resolved, flight)]
+    solving.answer(lines, summary, folder, is_quiet=quiet, as_json=as_json)
+    return ExitCode.VERIFIED if flight.is_verified else ExitCode.NOT_VERIFIED
 
 
 def is_plan(path: Path) -> bool:
-    """Return whether a path names a plan instead of a scenario."""
+    """Return whether a path names a plan, not a scenario."""
     return path.is_dir() or path.suffix == ".npz"
 
 
@@ -191,59 +205,35 @@ def _refuse_other_flights(
         )
 
 
-def _fly_once(
-    scenario: Path,
+def _flown(
+    planner: "Planner",
+    scenario: Scenario,
     controller: Controller,
-    reference: Reference | None,
-    knowledge: Knowledge,
     plant: Plant,
-    *,
-    out: Path | None,
-    overrides: Sequence[str],
-    quiet: bool,
-    as_json: bool,
-    allow_code: bool,
-) -> int:
-    watch = Stopwatch()
-    followed = _followed(controller, reference)
-    _refuse_unfit(controller, plant)
-    resolved = load_scenario(scenario, overrides)
-    if controller is Controller.MPC and resolved.baseline.mpc is None:
-        resolved = resolved.with_values({"baseline.mpc": {}})
-    flown = [plant] if plant is Plant.ROTORPY else []
-    # A single flight must not replace the report of the scenario in reports/NAME.
-    name = "-".join((resolved.name, *flown, controller, followed or knowledge))
-    folder = out or Path("reports") / name
-    refuse_output_folder(folder)
-    with watch.phase("import"):
-        import_scipy_alone()
-        from pyomo_quad.cli import flying, solving  # noqa: PLC0415  takes seconds
-        from pyomo_quad.flight.deadline import Deadline  # noqa: PLC0415
-    if plant is Plant.ROTORPY:
-        flying.refuse_outside(resolved)
-    planner = solving.planner_for(resolved, is_code_allowed=allow_code, is_quiet=quiet or as_json)
-    is_untimed = any(waypoint.at is None for waypoint in resolved.mission.waypoints)
-    is_replanned = controller is Controller.MPC
-    with Deadline(resolved):
-        plan = None
-        if followed is Reference.PLAN or resolved.mission.is_free or (is_replanned and is_untimed):
+    followed: Reference | None,
+    knowledge: Knowledge,
+    watch: Stopwatch,
+) -> tuple[Scenario, "Flight"]:
+    """Return the mission flown, with its plan's times if it is planned, and the flight."""
+    from pyomo_quad.cli import flying  # noqa: PLC0415  as above
+    from pyomo_quad.flight.deadline import Deadline  # noqa: PLC0415
+
+    is_untimed = any(waypoint.at is None for waypoint in scenario.mission.waypoints)
+    is_replanned, plan = controller is Controller.MPC, None
+    with Deadline(scenario):
+        if followed is Reference.PLAN or scenario.mission.is_free or (is_replanned and is_untimed):
             with watch.phase("solve"):
-                plan = flying.make_plan(planner, resolved)
-            resolved = plan.mission_flown
+                plan = flying.make_plan(planner, scenario)
+            scenario = plan.mission_flown
         if plant is Plant.ROTORPY and followed is not None:
-            outside = resolved, controller.value, followed, plan
+            outside = scenario, controller.value, followed, plan
             make = partial(flying.fly_rotorpy, planner, *outside)
         elif is_replanned:
-            make = partial(flying.fly_mpc, planner, resolved, knowledge)
+            make = partial(flying.fly_mpc, planner, scenario, knowledge)
         else:
             reference = followed if controller is Controller.ADAPTIVE else None
-            make = partial(flying.fly_declared, planner, resolved, reference, plan)
-        flight = flying.make_flight(resolved, make)
-    with output_folder(folder) as aside:
-        summary = flying.write_flight(aside, planner, resolved, flight, watch.seconds)
-    lines = [flying.verdict(resolved, flight)]
-    solving.answer(lines, summary, folder, is_quiet=quiet, as_json=as_json)
-    return ExitCode.VERIFIED if flight.is_verified else ExitCode.NOT_VERIFIED
+            make = partial(flying.fly_declared, planner, scenario, reference, plan)
+        return scenario, flying.make_flight(scenario, make)
 
 
 def _followed(controller: Controller, reference: Reference | None) -> Reference | None:
@@ -285,7 +275,7 @@ def run(
     as_json: AsJson = False,
     allow_code: AllowCode = False,
 ) -> int:
-    """Solve, verify, fly every baseline, compare, certify and report."""
+    """Plan a scenario, compare the plan with simulated flights, bound the energy, and report."""
     watch = Stopwatch()
     resolved = load_scenario(scenario, overrides or ())
     folder = folder_of(resolved, out)
@@ -322,7 +312,7 @@ def compare(
     as_json: AsJson = False,
     allow_code: AllowCode = False,
 ) -> int:
-    """Compare the flights of many scenarios in one table, with a figure and a page.
+    """Compare the flights of several scenarios in one table, with a figure and a page.
 
     A finished run of the same scenario is read from its folder.
     """
@@ -394,7 +384,7 @@ def solve(
     as_json: AsJson = False,
     allow_code: AllowCode = False,
 ) -> int:
-    """Solve a scenario, verify the plan by flying it, and write the report."""
+    """Solve a scenario, verify the plan by simulation, and write the report."""
     watch = Stopwatch()
     if (scenario is None) is (run is None):
         raise typer.BadParameter("give a SCENARIO, or --continue RUN.")
@@ -510,7 +500,7 @@ _NO_MEMORY = ("std::bad_alloc", "Cannot allocate memory")
 
 
 def _lacks_memory(error: BaseException | None) -> bool:
-    """Return whether an error, or any error in its chain of causes, is a lack of memory."""
+    """Return whether an error or one of its causes is a lack of memory."""
     while error is not None:
         if isinstance(error, MemoryError) or any(said in str(error) for said in _NO_MEMORY):
             return True

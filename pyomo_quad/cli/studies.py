@@ -1,4 +1,4 @@
-"""Commands of studies with a report: paper, polar, RotorPy, and vehicles from measured flights."""
+"""Commands of studies with a report: paper, polar, reach, RotorPy, identification."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -29,8 +29,7 @@ from pyomo_quad.scenario.messages import printable
 if TYPE_CHECKING:
     import pandas as pd
 
-    from pyomo_quad.identification.fitting import IdentifiedParameter
-    from pyomo_quad.identification.steady import SteadyParameter
+    from pyomo_quad.identification.fitting import FittedParameter, IdentifiedParameter
     from pyomo_quad.identification.validation import Scores
 
 _PAPER_FOLDER = Path("reports/paper")
@@ -61,7 +60,7 @@ def paper(
 
 @contextmanager
 def _report_folder(folder: Path, *, is_quiet: bool) -> Iterator[tuple[Path, list[str]]]:
-    """Yield a folder for a study's report; afterwards print the study's lines and the folder.
+    """Context with a report folder; prints the study's lines at the end.
 
     Yields
     ------
@@ -77,7 +76,7 @@ def _report_folder(folder: Path, *, is_quiet: bool) -> Iterator[tuple[Path, list
 
 @contextmanager
 def _follow(*, is_quiet: bool) -> Iterator[Callable[[str, int, int], None] | None]:
-    """Show the number of finished results while the block runs."""
+    """Context that shows the number of finished results."""
     console = error_console()
     if is_quiet or not console.is_terminal:
         yield None
@@ -101,7 +100,7 @@ def _follow(*, is_quiet: bool) -> Iterator[Callable[[str, int, int], None] | Non
 def _steady_study(
     file: Path, overrides: list[str] | None, out: Path | None, study: str
 ) -> tuple[Scenario, Path]:
-    """Return the scenario of a study of steady flight, and the folder of its report.
+    """Return the scenario and the report folder of a study of steady flight.
 
     Raises
     ------
@@ -148,14 +147,17 @@ def reach(
     scenario: ScenarioFile,
     *,
     has_return: Annotated[
-        bool, typer.Option("--return", help="Draw from where the pack brings the vehicle back.")
+        bool,
+        typer.Option(
+            "--return", help="Draw the places from which the battery still brings the vehicle back."
+        ),
     ] = False,
     out: Output = None,
     overrides: Overrides = None,
     figures: FigureChoice = Figures.SVG,
     quiet: Quiet = False,
 ) -> int:
-    """Draw how far one pack takes a vehicle from its start in the wind, and back with --return."""
+    """Draw how far one battery charge takes a vehicle in the wind, one way or there and back."""
     resolved, folder = _steady_study(scenario, overrides, out, "reach")
     from pyomo_quad.polar.reach import find_reach, write_reach  # noqa: PLC0415  takes a second
 
@@ -163,7 +165,7 @@ def reach(
         told = write_reach(aside, find_reach(resolved, has_return=has_return), figures)
         lines.append(
             f"{told['least_reach_m'] / 1e3:.2f} to {told['greatest_reach_m'] / 1e3:.2f} km from "
-            f"the start{' and back' if has_return else ''}, by the course"
+            f"the start{' and back' if has_return else ''}, depending on the direction"
         )
         if resolved.mission.origin is None:
             lines.append("no GeoJSON: give mission.origin to place it on a map")
@@ -329,10 +331,10 @@ def _identify_steady(
 
 
 def _parameter_lines(
-    parameters: "Sequence[SteadyParameter | IdentifiedParameter]",
+    parameters: "Sequence[FittedParameter | IdentifiedParameter]",
     together: Sequence[tuple[str, str]],
 ) -> Iterator[str]:
-    """Yield a line for each fitted parameter, with the parameter that it is confounded with."""
+    """Yield a line per fitted parameter, naming parameters that it cannot be told from."""
     partners = dict(together)
     for one in parameters:
         edge = " (at the end of its range)" if one.is_at_bound and one.is_determined else ""
@@ -370,7 +372,7 @@ def predict(
 def _read(
     logs: list[Path], vehicle: str, flights: Path | None
 ) -> "tuple[Scenario, pd.DataFrame, pd.DataFrame]":
-    """Return the vehicle and the rows of its flights; their voltages, if all logs have them."""
+    """Return the vehicle, the rows of its flights, and their voltages if all logs have them."""
     import pandas as pd  # noqa: PLC0415
 
     from pyomo_quad.identification.logs import (  # noqa: PLC0415

@@ -1,13 +1,14 @@
-"""Margins that a plan leaves to the controller: by how much each of its limits is tightened.
+"""Margins of a plan: amounts by which its limits are tightened for the controller to use.
 
 A margin is an amount of a field of the scenario.  Fields are parameters of the compiled problem, so
 that a plan with other margins is a re-solve.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from pyomo_quad.collocation.limits import LimitValues
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.mission import Waypoint
 
@@ -51,13 +52,16 @@ _LEFT_OF_ROOM = 0.01
 _LEFT_OF_SPEED = 0.1
 
 
-#: What is said of a plan without a risk.
-PAPER_PLAN = "A paper plan: it leaves nothing to the controller; mission.risk asks for margins."
+#: Warning on a plan without a risk.
+PAPER_PLAN = (
+    "No margins: the plan may fly exactly at its limits, and gusts or a wrong wind forecast would "
+    "break them; mission.risk asks for a plan with margins."
+)
 
 
 @dataclass(frozen=True, kw_only=True)
 class RiskTaken:
-    """The risk that a plan was made for, and what that took.
+    """Risk for which a plan was made, with its margins and test flights.
 
     Attributes
     ----------
@@ -77,6 +81,8 @@ class RiskTaken:
         The limits that flights break most, in words, the most frequent first.
     advice : str
         What would help where the risk cannot be had.
+    stopped : str
+        Why the search for margins ended early; empty where it did not.
     """
 
     asked: float
@@ -88,29 +94,35 @@ class RiskTaken:
     paper_energy_J: float
     limiting: tuple[str, ...] = ()
     advice: str = ""
+    stopped: str = ""
 
     def price(self, energy: float) -> tuple[float, float]:
-        """Return what a plan of this energy costs more than the paper plan [J], [%]."""
+        """Return the energy that the margins cost, in J and in % of the plan without margins."""
         more = energy - self.paper_energy_J
         return more, 100.0 * more / self.paper_energy_J
 
     def words(self, energy: float) -> str:
-        """Return the risk and its price for a plan of this energy, in one or two sentences."""
+        """Return risk, test flights and cost of the margins in one or two sentences."""
         joules, percent = self.price(energy)
-        price = f"the margins cost {joules:.3g} J ({percent:.2g} %) beside the paper plan"
+        price = f"the margins cost {joules:.3g} J ({percent:.2g} %)"
         seen = f"{self.failed} of {self.flown} flights that had no part in the plan broke a limit"
+        most = f", most often {self.limiting[0]}" if self.limiting else ""
         if self.is_had:
             return f"Risk at most {self.asked:g}: {seen}; {price}."
-        most = f", most often {self.limiting[0]}" if self.limiting else ""
+        if not self.flown:
+            return f"No flight confirms a risk of {self.asked:g}: {self.stopped}; {price}."
+        if self.stopped:
+            return (
+                f"A risk of {self.asked:g} is not reached: {self.stopped}; {seen}{most}; {price}."
+            )
         return (
-            f"A risk of {self.asked:g} cannot be had: with the least found {seen}{most}; "
-            "what would help: "
-            f"{self.advice}; {price}."
+            f"A risk of {self.asked:g} cannot be had: by the plan of the least risk found {seen}"
+            f"{most}; what would help: {self.advice}; {price}."
         )
 
 
 def tightened(scenario: Scenario, margins: Mapping[str, float]) -> Scenario:
-    """Return the scenario that a plan with margins is made of."""
+    """Return the scenario with its limits tightened by margins."""
     told = scenario.mission
     mission: dict[str, Any] = {
         "waypoints": tuple(_narrowed(waypoint, margins) for waypoint in told.waypoints)
@@ -133,8 +145,16 @@ def tightened(scenario: Scenario, margins: Mapping[str, float]) -> Scenario:
     return scenario.model_copy(update=changed)
 
 
+def used_up(planned: LimitValues, flown: LimitValues) -> Iterator[tuple[str, float]]:
+    """Yield for each end of a limit its field, and how much nearer a flight comes than its plan."""
+    fields = FIELDS.get(planned.name.partition("[")[0], ("", ""))
+    for side, name in zip((1.0, -1.0), fields, strict=True):
+        if name:
+            yield name, float((side * (flown.values - planned.values)).max())
+
+
 def _narrowed(waypoint: Waypoint, margins: Mapping[str, float]) -> Waypoint:
-    """Return a waypoint that is passed nearer and slower, and held at from earlier on."""
+    """Return a waypoint with a smaller radius, a lower speed limit and an earlier hold."""
     changed: dict[str, float] = {}
     if waypoint.radius:
         least = min(waypoint.radius, _LEFT_OF_ROOM)
@@ -151,7 +171,7 @@ def _narrowed(waypoint: Waypoint, margins: Mapping[str, float]) -> Waypoint:
 
 
 def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> tuple[float, ...]:
-    """Return when flights pass the waypoints, of a plan that is early at its holds."""
+    """Return the times at which flights pass the waypoints of a plan with early holds."""
     return tuple(
         at + (lead if waypoint.hold else 0.0)
         for waypoint, at in zip(scenario.mission.waypoints, planned, strict=True)
@@ -159,7 +179,7 @@ def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> 
 
 
 def greatest_margin(scenario: Scenario, name: str) -> float:
-    """Return the greatest margin of a field that leaves the mission a flight to look for."""
+    """Return the largest margin of a field that can leave the mission feasible."""
     told, limits, mission = scenario.airspace, scenario.limits, scenario.mission
     heights = [place[2] for place in mission.positions]
     if name == "airspace.floor" and told.floor is not None:

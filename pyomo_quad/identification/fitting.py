@@ -1,4 +1,4 @@
-"""Parameters of the declared equations by robust least squares, and their uncertainty.
+"""Fit of model parameters to flights by robust least squares, with their uncertainty.
 
 Method: see docs/theory/identification.md, eqs. (2) to (4).
 
@@ -67,12 +67,24 @@ _DRAWS = 200
 # Step of the difference quotients, relative to a parameter's size.
 _STEP = 1e-3
 # Relative distance from a bound at which a fit starts; ten times that counts as at the bound.
-_NEAR_BOUND = 1e-6
+_NEAR_BOUND, _AT_BOUND = 1e-6, 1e-5
+
+
+@dataclass(frozen=True, kw_only=True)
+class FittedParameter:
+    """Fitted field of a vehicle, with standard deviation and previous value."""
+
+    name: str
+    base: float
+    value: float
+    deviation: float
+    is_determined: bool
+    is_at_bound: bool
 
 
 @dataclass(frozen=True, kw_only=True)
 class IdentifiedParameter:
-    """Identified value of a vehicle's field, with its uncertainty and the base's value.
+    """Identified field of a vehicle, with uncertainty and previous value.
 
     `deviation` is its bootstrap standard deviation over flights, 0 if the base's value was kept.
     `first_half` and `second_half` are fits to one half of the flights each. The halves have no
@@ -93,7 +105,7 @@ class IdentifiedParameter:
 
 @dataclass(frozen=True, kw_only=True)
 class Identification:
-    """A vehicle identified from flights, and the errors of its computed powers.
+    """Vehicle identified from flights, with the errors of its computed powers.
 
     `correlations` has the determined parameters as rows and columns; `cross_validated` is the power
     of each row by a fit without its flight. `together` pairs each parameter that is not determined
@@ -118,7 +130,7 @@ class Identification:
         return np.hypot(north, east) * self.scenario.vehicle.anemometer_factor
 
     def excess(self, slowest: float, fastest: float) -> float:
-        """Return the mean of measured less computed power in cruise between two airspeeds, W.
+        """Return the mean excess of measured over computed power in cruise, by airspeed [W].
 
         NaN if no row cruises in this range.
         """
@@ -130,7 +142,7 @@ class Identification:
 
 
 class Fit:
-    """Least squares of a vehicle's parameters over flights.
+    """Least-squares problem for parameters of a vehicle over flights.
 
     Parameters
     ----------
@@ -150,8 +162,10 @@ class Fit:
         for k, name in enumerate(self.names):
             if name in _OF_MOTION:
                 self.bounds[1, k] = _most_drag(scenario, self.frame, _OF_MOTION[name])
+        self._scenario = scenario
         self._window = _windows(self.frame)
         self._measured = self.frame[POWER].to_numpy()
+        self.everything = np.ones(len(self.frame), dtype=bool)
 
     def power(self, values: FloatArray) -> FloatArray:
         """Return the power of each row, W."""
@@ -159,13 +173,13 @@ class Fit:
         return self._motion.power({component(name): value for name, value in named})
 
     def windows(self, power: FloatArray, rows: Rows) -> tuple[FloatArray, NDArray[np.int64]]:
-        """Return the mean power of the windows of the given rows, and the first row of each."""
+        """Return the mean power of each time window of some rows, and its first row."""
         _, first, inverse = np.unique(self._window[rows], return_index=True, return_inverse=True)
         mean = np.bincount(inverse, power[rows]) / np.bincount(inverse)
         return mean, np.flatnonzero(rows)[first]
 
     def over(self, rows: Rows, start: FloatArray | None = None) -> FloatArray:
-        """Return the values that fit the given rows best."""
+        """Fit the parameters to some rows."""
         if not self.names:
             return self.base
         measured, _ = self.windows(self._measured, rows)
@@ -175,27 +189,26 @@ class Fit:
 
         return _robust(residual, self.base if start is None else start, self.bounds)
 
-    def slopes(self, values: FloatArray, rows: Rows) -> FloatArray:
-        """Return the difference quotients of the windows' power by each parameter."""
-        at, _ = self.windows(self.power(values), rows)
+    def slopes(self, values: FloatArray) -> FloatArray:
+        """Return finite differences of the windows' power by each parameter."""
+        at, _ = self.windows(self.power(values), self.everything)
         columns = []
         for k in range(len(self.names)):
             moved = values.copy()
             step = _STEP * max(1.0, abs(values[k]))
             moved[k] += step
-            columns.append((self.windows(self.power(moved), rows)[0] - at) / step)
+            columns.append((self.windows(self.power(moved), self.everything)[0] - at) / step)
         return np.column_stack(columns) if columns else np.zeros((len(at), 0))
 
     def drawn_anew(self, values: FloatArray) -> FloatArray:
-        """Return fits to flights drawn with replacement, shape (draws, n).
+        """Return bootstrap fits, to flights drawn with replacement, shape (draws, n).
 
         Each is a robust fit of the equations linearised about the fit to all flights, which is
         exact for parameters that enter linearly.
         """
-        everything = np.ones(len(self.frame), dtype=bool)
-        slopes = self.slopes(values, everything)
-        at, first = self.windows(self.power(values), everything)
-        measured, _ = self.windows(self._measured, everything)
+        slopes = self.slopes(values)
+        at, first = self.windows(self.power(values), self.everything)
+        measured, _ = self.windows(self._measured, self.everything)
         flights, flight = np.unique(self.frame[FLIGHT].to_numpy()[first], return_inverse=True)
         generator = np.random.default_rng(SEED)
         found = []
@@ -210,6 +223,28 @@ class Fit:
 
             found.append(_robust(residual, values, self.bounds))
         return np.array(found)
+
+    def applied(self, values: FloatArray) -> Scenario:
+        """Return the scenario with fitted values."""
+        named = zip(self.names, values.tolist(), strict=True)
+        return self._scenario.with_values({f"vehicle.{name}": value for name, value in named})
+
+    def parameter(self, name: str, values: FloatArray, deviations: FloatArray) -> FittedParameter:
+        """Return the result for one parameter, or its previous value if not fitted."""
+        value = base = float(getattr(self._scenario.vehicle, name))
+        deviation, distance = 0.0, np.inf
+        if name in self.names:
+            k = self.names.index(name)
+            value, deviation = float(values[k]), float(deviations[k])
+            distance = float(np.min(np.abs(self.bounds[:, k] - value)))
+        return FittedParameter(
+            name=name,
+            base=base,
+            value=value,
+            deviation=deviation,
+            is_determined=name in self.names,
+            is_at_bound=distance <= _AT_BOUND * max(1.0, abs(value)),
+        )
 
 
 def component(name: str) -> str:
@@ -233,14 +268,14 @@ def _bounds(name: str) -> tuple[float, float]:
 
 
 def _most_drag(scenario: Scenario, frame: pd.DataFrame, power: int) -> float:
-    """Return the drag number that tilts level flight at the greatest airspeed by 45 degrees."""
+    """Return the drag coefficient that tilts level flight at the largest airspeed by 45 degrees."""
     north, east = (frame[name].to_numpy() for name in AIR_VELOCITY)
     fastest = float(np.hypot(north, east).max()) * scenario.vehicle.anemometer_factor
     return scenario.vehicle.mass * scenario.gravity / max(fastest, 1.0) ** power
 
 
 def _windows(frame: pd.DataFrame) -> NDArray[np.int64]:
-    """Return the number of each row's window; a window ends with its flight or phase."""
+    """Return the window number of each row; windows end with their flight or phase."""
     stretch = [frame[FLIGHT], frame[PHASE]]
     since = frame[TIME] - frame.groupby(stretch, sort=False)[TIME].transform("min")
     keys = [*stretch, np.floor(since / _WINDOW_S)]
@@ -248,9 +283,8 @@ def _windows(frame: pd.DataFrame) -> NDArray[np.int64]:
 
 
 def undetermined(fit: Fit) -> tuple[str, ...]:
-    """Return the parameters without an independent effect on the power of the flights."""
-    everything = np.ones(len(fit.frame), dtype=bool)
-    slopes = fit.slopes(fit.base, everything)
+    """Return the parameters without an independent effect on the flights' power."""
+    slopes = fit.slopes(fit.base)
     slopes *= _SHARE * np.maximum(np.abs(fit.base), _size(fit))
     least = _LEAST_EFFECT * float(np.median(fit.frame[POWER]))
     left = list(range(len(fit.names)))
@@ -270,16 +304,16 @@ def undetermined(fit: Fit) -> tuple[str, ...]:
 
 
 def _size(fit: Fit) -> FloatArray:
-    """Return the size below which each parameter counts as small."""
+    """Return the size below which each parameter is negligible."""
     return np.array([_SMALL_DRAG if name in _OF_MOTION else _SHARE for name in fit.names])
 
 
 def confounded(fit: Fit, lost: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    """Return each undetermined parameter with the parameter that has the most similar effect.
+    """Return each undetermined parameter with the parameter of most similar effect.
 
     A parameter without an effect on the power is paired with the empty name.
     """
-    slopes = fit.slopes(fit.base, np.ones(len(fit.frame), dtype=bool))
+    slopes = fit.slopes(fit.base)
     norms = np.linalg.norm(slopes, axis=0)
     pairs = []
     for name in lost:
@@ -295,7 +329,7 @@ def confounded(fit: Fit, lost: Sequence[str]) -> tuple[tuple[str, str], ...]:
 def identify(
     scenario: Scenario, frame: pd.DataFrame, names: Sequence[str] = FITTED
 ) -> Identification:
-    """Fit a vehicle's parameters to flights and judge them.
+    """Fit a vehicle's parameters to flights and assess the fit.
 
     Parameters
     ----------
@@ -319,16 +353,14 @@ def identify(
     asked = Fit(motion, scenario, names)
     lost = undetermined(asked)
     fit = Fit(motion, scenario, [name for name in names if name not in lost])
-    values = fit.over(np.ones(len(frame), dtype=bool))
+    values = fit.over(fit.everything)
     draws = fit.drawn_anew(values) if fit.names else np.zeros((1, 0))
 
     def fitted(rows: Rows) -> FloatArray:
         return fit.power(fit.over(rows, values))
 
     return Identification(
-        scenario=scenario.with_values(
-            {f"vehicle.{n}": float(v) for n, v in zip(fit.names, values, strict=True)}
-        ),
+        scenario=fit.applied(values),
         frame=frame,
         parameters=_parameters(fit, values, draws, scenario, names),
         correlations=pd.DataFrame(draws, columns=list(fit.names)).corr(),
@@ -356,7 +388,7 @@ def _cautions(scenario: Scenario, fit: Fit, values: FloatArray, draws: FloatArra
         return
     motion = LoggedMotion(scenario, thinned.reset_index(drop=True))
     coarse = Fit(motion, scenario, fit.names)
-    again = coarse.over(np.ones(len(coarse.frame), dtype=bool), values)
+    again = coarse.over(coarse.everything, values)
     for name, value, other, deviation in zip(
         fit.names, values, again, draws.std(axis=0), strict=True
     ):
@@ -372,34 +404,24 @@ def _cautions(scenario: Scenario, fit: Fit, values: FloatArray, draws: FloatArra
 def _parameters(
     fit: Fit, values: FloatArray, draws: FloatArray, scenario: Scenario, names: Sequence[str]
 ) -> tuple[IdentifiedParameter, ...]:
-    of_row = fit.frame[FLIGHT].to_numpy()
+    of_row, deviations = fit.frame[FLIGHT].to_numpy(), draws.std(axis=0)
     halves = [fit.over(np.isin(of_row, half), values) for half in folds(fit.frame, _HALVES)]
-    columns = zip(values, draws.std(axis=0), *fit.bounds, *halves, strict=True)
-    found = dict(zip(fit.names, columns, strict=True))
     rows = []
     for name in names:
-        base = float(getattr(scenario.vehicle, name))
-        kept = (base, 0.0, -np.inf, np.inf, base, base)
-        value, deviation, low, high, first_half, second_half = found.get(name, kept)
-        distance = min(value - low, high - value)
+        first, second = (fit.parameter(name, half, deviations).value for half in halves)
         rows.append(
             IdentifiedParameter(
-                name=name,
-                base=base,
+                **vars(fit.parameter(name, values, deviations)),
                 base_source=_base_source(scenario, f"vehicle.{name}"),
-                value=float(value),
-                first_half=float(first_half),
-                second_half=float(second_half),
-                deviation=float(deviation),
-                is_determined=name in found,
-                is_at_bound=bool(distance <= 10 * _NEAR_BOUND * max(1.0, abs(value))),
+                first_half=first,
+                second_half=second,
             )
         )
     return tuple(rows)
 
 
 def _base_source(scenario: Scenario, field: str) -> str:
-    """Return the source of a number of the base, as named in the base's file."""
+    """Return the source that the base vehicle's file states for a number."""
     vehicle, kind = scenario.vehicle.use, "vehicles"
     if vehicle in library_names(kind):
         return library_entry(kind, vehicle).sources.get(field, "default")

@@ -1,12 +1,11 @@
-"""Errors of computed flight energies, on flights that were not fitted.
+"""Errors of computed energies on flights that were not fitted.
 
 Method: see docs/theory/identification.md, eq. (5).  The same cross-validation and extrapolations
 judge the declared equations and their rivals.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -35,7 +34,7 @@ _CRUISING = 0.9
 
 @dataclass(frozen=True, kw_only=True)
 class Scores:
-    """Differences between computed and measured energies and powers of flights.
+    """Errors of computed energies and powers of flights.
 
     Energies are sums over the rows of the phases 1 to 3; the bias is that of the sum over all
     flights.
@@ -49,7 +48,7 @@ class Scores:
 
 @dataclass(frozen=True, kw_only=True)
 class Trial:
-    """Scores of a fit to some flights on others."""
+    """Errors of a fit to some flights on other flights."""
 
     name: str
     fitted_on: str
@@ -58,7 +57,7 @@ class Trial:
 
 
 def energies(frame: pd.DataFrame, power: FloatArray) -> pd.DataFrame:
-    """Return a row per flight: measured and computed energy, J, and the error in per cent."""
+    """Return measured and computed energy [J] of each flight, with the error in per cent."""
     steps = frame.groupby(FLIGHT, sort=False)[TIME].transform(lambda t: np.median(np.diff(t)))
     columns = {MEASURED_ENERGY: frame[POWER] * steps, PREDICTED_ENERGY: power * steps}
     table = pd.DataFrame({FLIGHT: frame[FLIGHT], **columns})
@@ -68,7 +67,7 @@ def energies(frame: pd.DataFrame, power: FloatArray) -> pd.DataFrame:
 
 
 def scores(frame: pd.DataFrame, power: FloatArray) -> Scores:
-    """Compare powers with the measured ones, flight by flight."""
+    """Compare computed with measured powers, flight by flight."""
     table = energies(frame, power)
     total = table[[MEASURED_ENERGY, PREDICTED_ENERGY]].sum()
     return Scores(
@@ -80,14 +79,14 @@ def scores(frame: pd.DataFrame, power: FloatArray) -> Scores:
 
 
 def folds(frame: pd.DataFrame, count: int = _FOLDS) -> list[NDArray[np.object_]]:
-    """Return the flights at random in groups, at most `count` of them."""
+    """Divide the flights at random into at most ``count`` groups."""
     flights = frame[FLIGHT].unique()
     order = np.random.default_rng(SEED).permutation(len(flights))
     return [flights[part] for part in np.array_split(order, min(count, len(flights)))]
 
 
 def cross_validated(frame: pd.DataFrame, fitted: Fitted) -> FloatArray:
-    """Return the power of each row, W, by a fit to the other folds of flights."""
+    """Return the power of each row [W] by a fit to the flights of the other groups."""
     of_row = frame[FLIGHT].to_numpy()
     power = np.zeros(len(frame))
     for fold in folds(frame):
@@ -97,42 +96,29 @@ def cross_validated(frame: pd.DataFrame, fitted: Fitted) -> FloatArray:
 
 
 def trials(frame: pd.DataFrame, fitted: Fitted) -> tuple[Trial, ...]:
-    """Return the scores of fits to heavy or slow flights on light or fast flights."""
-    return tuple(
-        Trial(
-            name=one.name,
-            fitted_on=one.fitted_on,
-            tried_on=one.tried_on,
-            scores=scores(frame[one.tried].reset_index(drop=True), fitted(one.seen)[one.tried]),
-        )
-        for one in extrapolations(frame)
-    )
+    """Return the errors of fits to heavy or slow flights on light or fast flights.
 
+    Over payload and over speed, if the flights differ in them.
+    """
 
-class Extrapolation(NamedTuple):
-    """Rows to fit and rows to test the fit on, each with a description."""
+    def trial(name: str, fitted_on: str, seen: Rows, tried_on: str, tried: Rows) -> Trial:
+        judged = scores(frame[tried].reset_index(drop=True), fitted(seen)[tried])
+        return Trial(name=name, fitted_on=fitted_on, tried_on=tried_on, scores=judged)
 
-    name: str
-    fitted_on: str
-    seen: Rows
-    tried_on: str
-    tried: Rows
-
-
-def extrapolations(frame: pd.DataFrame) -> Iterator[Extrapolation]:
-    """Yield the extrapolations over payload and over speed, if the flights differ in them."""
+    found = []
     payload = np.round(frame[PAYLOAD].to_numpy() / _PAYLOAD_STEP) * _PAYLOAD_STEP
     most, least = payload.max(), payload.min()
     if most > least:
         heavy, light = payload == most, payload == least
-        yield Extrapolation("heavy to light", f"{most:g} kg", heavy, f"{least:g} kg", light)
+        found.append(trial("heavy to light", f"{most:g} kg", heavy, f"{least:g} kg", light))
     speed = cruise_speeds(frame)
     groups = np.unique(speed)
     if len(groups) > 1:
         slow, fast = groups[: max(1, int(_SLOW_SHARE * len(groups)))], groups[-1]
-        said = " and ".join(f"{one:g}" for one in slow)
-        seen = np.isin(speed, slow)
-        yield Extrapolation("slow to fast", f"{said} m/s", seen, f"{fast:g} m/s", speed == fast)
+        said = f"{' and '.join(f'{one:g}' for one in slow)} m/s"
+        seen, tried = np.isin(speed, slow), speed == fast
+        found.append(trial("slow to fast", said, seen, f"{fast:g} m/s", tried))
+    return tuple(found)
 
 
 def cruise_speeds(frame: pd.DataFrame) -> FloatArray:

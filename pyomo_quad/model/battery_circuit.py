@@ -1,4 +1,4 @@
-"""Equivalent circuit of a pack: slow voltage drop, temperature, and their effect on its voltage.
+"""Equivalent circuit of a battery: relaxation voltage (RC pair), temperature and health.
 
 symbol | name | unit | meaning
 u_1 | relaxation_voltage | V | slow part of the pack's voltage drop, a state
@@ -24,7 +24,7 @@ from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression, RelationalExpression
 from pyomo.dae import DerivativeVar
 
-from pyomo_quad.model.parameters import Parameter
+from pyomo_quad.model.parameters import Parameter, fields_of
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.mission import Aim
 
@@ -33,78 +33,23 @@ GAS_CONSTANT = 8.314462618 * units.J / units.mol / units.K
 # Fraction of the cells' constant voltage that the slow drop may reach, for scaling.
 _NOMINAL_DROP = 0.03
 
-_RELAXATION = (
-    Parameter(
-        name="relaxation_resistance",
-        units=units.ohm,
-        value=attrgetter("battery.relaxation.resistance"),
-        doc="R_1: slow part of the resistance of one cell",
-    ),
-    Parameter(
-        name="relaxation_time_constant",
-        units=units.s,
-        value=attrgetter("battery.relaxation.time_constant"),
-        doc="tau_1: time constant of the slow drop",
-    ),
-    Parameter(
-        name="initial_relaxation_voltage",
-        units=units.V,
-        value=attrgetter("battery.relaxation.initial_voltage"),
-        doc="slow drop of one cell at the start",
-    ),
+_RELAXATION = fields_of(
+    "battery.relaxation",
+    relaxation_resistance="resistance",
+    relaxation_time_constant="time_constant",
+    initial_relaxation_voltage="initial_voltage",
 )
 _THERMAL = (
-    Parameter(
-        name="heat_capacity",
-        units=units.J / units.K,
-        value=attrgetter("battery.thermal.heat_capacity"),
-        doc="C_T: heat capacity of one cell",
-    ),
-    Parameter(
-        name="cooling",
-        units=units.W / units.K,
-        value=attrgetter("battery.thermal.cooling"),
-        doc="h: heat lost by one cell per kelvin above the air",
-    ),
-    Parameter(
-        name="ambient_temperature",
-        units=units.K,
-        value=attrgetter("battery.thermal.ambient_temperature"),
-        doc="T_a: temperature of the air",
-    ),
+    *fields_of("battery.thermal", "heat_capacity", "cooling", "ambient_temperature"),
     Parameter(
         name="initial_pack_temperature",
         units=units.K,
         value=attrgetter("battery.thermal.start"),
         doc="temperature of the pack at the start",
     ),
-    Parameter(
-        name="reference_temperature",
-        units=units.K,
-        value=attrgetter("battery.thermal.reference_temperature"),
-        doc="T_r: temperature at which the resistances are given",
-    ),
-    Parameter(
-        name="activation_energy",
-        units=units.J / units.mol,
-        value=attrgetter("battery.thermal.activation_energy"),
-        doc="E_a: activation energy of the resistances",
-    ),
+    *fields_of("battery.thermal", "reference_temperature", "activation_energy"),
 )
-_HEALTH = (
-    Parameter(
-        name="capacity_factor",
-        units=units.dimensionless,
-        value=attrgetter("battery.health.capacity_factor"),
-        doc="f_Q: capacity over that of the new pack",
-    ),
-    Parameter(
-        name="resistance_factor",
-        units=units.dimensionless,
-        value=attrgetter("battery.health.resistance_factor"),
-        doc="f_R: resistances over those of the new pack",
-    ),
-)
+_HEALTH = fields_of("battery.health", "capacity_factor", "resistance_factor")
 CIRCUIT_STATES = _DROP, _TEMPERATURE = ("battery.relaxation_voltage", "battery.temperature")
 """Full names of the states that an equivalent circuit adds to the charge."""
 #: Energy that the pack lost, a state under `mission.aim = "charge"`.
@@ -112,14 +57,14 @@ LOSS = "battery.loss"
 
 
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the numbers of slow drop, temperature and health that a scenario gives."""
+    """Return the parameters of relaxation, temperature and health that a scenario sets."""
     pack = scenario.battery
     optional = ((pack.relaxation, _RELAXATION), (pack.thermal, _THERMAL), (pack.health, _HEALTH))
     return tuple(row for given, table in optional if given is not None for row in table)
 
 
 def states_at_start(scenario: Scenario) -> dict[str, float]:
-    """Return the states of the pack other than its charge at the start, by full name."""
+    """Return the initial states of the battery other than its charge, by full name."""
     pack, states = scenario.battery, {}
     if pack.relaxation is not None:
         states[_DROP] = pack.cells_series * pack.relaxation.initial_voltage
@@ -131,7 +76,7 @@ def states_at_start(scenario: Scenario) -> dict[str, float]:
 
 
 def fields_after(scenario: Scenario, ended: Mapping[str, float]) -> dict[str, float]:
-    """Return the fields that start the next flight with the circuit as the last one left it.
+    """Return the scenario fields that start the next flight with the final states of the last.
 
     Parameters
     ----------
@@ -153,7 +98,7 @@ def fields_after(scenario: Scenario, ended: Mapping[str, float]) -> dict[str, fl
 
 
 def declare_states(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare the slow drop and the temperature of a pack, where the scenario gives them."""
+    """Declare relaxation voltage and temperature as states, if the scenario sets them."""
     pack = scenario.battery
     if pack.relaxation is not None:
         b.relaxation_voltage = Var(
@@ -175,7 +120,7 @@ def declare_states(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def declare_balances(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare how slow drop and temperature change, and their values at the start."""
+    """Declare the balances of relaxation voltage and temperature, with initial values."""
     if scenario.battery.relaxation is not None:
         b.relaxation_balance = Constraint(
             m.time, rule=relaxation_balance, doc=_line(relaxation_balance)
@@ -193,7 +138,7 @@ def _line(equation: object) -> str:
 
 
 def resistance_share(b: Block, t: float) -> NumericExpression:
-    """Resistances over those at the reference temperature, by Arrhenius's law [-].
+    """Ratio of the resistances to those at the reference temperature, Arrhenius's law [-].
 
     See docs/theory/battery.md, eq. (7).
     """
@@ -202,7 +147,7 @@ def resistance_share(b: Block, t: float) -> NumericExpression:
 
 
 def resistance_at(b: Block, t: float) -> NumericExpression:
-    """Resistance of the pack that acts at once, at its temperature [ohm].
+    """Ohmic resistance of the battery at its temperature [ohm].
 
     See docs/theory/battery.md, eq. (4).
     """
@@ -212,7 +157,7 @@ def resistance_at(b: Block, t: float) -> NumericExpression:
 
 
 def source_voltage(b: Block, t: float) -> NumericExpression:
-    """Open-circuit voltage less the slow drop, behind the resistance that acts at once [V].
+    """Open-circuit voltage less the relaxation voltage, before the ohmic drop [V].
 
     See docs/theory/battery.md, eq. (5).
     """
@@ -222,7 +167,7 @@ def source_voltage(b: Block, t: float) -> NumericExpression:
 
 
 def slow_resistance(b: Block, t: float) -> NumericExpression:
-    """Slow part of the pack's resistance, in its health and at its temperature [ohm]."""
+    """Resistance of the RC pair at the battery's health and temperature [ohm]."""
     of_pack = b.relaxation_resistance * b.cells_series / b.cells_parallel
     if b.component("resistance_factor") is not None:
         of_pack *= b.resistance_factor
@@ -230,7 +175,7 @@ def slow_resistance(b: Block, t: float) -> NumericExpression:
 
 
 def relaxation_balance(b: Block, t: float) -> RelationalExpression:
-    """RC pair: the slow drop tends to its resistance times the current [V].
+    """RC pair: the relaxation voltage tends to its resistance times the current [V].
 
     See docs/theory/battery.md, eq. (8).
     """
@@ -242,7 +187,7 @@ def relaxation_balance(b: Block, t: float) -> RelationalExpression:
 
 
 def initial_relaxation(b: Block) -> RelationalExpression:
-    """Slow drop at the start, of all cells in series [V]."""
+    """Relaxation voltage at the start, of all cells in series [V]."""
     start = b.parent_block().time.first()
     return b.relaxation_voltage[start] == b.cells_series * b.initial_relaxation_voltage
 
@@ -267,5 +212,5 @@ def heat_balance(b: Block, t: float) -> RelationalExpression:
 
 
 def initial_temperature(b: Block) -> RelationalExpression:
-    """Temperature of the pack at the start [K]."""
+    """Temperature of the battery at the start [K]."""
     return b.temperature[b.parent_block().time.first()] == b.initial_pack_temperature

@@ -21,7 +21,7 @@ Value = float | Mapping[Any, float] | None
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
-    """One declared parameter: its name in the block, its unit, and how to read it from a scenario.
+    """Declaration of a parameter: name in its block, unit, and function that reads a scenario.
 
     `value` takes the scenario and returns a number, or a mapping from indices to numbers. Without
     a value, that is with None or an empty mapping, the parameter is not declared.
@@ -38,31 +38,33 @@ Table = Callable[[Scenario], Iterable[Parameter]]
 _TABLES: dict[str, Table] = {}
 
 
-def fields_of(table: str, *names: str) -> tuple[Parameter, ...]:
-    """Return a parameter for each of some scenario fields, with the field's unit and meaning.
+def fields_of(table: str, *names: str, **renamed: str) -> tuple[Parameter, ...]:
+    """Return a parameter for each of several scenario fields, with unit and meaning.
 
     Parameters
     ----------
     table : str
         Dotted path of the table that holds the fields, empty for the scenario itself.
+    **renamed : str
+        Name of a parameter that differs from that of its field, and the field.
     """
     rows = []
-    for name in names:
-        path = f"{table}.{name}".removeprefix(".")
+    for name, field in (*zip(names, names, strict=True), *renamed.items()):
+        path = f"{table}.{field}".removeprefix(".")
         holder, unit = declared_place(Scenario, path.split("."))
         rows.append(
             Parameter(
                 name=name,
                 units=units.dimensionless if unit == "1" else getattr(units, unit),
                 value=attrgetter(path),
-                doc=holder.model_fields[name].description or name,
+                doc=holder.model_fields[field].description or name,
             )
         )
     return tuple(rows)
 
 
 def parameters_in(block_name: str) -> Callable[[Table], Table]:
-    """Register a function as the table of parameters of the block with this full name."""
+    """Return a decorator that registers a function as the parameter table of a block."""
 
     def register(table: Table) -> Table:
         _TABLES[block_name] = table
@@ -72,18 +74,18 @@ def parameters_in(block_name: str) -> Callable[[Table], Table]:
 
 
 def parameter_tables(scenario: Scenario) -> Iterator[tuple[str, tuple[Parameter, ...]]]:
-    """Yield the name of each block with parameters, and those that a scenario may declare in it."""
+    """Yield the name and the parameters of each block with registered parameters."""
     for block_name, table in _TABLES.items():
         yield block_name, tuple(table(scenario))
 
 
 def declare_parameters(b: Block, scenario: Scenario) -> None:
-    """Add the mutable parameters to a block that are registered under its name."""
+    """Add the registered parameters of a block to it, as mutable parameters."""
     add_parameters(b, _TABLES[b.name](scenario), scenario)
 
 
 def add_parameters(b: Block, table: Iterable[Parameter], scenario: Scenario) -> None:
-    """Add one mutable parameter to a block for each row of a table that has a value."""
+    """Add a mutable parameter for each row of a table that has a value."""
     for row in table:
         value = row.value(scenario)
         if value is None or value == {}:
@@ -96,7 +98,7 @@ def add_parameters(b: Block, table: Iterable[Parameter], scenario: Scenario) -> 
 def parameter_items(
     block_name: str, table: Iterable[Parameter], scenario: Scenario
 ) -> Iterator[tuple[str, float]]:
-    """Yield the full component name and the value of every declared number in a table.
+    """Yield the full name and the value of every parameter in a table.
 
     Parameters
     ----------
@@ -163,7 +165,7 @@ DIP = 0.14
 def saturated(
     value: NumericExpression, floor: NumericExpression, width: NumericExpression
 ) -> NumericExpression:
-    """Return `value` while it is well above the floor, and the floor far below it.
+    """Return a smooth max(value, floor): ``value`` well above the floor, the floor far below it.
 
     Parameters
     ----------

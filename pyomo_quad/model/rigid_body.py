@@ -79,20 +79,16 @@ def declare_balances(m: ConcreteModel, scenario: Scenario) -> None:
     """
     _declare_force_balances(m.rigid_body, m)
     _declare_tilting_balances(m.rigid_body, m)
-    match scenario.vehicle.attitude:
-        case Attitude.EULER:
-            _declare_yaw_balance_with_reaction(m.rigid_body, m)
-        case Attitude.PAPER:
-            _declare_yaw_balance(m.rigid_body, m)
+    _declare_yaw_balance(m.rigid_body, m, scenario.vehicle.attitude)
 
 
 def _straight_line(start: float, goal: float, duration: float) -> Callable[[Block, float], float]:
-    """Return an initial value that moves from start to goal with time."""
+    """Return an initial guess that moves from start to goal at constant speed."""
     return lambda _b, t: start + (goal - start) * t / duration
 
 
 def _from_place_to_place(scenario: Scenario, axis: int) -> Callable[[Block, float], float]:
-    """Return an initial value that is linear in time between consecutive places, along one axis."""
+    """Return an initial guess along one axis, linear in time between places."""
     places = [position[axis] for position in scenario.mission.positions]
     times = [0.0, *scenario.nominal_times]
     stays = [places[0], *(place for place in places[1:-1] for _ in range(2)), places[-1]]
@@ -200,7 +196,7 @@ BODY_AXES: tuple[BodyAxis, ...] = (forward_axis, left_axis, thrust_axis)
 
 
 def _moment(m: ConcreteModel, name: str, t: float) -> NumericExpression:
-    """Return a moment of the rotors, plus the aerodynamic moment if there is one."""
+    """Return a rotor moment plus the aerodynamic moment, if declared."""
     of_rotors, of_air = m.rotors.component(name)[t], m.aerodynamics.component(name)
     return of_rotors if of_air is None else of_rotors + of_air[t]
 
@@ -246,18 +242,16 @@ def _declare_tilting_balances(b: Block, m: ConcreteModel) -> None:
         )
 
 
-def _declare_yaw_balance(b: Block, m: ConcreteModel) -> None:
-    @b.Constraint(m.time, doc="eq. (6) row 6: moment balance about body z [N m]")
+def _declare_yaw_balance(b: Block, m: ConcreteModel, attitude: Attitude) -> None:
+    """Declare the moment balance about body z, with the rotor reaction that the paper omits."""
+    is_exact = attitude is Attitude.EULER
+    what = " with the rotors' reaction: body z" if is_exact else ": moment balance about body z"
+
+    @b.Constraint(m.time, doc=f"eq. (6) row 6{what} [N m]")
     def yaw_balance(b: Block, t: float) -> RelationalExpression:
         m = b.parent_block()
         airframe_coupling = (m.vehicle.Ix - m.vehicle.Iy) * b.p[t] * b.q[t]
-        return m.vehicle.Iz * b.dr_dt[t] == airframe_coupling + _moment(m, "yaw_moment", t)
-
-
-def _declare_yaw_balance_with_reaction(b: Block, m: ConcreteModel) -> None:
-    @b.Constraint(m.time, doc="eq. (6) row 6 with the rotors' reaction: body z [N m]")
-    def yaw_balance(b: Block, t: float) -> RelationalExpression:
-        m = b.parent_block()
-        airframe_coupling = (m.vehicle.Ix - m.vehicle.Iy) * b.p[t] * b.q[t]
-        moment = _moment(m, "yaw_moment", t) + m.rotors.yaw_reaction[t]
+        moment = _moment(m, "yaw_moment", t)
+        if is_exact:
+            moment = moment + m.rotors.yaw_reaction[t]
         return m.vehicle.Iz * b.dr_dt[t] == airframe_coupling + moment

@@ -32,7 +32,7 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """A field or declaration, the value found there, and the allowed range, in one line.
+    """Result of a check in one line: field or declaration, value found, allowed range.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class Finding:
 
 @dataclass(frozen=True, kw_only=True)
 class _Interval:
-    """The interval in which one declaration allows a variable."""
+    """Interval that one declaration allows for a variable."""
 
     source: str
     lower: float
@@ -134,7 +134,7 @@ def _is_enclosed(intervals: list[_Interval]) -> bool:
 
 
 def _intervals(model: ConcreteModel) -> dict[str, list[_Interval]]:
-    """Return the bounds and single-variable limits on every variable, by its name."""
+    """Return the bounds and single-variable limits of every variable."""
     found = defaultdict[str, list[_Interval]](list)
     for variable in _variables(model):
         for data in variable.values():
@@ -256,7 +256,7 @@ class ModelInspection:
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Functions of time that the equations leave free."""
+        """Number of functions of time that the equations leave free."""
         # Each state has a derivative, which the equations determine as well.
         return len(self.states) + len(self.other_variables) - self.equations
 
@@ -291,9 +291,9 @@ def inspect_model(model: ConcreteModel) -> ModelInspection:
     derivatives = list(model.component_objects(DerivativeVar, descend_into=True))
     differentiated = {derivative.get_state_var().name for derivative in derivatives}
     # A DerivativeVar has a type of its own, so this yields states and algebraic variables only.
-    variables = [d for v in _over_time(model, Var, time) for d in _instances(v, instant)]
+    variables = [d for v in _over_time(model, Var, time) for d in instances(v, instant)]
     is_state = {d.name: d.parent_component().name in differentiated for d in variables}
-    path = [d for c in _over_time(model, Constraint, time) for d in _instances(c, instant)]
+    path = [d for c in _over_time(model, Constraint, time) for d in instances(c, instant)]
     whole = list(_over_time(model, Constraint, time))
     return ModelInspection(
         states=tuple(_without_time(d) for d in variables if is_state[d.name]),
@@ -308,7 +308,7 @@ def inspect_model(model: ConcreteModel) -> ModelInspection:
         parameters=sum(
             len(p)
             for p in model.component_objects(Param, descend_into=True)
-            if not _is_over(p, time)
+            if not is_over(p, time)
         ),
         unit_errors=unit_errors(model),
     )
@@ -344,16 +344,18 @@ def unit_errors(model: ConcreteModel) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _is_over(component: Component, time: ContinuousSet) -> bool:
+def is_over(component: Component, time: ContinuousSet) -> bool:
+    """Return whether a component is indexed by time."""
     return component.is_indexed() and any(s is time for s in component.index_set().subsets())
 
 
 def _over_time(model: ConcreteModel, kind: type, time: ContinuousSet) -> list[IndexedComponent]:
     components = model.component_objects(kind, active=True, descend_into=True)
-    return [c for c in components if _is_over(c, time)]
+    return [c for c in components if is_over(c, time)]
 
 
-def _instances(component: IndexedComponent, instant: float) -> list[ComponentData]:
+def instances(component: IndexedComponent, instant: float) -> list[ComponentData]:
+    """Return the members of a component over time at one instant."""
     return [d for index, d in component.items() if instant in _as_tuple(index)[-1:]]
 
 

@@ -18,21 +18,21 @@ from pyomo_quad.study.comparison import against_hovering
 NOTHING = "n/a"
 
 POWER_WORDS = {
-    PowerModel.MOTOR: "electrical power of the motors, copper loss included",
-    PowerModel.EFFICIENCY: "shaft power over the recovered efficiency f_r, eq. (8)",
+    PowerModel.MOTOR: "electrical power of the motors, with copper loss",
+    PowerModel.EFFICIENCY: "shaft power divided by the recovered efficiency f_r, eq. (8)",
     PowerModel.SHAFT: "shaft power",
-    PowerModel.CONSTANT_EFFICIENCY: "shaft power over a constant efficiency",
+    PowerModel.CONSTANT_EFFICIENCY: "shaft power divided by a constant efficiency",
     PowerModel.MOTOR_WITH_FRICTION: "electrical power of the motors, with their friction",
-    PowerModel.MOMENTUM: "momentum theory, blade drag and climb in moving air",
+    PowerModel.MOMENTUM: "momentum theory: lift, blade drag and climb depend on the airspeed",
 }
 
 COUPLING_WORDS = {
-    WindCoupling.ACCELERATION: "added to the acceleration as printed in eq. (9), times 1 1/s",
-    WindCoupling.DRAG: "through drag on the relative airspeed",
+    WindCoupling.ACCELERATION: "acts as an acceleration of 1 1/s times its speed, as in eq. (9)",
+    WindCoupling.DRAG: "acts by drag on the airspeed",
 }
 
 STATUS_WORDS = {
-    PlanStatus.VERIFIED: "Verified",
+    PlanStatus.VERIFIED: "Verified in simulation",
     PlanStatus.USABLE: "Usable",
     PlanStatus.SOLVED: "Not verified",
     PlanStatus.NOT_CONVERGED: "Failed, not converged",
@@ -42,7 +42,7 @@ STATUS_WORDS = {
 
 
 def fixed(value: float, digits: int = 2) -> str:
-    """Return a number with a fixed count of decimals: never minus zero, `NOTHING` if not finite."""
+    """Format a number with fixed decimals, without minus zero; `NOTHING` if not finite."""
     if not isfinite(value):
         return NOTHING
     text = f"{value:.{digits}f}"
@@ -50,12 +50,12 @@ def fixed(value: float, digits: int = 2) -> str:
 
 
 def rough(value: float, digits: int = 2) -> str:
-    """Return a number with ``digits`` significant digits, `NOTHING` if it is not finite."""
+    """Format a number with significant digits; `NOTHING` if not finite."""
     return f"{value:.{digits}g}" if isfinite(value) else NOTHING
 
 
 def yes_no(value: object) -> str:
-    """Return "yes" or "no"."""
+    """Return "yes" for a true value, "no" otherwise."""
     return "yes" if value else "no"
 
 
@@ -115,7 +115,7 @@ def written(text: str) -> Markup:
 
 
 def _code(text: str) -> Markup:
-    """Return a name from a program: of a flight, a file, a field, a command."""
+    """Format a program's name (flight, file, field, command) as a code span."""
     # A code span has no escapes, so text that would end the span is printed without a span.
     if set(visible(text)) & set("`|\\\n\r") or text != text.strip() or not text:
         return written(escape_markdown(text))
@@ -129,7 +129,7 @@ def _finalize(value: object) -> Markup:
 
 @cache
 def environment() -> Environment:
-    """Return Jinja's settings: every value escaped for Markdown, none missing."""
+    """Return the Jinja environment, which escapes all values for Markdown."""
     made = Environment(
         loader=FileSystemLoader(Path(__file__).parents[1]),
         # Marks the results of macros and blocks as written by a template.
@@ -155,6 +155,7 @@ def environment() -> Environment:
     made.globals |= {
         "COUPLING_WORDS": COUPLING_WORDS,
         "FIGURE_FOLDER": FIGURE_FOLDER,
+        "NOTHING": NOTHING,
         "POWER_WORDS": POWER_WORDS,
         "STATUS_WORDS": STATUS_WORDS,
         "limit_amount": limit_amount,

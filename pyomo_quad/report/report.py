@@ -1,9 +1,9 @@
-"""Reports of a solve, a run and a comparison: their numbers, templates and files."""
+"""Reports of a solve, a run and a comparison: values, templates and files."""
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import inf
+from math import atan2, degrees, inf
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -53,7 +53,8 @@ from pyomo_quad.study.comparison import (
     way_flown,
 )
 from pyomo_quad.study.front import FrontColumn
-from pyomo_quad.study.headline import cruise_words, flight_words, headline_of, settled_of
+from pyomo_quad.study.headline import cruise_words, headline_of, legend_of, settled_of
+from pyomo_quad.study.limits_kept import limit_lines
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -63,6 +64,8 @@ if TYPE_CHECKING:
     from pyomo_quad.study.run import RunResult
 
 _CHARGE = column_of("battery.state_of_charge").name
+_WIND = tuple(column_of(f"wind.velocity_{axis}").name for axis in "xy")
+_CALM = 0.005  # m/s: a slower wind prints as 0.00 m/s
 _SHORTEST_PATH_M = 0.1  # a shorter flight counts as hovering and has no range
 
 COMPARISON_NAME = "comparison.csv"
@@ -79,7 +82,7 @@ def write_solve_report(
     rate_hz: float | None = None,
     figures: Figures = Figures.SVG,
 ) -> None:
-    """Write the report of a plan of any status into a folder empty of reports.
+    """Write the report of a plan into a folder.
 
     The title and the text say if the plan is not verified; ``warnings`` are cautions to print with
     the numbers.  The table has a row per node of the mesh, or ``rate_hz`` rows a second.
@@ -98,7 +101,7 @@ def write_solve_report(
 
 
 def write_run_report(folder: Path, result: "RunResult", figures: Figures = Figures.SVG) -> None:
-    """Write the report of a run of any status into a folder empty of reports.
+    """Write the report of a run into a folder.
 
     It has tables, figures, `report.md` and `report.html`; without figures the page has no view of
     the paths.
@@ -138,12 +141,12 @@ class RunRecord:
 
     @classmethod
     def of(cls, result: "RunResult") -> "RunRecord":
-        """Return the record of a run that was just made."""
+        """Return the record of a run."""
         return cls(summary=run_summary(result, wall_s={}), comparison=result.comparison)
 
 
 def find_run(folder: Path, scenario: "Scenario") -> RunRecord | None:
-    """Return the verified run of exactly this scenario in a folder, None without one.
+    """Return the verified run of the same scenario in a folder, None if there is none.
 
     A run by other versions is ignored, because its numbers may differ. A run of a user's model is
     ignored too, because the code of the model may have changed.
@@ -216,6 +219,7 @@ def _plan_values(plan: "Plan") -> dict[str, Any]:
         if plan.verification is None
         else tuple(departures_of(plan.scenario, columns)),
         "free_climb": _free_climb(plan),
+        "wind_met": _wind_words(columns),
         "legs": leg_rows(plan.mission_flown, columns),
         "leg": LegColumn,
         "allowed": {
@@ -233,7 +237,7 @@ def _plan_values(plan: "Plan") -> dict[str, Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class FreeClimb:
-    """A climb that costs less energy than it adds, because the power model does not price it."""
+    """Climb that costs less energy than it adds, because the power model ignores airspeed."""
 
     height_m: float
     potential_J: float
@@ -267,8 +271,23 @@ def climb_of(scenario: "Scenario") -> tuple[float, float]:
     return height, scenario.vehicle.total_mass * scenario.gravity * height
 
 
+def _wind_words(columns: Mapping[str, np.ndarray]) -> str:
+    """Return mean, direction and range of the horizontal wind along a plan; empty if calm."""
+    if not set(_WIND) <= set(columns):
+        return ""
+    along = np.array([columns[name] for name in _WIND])
+    speeds, (x, y) = np.hypot(*along), along.mean(axis=1)
+    if speeds.max() < _CALM:
+        return ""
+    toward = f" toward {degrees(atan2(y, x)) % 360.0:.0f}°" if np.hypot(x, y) > _CALM else ""
+    return (
+        f"{np.hypot(x, y):.2f} m/s{toward} on average (0° is +x, 90° is +y), "
+        f"{speeds.min():.2f} to {speeds.max():.2f} m/s"
+    )
+
+
 def _battery_use(plan: "Plan", columns: Mapping[str, np.ndarray]) -> dict[str, float | None]:
-    """Return the plan's path length and battery use, and time and distance on a full charge."""
+    """Return path length and battery use of a plan, with time and range per full charge."""
     if plan.verification is None:
         return {"path_m": 0.0, "battery_percent": None}
     path = float(way_flown(columns)[-1])
@@ -316,7 +335,9 @@ def _run_values(result: "RunResult", replanned: "pd.DataFrame") -> dict[str, Any
         "headline": headline_of(result),
         "settled_of": settled_of,
         "cruise_words": cruise_words,
-        "flight_words": flight_words,
+        "legend_of": legend_of,
+        "limit_lines": tuple(limit_lines(result.plan, result.flights)),
+        "often_words": "" if result.often is None else result.often.words,
         "tuning": result.tuning,
         "TUNING_NAME": TUNING_NAME,
         "alone": by_name.get(OPEN_LOOP),
@@ -353,18 +374,18 @@ def _is_good(result: "RunResult") -> bool:
 
 
 def prepare_figures(figures: Figures) -> None:
-    """Import matplotlib and the gallery now, if figures are wanted."""
+    """Import matplotlib and the gallery in advance if figures are requested."""
     if figures is not Figures.NONE:
         _gallery()
 
 
 def _gallery() -> ModuleType:
-    """Return the gallery module; its import of matplotlib takes longer than a solve."""
+    """Import the gallery when needed, because matplotlib takes longer than a solve."""
     from pyomo_quad.report import gallery  # noqa: PLC0415
 
     return gallery
 
 
 def _from_gallery(listed: Callable[[ModuleType], Iterable[Drawing]]) -> Iterator[Drawing]:
-    """Yield figures from the gallery, which is imported for the first of them."""
+    """Yield figures of the gallery, imported at the first of them."""
     yield from listed(_gallery())

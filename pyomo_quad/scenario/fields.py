@@ -1,4 +1,4 @@
-"""Declaration of scenario fields: frozen, closed to unknown keys, each with its unit.
+"""Declaration of scenario fields, each with unit, meaning and plausible range.
 
 Fields are arranged in nested tables, as in TOML; they have dotted paths, layers and a depth.
 """
@@ -37,7 +37,7 @@ _DECIMAL = re.compile(
 )
 
 # Pattern of a title: no line break and no other control character.
-ONE_LINE = r"^[^\x00-\x1f\x7f-\x9f\u2028\u2029]*$"
+_ONE_LINE = r"^[^\x00-\x1f\x7f-\x9f\u2028\u2029]*$"
 
 
 class Sound(NamedTuple):
@@ -49,10 +49,22 @@ class Sound(NamedTuple):
     low: float
     high: float
     because: str
+    sign: str = ""
+    """Bound at 0 that holds whatever is plausible: `gt`, `ge`, or none."""
+
+
+def positive(low: float, high: float, because: str) -> Sound:
+    """Return the plausible range of a number that must be above 0."""
+    return Sound(low, high, because, "gt")
+
+
+def not_negative(high: float, because: str) -> Sound:
+    """Return the plausible range of a number from 0 on."""
+    return Sound(0, high, because, "ge")
 
 
 class Part(BaseModel):
-    """Base of all tables of a scenario: immutable, finite numbers, no unknown keys."""
+    """Base class of all tables of a scenario: immutable, finite numbers, no unknown keys."""
 
     model_config = ConfigDict(
         frozen=True,
@@ -75,7 +87,7 @@ class Part(BaseModel):
 
 
 def number_in_text(text: str) -> float:
-    """Read a number in ASCII digits, point and exponent; surrounding blanks are ignored.
+    """Read a number in ASCII notation, ignoring surrounding blanks.
 
     Returns
     -------
@@ -126,6 +138,10 @@ def quantity(
         Keys by which a file may give the field in another unit, and that unit in ``unit``.
     """
     declared: dict[str, Any] = {} if initial is None else {"default": initial}
+    if sound is not None:
+        declared["sound"] = {"low": sound.low, "high": sound.high, "because": sound.because}
+    if sound is not None and sound.sign:
+        limits[sound.sign] = 0
     field = Field(
         default,
         description=description,
@@ -134,7 +150,6 @@ def quantity(
             "allowed": allowed,
             "example": example,
             "other_names": list(other_names),
-            "sound": None if sound is None else sound._asdict(),
             "is_late": is_late,
             "unit_keys": dict(unit_keys or {}),
             **declared,
@@ -148,6 +163,8 @@ def quantity(
 
 #: Declares a field that older records lack: `quantity` with `is_late`.
 late_quantity = partial(quantity, is_late=True)
+#: Declares a text in one line.
+title_field = partial(quantity, "", pattern=_ONE_LINE, allowed="one line", max_length=200)
 
 
 def unit_of(model: type[BaseModel], name: str) -> str:
@@ -183,7 +200,7 @@ def other_names_of(model: type[BaseModel], name: str) -> tuple[str, ...]:
 
 
 def initial_of(model: type[BaseModel], name: str) -> Any:  # noqa: ANN401
-    """Return the value implied by a file without the field, None if it is the default."""
+    """Return the value that a file without the field implies, None for the default."""
     return _declared_with(model, name, "default") or None
 
 
@@ -251,7 +268,7 @@ def spell(path: FieldPath) -> str:
 
 
 def depth(value: object, allowed: int) -> int:
-    """Return the nesting depth of tables and lists, counted to just above an allowed depth.
+    """Return the nesting depth of tables and lists, up to a maximum.
 
     Returns
     -------
@@ -282,7 +299,7 @@ def leaves(tree: Mapping[str, Any], prefix: FieldPath = ()) -> Iterator[tuple[Fi
 
 
 def is_number(value: object) -> TypeGuard[float]:
-    """Return whether a value is a number; true and false are none, although Python counts them."""
+    """Return whether a value is a number other than true or false."""
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 

@@ -13,7 +13,6 @@ from zlib import compress, decompress
 from pydantic import ValidationError, model_validator
 
 from pyomo_quad.scenario.fields import (
-    ONE_LINE,
     FieldPath,
     Number,
     Part,
@@ -22,10 +21,14 @@ from pyomo_quad.scenario.fields import (
     Triple,
     WholeNumber,
     is_number,
+    late_quantity,
+    not_negative,
+    positive,
     quantity,
     set_value,
     spell,
     table_at,
+    title_field,
 )
 from pyomo_quad.scenario.messages import shown
 
@@ -61,7 +64,7 @@ class FrequencyUnit(StrEnum):
 
 
 class WindAxis(Part):
-    """One axis of eq. (11)-(12): mean, three harmonics, gust."""
+    """Wind of eq. (11)-(12) along one axis: mean, three harmonics, gust."""
 
     mean: Number = quantity("m/s", "mean value (v0)", sound=_WIND)
     amplitudes: Triple = quantity("m/s", "amplitudes of the harmonics (A_k)", sound=_WIND)
@@ -70,10 +73,7 @@ class WindAxis(Part):
     )
     gust_amplitude: Number = quantity("m/s", "gust amplitude (v_gmax)", sound=_WIND)
     gust_period: Number = quantity(
-        "s",
-        "gust period (T_g)",
-        gt=0,
-        sound=Sound(1e-3, 1e6, "gusts last from seconds to minutes"),
+        "s", "gust period (T_g)", sound=positive(1e-3, 1e6, "gusts last from seconds to minutes")
     )
 
 
@@ -94,23 +94,20 @@ class WindProfile(Part):
         "m",
         "height for which the wind is given",
         USUAL_HEIGHT,
-        gt=0,
-        sound=Sound(0.5, 1e3, "winds are measured at 0.5 m to 1000 m"),
+        sound=positive(0.5, 1e3, "winds are measured at 0.5 m to 1000 m"),
     )
     exponent: Number | None = quantity(
         "1",
         "exponent of the power law: about 0.11 over water, 0.14 over open country, 0.3 over a town",
         None,
-        gt=0,
-        sound=Sound(1e-3, 1, "exponents range up to 0.4 over cities"),
+        sound=positive(1e-3, 1, "exponents range up to 0.4 over cities"),
     )
     roughness: Number | None = quantity(
         "m",
         "height at which the logarithmic law has no wind: 2e-4 over water, 0.03 over grass, "
         "1 over a town",
         None,
-        gt=0,
-        sound=Sound(1e-6, 10, "from 1e-5 m over ice to 4 m over a city of towers"),
+        sound=positive(1e-6, 10, "from 1e-5 m over ice to 4 m over a city of towers"),
     )
 
     @model_validator(mode="after")
@@ -130,18 +127,18 @@ class WindProfile(Part):
 
 
 class WindSeries(Part):
-    """A measured wind, read and validated from `wind.file`; a wind by height alone has no times."""
+    """Measured wind from `wind.file`, over time, height or both."""
 
     times: tuple[Number, ...] = quantity("s", "times from the start of the mission")
     wind_x: tuple[Number, ...] = quantity("m/s", "wind toward +x")
     wind_y: tuple[Number, ...] = quantity("m/s", "wind toward +y")
-    heights: tuple[Number, ...] = quantity(
-        "m", "heights of the wind values at each time, the same at all times", (), is_late=True
+    heights: tuple[Number, ...] = late_quantity(
+        "m", "heights of the wind values at each time, the same at all times", ()
     )
 
 
 class Intensity(StrEnum):
-    """Intensity of turbulence, MIL-F-8785C, section 3.7.3.4."""
+    """Intensity of turbulence by MIL-F-8785C, section 3.7.3.4."""
 
     LIGHT = "light"
     MODERATE = "moderate"
@@ -158,7 +155,7 @@ WIND_AT_6_M = {
 
 
 class Turbulence(Part):
-    """Turbulence of Dryden's form at low altitude, MIL-F-8785C; plans ignore it."""
+    """Dryden turbulence at low altitude, MIL-F-8785C."""
 
     intensity: Intensity | None = quantity(
         "", "light, moderate or severe: a wind at 6 m of 7.7, 15.4 or 23.2 m/s", None
@@ -167,8 +164,7 @@ class Turbulence(Part):
         "m/s",
         "wind at 6 m (20 ft) above the ground, in place of intensity",
         None,
-        ge=0,
-        sound=Sound(0, LARGEST_WIND, STRONGEST_GUST),
+        sound=not_negative(LARGEST_WIND, STRONGEST_GUST),
     )
     seed: WholeNumber = quantity("1", "seed of the turbulence's noise", 0, ge=0)
 
@@ -189,14 +185,14 @@ class Turbulence(Part):
 
 
 class Beyond(StrEnum):
-    """Wind outside the grid of a wind field, and in cells without wind."""
+    """Treatment of places outside a wind field and of cells without wind."""
 
     REFUSE = "refuse"
     HOLD = "hold"
 
 
 class WindGrid(Part):
-    """A wind on a rectilinear grid, read and validated from `wind.field`."""
+    """Wind on a rectilinear grid, from `wind.field`."""
 
     x: tuple[Number, ...] = quantity("m", "places along world x, rising")
     y: tuple[Number, ...] = quantity("m", "places along world y, rising")
@@ -213,7 +209,7 @@ class WindGrid(Part):
 
     @property
     def axes(self) -> tuple[tuple[float, ...], ...]:
-        """Grid points of each argument of the wind: x, y, then height and time if it has them."""
+        """Grid points of each argument of the wind: x, y and, if given, height and time."""
         return tuple(axis for axis in (self.x, self.y, self.z, self.times) if axis)
 
     @property
@@ -230,7 +226,7 @@ class WindGrid(Part):
         return b64encode(compress(components.astype("<f8").tobytes(), level=1)).decode("ascii")
 
     def is_known(self, places: "ArrayLike", times: "ArrayLike") -> "NDArray[bool_]":
-        """Return whether the grid point nearest to each of n places, at n wind times, has wind."""
+        """Return whether the grid points nearest to places, at given wind times, have a wind."""
         import numpy as np  # noqa: PLC0415  see `components`
 
         at, when = np.atleast_2d(places), np.broadcast_to(times, len(np.atleast_2d(places)))
@@ -250,12 +246,10 @@ _GRID_SLACK = 1e-6
 
 
 class Wind(Part):
-    """The wind in world axes."""
+    """Wind in world axes."""
 
     use: Text = quantity("", "name of the wind in the library, or a file of its own, NAME.toml")
-    title: Text = quantity(
-        "", "name for people", pattern=ONE_LINE, allowed="one line", max_length=200
-    )
+    title: Text = title_field("name for people")
     coupling: WindCoupling = quantity(
         "",
         "drag: drag on the airspeed, the default for a vehicle with drag; acceleration: eq. (9) as "
@@ -265,8 +259,7 @@ class Wind(Part):
         "1/s",
         "acceleration over wind velocity in eq. (9)",
         1.0,
-        ge=0,
-        sound=Sound(0, 1e3, "the wind takes longer than 1 ms to carry a vehicle along"),
+        sound=not_negative(1e3, "the wind takes longer than 1 ms to carry a vehicle along"),
     )
     frequency_unit: FrequencyUnit = quantity(
         "", "unit of the frequencies: rad/s (as eq. 11) or hz", FrequencyUnit.RADIAN_PER_SECOND
@@ -292,58 +285,50 @@ class Wind(Part):
         None,
     )
     series: WindSeries | None = quantity("", "the wind read from file", None)
-    field: Text | None = quantity(
+    field: Text | None = late_quantity(
         "",
         "file of a wind that varies from place to place, in place of eq. (11)-(12): NetCDF with CF "
         "names and units, or CSV or Parquet with the columns x_m,y_m, perhaps z_m and time_s, then "
         "wind_x_m_per_s,wind_y_m_per_s and perhaps wind_z_m_per_s",
         None,
-        is_late=True,
     )
-    field_scale: Number = quantity(
+    field_scale: Number = late_quantity(
         "1",
         "factor on the wind of the field",
         1.0,
         sound=Sound(-1e3, 1e3, "a factor of 1000 turns a breath of 0.1 m/s into a hurricane"),
-        is_late=True,
     )
-    beyond: Beyond = quantity(
+    beyond: Beyond = late_quantity(
         "",
         "behaviour outside the field and in cells without wind: refuse the plan, or hold the "
         "nearest wind",
         Beyond.REFUSE,
-        is_late=True,
     )
-    grid: WindGrid | None = quantity("", "the wind read from field", None, is_late=True)
+    grid: WindGrid | None = late_quantity("", "the wind read from field", None)
     x: WindAxis = quantity("", "wind toward +x")
     y: WindAxis = quantity("", "wind toward +y")
-    vertical: Number = quantity(
-        "m/s", "steady wind upwards, the same at every height", 0.0, sound=_WIND, is_late=True
+    vertical: Number = late_quantity(
+        "m/s", "steady wind upwards, the same at every height", 0.0, sound=_WIND
     )
-    profile: WindProfile | None = quantity(
-        "",
-        "law of the horizontal wind over height, constant when absent",
-        None,
-        is_late=True,
+    profile: WindProfile | None = late_quantity(
+        "", "law of the horizontal wind over height, constant when absent", None
     )
-    speed_deviation: Number = quantity(
+    speed_deviation: Number = late_quantity(
         "m/s",
         "standard deviation of the error of the forecast wind speed",
         0.0,
-        ge=0,
-        sound=Sound(0, LARGEST_WIND, STRONGEST_GUST),
-        is_late=True,
+        sound=not_negative(LARGEST_WIND, STRONGEST_GUST),
     )
-    direction_deviation: Number = quantity(
+    direction_deviation: Number = late_quantity(
         "rad",
         "standard deviation of the error of the forecast wind direction",
         0.0,
-        ge=0,
-        sound=Sound(0, 1.6, "an error of more than a quarter turn leaves the direction unknown"),
-        is_late=True,
+        sound=not_negative(
+            1.6, "an error of more than a quarter turn leaves the direction unknown"
+        ),
     )
-    turbulence: Turbulence | None = quantity(
-        "", "turbulence in flight, none when absent", None, is_late=True
+    turbulence: Turbulence | None = late_quantity(
+        "", "turbulence in flight, none when absent", None
     )
     forecast: Self | None = quantity(
         "", "wind assumed by the optimiser, the actual wind when absent", None
@@ -351,12 +336,12 @@ class Wind(Part):
 
     @property
     def is_formula(self) -> bool:
-        """Whether the wind is that of eq. (11)-(12), and not read from a file."""
+        """Whether the wind is the formula of eq. (11)-(12), not read from a file."""
         return self.series is None and self.grid is None
 
     @property
     def varies_with_place(self) -> bool:
-        """Whether the wind depends on where the vehicle flies."""
+        """Whether the wind depends on the place of the vehicle."""
         has_heights = bool(self.series and self.series.heights)
         return self.profile is not None or has_heights or self.grid is not None
 
@@ -379,7 +364,7 @@ class Wind(Part):
         return self
 
     def complaints(self, place: tuple[float, float, float]) -> Iterator[str]:
-        """Yield the reason why the wind field has no wind at a place at any time."""
+        """Yield a complaint if the wind field has no wind at a place."""
         if self.grid is None or self.beyond is Beyond.HOLD:
             return
         times = self.grid.times or (0.0,)
@@ -518,7 +503,7 @@ def with_coupling(
 
 
 def _is_any(number: object) -> bool:
-    """Return whether a number, or any number in a list, is not zero."""
+    """Return whether a number, or any number of a list, is nonzero."""
     return any(number) if isinstance(number, list | tuple) else bool(number)
 
 

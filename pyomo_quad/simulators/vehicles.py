@@ -1,4 +1,4 @@
-"""Vehicle files made of RotorPy's parameter sets.
+"""Vehicle files from RotorPy's parameter sets.
 
 RotorPy's rotors are placed diagonally, two ahead and two behind; declared rotors are on body x and
 y. The vehicle is therefore turned by 45 degrees: its first rotor is ahead, its fourth to the left.
@@ -6,7 +6,6 @@ If Ixx and Iyy differ, the turn creates a product of inertia, half their differe
 neglected.
 """
 
-import json
 from math import hypot
 from typing import Any, NamedTuple
 
@@ -14,6 +13,7 @@ from pyomo_quad.flight.outside_plant import rotorpy_module
 from pyomo_quad.report.folder import MARK
 from pyomo_quad.scenario import ScenarioError
 from pyomo_quad.scenario.messages import shown
+from pyomo_quad.scenario.toml_text import with_source
 
 #: Sets of RotorPy with four rotors in a cross, with the mass [kg] and the length [m] of a rotor.
 _ROTORS = {"hummingbird": (6e-3, 0.2), "crazyflie": (2e-4, 0.046)}
@@ -21,7 +21,7 @@ NAMES = tuple(_ROTORS)
 
 
 class Said(NamedTuple):
-    """Value and source of a field."""
+    """Value of a field with its source."""
 
     value: float | str | list[float]
     source: str
@@ -86,6 +86,6 @@ def vehicle_file(name: str) -> str:
         f'use = "{name}"',
     ]
     for path, (value, source) in vehicle_fields(name).items():
-        written = json.dumps(value if isinstance(value, str | list) else float(value))
-        lines += ["", f"[{path}]", f"value = {written}", f'source = "{source}"']
+        number = value if isinstance(value, str | list) else float(value)
+        lines += with_source(path, number, source)
     return "\n".join(lines) + "\n"

@@ -1,6 +1,5 @@
-"""Least energy against least charge: the same mission planned for each, on the plan's own mesh."""
+"""Least energy against least charge: solves of the same mission for each aim, on one mesh."""
 
-from enum import StrEnum
 from typing import TYPE_CHECKING
 
 from pyomo_quad.collocation import Progress
@@ -10,6 +9,7 @@ from pyomo_quad.model.battery import CHARGE_STATE
 from pyomo_quad.scenario import Attitude
 from pyomo_quad.scenario.mission import Aim
 from pyomo_quad.study.front import planned_alike
+from pyomo_quad.study.tables import TableColumn
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -21,7 +21,7 @@ DISAGREEMENT = 0.005
 _LONGEST_S = 10.0
 
 
-class AimColumn(StrEnum):
+class AimColumn(TableColumn):
     """Columns of `energy_and_charge`, in order."""
 
     AIM = "aim"
@@ -31,7 +31,7 @@ class AimColumn(StrEnum):
 
 
 def charge_drawn(plan: Plan) -> float:
-    """Return the charge that a plan draws from its pack [A h].
+    """Return the charge that a plan draws from its battery [A h].
 
     Raises
     ------
@@ -46,7 +46,7 @@ def charge_drawn(plan: Plan) -> float:
 def energy_and_charge(
     plan: Plan, *, planner: Planner, progress: Progress | None = None
 ) -> "pd.DataFrame":
-    """Return energy and charge of the plan, and of the plan for the other of the two aims.
+    """Return energy and charge of the plan and of a plan for the other aim.
 
     The other is solved from the plan on its mesh, without refinement, and flown like it; a search
     that takes long is given up.
@@ -57,35 +57,32 @@ def energy_and_charge(
         Columns of `AimColumn`, least energy first; empty if the plan is not verified, for the least
         time, of the paper's own equations or of a user's own model, and if the other fails.
     """
-    import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
-
-    columns = [column.value for column in AimColumn]
     scenario = plan.scenario
     is_of_paper = scenario.vehicle.attitude is Attitude.PAPER
     if not plan.is_verified or scenario.model is not None or is_of_paper:
-        return pd.DataFrame(columns=columns)
+        return AimColumn.of_rows(())
     if scenario.mission.aim not in _AIMS:
-        return pd.DataFrame(columns=columns)
+        return AimColumn.of_rows(())
     other = next(aim for aim in _AIMS if aim is not scenario.mission.aim)
     with Deadline(scenario, progress, longest_s=_LONGEST_S) as brief:
         found = planned_alike(plan, planner, brief, aim=other)
     if found.verification is None:
-        return pd.DataFrame(columns=columns)
+        return AimColumn.of_rows(())
     rows = [
         (one.scenario.mission.aim.value, one.energy, charge_drawn(one), one is plan)
         for one in sorted((plan, found), key=lambda one: _AIMS.index(one.scenario.mission.aim))
     ]
-    return pd.DataFrame(rows, columns=columns)
+    return AimColumn.of_rows(rows)
 
 
 def charge_beyond_least(aims: "pd.DataFrame") -> float:
-    """Return the share by which the plan of least energy draws more than the least charge."""
+    """Return the relative excess of charge of the plan of least energy."""
     of_energy, of_charge = aims[AimColumn.CHARGE]
     return float(of_energy / of_charge - 1.0)
 
 
 def disagreement(aims: "pd.DataFrame") -> tuple[str, ...]:
-    """Return one line if least energy and least charge are quite different flights, or nothing."""
+    """Return a warning if least energy and least charge differ much, or an empty text."""
     if aims.empty or charge_beyond_least(aims) <= DISAGREEMENT:
         return ()
     energy, least = aims[AimColumn.ENERGY]

@@ -1,4 +1,4 @@
-"""The mission as an autopilot flies it, at given settings and at settings tuned for least energy.
+"""Autopilot on straight legs: its flight at given settings, and settings tuned for least energy.
 
 An autopilot flies straight legs at one speed, with one limit on acceleration and one on jerk
 (`routes`).  A saving over it says little unless these three settings are good ones.  So Nelder and
@@ -8,7 +8,6 @@ mission.
 """
 
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from functools import partial
 from math import inf, log
 from typing import TYPE_CHECKING
@@ -38,6 +37,7 @@ from pyomo_quad.flight.weather import vehicle_flown
 from pyomo_quad.scenario import Reference, Scenario, ScenarioError
 from pyomo_quad.scenario.tables import CruiseSettings
 from pyomo_quad.study.comparison import has_arrived, is_comparable
+from pyomo_quad.study.tables import TableColumn
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -72,7 +72,7 @@ _CONFIRMED = 4
 
 @dataclass(frozen=True, kw_only=True)
 class TriedCruise:
-    """Settings that the search flew, and their flight to the limited accuracy of the search."""
+    """Settings that the tuning tried, with their flight at reduced accuracy."""
 
     settings: CruiseSettings
     duration_s: float
@@ -87,7 +87,7 @@ class TriedCruise:
 
 @dataclass(frozen=True, kw_only=True)
 class Tuning:
-    """The tuned flight, its settings as far as it uses them, and all settings tried, in order."""
+    """Result of the tuning: best flight, settings that it reaches, and all settings tried."""
 
     flight: Flight
     settings: CruiseSettings
@@ -97,7 +97,7 @@ class Tuning:
 def fly_cruise(
     scenario: Scenario, settings: CruiseSettings, plan: Plan | None, planner: Planner
 ) -> Flight:
-    """Fly the mission as an autopilot does, in the time that its settings take.
+    """Simulate the mission as an autopilot flies it with given settings.
 
     The flight waits at the goal until it has arrived, at most the last of `SETTLINGS_S`, and to the
     end of a mission of fixed duration.
@@ -112,7 +112,7 @@ def fly_cruise(
 def _longest(
     scenario: Scenario, settings: CruiseSettings, planner: Planner
 ) -> tuple[Scenario, Dynamics]:
-    """Return a cruise with the longest wait at the goal, and its vehicle."""
+    """Return the cruise with the longest wait at the goal, and its vehicle."""
     told = cruise_at(
         scenario.cruising(settings), settling_s=SETTLINGS_S[-1], least_s=_least(scenario)
     )
@@ -124,7 +124,7 @@ def _least(scenario: Scenario) -> float:
 
 
 def _end(scenario: Scenario, settings: CruiseSettings, flown: Flown, dynamics: Dynamics) -> float:
-    """Return the time at which a flight has arrived and the mission's time is over, s.
+    """Return the time of arrival, or the end of the mission's time if later [s].
 
     Without an arrival that is the end of the flight.
     """
@@ -145,7 +145,7 @@ def _end(scenario: Scenario, settings: CruiseSettings, flown: Flown, dynamics: D
 
 
 def tune_cruise(scenario: Scenario, plan: Plan | None, planner: Planner) -> Tuning:
-    """Tune speed, acceleration and jerk of an autopilot for least energy, and fly them.
+    """Tune speed, acceleration and jerk of an autopilot for least energy, and fly the result.
 
     Raises
     ------
@@ -169,7 +169,7 @@ def tune_cruise(scenario: Scenario, plan: Plan | None, planner: Planner) -> Tuni
 
 
 def _search(scenario: Scenario, plan: Plan | None, planner: Planner) -> tuple[TriedCruise, ...]:
-    """Return the settings that Nelder and Mead's method tries."""
+    """Return the settings tried by Nelder and Mead's method."""
     fly = partial(_tried, scenario, plan=plan, planner=planner)
     tried: list[TriedCruise] = []
     bounds = np.log(_RANGES)
@@ -246,35 +246,21 @@ def _tried(
     )
 
 
-class TuningColumn(StrEnum):
-    """Columns of the table of the settings that were tried, in order."""
+class TuningColumn(TableColumn):
+    """Columns of the table of tried settings, in order."""
 
-    SPEED = "speed_m_per_s"
-    ACCELERATION = "acceleration_m_per_s2"
-    JERK = "jerk_m_per_s3"
-    DURATION = "duration_s"
-    ENERGY = "energy_J"
-    ARRIVED = "arrived"
-    BROKEN_LIMITS = "broken_limits"
+    SPEED = "speed_m_per_s", lambda one: one.settings.speed
+    ACCELERATION = "acceleration_m_per_s2", lambda one: one.settings.acceleration
+    JERK = "jerk_m_per_s3", lambda one: one.settings.jerk
+    DURATION = "duration_s", lambda one: one.duration_s
+    ENERGY = "energy_J", lambda one: one.energy_J
+    ARRIVED = "arrived", lambda one: one.arrived
+    BROKEN_LIMITS = "broken_limits", lambda one: "; ".join(one.broken) or "none"
 
 
 def tuning_table(tuning: Tuning | None) -> "pd.DataFrame":
-    """Return the settings that were tried, one row each, in order; empty without a tuning.
+    """Return the tried settings as a table in order, empty without a tuning.
 
     Their energies are those of the search; `Tuning.flight` has the energy to full accuracy.
     """
-    import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
-
-    rows = [
-        {
-            TuningColumn.SPEED: one.settings.speed,
-            TuningColumn.ACCELERATION: one.settings.acceleration,
-            TuningColumn.JERK: one.settings.jerk,
-            TuningColumn.DURATION: one.duration_s,
-            TuningColumn.ENERGY: one.energy_J,
-            TuningColumn.ARRIVED: one.arrived,
-            TuningColumn.BROKEN_LIMITS: "; ".join(one.broken) or "none",
-        }
-        for one in (() if tuning is None else tuning.tried)
-    ]
-    return pd.DataFrame(rows, columns=[column.value for column in TuningColumn])
+    return TuningColumn.of_objects(() if tuning is None else tuning.tried)

@@ -5,13 +5,13 @@ and cheaper.  Where the least energy is convex in the duration, each price selec
 the slope of the front there is minus the price.
 """
 
-from enum import StrEnum
 from math import isclose, isfinite, nan
 from typing import TYPE_CHECKING
 
 from pyomo_quad.collocation import Progress
 from pyomo_quad.flight import Plan, Planner
 from pyomo_quad.scenario.mission import Aim
+from pyomo_quad.study.tables import TableColumn
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -22,7 +22,7 @@ _PRICES = (0.0, 0.3, 1.0, 3.0)
 _SAME_TIME = 1e-4
 
 
-class FrontColumn(StrEnum):
+class FrontColumn(TableColumn):
     """Columns of an energy-time front, in order."""
 
     PRICE = "price_of_time_W"
@@ -34,7 +34,7 @@ class FrontColumn(StrEnum):
 def energy_time_front(
     plan: Plan, *, planner: Planner, progress: Progress | None = None
 ) -> "pd.DataFrame":
-    """Return energy and duration of a mission's flights at a few prices of time.
+    """Return energy and duration of a free-duration mission at several prices of time.
 
     Each solve starts from the plan, and therefore passes zones on the same sides as the plan. It
     keeps the plan's mesh, which is accurate enough for energies; limits between its points are not
@@ -52,11 +52,8 @@ def energy_time_front(
         Columns of `FrontColumn`, the shortest flight first; empty if the plan is not verified or
         its duration is fixed.  The plan's price is NaN if its aim is the least time.
     """
-    import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
-
-    columns = [column.value for column in FrontColumn]
     if not plan.is_verified or not plan.scenario.mission.is_free:
-        return pd.DataFrame(columns=columns)
+        return FrontColumn.of_rows(())
     mission = plan.scenario.mission
     own = nan if mission.aim is Aim.TIME else mission.price_of_time
     aim = Aim.ENERGY if mission.aim is Aim.TIME else mission.aim
@@ -70,14 +67,13 @@ def energy_time_front(
         is_new = not any(isclose(found.duration_s, row[1], rel_tol=_SAME_TIME) for row in rows)
         if found.verification is not None and is_new:
             rows.append((price, found.duration_s, found.energy, False))
-    front = pd.DataFrame(rows, columns=columns)
-    return front.sort_values(FrontColumn.DURATION, ignore_index=True)
+    return FrontColumn.of_rows(rows).sort_values(FrontColumn.DURATION, ignore_index=True)
 
 
 def planned_alike(
     plan: Plan, planner: Planner, progress: Progress | None, **changed: object
 ) -> Plan:
-    """Return the plan of a mission with some fields changed, from a plan and on its mesh alone."""
+    """Solve a mission with some changed fields, warm-started from a plan and on its mesh."""
     once = {"solver": plan.scenario.solver.model_copy(update={"max_refinements": 0})}
     told = plan.scenario.with_mission(**changed).model_copy(update=once)
     return planner.solve(told, warm_start=plan, progress=progress)

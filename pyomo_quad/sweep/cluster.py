@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from pyomo_quad.sweep.case import worker_version
-from pyomo_quad.sweep.workers import WATCH_SECONDS, ClusterError, Crew, Workers
+from pyomo_quad.sweep.workers import WATCH_SECONDS, ClusterError, Workers
 from pyomo_quad.version import __version__
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ _DASK_LOGGERS = ("distributed", "tornado", "asyncio")
 
 @contextmanager
 def cluster_workers(address: str) -> Iterator[Workers]:
-    """Stay connected to a Dask cluster for the length of a block.
+    """Context that keeps a Dask cluster connected.
 
     Dask itself reassigns the cases of a lost worker, and gives a case up after several losses. If
     the scheduler is lost, only committed results remain.
@@ -42,12 +42,10 @@ def cluster_workers(address: str) -> Iterator[Workers]:
         _check_workers(client, address)
         threads = _Threads(client, address)
         workers = Workers(
-            Crew(
-                description=f"Dask cluster {address}",
-                start=lambda: client.get_executor(pure=False),
-                stop=lambda executor: executor.shutdown(wait=False),
-                count=threads.count,
-            )
+            description=f"Dask cluster {address}",
+            begin=lambda: client.get_executor(pure=False),
+            end=lambda executor: executor.shutdown(wait=False),
+            count=threads.count,
         )
         yield workers
         workers.stop()
@@ -56,7 +54,7 @@ def cluster_workers(address: str) -> Iterator[Workers]:
 
 
 def _silence_dask() -> None:
-    """Silence Dask's loggers, because this module reports a lost cluster in one line.
+    """Silence Dask's loggers, because this module reports a lost cluster itself.
 
     The loggers set their own levels when Dask is imported, and would write tracebacks.
     """
@@ -66,7 +64,7 @@ def _silence_dask() -> None:
 
 
 class _Threads:
-    """Number of threads of a cluster's workers, queried at most every `WATCH_SECONDS`."""
+    """Cached number of worker threads of a cluster."""
 
     def __init__(self, client: "Client", address: str) -> None:
         self._client = client

@@ -1,4 +1,4 @@
-"""Comparison of library vehicles with measured powers, and of data sheets with hover powers."""
+"""Comparison of library vehicles and data sheets with measured powers."""
 
 import tomllib
 from collections.abc import Mapping
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from pyomo_quad.flight import Planner
 from pyomo_quad.identification.columns import DENSITY, PAYLOAD, POWER
+from pyomo_quad.identification.motion import vehicle_scenario
 from pyomo_quad.identification.steady import (
     AIRSPEED,
     ENDURANCE,
@@ -20,7 +21,7 @@ from pyomo_quad.identification.steady import (
     filled_in,
     level_powers,
 )
-from pyomo_quad.scenario import Scenario, library_entry, library_names, scenario_from_mapping
+from pyomo_quad.scenario import PowerModel, Scenario, library_entry, library_names
 from pyomo_quad.vehicles.owner import Known, estimate_vehicle
 from pyomo_quad.vehicles.pack import pack_of
 from pyomo_quad.vehicles.propulsion import propeller_of
@@ -38,7 +39,7 @@ ALLOWED_PERCENT = 15.0
 
 @dataclass(frozen=True, kw_only=True)
 class Held:
-    """A library vehicle with measurements of its power.
+    """Library vehicle with measurements of its power.
 
     `points` has the columns of a table of steady points, and `computed` the power of each by the
     vehicle's own equations, W; `fitted` says whether the vehicle's numbers come from these points.
@@ -76,7 +77,7 @@ class Held:
 
 
 def held_vehicles(planner: Planner | None = None) -> tuple[Held, ...]:
-    """Return every vehicle of the library with its measurements."""
+    """Return all vehicles of the library with measurements."""
     planner = planner or Planner()
     return tuple(held_against(name, planner) for name in library_names("vehicles"))
 
@@ -85,16 +86,7 @@ def held_against(name: str, planner: Planner) -> Held:
     """Return a library vehicle with its measurements and computed powers."""
     entry = library_entry("vehicles", name)
     is_momentum = "vehicle.rotor_radius" in entry.sources
-    scenario = scenario_from_mapping(
-        {
-            "name": name,
-            "vehicle": {"use": name},
-            "wind": {"use": "calm", "coupling": "drag"},
-            "power": {"model": "momentum" if is_momentum else "motor"},
-            "mission": {"goal": {"position": [1.0, 0.0, 0.0]}, "duration": 10.0},
-        },
-        source=name,
-    )
+    scenario = vehicle_scenario(name, PowerModel.MOMENTUM if is_momentum else PowerModel.MOTOR)
     with _folder().joinpath(f"{name}.csv").open(encoding="utf-8") as stream:
         read = pd.read_csv(stream)
     points = filled_in(read, scenario).sort_values([PAYLOAD, AIRSPEED], ignore_index=True)
@@ -126,7 +118,7 @@ def _powers(scenario: Scenario, points: pd.DataFrame, planner: Planner) -> Float
 
 @cache
 def _sources() -> Mapping[str, str]:
-    """Return the origin of each table of measurements, from the list beside them."""
+    """Return the source of each table of measurements."""
     rows = _folder().joinpath("README.md").read_text(encoding="utf-8").splitlines()
     cells = [row.strip("| ").split(" | ") for row in rows if row.startswith("| `")]
     return {file.strip("`").removesuffix(".csv"): origin for file, _, origin, _ in cells}

@@ -1,4 +1,4 @@
-"""The report `vehicles`: a table of data sheets, and a page for each vehicle of the library."""
+"""Report of the vehicles: a table of data sheets, and a page per library vehicle."""
 
 from functools import partial
 from pathlib import Path
@@ -55,17 +55,13 @@ def write_vehicles(
             folder / f"{one.name}.md",
             "vehicles/page.md.j2",
             one=one,
-            rows=_table(one).to_dict("records"),
+            rows=point_table(one.points, one.computed).to_dict("records"),
             columns=(AIRSPEED, PAYLOAD, POWER, COMPUTED, ERROR),
             drawings=[shown[one.name]] if one.name in shown else [],
             sources=library_entry("vehicles", one.name).sources,
             version=__version__,
         )
     return sheets
-
-
-def _table(held: Held) -> pd.DataFrame:
-    return point_table(held.points, held.computed)
 
 
 def _drawing(held: Held, planner: Planner) -> Drawing:

@@ -13,6 +13,7 @@ from pyomo.core.expr.compare import compare_expressions
 from pyomo.dae import DerivativeVar
 
 from pyomo_quad.collocation.errors import TranscriptionError, raised
+from pyomo_quad.collocation.reading.clock import index_tuple
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -35,15 +36,25 @@ def transfer_rules(model: Any, copy: Any) -> None:
     translator = _Translator(model, copy)
     for component in copy.component_objects(descend_into=True):
         for name in _RULES:
-            rule = getattr(component, name, None)
-            while hasattr(rule, _INNER):
-                rule = getattr(rule, _INNER)
+            rule = _innermost(getattr(component, name, None))
             if hasattr(rule, _FUNCTION):
                 setattr(rule, _FUNCTION, translator.translate(getattr(rule, _FUNCTION)))
         if isinstance(component, DerivativeVar):
             # The equation with which a discretisation in space replaced the derivative.
             formula = translator.translate(component.get_derivative_expression())
             component.set_derivative_expression(formula)
+
+
+def _innermost(rule: Any) -> Any:
+    """Return the initializer that others wrap."""
+    while hasattr(rule, _INNER):
+        rule = getattr(rule, _INNER)
+    return rule
+
+
+def function_of(component: Any) -> Any:
+    """Return the function that states a component's members, which takes a block and an index."""
+    return getattr(_innermost(component._rule), _FUNCTION)  # noqa: SLF001
 
 
 def rule_of(component: Any) -> Any:
@@ -80,7 +91,7 @@ def refuse_lost_members(copy: Any, template_time: float) -> None:
     """
     for component, rule in _with_rules(copy):
         for index in component.index_set():
-            if template_time not in _flat(index) or index in component:
+            if template_time not in index_tuple(index) or index in component:
                 continue
             try:
                 rule(component.parent_block(), index)
@@ -127,10 +138,6 @@ def _with_rules(copy: Any) -> Iterator[tuple[Any, Any]]:
     for component in copy.component_objects((Constraint, Expression), descend_into=True):
         if component.is_indexed() and rule_of(component) is not None:
             yield component, rule_of(component)
-
-
-def _flat(index: Any) -> tuple[Any, ...]:
-    return index if isinstance(index, tuple) else (index,)
 
 
 class _Translator:
