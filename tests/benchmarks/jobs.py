@@ -205,8 +205,10 @@ def table(commits, runs, jobs=JOBS):
             ends += [
                 f"{r.ended}" + (f", {r.energy_J:.2f} J" if r.energy_J else "") for r in done[:1]
             ]
-        is_met = cells[-1] != "-" and float(cells[-1]) <= job.wanted
-        rows.append([name, *cells, job.wanted, "yes" if is_met else "no", "; ".join(ends)])
+        is_met = "-"
+        if cells[-1] != "-":
+            is_met = "yes" if float(cells[-1]) <= job.wanted else "no"
+        rows.append([name, *cells, job.wanted, is_met, "; ".join(ends)])
     header = ["job", *(f"{commit} s" for commit in commits), "wanted s", "reached"]
     return Table(name="jobs", title="Jobs", header=[*header, "ended"], rows=rows)
 
