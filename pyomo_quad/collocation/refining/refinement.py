@@ -173,11 +173,17 @@ class _Refinement(Generic[S]):
         return self._shown(solution), errors, solved.status.has_failed
 
     def _restarted(self, met: S) -> S | None:
-        """Return a solution within tolerance, None after a restart from better controls."""
-        left = MOST_RESTARTS - self.restarts
-        ended, better = _ended_or_better(met, self.reached, left, self.tolerance)
-        if better is None:
-            return ended
+        """Return a solution within tolerance, None after a restart from better controls.
+
+        A restart with a gain below the tolerance is the last: the Hamiltonian of a singular control
+        is so flat that rounding alone would produce lower values again and again.
+        """
+        if self.reached is not None and self.reached.gain(met) <= self.tolerance:
+            return self.reached.better(met)
+        parts = met.parts
+        better = improved_controls(parts[0], self.tolerance) if len(parts) == 1 else None
+        if better is None or self.restarts == MOST_RESTARTS:
+            return met if better is None else _doubted(met)
         self.reached = _Reached(met, earned=0.0 if self.reached is None else self.reached.gain(met))
         self.restarts += 1
         self.tried.append(RESTART)
@@ -435,22 +441,6 @@ def _cut_off(reached: _Reached[S]) -> S:
     return _doubted(reached.solution.updated(error_estimate=max(own, reached.earned)))
 
 
-def _ended_or_better(
-    met: S, reached: _Reached[S] | None, restarts: int, tolerance: float
-) -> tuple[S, Solution | None]:
-    """Return the final result, or better controls for a restart of a solution within tolerance.
-
-    A restart with a gain below the tolerance is the last: the Hamiltonian of a singular control is
-    so flat that rounding alone would produce lower values again and again.
-    """
-    if reached is not None and reached.gain(met) <= tolerance:
-        return reached.better(met), None
-    better = _improved(met, tolerance)
-    if better is not None and restarts == 0:
-        return _doubted(met), None
-    return met, better
-
-
 def _doubted(solution: S) -> S:
     """Return a solution with a warning that only small changes were tested."""
     return solution.updated(
@@ -460,12 +450,6 @@ def _doubted(solution: S) -> S:
             "optimum was found from it; begin from another guess, or try `starts=6`."
         ),
     )
-
-
-def _improved(solution: Outcome, tolerance: float) -> Solution | None:
-    """Return better controls for a restart, None without any or with several horizons."""
-    parts = solution.parts
-    return improved_controls(parts[0], tolerance) if len(parts) == 1 else None
 
 
 def _meshes(solution: Outcome) -> tuple[Mesh, ...]:
