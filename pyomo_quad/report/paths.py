@@ -166,13 +166,13 @@ def _draw_mean_wind(axes: Axes, flight: StyledFlight) -> None:
 
 def _draw_wind_field(axes: Axes, grid: WindGrid, scale: float) -> None:
     """Draw a wind field as arrows at grid points, or every few, with a key of their length."""
-    thinned = tuple(slice(None, None, 1 + len(axis) // _MOST_ARROWS) for axis in (grid.x, grid.y))
+    every_x, every_y = (1 + len(axis) // _MOST_ARROWS for axis in (grid.x, grid.y))
     components = grid.components[:2].reshape(2, len(grid.x), len(grid.y), -1)
-    wind = scale * components[(slice(None), *thinned, 0)]
+    wind = scale * components[:, ::every_x, ::every_y, 0]
     speed = float(np.nanmax(np.hypot(*wind)))
     if speed < _CALM:
         return
-    places = np.meshgrid(np.array(grid.x)[thinned[0]], np.array(grid.y)[thinned[1]], indexing="ij")
+    places = np.meshgrid(grid.x[::every_x], grid.y[::every_y], indexing="ij")
     arrows = axes.quiver(
         *places, *wind, color=WIND_COLOR, width=1.5e-3, alpha=0.6, zorder=0.5, pivot="mid"
     )
