@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.limits import LimitValues, Violation
-from pyomo_quad.collocation.program.compiled import MappedFunction
+from pyomo_quad.collocation.program.compiled import MappedFunction, stacked
 from pyomo_quad.collocation.reading.schedules import BESIDE, Steps
 from pyomo_quad.collocation.reading.writer import symbol_names
 
@@ -112,9 +112,9 @@ class Dynamics:
                 "algebraic variables; a simulation needs as many equations as unknowns."
             )
         inputs = [
-            _column([s.symbol for s in states]),
-            _column([s.symbol for s in self.controls]),
-            _column([s.symbol for s in declared.statics]),
+            stacked([s.symbol for s in states]),
+            stacked([s.symbol for s in self.controls]),
+            stacked([s.symbol for s in declared.statics]),
             casadi.vertcat(*declared.path_data),
         ]
         rest = casadi.vertcat(_objective_density(self._formulation), declared.clock.span)
@@ -214,8 +214,8 @@ class Dynamics:
         declared, evaluator = self._formulation.compiled.declared, self._formulation.evaluator
         columns = [
             casadi.SX.zeros(evaluator.inputs[0].shape[0]),
-            _column([casadi.SX(values.get(name, 0.0)) for name in self.state_names]),
-            _column([casadi.SX(values.get(s.name, 0.0)) for s in declared.algebraics]),
+            stacked([casadi.SX(values.get(name, 0.0)) for name in self.state_names]),
+            stacked([casadi.SX(values.get(s.name, 0.0)) for s in declared.algebraics]),
             casadi.SX(casadi.DM(self._statics)),
             casadi.SX(casadi.DM(np.concatenate([self.moment(t), self._instance.parameters]))),
         ]
@@ -284,10 +284,6 @@ class Dynamics:
         for name, column in numbers.items():
             changed[:, data.shape[1] - len(names) + names.index(name)] = column
         return changed
-
-    def _inputs(self, t: FloatArray, states: FloatArray, controls: FloatArray) -> list[FloatArray]:
-        """Return the inputs of an `Evaluator` for n times at once."""
-        return self.solved(t, states, controls).inputs
 
     def _algebraics(self, determined: FloatArray, controls: FloatArray) -> FloatArray:
         """Return all algebraic variables in their declared order."""
@@ -422,10 +418,6 @@ class Dynamics:
             for k, limit in enumerate(compiled.limits)
         ]
         return limits
-
-
-def _column(symbols: list[Any]) -> Any:
-    return casadi.vertcat(casadi.SX(0, 1), *symbols)
 
 
 def split_algebraics(formulation: Formulation) -> tuple[tuple[Slot, ...], tuple[Slot, ...]]:
@@ -666,7 +658,7 @@ def written_law(dynamics: Dynamics, law: Law, sizes: tuple[int, int, int]) -> An
             f"control law: returns {found[0]} controls and {found[1]} rates of its own states; "
             f"the vehicle has {expected[0]} controls, and the law {expected[1]} states."
         )
-    columns = [casadi.vertcat(casadi.SX(0, 1), *map(_expression, result)) for result in results]
+    columns = [stacked(map(_expression, result)) for result in results]
     return casadi.Function("law", [joint, command], columns)
 
 

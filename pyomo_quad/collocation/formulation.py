@@ -22,8 +22,10 @@ from pyomo_quad.collocation.program.compiled import (
     CompiledModel,
     MappedFunction,
     compile_declarations,
+    stacked,
 )
 from pyomo_quad.collocation.program.transcription import Data, Transcription
+from pyomo_quad.collocation.reading.clock import index_tuple
 from pyomo_quad.collocation.reading.model import read_declarations
 from pyomo_quad.collocation.reading.model_source import LiveModel, declared_magnitudes
 from pyomo_quad.collocation.reading.schedules import BESIDE
@@ -40,13 +42,6 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.reading.model_source import ModelSnapshot
     from pyomo_quad.collocation.reading.symbols import Declarations
     from pyomo_quad.collocation.reading.writer import TemplateWriter
-
-
-def index_tuple(index: Any) -> tuple[Any, ...]:
-    """Return the index of a component, without time, as a tuple."""
-    if index is None:
-        return ()
-    return index if isinstance(index, tuple) else (index,)
 
 
 class WrittenComponents:
@@ -94,10 +89,10 @@ class Evaluator:
         d = compiled.declared
         states = (*d.states, *d.outputs)
         inputs = (
-            _value_column([s.rate for s in states]),
-            _value_column([s.symbol for s in states]),
-            _value_column([s.symbol for s in d.algebraics]),
-            _value_column([s.symbol for s in d.statics]),
+            stacked([s.rate for s in states]),
+            stacked([s.symbol for s in states]),
+            stacked([s.symbol for s in d.algebraics]),
+            stacked([s.symbol for s in d.statics]),
             casadi.vertcat(*d.path_data),
         )
         return cls(inputs, writer)
@@ -180,10 +175,6 @@ def _unpacked(kept: Packed) -> Evaluator:
     return Evaluator(inputs, WrittenComponents(written))
 
 
-def _value_column(symbols: list[Any]) -> Any:
-    return casadi.vertcat(casadi.SX(0, 1), *symbols)
-
-
 _NEWTON_STEPS = 50
 _NEWTON_TOLERANCE = 1e-13
 
@@ -195,9 +186,9 @@ class OutputStates:
         declared = compiled.declared
         path_variables, path_data = compiled.symbols
         self._slots = declared.outputs
-        rates = casadi.vertcat(casadi.SX(0, 1), *[s.rate for s in self._slots])
-        states = casadi.vertcat(casadi.SX(0, 1), *[s.symbol for s in self._slots])
-        rows = casadi.vertcat(casadi.SX(0, 1), *[e.expression for e in declared.output_equations])
+        rates = stacked([s.rate for s in self._slots])
+        states = stacked([s.symbol for s in self._slots])
+        rows = stacked([e.expression for e in declared.output_equations])
         inputs = [rates, states, path_variables, path_data]
         self._residual = casadi.Function(
             "outputs",
@@ -216,7 +207,7 @@ class OutputStates:
     @staticmethod
     def _start_function(declared: Declarations) -> Any:
         """Return a function of the parameters: the start value of each output, or NaN."""
-        parameters = casadi.vertcat(casadi.SX(0, 1), *[s.symbol for s in declared.parameters])
+        parameters = stacked([s.symbol for s in declared.parameters])
         values = []
         for slot in declared.outputs:
             found = casadi.SX(np.nan)
@@ -227,9 +218,7 @@ class OutputStates:
                         offset = casadi.substitute(condition.expression, symbol, casadi.SX(0))
                         found = (condition.lower - offset) / slope
             values.append(found)
-        return casadi.Function(
-            "output_starts", [parameters], [casadi.vertcat(casadi.SX(0, 1), *values)]
-        )
+        return casadi.Function("output_starts", [parameters], [stacked(values)])
 
     def start(self, parameters: FloatArray, fixed: dict[tuple[str, float], float]) -> FloatArray:
         """Return the values at the start of the horizon, shape (n_outputs,)."""
@@ -404,26 +393,16 @@ class Formulation:
 
         Infinite where there is no limit, or where the limit varies with time.
         """
-        at_each = [self._limits_at(instance, fraction) for fraction in _LOOKED_AT]
-        lower, upper = (np.array(side) for side in zip(*at_each, strict=True))
-        return (
-            np.where(np.all(lower == lower[0], axis=0), lower[0], -np.inf),
-            np.where(np.all(upper == upper[0], axis=0), upper[0], np.inf),
-        )
+        compiled, first = self.compiled, len(self.compiled.declared.states)
+        data = self.data_of(instance, np.array(_LOOKED_AT)).at_points()
+        lower, upper = MappedFunction(compiled.limits_over_time, len(data))(data)
 
-    def _limits_at(self, instance: Instance, fraction: float) -> tuple[FloatArray, FloatArray]:
-        compiled = self.compiled
-        data = self.data_of(instance, np.array([fraction])).at_points()[0]
-        limits = (np.array(side).ravel() for side in compiled.limits_over_time(data))
-        count = len(compiled.declared.states) + len(compiled.declared.algebraics)
-        lower, upper = np.full(count, -np.inf), np.full(count, np.inf)
-        for both, side, tightest in zip(
-            (lower, upper), limits, (np.maximum, np.minimum), strict=True
-        ):
-            tightest.at(both, compiled.limited, side)
-        first = len(compiled.declared.states)
-        lower, upper = lower[first:], upper[first:]
-        return lower, upper
+        def constant(side: FloatArray, tightest: np.ufunc, none: float) -> FloatArray:
+            limits = np.full((first + len(compiled.declared.algebraics), len(data)), none)
+            tightest.at(limits, compiled.limited, side.T)
+            return np.where(np.all(limits[:, 0] == limits.T, axis=0), limits[:, 0], none)[first:]
+
+        return constant(lower, np.maximum, -np.inf), constant(upper, np.minimum, np.inf)
 
 
 def _compiled(

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.mesh import FloatArray
     from pyomo_quad.collocation.program.nonlinear import Bounds
     from pyomo_quad.collocation.program.transcription import Transcription
-    from pyomo_quad.collocation.reading.symbols import Slot
+    from pyomo_quad.collocation.reading.symbols import Declarations, Slot
     from pyomo_quad.collocation.reading.values import ModelValues
 
 TIME_COLUMN = "time"
@@ -303,10 +303,13 @@ def _inside(number: float, bounds: Bounds, column: int) -> float:
     return float(lower if np.isfinite(lower) else upper)
 
 
+def known_names(declared: Declarations) -> set[str]:
+    """Return the names that a guess may hold."""
+    return {TIME_COLUMN, *(slot.name for slot in (*declared.varying, *declared.statics))}
+
+
 def _refuse_unknown_names(program: Transcription, guess: Mapping[str, Any] | pd.DataFrame) -> None:
-    declared = program.compiled.declared
-    slots = (*declared.states, *declared.outputs, *declared.algebraics, *declared.statics)
-    known = {TIME_COLUMN, *(slot.name for slot in slots)}
+    known = known_names(program.compiled.declared)
     for name in guess:
         if name not in known:
             raise TranscriptionError(

@@ -12,7 +12,7 @@ import numpy as np
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.first_solve import FirstSolve
 from pyomo_quad.collocation.formulation import Formulation
-from pyomo_quad.collocation.guess import TIME_COLUMN, first_point
+from pyomo_quad.collocation.guess import first_point, known_names
 from pyomo_quad.collocation.mesh import Mesh, Summarised
 from pyomo_quad.collocation.problem import Problem, load_values
 from pyomo_quad.collocation.program.bounds import (
@@ -291,7 +291,7 @@ class JointProblem(Summarised):
             If a name is neither a horizon nor a variable.
         """
         guess = {} if guess is None else guess
-        known = [_slot_names(part) for part in self._parts]
+        known = [known_names(part.compiled.declared) for part in self._parts]
         for name in guess:
             if name not in self.horizons and not any(name in names for names in known):
                 raise TranscriptionError(
@@ -468,12 +468,6 @@ class JointProblem(Summarised):
     def load(self, solution: JointSolution) -> None:
         """Put a solution's values into the Pyomo model, at the times it declares."""
         load_values(*solution.horizons.values(), solution.coupling)
-
-
-def _slot_names(part: Formulation) -> set[str]:
-    declared = part.compiled.declared
-    slots = (*declared.states, *declared.outputs, *declared.algebraics, *declared.statics)
-    return {TIME_COLUMN, *(slot.name for slot in slots)}
 
 
 def compiled_of(model: Any, final_time: Any = None, times: FreeTimes | None = None) -> Any:

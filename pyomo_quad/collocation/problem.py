@@ -333,7 +333,7 @@ class Problem(Summarised, Formulation):
             options = options.for_a_change(change * scaling.objective, kept.sides)
         if damping is not None and damping.gap and start.warm is not None:
             parameter = damping.gap * scaling.objective / kept.sides
-            options = options.on_the_path(parameter, is_near=damping.is_still)
+            options = options.on_the_path(parameter, damping.way)
         solve = partial(run_past_the_barrier, size=program.objective_size) if to_the_gap else run
         result = solve(
             changed, kept, scales, z, options=options, multipliers=multipliers, progress=progress
@@ -461,9 +461,8 @@ def load_values(*solutions: Solution) -> None:
             values.load(slot, None, float(number))
         for fraction in values.declared_fractions():
             time = float(solution.timeline.time(np.float64(fraction)))
-            slots = (*declared.states, *declared.outputs, *declared.algebraics)
             _, *row = solution.to_frame([time]).iloc[0]
-            for slot, number in zip(slots, row, strict=True):
+            for slot, number in zip(declared.varying, row, strict=True):
                 values.load(slot, fraction, float(number))
             values.load_rates(fraction, partial(solution.value, t=time))
         totals = solution.program.integrals(solution.unknowns).tolist()

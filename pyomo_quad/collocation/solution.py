@@ -13,7 +13,6 @@ import numpy as np
 from pyomo_quad.collocation.costates import Costates, costate_errors_of, costates_of
 from pyomo_quad.collocation.dynamics import Dynamics
 from pyomo_quad.collocation.errors import TranscriptionError
-from pyomo_quad.collocation.formulation import index_tuple
 from pyomo_quad.collocation.guess import TIME_COLUMN
 from pyomo_quad.collocation.mesh import (
     FloatArray,
@@ -26,6 +25,7 @@ from pyomo_quad.collocation.mesh import (
     radau_rule,
 )
 from pyomo_quad.collocation.program.ipopt import IpoptResult, Iteration, Status
+from pyomo_quad.collocation.reading.clock import index_tuple
 from pyomo_quad.collocation.reading.writer import symbol_names
 from pyomo_quad.collocation.starts import ColdStart, WarmStart, warm_start_of
 
@@ -452,6 +452,13 @@ class Solution(Outcome):
         """Constant lower and upper bounds of the algebraic variables."""
         return self.problem.algebraic_limits(self.instance)
 
+    @property
+    def algebraic_ranges(self) -> FloatArray:
+        """Width between the limits of each algebraic variable, or that of its values."""
+        lower, upper = self.algebraic_limits
+        own = np.ptp(self.trajectory.algebraics, axis=0)
+        return np.where(np.isfinite(upper - lower), upper - lower, own)
+
     def to_frame(self, times: Any = None) -> pd.DataFrame:
         """Return states, outputs and algebraic variables as columns over the nodes' times.
 
@@ -462,8 +469,7 @@ class Solution(Outcome):
 
         at = self.times if times is None else np.atleast_1d(np.asarray(times, dtype=float))
         _, states, algebraics, _, _ = self._inputs(self.fractions(at))
-        declared = self.problem.compiled.declared
-        slots = (*declared.states, *declared.outputs, *declared.algebraics)
+        slots = self.problem.compiled.declared.varying
         names = [f"{s.name} (variable)" if s.name == TIME_COLUMN else s.name for s in slots]
         columns = np.hstack([states, algebraics])
         frame = pd.DataFrame(columns, columns=names)

@@ -11,9 +11,9 @@ docs/theory/soft_limits.md, eqs. (1) and (2).
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
-from math import ceil
+from math import ceil, floor, log
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +59,8 @@ _HORIZONTAL = "xy"
 _ELEMENT_S, _FEWEST, _MOST, _DEGREE = 1.25, 8, 24, 4
 # s. Shortest and longest elements of a re-plan's mesh, and the ratio of neighbours.
 _SHORT_S, _LONG_S, _GROWTH = 0.3, 2.0, 1.35
+# Share of the time left until which a mesh is kept.
+_KEPT = 0.8
 # Samples of a plan from which another is begun.
 _GUESSED = 200
 # By how much and how often the price of a breach rises where a breach above the last number, in
@@ -130,11 +132,20 @@ class Remainder:
             times=np.array([t, *self.passages, self.end]),
         )
 
-    def mesh(self, now: Timeline) -> Mesh:
-        """Return a mesh with short elements near the present, passages and the end."""
-        between = [t for start, stop in pairwise(now.times.tolist()) for t in _graded(start, stop)]
-        inner = now.fraction(np.array([*between, *now.times[1:-1]]))
-        return Mesh.uniform(1, _DEGREE).with_breakpoints(inner.tolist())
+    def mesh(self, t: float) -> Mesh:
+        """Return a mesh with short elements beside now, passages and the end, and long between.
+
+        It shrinks with the time that is left, until a fifth is gone: a solve on a known mesh need
+        not find the structure of its equations.
+        """
+        first = self.passages[0] if self.passages else self.end
+        whole = first - self.begin
+        shrunk = floor(log((first - t) / whole) / log(_KEPT)) if t > self.begin else 0
+        then = self.timeline(first - whole * _KEPT**shrunk)
+        pairs = pairwise(then.times.tolist())
+        between = [inner for start, stop in pairs for inner in _graded(start, stop)]
+        fractions = then.fraction(np.array([*between, *then.times[1:-1]]))
+        return Mesh.uniform(1, _DEGREE).with_breakpoints(fractions.tolist())
 
     def guess(self, t: float, known: Trajectories) -> dict[str, FloatArray]:
         """Return samples of the rest of a known plan, as an initial guess."""
@@ -291,8 +302,12 @@ class Replanner:
             for name in (self.dynamics.state_names[k] for k in rotor_columns(self.dynamics))
         }
         now = rest.timeline(t)
-        mesh = rest.mesh(now)
-        warm = None if last is None else last.warm_start.continued(mesh, last.timeline, now)
+        mesh = rest.mesh(t)
+        warm = None
+        if last is not None:
+            # Without the iterations of a cold start, after which it would be begun anew.
+            warm = replace(last.warm_start, cold_start=None)
+            warm = warm.continued(mesh, last.timeline, now)
         solution = rest.problem.solve(
             mesh=mesh,
             parameters=self._with(belief, rest) | measured_start(held),

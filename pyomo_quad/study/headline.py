@@ -112,14 +112,15 @@ class Headline:
 
     @property
     def _price(self) -> str:
-        if self.risk is None:
+        risk = self.risk
+        if risk is None:
             return ""
-        joules, percent = self.risk.price(self.energy_J)
+        joules, percent = risk.price(self.energy_J)
         cost = f"{joules:.3g} J ({percent:.2g} %)"
-        risk = f"{100.0 * self.risk.asked:g} %"
-        if not self.risk.is_had:
-            return f"A risk of {risk} was not reached; the margins cost {cost}."
-        return f"Margins that keep the risk of a broken limit at or below {risk} cost {cost}."
+        asked = f"{100.0 * risk.asked:g} %"
+        if not risk.is_had:
+            return f"A risk of {asked} was not reached; the margins cost {cost}."
+        return f"Margins that keep the risk of a broken limit at or below {asked} cost {cost}."
 
 
 def cruise_words(settings: "CruiseSettings") -> str:

@@ -11,7 +11,7 @@ from pyomo_quad.scenario import ScenarioError
 from pyomo_quad.scenario.vehicle import RPM
 from pyomo_quad.scenario.wind import SEA_LEVEL_DENSITY
 from pyomo_quad.vehicles.estimate import Estimate, Kind, computed, estimated, given
-from pyomo_quad.vehicles.inertia import MOTOR_SHARE, MassModel
+from pyomo_quad.vehicles.inertia import MassModel
 from pyomo_quad.vehicles.pack import Pack, usual_pack
 from pyomo_quad.vehicles.propulsion import INDUCED, Propeller, RotorHover
 
@@ -92,9 +92,9 @@ def estimate_vehicle(known: Known) -> EstimatedVehicle:
     thrust = known.mass * GRAVITY / known.rotors
     hover = known.propeller.hover(thrust, known.density)
     arm = _arm(known)
-    constants = _motor(known, pack, hover)
-    powers, alone = _powers(known, hover)
     model = MassModel(mass=known.mass, pack_mass=pack.mass, arm=arm.value, rotors=known.rotors)
+    constants = _motor(known, pack, hover, model)
+    powers, alone = _powers(known, hover)
     fields = {
         "mass": given(known.mass, "--mass, with its pack"),
         "arm_length": arm,
@@ -164,7 +164,7 @@ def _rotor(known: Known, hover: RotorHover, model: MassModel) -> dict[str, Estim
     }
 
 
-def _motor(known: Known, pack: Pack, hover: RotorHover) -> dict[str, Estimate]:
+def _motor(known: Known, pack: Pack, hover: RotorHover, model: MassModel) -> dict[str, Estimate]:
     if known.voltage_constant is not None:
         speed_constant = given(known.voltage_constant, "--kv, rpm/V times 2 pi/60")
     else:
@@ -176,7 +176,7 @@ def _motor(known: Known, pack: Pack, hover: RotorHover) -> dict[str, Estimate]:
             1.6,
         )
     torque_constant = 1 / speed_constant.value
-    weight = MOTOR_SHARE * max(known.mass - pack.mass, 0.5 * known.mass) / known.rotors
+    weight = model.motor
     resistance = torque_constant**2 / (_MOTOR_CONSTANT * weight**_MOTOR_EXPONENT)
     return {
         "voltage_constant": speed_constant,

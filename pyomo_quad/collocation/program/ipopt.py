@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import cyipopt
@@ -56,6 +56,8 @@ _RELAXED = 1e-10
 _NEAR, _INSIDE, _WELL_INSIDE = 1e-9, 1e-6, 1e-4
 # Least initial barrier parameter, and least multipliers, of a warm start where limits move.
 _BEGUN = 1e-8
+# Initial barrier parameter, and distance inside the bounds, of a warm start far from its optimum.
+_BEGUN_FAR, _FAR_INSIDE = 1e-5, 1e-4
 # Change of the scaled objective above which a warm start begins well inside its bounds.
 _LARGE_CHANGE = 1e-6
 # Barrier parameter, in units of Ipopt's tolerance, above which no solve ends.
@@ -69,6 +71,14 @@ _PUSHES = (
     "warm_start_slack_bound_frac",
     "warm_start_mult_bound_push",
 )
+
+
+class Way(Enum):
+    """Way from a warm start to the point of the central path that is sought."""
+
+    NONE = "none"
+    SHORT = "short"
+    FAR = "far"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,17 +114,23 @@ class SolverOptions:
         relaxed = (("bound_relax_factor", _RELAXED), ("honor_original_bounds", "yes"))
         return replace(self, extra=(*relaxed, *self.extra))
 
-    def on_the_path(self, parameter: float, *, is_near: bool) -> SolverOptions:
+    def on_the_path(self, parameter: float, way: Way) -> SolverOptions:
         """Return the settings for a warm start that converges to a point of the central path.
 
         Among the many points of nearly equal cost, a barrier parameter selects one that moves
         little from mesh to mesh, whereas the controls of the optimum jump between equivalent
-        places. A near start stays on its bounds.
+        places. A start next to that point stays on its bounds. A start far from it begins well
+        inside its bounds with a larger parameter: from its bounds, with the parameter aimed at, the
+        limits that become active or inactive one after another block nearly every step.
         """
-        begun = parameter if is_near else max(parameter, dict(self.extra).get("mu_init", _BEGUN))
-        pushes = tuple((name, _NEAR) for name in _PUSHES) if is_near else ()
-        target = ("mu_target", parameter)
-        return replace(self, extra=(target, *self.extra, ("mu_init", begun), *pushes))
+        begun, pushes = dict(self.extra).get("mu_init", _BEGUN), dict[str, float]()
+        if way is Way.NONE:
+            begun, pushes = 0.0, dict.fromkeys(_PUSHES, _NEAR)
+        elif way is Way.FAR:
+            begun, pushes = _BEGUN_FAR, dict.fromkeys(_PUSHES, _FAR_INSIDE)
+            pushes["warm_start_mult_bound_push"] = _BEGUN_FAR
+        chosen = ("mu_init", max(parameter, begun)), *pushes.items()
+        return replace(self, extra=(("mu_target", parameter), *self.extra, *chosen))
 
     def for_a_change(self, change: float, sides: int) -> SolverOptions:
         """Return the settings for a warm start whose objective is to change by a given amount.
@@ -504,16 +520,10 @@ def run_past_the_barrier(
     size : callable
         Returns the size of the objective's parts at a point.
     """
-    result = run(
-        program,
-        bounds,
-        scaling,
-        start,
-        options=options,
-        multipliers=multipliers,
-        progress=progress,
-    )
+    solve = partial(run, program, bounds, progress=progress)
+    result = solve(scaling, start, options=options, multipliers=multipliers)
     share = _GAP_SHARE * (options.tolerance or _TOLERANCE)
+    fewer = options.at_most(_PATIENCE)
     factor = scaling.objective
     for _ in range(_SHARPENINGS):
         if not result.is_converged:
@@ -524,15 +534,8 @@ def run_past_the_barrier(
         if excess <= 1.0:
             break
         factor *= min(_AIMED * excess, _LARGEST_STEP)
-        sharper = run(
-            program,
-            bounds,
-            replace(scaling, objective=factor),
-            result.z,
-            options=replace(options, max_iterations=min(_PATIENCE, options.max_iterations)),
-            multipliers=result.multipliers,
-            progress=progress,
-        )
+        steeper = replace(scaling, objective=factor)
+        sharper = solve(steeper, result.z, options=fewer, multipliers=result.multipliers)
         if not sharper.is_converged:
             break
         result = replace(

@@ -73,13 +73,11 @@ def _candidates(
         column = int(limit.columns[0])
         if limit.columns.size == 1 and limit.lower[0] == limit.upper[0] and column not in starts:
             yield Candidate(name=limit.name, key=limit.name, row=-1, column=column)
-    states = [slot.name for slot in program.compiled.declared.states]
     for name, fraction in sorted(fixed):
-        if name in states and fraction > 0.0:
-            node = int(np.argmin(np.abs(program.mesh.node_fractions - fraction)))
-            column = int(program.layout.state_columns[node, states.index(name)])
+        place = program.layout.state_column(name, fraction)
+        if place >= 0 and fraction > 0.0:
             at = f"{name} at time {program.time_of(fraction):g}"
-            yield Candidate(name=at, key=(name, fraction), row=-1, column=column)
+            yield Candidate(name=at, key=(name, fraction), row=-1, column=place)
 
 
 def redundant_conditions(

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.polynomial.legendre import legvander
 
 from pyomo_quad.collocation.mesh import radau_rule
+from pyomo_quad.collocation.program.ipopt import Way
 from pyomo_quad.collocation.program.nonlinear import ExtendedProgram
 
 if TYPE_CHECKING:
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.mesh import FloatArray, Mesh
     from pyomo_quad.collocation.program.transcription import Transcription
     from pyomo_quad.collocation.solution import Solution
+
+# Error estimate of a mesh from which on the next solution is far from its own.
+_FAR = 1e-2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +51,13 @@ class Damping:
     prices: FloatArray
     gap: float
     is_still: bool
+
+    @property
+    def way(self) -> Way:
+        """Way from the solution to that of the next mesh."""
+        if self.is_still:
+            return Way.NONE
+        return Way.FAR if self.solution.error_estimate >= _FAR else Way.SHORT
 
     def firmer(self, factor: float, gap: float) -> Damping:
         """Return the damping with larger penalties and the same target."""

@@ -245,10 +245,8 @@ def singular_order(solution: Solution) -> int:
     held = solution.trajectory.algebraics
     if not (held.size and n):
         return 0
-    lower, upper = solution.algebraic_limits
-    ranges = np.where(np.isfinite(upper - lower), upper - lower, np.ptp(held, axis=0))
     rates = np.abs(program.path_variables(solution.unknowns)[:, :n]).max(axis=0)
-    scale = np.concatenate([rates, ranges])
+    scale = np.concatenate([rates, solution.algebraic_ranges])
     scale[scale == 0.0] = 1.0
     multipliers, barriers = solution.multipliers.rows, _barriers(solution)
     threshold = _FLAT * solution.nominal_objective

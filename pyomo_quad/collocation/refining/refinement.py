@@ -531,8 +531,7 @@ def _most_moved(solution: Outcome, before: tuple[Solution | None, ...]) -> str:
             continue
         mesh, lower, upper = part.mesh, *part.algebraic_limits
         now, then = (s.trajectory.algebraics_at(mesh.point_fractions) for s in (part, last))
-        own = np.ptp(now, axis=0)
-        ranges = np.where(np.isfinite(upper - lower), upper - lower, own)
+        ranges = part.algebraic_ranges
         shares = np.abs(now - np.clip(then, lower, upper)) / np.where(ranges > 0.0, ranges, 1.0)
         means = mesh.quadrature_weights @ shares
         k = int(means.argmax())

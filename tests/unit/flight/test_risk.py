@@ -193,7 +193,10 @@ def test_a_plan_without_the_risk_asked_for_has_a_status_of_its_own(status, capsy
     assert exit_code_of(plan) == ExitCode.RISK_NOT_HAD
     complain_about(plan, tmp_path, ())
     assert "A risk of 0.01 cannot be had" in capsys.readouterr().err
-    plan.risk = taken(is_had=True)
+    # Nobody asked for the risk of a free duration.
+    plan.scenario = mission(duration="free")
+    assert exit_code_of(plan) == ExitCode.VERIFIED
+    plan.scenario, plan.risk = mission(risk=0.01), taken(is_had=True)
     assert exit_code_of(plan) == ExitCode.VERIFIED
 
 
