@@ -324,12 +324,18 @@ def balance_lacking(balance: FloatArray) -> tuple[float, float]:
     return float(np.max(lacking)), float(-np.min(charge) / 100.0)
 
 
+# Part of a cell of terrain, by length, between samples: the height that a flight has above the
+# ground between them is missed by at most a thousandth of what the ground bends in a cell.
+_PART_OF_CELL = 1 / 20
+
+
 def _samples_near_zones(
     airspace: Airspace, dynamics: Dynamics, mesh: Mesh, states: FloatArray, spacing: float
 ) -> list[int]:
-    """Return the number of samples in each element needed to check all keep-outs.
+    """Return the number of samples in each element needed to check all keep-outs and the ground.
 
-    Samples are at most `spacing` [m] apart.
+    Samples are at most `spacing` [m] apart near zones, and near the ground of terrain a small part
+    of a cell of its grid, in which the surface that limits the flight is one polynomial.
 
     The states are those planned at the nodes, shape (n_points + 1, n_states).
     """
@@ -341,6 +347,8 @@ def _samples_near_zones(
         depths = (float(zone.depth(held).max()) for zone in airspace.keep_out)
         is_near = max(depths, default=-np.inf) + airspace.clearance > -length
         close = ceil(length / spacing) if is_near else 0
+        if airspace.ground is not None and airspace.room_over_ground(held).min() < length:
+            close = max(close, ceil(length / (_PART_OF_CELL * airspace.ground.least_step)))
         counts.append(max(SAMPLES_PER_ELEMENT, close))
     return counts
 
@@ -406,7 +414,7 @@ def verify_controls(
     energy : float
         Objective of the plan [J].
     airspace : Airspace, optional
-        Airspace whose zones are checked with dense samples.
+        Airspace whose zones and terrain are checked with dense samples.
     passages : sequence of Passage, optional
         Places that the flight should pass, with times.
     accuracy : Accuracy, optional

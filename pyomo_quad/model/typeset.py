@@ -177,7 +177,9 @@ _AIRSPACE = {
     "beyond": "d",
     "rounding": r"\varepsilon_r",
     "edge_width": "w",
+    "terrain_end": "b",
 }
+_GROUND = {"height_limited_below": "h_U", "height_limited_above": "h_L"}
 _HOMING = {
     **{f"home_{axis}": f"{axis}_{{home}}" for axis in "xyz"},
     "way": "d",
@@ -228,12 +230,15 @@ _BLOCKS = {
         "exponent": "a",
         "roughness": "z_0",
         **_along("xy", measured=r"\tilde v^{wind}"),
+        **_along("xyz", of_field="w"),
+        "field_unit": "s",
     },
     "aerodynamics": _AERODYNAMICS,
     "power": _POWER_SYMBOL,
     "battery": _BATTERY,
     "limits": _LIMITS,
     "airspace": _AIRSPACE,
+    "ground": _GROUND,
     "homing": _HOMING,
 }
 
@@ -245,6 +250,9 @@ SYMBOLS = {"clock": "t"} | {
 }
 
 
+_TABLES = {"ground.above": "U", "ground.below": "L"} | {
+    f"wind.field_{axis}": rf"\hat w_{axis}" for axis in "xyz"
+}
 # Component that declares each numbered equation of the paper.
 EQUATION_TABLE = {
     1: ("pyomo_quad.model.rotors.declare_motors", "pyomo_quad.model.rotors.declare_rotors"),
@@ -445,6 +453,10 @@ class _Writer:
             return f"e^{{{argument}}}", _POWER
         if node.name in _FUNCTIONS:
             return rf"\{node.name}\left({argument}\right)", _ATOM
+        if node.name in _TABLES:
+            # Pyomo appends an argument that identifies the function.
+            arguments = ", ".join(map(self.text, node.args[:-1]))
+            return rf"{_TABLES[node.name]}\left({arguments}\right)", _ATOM
         return rf"\operatorname{{{node.name}}}\left({argument}\right)", _ATOM
 
     def _bracketed(self, node: NumericValue, needed: int) -> str:

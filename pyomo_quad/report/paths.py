@@ -17,6 +17,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-u
 from mpl_toolkits.mplot3d.axes3d import Axes3D  # type: ignore[import-untyped]
 
 from pyomo_quad.flight.columns import Column
+from pyomo_quad.report.relief import draw_relief
 from pyomo_quad.report.signals import (
     ATTITUDE,
     BATTERY,
@@ -254,6 +255,8 @@ def _with_airspace(limits: np.ndarray, airspace: Airspace) -> np.ndarray:
     beyond = _MARGIN * room
     ends = ((airspace.floor, -beyond), (airspace.ceiling, beyond))
     heights = [(_UP, height + margin) for height, margin in ends if height is not None]
+    if airspace.ground is not None:
+        heights = []  # heights above the ground
     # Leave out a floor or ceiling beyond this distance.
     sides += [side for side in heights if furthest[_UP, 0] <= side[1] <= furthest[_UP, 1]]
     for axis, place in sides:
@@ -264,8 +267,10 @@ def _with_airspace(limits: np.ndarray, airspace: Airspace) -> np.ndarray:
 
 
 def draw_mission(axes: Axes, mission: Scenario, directions: tuple[int, int]) -> None:
-    """Draw zones, floor, ceiling and waypoints as seen along an axis."""
+    """Draw terrain, zones, floor, ceiling and waypoints as seen along an axis."""
     airspace = mission.airspace
+    if airspace.ground is not None:
+        draw_relief(axes, airspace.ground, directions)
     if airspace.keep_in is not None and set(directions) == {0, 1}:
         fence = [(c[directions[0]], c[directions[1]]) for c in airspace.keep_in.corners]
         axes.add_patch(Polygon(fence, fill=False, edgecolor=ZONE_COLOR, linewidth=1.0))
@@ -278,7 +283,7 @@ def draw_mission(axes: Axes, mission: Scenario, directions: tuple[int, int]) -> 
         shape.set(facecolor=ZONE_COLOR, alpha=0.25, linewidth=0.0, zorder=1)
         axes.add_patch(shape)
     for name, height in (("floor", airspace.floor), ("ceiling", airspace.ceiling)):
-        if height is not None and directions[1] == _UP:
+        if height is not None and directions[1] == _UP and airspace.ground is None:
             axes.axhline(height, color=ZONE_COLOR, linewidth=1.0)
             axes.annotate(name, (0.0, height), xycoords=_AT_LEFT, color=ZONE_COLOR, **_BESIDE)
     passed: dict[tuple[float, float], list[str]] = {}

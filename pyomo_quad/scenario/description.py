@@ -125,7 +125,7 @@ def _fields(table: BaseModel, prefix: FieldPath = ()) -> Iterator[tuple[FieldPat
 # Keys that `quantity` adds to a field for messages; editors do not know them.
 _NOTES = ("unit", "allowed", "example", "other_names", "sound", "is_late", "unit_keys")
 # Read from a named file, never written by hand.
-_DERIVED = ("series", "grid")
+_DERIVED = ("series", "grid", "ground")
 _LIMITS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
 
 
