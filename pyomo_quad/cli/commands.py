@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -48,10 +48,13 @@ from pyomo_quad.cli.terminal import (
 from pyomo_quad.report import Figures
 from pyomo_quad.report.folder import discard_unfinished, output_folder, refuse_output_folder
 from pyomo_quad.report.tables import plan_summary, run_summary, write_summary
-from pyomo_quad.scenario import load_scenario
+from pyomo_quad.scenario import Scenario, load_scenario
 from pyomo_quad.scenario.messages import FeasibilityError, PyomoQuadError, ScenarioError
 from pyomo_quad.scenario.tables import Knowledge, Reference
 from pyomo_quad.version import __version__
+
+if TYPE_CHECKING:
+    from pyomo_quad.flight import Flight, Planner
 
 
 class Controller(StrEnum):
@@ -150,18 +153,29 @@ def fly(
             as_json=as_json,
             is_code_allowed=allow_code,
         )
-    return _fly_once(
-        scenario,
-        controller,
-        reference,
-        knowledge,
-        plant,
-        out=out,
-        overrides=overrides or (),
-        quiet=quiet,
-        as_json=as_json,
-        allow_code=allow_code,
-    )
+    watch = Stopwatch()
+    followed = _followed(controller, reference)
+    _refuse_unfit(controller, plant)
+    resolved = load_scenario(scenario, overrides or ())
+    if controller is Controller.MPC and resolved.baseline.mpc is None:
+        resolved = resolved.with_values({"baseline.mpc": {}})
+    flown = [plant] if plant is Plant.ROTORPY else []
+    # A single flight must not replace the report of the scenario in reports/NAME.
+    name = "-".join((resolved.name, *flown, controller, followed or knowledge))
+    folder = out or Path("reports") / name
+    refuse_output_folder(folder)
+    with watch.phase("import"):
+        import_scipy_alone()
+        from pyomo_quad.cli import flying, solving  # noqa: PLC0415  takes seconds
+    if plant is Plant.ROTORPY:
+        flying.refuse_outside(resolved)
+    planner = solving.planner_for(resolved, is_code_allowed=allow_code, is_quiet=quiet or as_json)
+    resolved, flight = _flown(planner, resolved, controller, plant, followed, knowledge, watch)
+    with output_folder(folder) as aside:
+        summary = flying.write_flight(aside, planner, resolved, flight, watch.seconds)
+    lines = [flying.verdict(resolved, flight)]
+    solving.answer(lines, summary, folder, is_quiet=quiet, as_json=as_json)
+    return ExitCode.VERIFIED if flight.is_verified else ExitCode.NOT_VERIFIED
 
 
 def is_plan(path: Path) -> bool:
@@ -191,59 +205,35 @@ def _refuse_other_flights(
         )
 
 
-def _fly_once(
-    scenario: Path,
+def _flown(
+    planner: "Planner",
+    scenario: Scenario,
     controller: Controller,
-    reference: Reference | None,
-    knowledge: Knowledge,
     plant: Plant,
-    *,
-    out: Path | None,
-    overrides: Sequence[str],
-    quiet: bool,
-    as_json: bool,
-    allow_code: bool,
-) -> int:
-    watch = Stopwatch()
-    followed = _followed(controller, reference)
-    _refuse_unfit(controller, plant)
-    resolved = load_scenario(scenario, overrides)
-    if controller is Controller.MPC and resolved.baseline.mpc is None:
-        resolved = resolved.with_values({"baseline.mpc": {}})
-    flown = [plant] if plant is Plant.ROTORPY else []
-    # A single flight must not replace the report of the scenario in reports/NAME.
-    name = "-".join((resolved.name, *flown, controller, followed or knowledge))
-    folder = out or Path("reports") / name
-    refuse_output_folder(folder)
-    with watch.phase("import"):
-        import_scipy_alone()
-        from pyomo_quad.cli import flying, solving  # noqa: PLC0415  takes seconds
-        from pyomo_quad.flight.deadline import Deadline  # noqa: PLC0415
-    if plant is Plant.ROTORPY:
-        flying.refuse_outside(resolved)
-    planner = solving.planner_for(resolved, is_code_allowed=allow_code, is_quiet=quiet or as_json)
-    is_untimed = any(waypoint.at is None for waypoint in resolved.mission.waypoints)
-    is_replanned = controller is Controller.MPC
-    with Deadline(resolved):
-        plan = None
-        if followed is Reference.PLAN or resolved.mission.is_free or (is_replanned and is_untimed):
+    followed: Reference | None,
+    knowledge: Knowledge,
+    watch: Stopwatch,
+) -> tuple[Scenario, "Flight"]:
+    """Return the mission flown, with its plan's times if it is planned, and the flight."""
+    from pyomo_quad.cli import flying  # noqa: PLC0415  as above
+    from pyomo_quad.flight.deadline import Deadline  # noqa: PLC0415
+
+    is_untimed = any(waypoint.at is None for waypoint in scenario.mission.waypoints)
+    is_replanned, plan = controller is Controller.MPC, None
+    with Deadline(scenario):
+        if followed is Reference.PLAN or scenario.mission.is_free or (is_replanned and is_untimed):
             with watch.phase("solve"):
-                plan = flying.make_plan(planner, resolved)
-            resolved = plan.mission_flown
+                plan = flying.make_plan(planner, scenario)
+            scenario = plan.mission_flown
         if plant is Plant.ROTORPY and followed is not None:
-            outside = resolved, controller.value, followed, plan
+            outside = scenario, controller.value, followed, plan
             make = partial(flying.fly_rotorpy, planner, *outside)
         elif is_replanned:
-            make = partial(flying.fly_mpc, planner, resolved, knowledge)
+            make = partial(flying.fly_mpc, planner, scenario, knowledge)
         else:
             reference = followed if controller is Controller.ADAPTIVE else None
-            make = partial(flying.fly_declared, planner, resolved, reference, plan)
-        flight = flying.make_flight(resolved, make)
-    with output_folder(folder) as aside:
-        summary = flying.write_flight(aside, planner, resolved, flight, watch.seconds)
-    lines = [flying.verdict(resolved, flight)]
-    solving.answer(lines, summary, folder, is_quiet=quiet, as_json=as_json)
-    return ExitCode.VERIFIED if flight.is_verified else ExitCode.NOT_VERIFIED
+            make = partial(flying.fly_declared, planner, scenario, reference, plan)
+        return scenario, flying.make_flight(scenario, make)
 
 
 def _followed(controller: Controller, reference: Reference | None) -> Reference | None:

@@ -18,6 +18,7 @@ class ExitCode(IntEnum):
     BAD_INPUT = 2
     NOT_SOLVED = 3  # infeasible or not converged
     NOT_VERIFIED = 4
+    RISK_NOT_HAD = 5  # a plan, but flights of it break limits more often than the risk allows
     INTERRUPTED = 130  # by Ctrl-C, as shells report it, by SIGTERM or by SIGHUP
 
 

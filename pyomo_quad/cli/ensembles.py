@@ -85,17 +85,17 @@ def _refuse_equal_flights(mission: Scenario, flights: int) -> None:
 
 
 def _lines(flown: Ensemble, savings: Sequence[Saving]) -> Iterator[str]:
-    """Yield the lines that the command prints about the flights."""
+    """Yield the printed lines on the flights and their savings."""
     name, told = flown.scenario.name, flown.summary
     low, middle, high = flown.band("energy_J")
     yield f"{name}: {flown.held} of {flown.count} flights arrived and kept every limit."
-    yield f"Energy {middle:.1f} J in the median, {low:.1f} to {high:.1f} J in 90 % of flights."
+    yield f"Median energy {middle:.1f} J; 90 % of the flights take {low:.1f} to {high:.1f} J."
     if flown.broken:
-        yield f"Limit broken most: {told['limit broken most']}."
+        yield f"Limit broken most often: {told['limit broken most']}."
     for saving in savings:
         low, middle, high = saving.percent
         yield (
-            f"Energy spared against {saving.rival.name} in the same winds: {middle:.1f} % in the "
-            f"median, {low:.1f} to {high:.1f} % in 90 % of them; of its flights "
-            f"{saving.rival.held} arrived and kept every limit."
+            f"Saving against {saving.rival.name} in the same winds: median {middle:.1f} %, "
+            f"{low:.1f} to {high:.1f} % in 90 % of the winds; {saving.rival.held} of its flights "
+            "arrived and kept every limit."
         )

@@ -1,6 +1,7 @@
 """Commands on a scenario or its results: `init`, `check`, `library`, `schema`, `plot`."""
 
 import json
+import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict
@@ -46,6 +47,7 @@ from pyomo_quad.scenario import (
 )
 from pyomo_quad.scenario.description import (
     editor_schema,
+    files_beside,
     shipped_scenarios,
     started_scenario,
     writable_fields,
@@ -224,6 +226,11 @@ def init(
         if file == schema_file and file.exists():
             continue
         write_new(file, content)
+    for named, source in files_beside(template).items():
+        target = Path(named)
+        if not target.exists():
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(source, target)
     if not quiet:
         print(f"Written to {own}.toml. Fly it: pyomo-quad run {own}.toml")
     return ExitCode.VERIFIED

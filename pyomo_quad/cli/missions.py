@@ -29,7 +29,7 @@ def export(
         Path, typer.Argument(metavar="PLAN", help="File of Plan.save, or report folder of a run.")
     ],
     *,
-    to: Annotated[Reader, typer.Option("--to", help="Who reads it.")],
+    to: Annotated[Reader, typer.Option("--to", help="Program that reads the file.")],
     out: Annotated[
         Path | None, option("--out", "FILE", "File to write; for ros2 a folder.")
     ] = None,
@@ -52,16 +52,17 @@ def export(
         ),
     ] = None,
     rate: Annotated[
-        float | None, option("--rate", "HZ", "Of setpoints, 50 by default.", real_number)
+        float | None, option("--rate", "HZ", "Setpoints per second, 50 by default.", real_number)
     ] = None,
     as_planned: Annotated[
-        bool, typer.Option("--as-planned", help="Say nothing of a plan without a risk.")
+        bool,
+        typer.Option("--as-planned", help="Do not warn of a plan without margins (mission.risk)."),
     ] = False,
     quiet: Quiet = False,
     as_json: AsJson = False,
     allow_code: AllowCode = False,
 ) -> int:
-    """Fly a verified plan once more, and write it for an autopilot, a swarm or a simulator."""
+    """Verify a plan again and write it for an autopilot, a swarm or a simulator."""
     from pyomo_quad.exports import export_plan  # noqa: PLC0415  SciPy takes a second
 
     made = export_plan(
@@ -79,13 +80,14 @@ def export(
         yaw = made.yaw_error_rad
         turned = "" if yaw is None else f" and {degrees(yaw):.2g} degrees of yaw"
         print(
-            f"Written to {made.path}: {made.parts} {made.what}, never more than "
+            f"Written to {made.path}: {made.parts} {made.what}, at most "
             f"{made.position_error_m:.2g} m{turned} from the plan."
         )
     if made.is_paper_plan and not as_planned:
         complain(
-            f"{plan}: warning: a paper plan, which leaves nothing to the controller; solve it with "
-            "mission.risk = 0.01, or give --as-planned."
+            f"{plan}: warning: the plan has no margins: it may fly exactly at its limits, and "
+            "gusts would break them; solve it with mission.risk = 0.01, or give --as-planned to "
+            "export it without this warning."
         )
     return ExitCode.VERIFIED
 
@@ -99,17 +101,17 @@ def import_(
     ],
     *,
     name: Annotated[
-        str | None, option("--name", "NAME", "Of the scenario and of its file.")
+        str | None, option("--name", "NAME", "Name of the scenario and of its file.")
     ] = None,
     vehicle: Annotated[
-        str, option("--vehicle", "NAME", "Of the library, or its file.")
+        str, option("--vehicle", "NAME", "Vehicle of the library, or a vehicle file.")
     ] = "dji_matrice_100",
     payload: Annotated[
         float,
         option(
             "--payload",
             "KG",
-            "Carried from the start, and left where the mission opens a gripper.",
+            "Mass carried from the start and released where the mission opens a gripper.",
             real_number,
         ),
     ] = 0.0,
@@ -129,6 +131,6 @@ def import_(
             f"{len(airspace.keep_out)} zones, {len(mission.rally)} rally points."
         )
         for note in read.left_out:
-            print(f"Not in it: {note}.")
+            print(f"Left out: {note}.")
         print(f"Fly it: pyomo-quad run {out}")
     return ExitCode.VERIFIED

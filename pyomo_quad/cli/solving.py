@@ -33,7 +33,8 @@ from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 from pyomo_quad.scenario.loader import parse_overrides
 from pyomo_quad.study.comparison import ComparisonColumn, against_hovering
-from pyomo_quad.study.headline import headline_of
+from pyomo_quad.study.headline import headline_of, settled_of
+from pyomo_quad.study.limits_kept import limit_lines
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -196,38 +197,46 @@ def plan_to_continue(run: Path, overrides: Sequence[str]) -> tuple[Plan, Scenari
     return plan, plan.scenario.with_values(values)
 
 
+def _lacks_risk(plan: Plan) -> bool:
+    """Say whether a plan does not keep the risk that its scenario states."""
+    is_stated = plan.scenario.mission.risk is not None
+    return is_stated and plan.is_flyable and plan.risk is not None and not plan.risk.is_had
+
+
 def exit_code_of(plan: Plan) -> ExitCode:
-    """Return the exit status for the status of a plan."""
+    """Return the exit status for the status of a plan and for the risk asked of it."""
+    if _lacks_risk(plan):
+        return ExitCode.RISK_NOT_HAD
     return _EXIT_CODES[plan.status]
 
 
 _OUTCOMES = {
+    PlanStatus.VERIFIED: "verified in simulation",
     PlanStatus.USABLE: "usable",
-    PlanStatus.SOLVED: "solved but not verified",
+    PlanStatus.SOLVED: "solved, but not verified",
     PlanStatus.NOT_CONVERGED: "not converged",
     PlanStatus.INFEASIBLE: "infeasible",
     PlanStatus.INTERRUPTED: "interrupted",
 }
-# Columns on the screen: heading and format.
-_SHOWN = {
-    ComparisonColumn.SCENARIO: ("scenario", ""),
-    ComparisonColumn.FLIGHT: ("flight", ""),
-    ComparisonColumn.DURATION: ("time\ns", ".2f"),
-    ComparisonColumn.ENERGY: ("energy\nJ", ".2f"),
-    ComparisonColumn.OWED_ENERGY: ("owed\nJ", "z.2f"),
-    ComparisonColumn.EXCESS_ENERGY: ("above\nhover", ".2f"),
-    ComparisonColumn.SAVING: ("saved\n%", "z.3f"),
-    ComparisonColumn.SAVING_OF_EXCESS: ("excess\nsaved %", "z.1f"),
-    ComparisonColumn.TERMINAL_MISS: ("miss\nm", ".1e"),
+# Columns on the screen: heading, value of a row of the comparison, and format.
+_SHOWN: dict[str, tuple[Callable[[Mapping[Any, Any]], Any], str]] = {
+    "scenario": (lambda row: row[ComparisonColumn.SCENARIO], ""),
+    "flight": (lambda row: row[ComparisonColumn.FLIGHT], ""),
+    "energy\nJ": (settled_of, ".2f"),
+    "plan\nsaves %": (lambda row: row[ComparisonColumn.SAVING], "z.2f"),
+    "time\ns": (lambda row: row[ComparisonColumn.DURATION], ".2f"),
+    "above\nhovering J": (lambda row: row[ComparisonColumn.EXCESS_ENERGY], "z.2f"),
+    "to goal\nm": (lambda row: row[ComparisonColumn.TERMINAL_MISS], ".3f"),
 }
 # Reasons for not comparing a flight; the first that applies is shown.
 _AMISS = {
-    ComparisonColumn.ARRIVED: "missed",
-    ComparisonColumn.LIMITS_KEPT: "limits",
-    ComparisonColumn.VERIFIED: "unverified",
+    ComparisonColumn.ARRIVED: "missed goal",
+    ComparisonColumn.LIMITS_KEPT: "broke limit",
+    ComparisonColumn.VERIFIED: "not verified",
 }
-# Columns with one value for all flights are omitted; the lines above the table give it.
-_TOLD_ABOVE = (ComparisonColumn.SCENARIO, ComparisonColumn.DURATION)
+_GOOD = "arrived"
+# Columns on the left.
+_TEXTS = ("scenario", "flight")
 
 
 def verdict_lines(plan: Plan) -> Iterator[str]:
@@ -235,9 +244,9 @@ def verdict_lines(plan: Plan) -> Iterator[str]:
     if plan.is_flyable:
         beside = against_hovering(plan.energy - plan.hover_energy_J, digits=3)
         yield (
-            f"{plan.scenario.name}: {plan.status.value}, {plan.energy:.3f} J, {beside} "
-            f"for the same {plan.duration_s:g} s; {plan.iteration_count} "
-            f"iterations, {plan.timings['solve']:.2f} s."
+            f"{plan.scenario.name}: {_OUTCOMES[plan.status]}: {plan.energy:.3f} J, {beside} for "
+            f"the same {plan.duration_s:g} s; solved in {plan.timings['solve']:.2f} s, "
+            f"{plan.iteration_count} iterations."
         )
         if left := departures(plan):
             yield (
@@ -247,12 +256,13 @@ def verdict_lines(plan: Plan) -> Iterator[str]:
     for found in plan.scenario.contradictions:
         yield f"{plan.scenario.name}: no such vehicle can exist: {found.message}"
     if plan.is_flyable:
-        yield f"{plan.scenario.name}: {plan.risk_words}"
+        if not _lacks_risk(plan):
+            yield f"{plan.scenario.name}: {plan.risk_words}"
         yield f"{plan.scenario.name}: {accuracy_words(plan)}."
     if plan.failure is not None:
         diagnosis = plan.failure.diagnosis
         limits = [replace(limit, name=limit_words(limit.name)) for limit in diagnosis.active]
-        parts = {"Worst equations": diagnosis.residuals, "Limits reached": limits}
+        parts = {"Equations violated most": diagnosis.residuals, "Limits reached": limits}
         for heading, items in parts.items():
             if items:
                 yield f"{heading}:"
@@ -268,18 +278,22 @@ def complain_about(plan: Plan, folder: Path, cautions: Sequence[str]) -> None:
         complain(f"{name}: {_OUTCOMES[plan.status]}: {first} See {folder}.")
         for cause in others:
             complain(f"{name}: {cause}")
+    if _lacks_risk(plan):
+        complain(f"{name}: {plan.risk_words}")
     for caution in cautions:
         complain(f"{name}: warning: {caution}")
 
 
 def run_lines(result: "RunResult") -> Iterator[str | Table]:
-    """Yield the lines on a run: optimum, table of flights, and certificate."""
+    """Yield the lines on a run: headline, plan, table of flights, and lower bound."""
     headline = headline_of(result)
     if headline is not None:
         yield f"{result.scenario.name}: {headline.words}"
     yield from verdict_lines(result.plan)
     if not result.comparison.empty:
         yield comparison_table(result.comparison)
+    if any(flight.broken_limits for flight in result.flights):
+        yield from limit_lines(result.plan, result.flights)
     yield from _certificate_lines(result)
 
 
@@ -288,13 +302,13 @@ def _certificate_lines(result: "RunResult") -> Iterator[str]:
     if not result.plan.is_verified:
         return
     if not certificate.applies:
-        yield f"No certificate of global optimality: {certificate.reason}"
+        yield f"No lower bound on the energy is known: {certificate.reason}"
     else:
         bound = f"No flight of this mission spends less than {certificate.lower_bound_J:.3f} J"
         if gap is None:
             yield f"{bound}; the plan was made for a forecast that differs from the actual wind."
         else:
-            yield f"{bound}: the optimum is at most {gap:.3f} % above the best."
+            yield f"{bound}: no other flight saves more than {gap:.2f} %."
 
 
 def comparison_table(comparison: "pd.DataFrame") -> Table:
@@ -303,22 +317,24 @@ def comparison_table(comparison: "pd.DataFrame") -> Table:
     Returns
     -------
     Table
-        The table of the optimum's savings, without columns that are empty for these flights.
+        Total energy, saving of the plan, time and outcome of each flight.  Without savings, or for
+        a single scenario, the column is left out.
     """
-    shown = {
-        column: how
-        for column, how in _SHOWN.items()
-        if comparison[column].nunique() > (1 if column in _TOLD_ABOVE else 0)
-    }
     table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    for column, (heading, _) in shown.items():
-        is_text = column in (ComparisonColumn.SCENARIO, ComparisonColumn.FLIGHT)
-        table.add_column(heading, justify="left" if is_text else "right", no_wrap=True)
-    table.add_column("as\nwanted", no_wrap=True)
-    for _, row in comparison.iterrows():
+    rows = comparison.to_dict("records")
+    cells = {
+        heading: [_cell(value(row), form) for row in rows]
+        for heading, (value, form) in _SHOWN.items()
+    }
+    if len(set(cells["scenario"])) == 1:
+        del cells["scenario"]
+    cells = {heading: column for heading, column in cells.items() if any(column)}
+    for heading in cells:
+        table.add_column(heading, justify="left" if heading in _TEXTS else "right", no_wrap=True)
+    table.add_column("outcome", no_wrap=True)
+    for row, shown in zip(rows, zip(*cells.values(), strict=True), strict=True):
         amiss = (words for column, words in _AMISS.items() if not row[column])
-        cells = [_cell(row[column], form) for column, (_, form) in shown.items()]
-        table.add_row(*map(escape, cells), next(amiss, "yes"))
+        table.add_row(*map(escape, shown), next(amiss, _GOOD))
     return table
 
 

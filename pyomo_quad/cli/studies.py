@@ -29,8 +29,7 @@ from pyomo_quad.scenario.messages import printable
 if TYPE_CHECKING:
     import pandas as pd
 
-    from pyomo_quad.identification.fitting import IdentifiedParameter
-    from pyomo_quad.identification.steady import SteadyParameter
+    from pyomo_quad.identification.fitting import FittedParameter, IdentifiedParameter
     from pyomo_quad.identification.validation import Scores
 
 _PAPER_FOLDER = Path("reports/paper")
@@ -148,14 +147,17 @@ def reach(
     scenario: ScenarioFile,
     *,
     has_return: Annotated[
-        bool, typer.Option("--return", help="Draw from where the pack brings the vehicle back.")
+        bool,
+        typer.Option(
+            "--return", help="Draw the places from which the battery still brings the vehicle back."
+        ),
     ] = False,
     out: Output = None,
     overrides: Overrides = None,
     figures: FigureChoice = Figures.SVG,
     quiet: Quiet = False,
 ) -> int:
-    """Draw how far one pack takes a vehicle from its start in the wind, and back with --return."""
+    """Draw how far one battery charge takes a vehicle in the wind, one way or there and back."""
     resolved, folder = _steady_study(scenario, overrides, out, "reach")
     from pyomo_quad.polar.reach import find_reach, write_reach  # noqa: PLC0415  takes a second
 
@@ -163,7 +165,7 @@ def reach(
         told = write_reach(aside, find_reach(resolved, has_return=has_return), figures)
         lines.append(
             f"{told['least_reach_m'] / 1e3:.2f} to {told['greatest_reach_m'] / 1e3:.2f} km from "
-            f"the start{' and back' if has_return else ''}, by the course"
+            f"the start{' and back' if has_return else ''}, depending on the direction"
         )
         if resolved.mission.origin is None:
             lines.append("no GeoJSON: give mission.origin to place it on a map")
@@ -329,7 +331,7 @@ def _identify_steady(
 
 
 def _parameter_lines(
-    parameters: "Sequence[SteadyParameter | IdentifiedParameter]",
+    parameters: "Sequence[FittedParameter | IdentifiedParameter]",
     together: Sequence[tuple[str, str]],
 ) -> Iterator[str]:
     """Yield a line for each fitted parameter, with the parameter that it is confounded with."""

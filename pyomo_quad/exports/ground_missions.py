@@ -26,6 +26,7 @@ from pyomo_quad.scenario.airspace import ENDLESS_M, MOST_CORNERS, Shape
 from pyomo_quad.scenario.earth import GLOBE, GeodeticOrigin
 from pyomo_quad.scenario.fields import is_number
 from pyomo_quad.scenario.messages import printable, shown
+from pyomo_quad.scenario.toml_text import inline
 
 _TAKEOFFS = {Command.TAKEOFF, Command.VTOL_TAKEOFF}
 _LANDINGS = {Command.LAND, Command.VTOL_LAND}
@@ -488,25 +489,17 @@ def _toml(tables: Mapping[str, Any], left_out: Sequence[str]) -> str:
     lines += [f"# Not of the mission's file: {note}." for note in left_out]
     for name, value in tables.items():
         if not isinstance(value, Mapping):
-            lines.append(f"{name} = {_inline(value)}")
+            lines.append(f"{name} = {inline(value)}")
             continue
         plain = {key: held for key, held in value.items() if not _is_tables(key, held)}
         if plain:
-            lines += ["", f"[{name}]", *(f"{key} = {_inline(v)}" for key, v in plain.items())]
+            lines += ["", f"[{name}]", *(f"{key} = {inline(v)}" for key, v in plain.items())]
         for key, held in value.items():
             for row in held if _is_tables(key, held) else ():
                 lines += ["", f"[[{name}.{key}]]"]
-                lines += [f"{field} = {_inline(v)}" for field, v in row.items()]
+                lines += [f"{field} = {inline(v)}" for field, v in row.items()]
     return "\n".join(lines) + "\n"
 
 
 def _is_tables(key: str, value: object) -> bool:
     return key in {"waypoints", "keep_out"} and isinstance(value, list)
-
-
-def _inline(value: object) -> str:
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{key} = {_inline(held)}" for key, held in value.items()) + " }"
-    if isinstance(value, list):
-        return "[" + ", ".join(map(_inline, value)) + "]"
-    return json.dumps(value, ensure_ascii=False)

@@ -188,6 +188,7 @@ def fly(
     times: FloatArray,
     integrator: Integrator = Integrator.RUNGE_KUTTA,
     tolerance: float = _TOLERANCE,
+    last: FloatArray | None = None,
 ) -> ClosedLoopFlight:
     """Fly a reference under feedback; the control law is compiled together with the dynamics.
 
@@ -201,6 +202,8 @@ def fly(
         Rising times of the returned samples, s.
     tolerance : float, optional
         Relative and absolute tolerance of the integrator.
+    last : ndarray, shape (22,), optional
+        The `CONTROLLER_STATES` with which another reference was followed until the first time.
 
     Raises
     ------
@@ -213,7 +216,7 @@ def fly(
     solution = integrate(
         loop.rates,
         span,
-        loop.started(times[0], initial_state),
+        loop.started(times[0], initial_state, last),
         times,
         dynamics.steps_between(*span),
         method=integrator.value,
@@ -249,10 +252,11 @@ class _Loop:
         )
         self._guard = TumblingGuard("controlled flight", duration)
 
-    def started(self, t: float, state: FloatArray) -> FloatArray:
+    def started(self, t: float, state: FloatArray, last: FloatArray | None) -> FloatArray:
         """Return the joint state at the start."""
-        body = state[self._body].tolist()
-        return np.array([*state, *self._controller.started(self._reference(t), body), 0.0])
+        body, before = state[self._body].tolist(), None if last is None else last.tolist()
+        own = self._controller.started(self._reference(t), body, before)
+        return np.array([*state, *own, 0.0])
 
     def rates(self, t: float, joint: FloatArray) -> FloatArray:
         """Return the derivative of the joint state."""

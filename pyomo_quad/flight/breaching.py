@@ -4,7 +4,7 @@ See docs/theory/risk.md, eqs. (7) to (9).
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi
 
 import numpy as np
@@ -197,6 +197,10 @@ class Miss:
     def probability(self) -> float:
         """Probability that a flight misses; instants are judged as if they were independent."""
         return float(min((self.off > self.within).mean(axis=1).sum(), 1.0))
+
+    def shrunk(self, share: float) -> "Miss":
+        """Return the miss where flights are off by only a share of it."""
+        return replace(self, off=share * self.off)
 
     def excess(self, share: float) -> float:
         """Return by how much distance or speed must shrink for a probability of a share."""

@@ -659,8 +659,10 @@ class AdaptiveController:
         self._position_loop, self._attitude_loop = _loops(believed)
         self._learnt = learnt if believed.baseline.adaptation else (0.0,) * _AXES
 
-    def started(self, setpoint: Setpoint, body: Sequence[float]) -> list[float]:
-        """Return the controller's states at the start of a flight.
+    def started(
+        self, setpoint: Setpoint, body: Sequence[float], last: Sequence[float] | None = None
+    ) -> list[float]:
+        """Return the controller's states at the start of a flight, or of another reference.
 
         Parameters
         ----------
@@ -668,6 +670,9 @@ class AdaptiveController:
             What the reference asks for first.
         body : sequence of twelve floats
             The `MEASURED_STATES`.
+        last : sequence of 22 floats, optional
+            The states with which another reference was followed so far: the attitude is commanded
+            on without a jump, and only the position loop begins anew.
 
         Returns
         -------
@@ -678,12 +683,15 @@ class AdaptiveController:
         angle_rates = self._kinematics.angle_rates(attitude, body_rates)
         yaw_error = attitude[2] - setpoint.place[3]
         yaw_rate_error = angle_rates[2] - setpoint.rate[3]
+        place = self._position_loop.started(
+            _difference(position, setpoint.place[:3]),
+            _difference(velocity, setpoint.rate[:3]),
+            self._learnt,
+        )
+        if last is not None:
+            return [*place, *last[_ATTITUDE], *last[_COMMAND]]
         return [
-            *self._position_loop.started(
-                _difference(position, setpoint.place[:3]),
-                _difference(velocity, setpoint.rate[:3]),
-                self._learnt,
-            ),
+            *place,
             *self._attitude_loop.started((0.0, 0.0, yaw_error), (0.0, 0.0, yaw_rate_error)),
             *attitude[:2],
             *angle_rates[:2],

@@ -4,10 +4,11 @@ A margin is an amount of a field of the scenario.  Fields are parameters of the 
 that a plan with other margins is a re-solve.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from pyomo_quad.collocation.limits import LimitValues
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.mission import Waypoint
 
@@ -51,8 +52,11 @@ _LEFT_OF_ROOM = 0.01
 _LEFT_OF_SPEED = 0.1
 
 
-#: What is said of a plan without a risk.
-PAPER_PLAN = "A paper plan: it leaves nothing to the controller; mission.risk asks for margins."
+#: Warning on a plan without a risk.
+PAPER_PLAN = (
+    "No margins: the plan may fly exactly at its limits, and gusts or a wrong wind forecast would "
+    "break them; mission.risk asks for a plan with margins."
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,6 +81,8 @@ class RiskTaken:
         The limits that flights break most, in words, the most frequent first.
     advice : str
         What would help where the risk cannot be had.
+    stopped : str
+        Why the search for margins ended early; empty where it did not.
     """
 
     asked: float
@@ -88,6 +94,7 @@ class RiskTaken:
     paper_energy_J: float
     limiting: tuple[str, ...] = ()
     advice: str = ""
+    stopped: str = ""
 
     def price(self, energy: float) -> tuple[float, float]:
         """Return what a plan of this energy costs more than the paper plan [J], [%]."""
@@ -99,13 +106,18 @@ class RiskTaken:
         joules, percent = self.price(energy)
         price = f"the margins cost {joules:.3g} J ({percent:.2g} %) beside the paper plan"
         seen = f"{self.failed} of {self.flown} flights that had no part in the plan broke a limit"
+        most = f", most often {self.limiting[0]}" if self.limiting else ""
         if self.is_had:
             return f"Risk at most {self.asked:g}: {seen}; {price}."
-        most = f", most often {self.limiting[0]}" if self.limiting else ""
+        if not self.flown:
+            return f"No flight confirms a risk of {self.asked:g}: {self.stopped}; {price}."
+        if self.stopped:
+            return (
+                f"A risk of {self.asked:g} is not reached: {self.stopped}; {seen}{most}; {price}."
+            )
         return (
-            f"A risk of {self.asked:g} cannot be had: with the least found {seen}{most}; "
-            "what would help: "
-            f"{self.advice}; {price}."
+            f"A risk of {self.asked:g} cannot be had: by the plan of the least risk found {seen}"
+            f"{most}; what would help: {self.advice}; {price}."
         )
 
 
@@ -131,6 +143,14 @@ def tightened(scenario: Scenario, margins: Mapping[str, float]) -> Scenario:
         for table, values in tables.items()
     }
     return scenario.model_copy(update=changed)
+
+
+def used_up(planned: LimitValues, flown: LimitValues) -> Iterator[tuple[str, float]]:
+    """Yield for each end of a limit its field, and how much nearer a flight comes than its plan."""
+    fields = FIELDS.get(planned.name.partition("[")[0], ("", ""))
+    for side, name in zip((1.0, -1.0), fields, strict=True):
+        if name:
+            yield name, float((side * (flown.values - planned.values)).max())
 
 
 def _narrowed(waypoint: Waypoint, margins: Mapping[str, float]) -> Waypoint:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pyomo_quad.collocation import Dynamics, Problem, compile
 from pyomo_quad.flight.baselines import declared_start
 from pyomo_quad.flight.caches import MOST_PROBLEMS, MOST_STEADY, PROBLEMS, Recent
+from pyomo_quad.flight.corridors import has_corridors
 from pyomo_quad.flight.flight import POSITION_STATES
 from pyomo_quad.flight.least_time import declared_free_times
 from pyomo_quad.flight.steady import SteadyFlight
@@ -58,8 +59,9 @@ class Problems:
         return self._builder is build_model
 
     def has_routes(self, scenario: Scenario) -> bool:
-        """Return whether a mission has routes round zones to choose from."""
-        return self.is_declared and bool(scenario.airspace.keep_out)
+        """Return whether a mission has routes to choose from, round zones or through a field."""
+        has_choice = bool(scenario.airspace.keep_out) or has_corridors(scenario)
+        return self.is_declared and has_choice
 
     def problem_for(self, scenario: Scenario) -> tuple[Problem, dict[str, float]]:
         """Return a compiled problem for a scenario, and the seconds that took."""

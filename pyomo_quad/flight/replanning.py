@@ -1,21 +1,20 @@
 """Re-planning in flight (model-predictive control): repeated solves of the remaining mission.
 
-Every interval the state is measured, and the flight of the rest of the mission with the least
-energy is solved for, from where the vehicle will be once the solve is done, warm-started from the
-plan that is being flown.  Its controls are applied until the next plan, unless it assumes calm air
-for want of a forecast while the wind acts by drag: the adaptive controller follows such a plan
-throughout.  Where the wind is an acceleration by itself, as in the paper, it does not: begun anew
-at each plan, the controller has not learnt that acceleration yet and is blown away (18 m in
-`paper_wind`).  If the next plan is late or its solve fails, the previous plan continues under the
-adaptive controller.  The adaptive controller also flies the last seconds: a plan that meets the
-goal exactly would there counteract every gust at any cost, based on a forecast whose error is as
-large as the gust's change.
+Every interval the flight of the rest of the mission with the least energy is solved for, from where
+the vehicle is to be once the solve is done, warm-started from the last such plan (see
+`flight.remaining`).  The adaptive controller follows each plan until the next one comes.  Before
+the first, and from the middle of each hold to the next, it follows the plan made before take-off.
 
-Waypoints are passed at their times.  Shortly before a waypoint, and while the vehicle holds there,
-there is no re-planning: the last plan continues under the adaptive controller.  The mission after
-the waypoint has its own equations; it is compiled and solved once before take-off.
+A flight near its plan is planned on from the plan's own state, for the controller corrects what it
+is off; one farther off from its measured place and velocity (tube-based predictive control).  From
+every state that rotors and pack can leave there is a re-plan, for its limits are soft.  Where a
+solve fails all the same, the last plan is flown on as long as the flight is off it by less than the
+margins of the limits; beyond them the solve is repeated with as many iterations as it needs, and
+comes late.
 
-Plans keep an additional distance of three centimetres from zones, for the error of a coarse mesh.
+The last seconds before the goal, a waypoint and a hold are not planned again: a plan that meets a
+place exactly would there counteract every gust at any cost, based on a forecast whose error is as
+large as the gust's change.  Waypoints are passed at their times.
 
 A wind that differs from the forecast, or a mass that differs from the assumed mass, causes an
 acceleration that the equations do not explain.  The identifier of the adaptive law estimates it,
@@ -23,13 +22,11 @@ and the plans include it.  Its vertical part is attributed to the mass, even if 
 it; the rest is attributed to the wind.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import accumulate
-from math import ceil, inf
+from math import inf
 from time import perf_counter, process_time
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,88 +34,48 @@ from scipy.integrate import solve_ivp
 
 from pyomo_quad.collocation import (
     Dynamics,
-    Mesh,
-    Problem,
     Solution,
-    SolveError,
-    SolverOptions,
-    Timeline,
-    Trajectory,
     TranscriptionError,
-    compile,
 )
 from pyomo_quad.flight.baselines import (
     RATE_HZ,
+    ClosedLoopFlight,
     Integrator,
     assembled_flight,
     even_times,
     fly,
-    path_of,
     refuse_other_vehicles,
     start_state,
 )
-from pyomo_quad.flight.caches import REMAINING
 from pyomo_quad.flight.controller import (
     AdaptiveController,
     BacksteppingLoop,
     mixer_matrix,
-    rotor_columns,
 )
 from pyomo_quad.flight.flight import (
     AIR_FORCE,
-    HELD_BREACH,
     VELOCITY_STATES,
     Flight,
     Flown,
     Resolve,
 )
-from pyomo_quad.flight.plan import Plan, Trajectories, trajectories_of
+from pyomo_quad.flight.plan import Plan
 from pyomo_quad.flight.planning import Planner
-from pyomo_quad.flight.references import SampledPath
-from pyomo_quad.flight.verification import OpenLoop
-from pyomo_quad.model import build_model, build_remaining, parameter_values, structure_key
-from pyomo_quad.model.mission import free_times, measured_start
-from pyomo_quad.model.wind import still_air
-from pyomo_quad.scenario import Scenario, ScenarioError
+from pyomo_quad.flight.remaining import Belief, Course, Replanner, with_mass
+from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.tables import Knowledge, Replanning, SolveTiming
-from pyomo_quad.scenario.wind import WindCoupling
 
 FloatArray = NDArray[np.float64]
-Numbers = dict[str, float | Callable[[float], float]]
 Computer = Callable[[float], float]
 """Processor seconds that a solve took here -> seconds that it takes aboard."""
 
-_HORIZONTAL = "xy"
 _SLOPES = tuple((f"rigid_body.dv{axis}_dt", None) for axis in "xyz")
 _FORCES = tuple((name, None) for name in AIR_FORCE)
 # Shares of the thrust expected that may be lacking or left over: of a mass from half to twice.
 _MOST_AMISS = (-0.5, 1.0)
 # With less of the weight carried, nothing is said of the mass.
 _LEAST_LIFT = 0.3
-# The mesh of every solve: fine enough for a thousandth of the energy above hover, and for 30 ms.
-_ELEMENT_S, _FEWEST, _MOST, _DEGREE = 1.25, 8, 24, 4
-# A re-solve keeps to one barrier parameter, as large as costs nothing that is seen: limits begin
-# and cease to hold at other points of each mesh, and beside a zone a thirtieth of it took fifteen
-# iterations in vain.  What does not converge soon comes too late; linear steps are not refined.
-_BARRIER = (("mu_init", 3e-6), ("mu_target", 3e-6))
-_HASTE = (("fast_step_computation", "yes"),)
-_OPTIONS = SolverOptions(tolerance=1e-5, max_iterations=15, extra=(*_BARRIER, *_HASTE))
-# Before take-off there is time.
-_AT_LEISURE = SolverOptions(tolerance=1e-6, max_iterations=300)
-# Rest of the mission [s] that is flown under feedback instead of being planned again, and the
-# share of a short one.  Of five perturbed flights of ten seconds, planning to 0.6 s before the end
-# cost from 3 to 30 J more and ended from 1.2 to 1.7 times as far off.
-_LAST, _LAST_SHARE = 3.0, 0.3
-# The same ahead of a waypoint, of which only the place must be met, and the share ahead of a hold,
-# where it must be met at rest: in gusts it did not keep its limits under three tenths.
-_NEAR, _HOLD_SHARE = 1.0, 0.5
-_CLEARANCE = "airspace.clearance"
-# Planned beyond the clearance of zones, m: the mesh of a plan in flight lets it pass nearer between
-# its points, and what is flown is not quite what is planned; at 8 m/s, in `parcel`, by 9 mm with
-# the wind told and by 17 mm with the wind estimated.
-_SPARE_M = 0.03
-# Of what is predicted while a solve goes on, and of the estimate; both are far below the noise of
-# any sensor.
+# Of the estimate, far below the noise of any sensor.
 _TOLERANCE = 1e-6
 
 
@@ -128,237 +85,16 @@ def replanned_name(knowledge: Knowledge) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Belief:
-    """Estimates from the flight: the mass [kg], the horizontal acceleration by the air."""
-
-    mass: float
-    unexplained: tuple[float, float]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Remainder:
-    """The remaining mission after some of its waypoints."""
-
-    problem: Problem
-    begin: float
-    """Time at which the last of these waypoints is left [s]."""
-    passages: tuple[float, ...]
-    """Times at which the remaining waypoints are reached and left [s]."""
-    end: float
-    """End time of the mission [s]."""
-    is_holding: bool
-    """Whether the mission has a hold at the next waypoint."""
-    released: float
-    """Payload released so far [kg]."""
-    numbers: Mapping[str, float]
-
-    @property
-    def planned_until(self) -> float:
-        """Time until which re-planning continues [s]."""
-        if not self.passages:
-            return self.end - min(_LAST, _LAST_SHARE * (self.end - self.begin))
-        ahead = self.passages[0] - self.begin
-        near = (_LAST, _HOLD_SHARE) if self.is_holding else (_NEAR, _LAST_SHARE)
-        return self.passages[0] - min(near[0], near[1] * ahead)
-
-    def timeline(self, t: float) -> Timeline:
-        """Return the times of the remaining mission, from a given time."""
-        return Timeline(
-            fractions=np.array(self.problem.compiled.declared.clock.fractions),
-            times=np.array([t, *self.passages, self.end]),
-        )
-
-    def guess(self, mesh: Mesh, now: Timeline, last: Solution) -> Trajectory:
-        """Return the part of a previous plan that remains, on a mesh of the remaining mission."""
-        path = last.trajectory
-        nodes, points = (
-            last.timeline.fraction(now.time(fractions))
-            for fractions in (mesh.node_fractions, mesh.point_fractions)
-        )
-        statics = [
-            self.problem.values.static_value(slot)
-            for slot in self.problem.compiled.declared.statics
-        ]
-        return Trajectory(
-            mesh=mesh,
-            states=path.states_at(nodes),
-            algebraics=path.algebraics_at(points),
-            statics=np.array(statics, dtype=float),
-        )
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Course:
-    """A plan in flight, with the estimates and the remaining mission that it was made for."""
-
-    plan: Trajectories
-    belief: _Belief
-    rest: _Remainder
-    estimate: FloatArray
-    """Unexplained acceleration that the belief accounts for [m/s^2]."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class _Leg:
-    """A part of the flight: a plan's own controls, or the plan under feedback."""
+    """A part of the flight: a plan under feedback."""
 
-    course: _Course
+    course: Course
     start: float
     end: float
-    is_tracked: bool
     learnt: tuple[float, float, float]
     """Estimated acceleration that the plan does not include [m/s^2]."""
-
-
-class Replanner:
-    """Solves the remaining mission with the present estimates of mass and wind.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission and the vehicle as believed.
-    knowledge : Knowledge
-        Information on the wind.
-    planner : Planner
-        Keeps the compiled equations.
-    """
-
-    def __init__(self, scenario: Scenario, knowledge: Knowledge, planner: Planner) -> None:
-        if planner.builder is not build_model:
-            raise ScenarioError(
-                f"{scenario.name}: re-planning knows the declared model only; leave out "
-                "baseline.mpc or the own model."
-            )
-        for k, waypoint in enumerate(scenario.mission.waypoints):
-            if waypoint.at is None:
-                raise ScenarioError(
-                    f"{scenario.name}: re-planning passes waypoints at times that are given; solve "
-                    f"the mission first, or give mission.waypoints[{k}].at."
-                )
-        is_told = knowledge is Knowledge.TOLD
-        believed = scenario.as_it_blows() if is_told else scenario.as_forecast()
-        self._end = scenario.mission.fixed_duration
-        self._scenario = scenario
-        self.belief = _Belief(mass=scenario.vehicle.total_mass, unexplained=(0.0, 0.0))
-        whole, _ = planner.problem_for(believed)
-        is_untold = not is_told and scenario.wind.forecast is None
-        self._air: Numbers = {**still_air(whole.model)} if is_untold else {}
-        self.remainders = _remainders(believed)
-        numbers = {**parameter_values(believed)} | self._air
-        self.dynamics = whole.dynamics(parameters=numbers, horizon=(0.0, self._end))
-        elements = min(max(ceil(self._end / _ELEMENT_S), _FEWEST), _MOST)
-        self._mesh = Mesh.uniform(elements, _DEGREE)
-        self._last: dict[_Remainder, Solution] = {}
-
-    def released(self, t: float) -> float:
-        """Return the payload released until a time [kg]."""
-        return max((rest.released for rest in self.remainders if rest.begin < t), default=0.0)
-
-    def at(self, t: float) -> _Remainder:
-        """Return the remaining mission at a time."""
-        return next(rest for rest in self.remainders[::-1] if rest.begin <= t)
-
-    def prepare(self, plan: Trajectories, belief: _Belief) -> None:
-        """Solve the mission after each waypoint once, from the state of a first plan there."""
-        for rest in self.remainders[1:]:
-            self.solve(rest.begin, plan.states_at(np.array([rest.begin]))[0], belief)
-
-    def solve(self, t: float, state: FloatArray, belief: _Belief) -> Solution:
-        """Return the solution of the remaining mission from a time and a state on."""
-        limits = self._scenario.limits
-        held = dict(zip(self.dynamics.state_names, state.tolist(), strict=True))
-        # Rotors that run a little beyond their limit leave no flight within it to be found.
-        held |= {
-            name: min(max(held[name], limits.rotor_speed_min), limits.rotor_speed_max)
-            for name in (self.dynamics.state_names[k] for k in rotor_columns(self.dynamics))
-        }
-        rest = self.at(t)
-        last, now = self._last.get(rest), rest.timeline(t)
-        mesh = self._mesh.with_breakpoints(tuple(now.fractions[1:-1].tolist()))
-        start: dict[str, Any] = {"options": _AT_LEISURE}
-        if last is not None:
-            start = {
-                "options": _OPTIONS,
-                "warm_start": last.warm_start.continued(mesh, last.timeline, now),
-            }
-        elif self._last:
-            start["guess"] = rest.guess(mesh, now, next(iter(self._last.values())))
-        solution = rest.problem.solve(
-            mesh=mesh,
-            parameters=self._with(belief, rest) | measured_start(held),
-            horizon=(t, self._end),
-            **start,
-        )
-        if solution.is_converged:
-            self._last[rest] = solution
-        return solution
-
-    def _with(self, belief: _Belief, rest: _Remainder) -> Numbers:
-        air = dict(zip(_HORIZONTAL, belief.unexplained, strict=True))
-        learnt = {f"aerodynamics.unexplained[{axis}]": value for axis, value in air.items()}
-        numbers = {**rest.numbers}
-        if _CLEARANCE in numbers:
-            numbers[_CLEARANCE] += _SPARE_M
-        return numbers | self._air | learnt | {"vehicle.mass": belief.mass - rest.released}
-
-    def path(self, course: _Course) -> SampledPath:
-        """Return a course as a reference for the controller."""
-        flow = course.rest.problem.dynamics(
-            parameters=self._with(course.belief, course.rest), horizon=course.plan.horizon
-        )
-        vehicle = _with_mass(self._scenario, course.belief, course.rest.released).vehicle
-        return path_of(course.plan, flow, vehicle)
-
-    def predicted(
-        self, course: _Course, start: float, end: float, state: FloatArray, unexplained: FloatArray
-    ) -> FloatArray:
-        """Return the state that a course leads to."""
-        speeds = [self.dynamics.state_names.index(name) for name in VELOCITY_STATES]
-        limits = self.dynamics.control_limits(HELD_BREACH)
-        inside = self.dynamics.just_after(start)
-
-        def rates(t: float, x: FloatArray) -> FloatArray:
-            controls = course.plan.controls_at(np.array([t]), limits)[0]
-            slope = self.dynamics.rates(max(t, inside), x, controls)
-            slope[speeds] += unexplained
-            return slope
-
-        if end <= start:
-            return state
-        flown = solve_ivp(rates, (start, end), state, rtol=_TOLERANCE, atol=_TOLERANCE)
-        return np.asarray(flown.y[:, -1])
-
-
-def _remainders(believed: Scenario) -> tuple[_Remainder, ...]:
-    """Return the remaining missions after none, one, ... all of the waypoints."""
-    mission, times = believed.mission, believed.nominal_times
-    ahead = [
-        believed.model_copy(
-            update={"mission": mission.model_copy(update={"waypoints": mission.waypoints[k:]})}
-        )
-        for k in range(len(mission.waypoints) + 1)
-    ]
-    key = structure_key(believed)
-    problems = REMAINING.get(key) or REMAINING.store(key, tuple(map(_compiled, ahead)))
-    released = [0.0, *accumulate(waypoint.release for waypoint in mission.waypoints)]
-    return tuple(
-        _Remainder(
-            problem=problem,
-            begin=times[2 * k - 1] if k else 0.0,
-            # One that does not hold is reached and left at once.
-            passages=tuple(dict.fromkeys(times[2 * k : -1])),
-            end=times[-1],
-            is_holding=any(waypoint.hold > 0.0 for waypoint in left.mission.waypoints[:1]),
-            released=released[k],
-            numbers=parameter_values(left),
-        )
-        for k, (problem, left) in enumerate(zip(problems, ahead, strict=True))
-    )
-
-
-def _compiled(left: Scenario) -> Problem:
-    model = build_remaining(left)
-    return compile(model, times=free_times(model, left))
+    last: FloatArray | None
+    """The controller's states at the start, None at take-off."""
 
 
 class _Observer:
@@ -387,7 +123,7 @@ class _Observer:
         """Acceleration that the equations do not explain, shape (3,), [m/s^2]."""
         return self._states[-3:].copy()
 
-    def belief(self, flown: Flown) -> _Belief:
+    def belief(self, flown: Flown) -> Belief:
         """Return the mass and wind that explain the estimate at the end of a part of the flight."""
         last = flown.t[-1:], flown.states[-1:], flown.controls[-1:]
         acceleration = self._dynamics.table(_SLOPES, *last)[0]
@@ -399,7 +135,7 @@ class _Observer:
         along, aside, upwards = self.estimate.tolist()
         lifting = max(float(thrust[2]), _LEAST_LIFT * self._gravity)
         excess = min(max(upwards / lifting, _MOST_AMISS[0]), _MOST_AMISS[1])
-        return _Belief(
+        return Belief(
             mass=mass / (1.0 + excess) + released,
             unexplained=(along - excess * float(thrust[0]), aside - excess * float(thrust[1])),
         )
@@ -423,7 +159,6 @@ class _Aircraft:
 
     def __init__(self, scenario: Scenario, replanner: Replanner, dynamics: Dynamics) -> None:
         self.dynamics = dynamics
-        self._alone = OpenLoop(dynamics)
         self._scenario, self._replanner = scenario, replanner
         # The controller knows the vehicle as it is believed, not as it flies.
         self._mixer = mixer_matrix(replanner.dynamics)
@@ -437,39 +172,19 @@ class _Aircraft:
         """Return a part of the flight in the states that a planner knows of."""
         return replace(flown, states=flown.states[:, self._measured])
 
-    def fly(self, leg: _Leg, state: FloatArray, integrator: Integrator) -> Flown:
+    def fly(self, leg: _Leg, state: FloatArray, integrator: Integrator) -> ClosedLoopFlight:
         """Return a part of the flight."""
-        plan, belief = leg.course.plan, leg.course.belief
-        if leg.is_tracked:
-            return fly(
-                dynamics=self.dynamics,
-                controller=AdaptiveController(
-                    _with_mass(self._scenario, belief, self._replanner.released(leg.end)),
-                    self._mixer,
-                    leg.learnt,
-                ),
-                reference=self._replanner.path(leg.course),
-                initial_state=state,
-                times=even_times(leg.start, leg.end, RATE_HZ),
-                integrator=integrator,
-            ).flown
-        shortest = np.diff(plan.mesh.breakpoints).min() * (plan.horizon[1] - plan.horizon[0])
-        return self._alone.fly(
-            plan.mesh,
-            plan.controls,
-            state,
-            plan.horizon,
-            part=(leg.start, leg.end),
-            samples_per_element=ceil(min(shortest, leg.end - leg.start) * RATE_HZ),
-            method=integrator.value,
+        released = self._replanner.released(leg.end)
+        believed = with_mass(self._scenario, leg.course.belief, released)
+        return fly(
+            dynamics=self.dynamics,
+            controller=AdaptiveController(believed, self._mixer, leg.learnt),
+            reference=leg.course.path,
+            initial_state=state,
+            times=even_times(leg.start, leg.end, RATE_HZ),
+            integrator=integrator,
+            last=leg.last,
         )
-
-
-def _with_mass(scenario: Scenario, belief: _Belief, released: float) -> Scenario:
-    """Return the controller's vehicle, with the estimated mass less the released payload."""
-    vehicle = scenario.vehicle
-    learnt = vehicle.model_copy(update={"mass": belief.mass - released - vehicle.payload})
-    return scenario.model_copy(update={"vehicle": learnt})
 
 
 class _ReplannedFlight:
@@ -484,22 +199,19 @@ class _ReplannedFlight:
         replanner: Replanner,
         dynamics: Dynamics,
         computer: Computer,
+        plan: Plan | None,
     ) -> None:
         self._settings, self._computer, self._replanner = settings, computer, replanner
         self._is_observing = knowledge is not Knowledge.UNTOLD
-        is_drag = scenario.wind.coupling is WindCoupling.DRAG
-        self._is_followed = is_drag and not self._is_observing
         self._end = scenario.mission.fixed_duration
         self._aircraft = _Aircraft(scenario, replanner, dynamics)
+        is_planned = plan is not None and replanner.believes_forecast
+        known = plan.trajectories if plan is not None and is_planned else replanner.first()
+        self._first = self._course = replanner.first_course(known)
+        replanner.prepare(known)
         state = start_state(scenario, dynamics)
         self._t, self._state = 0.0, state
-        first = replanner.solve(0.0, self._aircraft.measured(state), replanner.belief)
-        if not first.is_converged:
-            raise SolveError(f"re-planning: no plan before take-off: {first.message}")
-        self._take(first, replanner.belief, np.zeros(3), 0.0)
-        replanner.prepare(self._course.plan, replanner.belief)
-        # When the next plan is due, and the last one's controls are no longer applied alone.
-        self._due = settings.interval + settings.solve_time
+        self._controlled: FloatArray | None = None
         speeds = [dynamics.state_names.index(name) for name in VELOCITY_STATES]
         self._observer = _Observer(scenario, replanner, state[speeds])
         self.legs: list[_Leg] = []
@@ -509,13 +221,17 @@ class _ReplannedFlight:
     def fly(self) -> None:
         """Fly the whole mission."""
         measured_at = self._settings.interval
+        hovering_at = inf
         for rest in self._replanner.remainders:
+            if hovering_at <= rest.begin:
+                self._advance(hovering_at)
+                self._course = self._first
+            hovering_at = rest.end
             measured_at = max(measured_at, rest.begin)
             while measured_at + self._settings.solve_time < rest.planned_until:
                 self._advance(measured_at)
                 arrived_at = self._replan(measured_at)
                 measured_at = max(measured_at + self._settings.interval, arrived_at)
-            self._due = min(self._due, self._t)
         self._advance(self._end)
 
     def _replan(self, measured_at: float) -> float:
@@ -527,18 +243,19 @@ class _ReplannedFlight:
                 self._observer.estimate,
                 self._observer.belief(self._aircraft.seen(self.parts[-1])),
             )
-        state = self._replanner.predicted(
-            self._course, measured_at, meant_for, self._aircraft.measured(self._state), estimate
-        )
+        measured = self._aircraft.measured(self._state)
+        missing = estimate - self._course.estimate
+        state = self._replanner.begun(self._course, measured_at, meant_for, measured, missing)
         began = process_time()
         solution = self._solved(meant_for, state, belief)
+        if solution is None and self._replanner.is_off(self._course, measured_at, measured):
+            solution = self._solved(meant_for, state, belief, is_patient=True)
         solve_s = process_time() - began
         aboard = self._computer(solve_s)
         arrived_at = min(max(meant_for, measured_at + aboard), self._end)
         self._advance(arrived_at)
         if solution is not None:
-            self._take(solution, belief, estimate, meant_for)
-            self._due = arrived_at + self._settings.interval
+            self._course = self._replanner.course(solution, belief, estimate)
         self.resolves.append(
             Resolve(
                 t=measured_at,
@@ -550,37 +267,34 @@ class _ReplannedFlight:
         )
         return arrived_at
 
-    def _take(self, solution: Solution, belief: _Belief, estimate: FloatArray, t: float) -> None:
-        plan, rest = trajectories_of(solution), self._replanner.at(t)
-        self._course = _Course(plan=plan, belief=belief, rest=rest, estimate=estimate)
-
-    def _solved(self, t: float, state: FloatArray, belief: _Belief) -> Solution | None:
+    def _solved(
+        self, t: float, state: FloatArray, belief: Belief, *, is_patient: bool = False
+    ) -> Solution | None:
         """Return the rest of the mission; None where it is not found, or none starts out there."""
         try:
-            solution = self._replanner.solve(t, state, belief)
+            solution = self._replanner.solve(t, state, belief, is_patient=is_patient)
         except TranscriptionError:
-            return None  # measured beyond a limit, from where no plan within it starts
+            return None  # measured beyond what rotors and pack can give
         return solution if solution.is_converged else None
 
     def _advance(self, end: float) -> None:
-        """Fly the plan at hand until a time, alone as long as the next is not due."""
-        border = self._t if self._is_followed else min(max(self._due, self._t), end)
-        for start, stop, is_tracked in ((self._t, border, False), (border, end, True)):
-            if stop - start > _SHORTEST * self._end:
-                course = self._course
-                along, aside, upwards = (self._observer.estimate - course.estimate).tolist()
-                learnt = (along, aside, upwards)
-                self._fly(
-                    _Leg(course=course, start=start, end=stop, is_tracked=is_tracked, learnt=learnt)
-                )
+        """Fly the plan at hand until a time."""
+        if end - self._t > _SHORTEST * self._end:
+            along, aside, upwards = (self._observer.estimate - self._course.estimate).tolist()
+            leg = _Leg(
+                course=self._course,
+                start=self._t,
+                end=end,
+                learnt=(along, aside, upwards),
+                last=self._controlled,
+            )
+            flight = self._aircraft.fly(leg, self._state, Integrator.RUNGE_KUTTA)
+            flown = flight.flown
+            self._state, self._controlled = flown.states[-1], flight.controller_states[-1]
+            self.legs.append(leg)
+            self.parts.append(flown)
+            self._observer.watch(self._aircraft.seen(flown))
         self._t = end
-
-    def _fly(self, leg: _Leg) -> None:
-        flown = self._aircraft.fly(leg, self._state, Integrator.RUNGE_KUTTA)
-        self._state = flown.states[-1]
-        self.legs.append(leg)
-        self.parts.append(flown)
-        self._observer.watch(self._aircraft.seen(flown))
 
     def flown_twice(self) -> list[tuple[Flown, Flown]]:
         """Fly each part again, by the other integrator, from the state that it was flown from.
@@ -590,7 +304,7 @@ class _ReplannedFlight:
         """
         again = self._aircraft.fly
         return [
-            (part, again(leg, part.states[0], Integrator.MULTISTEP))
+            (part, again(leg, part.states[0], Integrator.MULTISTEP).flown)
             for leg, part in zip(self.legs, self.parts, strict=True)
         ]
 
@@ -642,13 +356,15 @@ def fly_replanned(
     settings = scenario.baseline.mpc or Replanning()
     if computer is None:
         computer = partial(_charged, settings)
+    margins = None if plan is None or plan.risk is None else plan.risk.margins
     flight = _ReplannedFlight(
         scenario,
         settings,
         knowledge,
-        replanner=Replanner(scenario, knowledge, planner),
+        replanner=Replanner(scenario, knowledge, planner, margins),
         dynamics=dynamics,
         computer=computer,
+        plan=plan,
     )
     flight.fly()
     assembled = assembled_flight(

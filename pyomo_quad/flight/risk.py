@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pyomo_quad.collocation import Progress, SolverOptions
+from pyomo_quad.collocation import Progress, SolveError, SolverOptions
 from pyomo_quad.flight.baselines import reference_path
 from pyomo_quad.flight.breaching import (
     Approach,
@@ -45,13 +45,15 @@ from pyomo_quad.flight.strategies import FIRST, PROOF, carry_out
 from pyomo_quad.flight.verdict import plan_of
 from pyomo_quad.flight.weather import as_expected, draw
 from pyomo_quad.model import build_model
-from pyomo_quad.scenario import Scenario
+from pyomo_quad.scenario import Attitude, Scenario
 from pyomo_quad.scenario.mission import Aim
 from pyomo_quad.scenario.tables import Reference
-from pyomo_quad.scenario.wind import Intensity, Turbulence
+from pyomo_quad.scenario.wind import Intensity, Turbulence, WindCoupling
 
 FloatArray = NDArray[np.float64]
 
+# Of a plan that chooses its duration, where the scenario states none.
+_USUAL_RISK = 0.01
 # Meets a plan with a risk where the scenario states no turbulence.
 _USUAL_TURBULENCE = Turbulence(intensity=Intensity.LIGHT)
 # Flights that judge a plan, and the seed of the first of them; each plan has winds of its own.
@@ -75,11 +77,22 @@ _LONGER = 0.75
 _GROWTH, _GROWTH_OF_RESERVE = 1.5, 1.1
 # s, by how much earlier each plan is at a hold than the last one, and at most.
 _EARLIER_S, _EARLIEST_S = 0.3, 1.5
+# Why a search for margins ended early.
+_STOPPED = "the search was stopped"
+_OWN_MODEL = "margins are found for the declared equations only, not for a model of one's own"
 
 
 def risk_asked(scenario: Scenario) -> float:
-    """Return the risk that a scenario asks for, 1 where it asks for none."""
-    return 1.0 if scenario.mission.risk is None else scenario.mission.risk
+    """Return the risk that a scenario asks for, 1 where it asks for none.
+
+    A plan that chooses its duration uses all that the rotors give, and no controller can follow it:
+    without a word of the scenario it is asked for a risk, except of the paper's equations.
+    """
+    stated = scenario.mission.risk
+    if stated is not None:
+        return stated
+    is_of_paper = scenario.vehicle.attitude is Attitude.PAPER
+    return _USUAL_RISK if scenario.mission.is_free and not is_of_paper else 1.0
 
 
 def plan_at_risk(
@@ -96,14 +109,22 @@ def plan_at_risk(
     -------
     Plan
         With `risk`; of a scenario that asks for none the plan of `Planner.solve`.  Where the risk
-        cannot be had, or the user stops the search, the plan of the least risk found.
+        cannot be had, or the search is stopped, the plan of the least risk found.
     """
     with planner.until_stopped() as is_stopped:
         paper = planner.solve(scenario, progress=progress, **solve)
-        is_own = planner.builder is not build_model
-        if risk_asked(scenario) >= 1.0 or not paper.is_verified or is_own:
+        if risk_asked(scenario) >= 1.0 or not paper.is_flyable:
             return paper
-        return _Search(paper, planner, progress, is_stopped).best()
+        search = _Search(paper, planner, progress, is_stopped)
+        if planner.builder is not build_model:
+            is_stated = scenario.mission.risk is not None
+            return search.unfinished(_OWN_MODEL) if is_stated else paper
+        if is_stopped():
+            return search.unfinished(_STOPPED)
+        try:
+            return search.best()
+        except SolveError as error:
+            return search.unfinished(str(error).removesuffix("."))
 
 
 def _again(
@@ -174,6 +195,8 @@ class _Search:
         self._progress, self._is_stopped = progress, is_stopped
         self._risk = risk_asked(paper.scenario)
         self._least: Mapping[str, float] = {}
+        # The last plan that can be flown, and its margins.
+        self._last: tuple[Plan, Mapping[str, float]] = (paper, {})
         self._told = paper.scenario
         if self._told.wind.turbulence is None:
             wind = self._told.wind.model_copy(update={"turbulence": _USUAL_TURBULENCE})
@@ -198,6 +221,21 @@ class _Search:
         counts, failed, tried = min(found, key=lambda one: (one[1], one[2].plan.energy))
         return self._stated(tried, counts, failed)
 
+    def unfinished(self, why: str) -> Plan:
+        """Return the last plan that can be flown; no flights have judged it."""
+        plan, margins = self._last
+        taken = RiskTaken(
+            asked=self._risk,
+            predicted=1.0,
+            failed=0,
+            flown=0,
+            is_had=False,
+            margins=dict(margins),
+            paper_energy_J=self._paper.energy,
+            stopped=why,
+        )
+        return replace(plan, risk=taken)
+
     def _stated(self, tried: _Tried, counts: Counter[str], failed: int) -> Plan:
         """Return the plan with its risk stated."""
         is_had = failed <= self._risk * _FLIGHTS
@@ -211,7 +249,8 @@ class _Search:
             margins=dict(tried.margins),
             paper_energy_J=self._paper.energy,
             limiting=limiting,
-            advice="" if is_had else self._advice(limiting),
+            advice="" if is_had else self._advice(tried, limiting),
+            stopped=_STOPPED if self._is_stopped() and not is_had else "",
         )
         return replace(tried.plan, risk=taken)
 
@@ -223,7 +262,10 @@ class _Search:
         plan = _again(self._planner, tried.plan, held, self._progress, is_rough=False)
         if not plan.is_flyable:
             plan = self._planner.solve(held, progress=self._progress)
-        return self._tried(self._owned(plan, tried.margins), tried.margins)
+        owned = self._owned(plan, tried.margins)
+        if owned.is_flyable:
+            self._last = owned, tried.margins
+        return self._tried(owned, tried.margins)
 
     def _owned(self, plan: Plan, margins: Mapping[str, float]) -> Plan:
         """Return a plan with margins as a plan of the scenario as stated."""
@@ -389,18 +431,43 @@ class _Search:
             margins[name] = min(grown, most)
         return margins
 
-    def _advice(self, limiting: tuple[str, ...]) -> str:
+    def _advice(self, tried: _Tried, limiting: tuple[str, ...]) -> str:
         """Return what would help against the limit that is broken most."""
         first = limiting[0] if limiting else ""
         if first.startswith(("keep-out", "floor", "ceiling")):
             return "start, waypoints and goal farther from it, or a lower limits.speed_max"
         if "waypoint" in first or "hold place" in first:
             return "a larger radius of the waypoint, or a later time to pass it"
-        if self._least:
-            return (
-                "weaker turbulence, or faster baseline.gains: no longer flight arrives more often"
+        longer = "" if self._scenario.mission.is_free else "a longer mission.duration, or "
+        return f"{longer}{self._weaker(tried)}"
+
+    def _weaker(self, tried: _Tried) -> str:
+        """Return in what wind the flights would arrive, by the spread along the plan."""
+        allowed = _SHARE_OF_GOAL * self._risk
+        places = [miss for miss in tried.missed if not miss.field]
+        low, high = 0.0, 1.0
+        for _ in range(_HALVINGS):
+            middle = (low + high) / 2
+            missed = sum(miss.shrunk(middle).probability for miss in places)
+            low, high = (middle, high) if missed <= allowed else (low, middle)
+        turbulence = self._told.wind.turbulence
+        strength = 0.0 if turbulence is None else turbulence.strength
+        if high == 1.0:
+            return "weaker turbulence"
+        found = (
+            f"wind.turbulence.wind_at_6_m of about {low * strength:.2g} m/s instead of "
+            f"{strength:.3g} m/s, stated errors as much smaller"
+        )
+        if self._scenario.wind.coupling is WindCoupling.ACCELERATION:
+            found += (
+                ', or wind.coupling = "drag": as "acceleration" a gust pushes at '
+                f"{self._scenario.wind.acceleration_coefficient:g} m/s² for each m/s"
             )
-        return "a longer mission.duration, or weaker turbulence"
+        return found
+
+
+# Of the strength of turbulence, to a thousandth.
+_HALVINGS = 10
 
 
 def _cost(tried: _Tried) -> float:

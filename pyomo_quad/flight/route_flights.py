@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pyomo_quad.collocation import Mesh, Solution, SolveError, Status
+from pyomo_quad.flight.corridors import corridor_journeys, estimate_of, has_corridors
 from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
 from pyomo_quad.flight.long_flight import best_speed
 from pyomo_quad.flight.mission_problem import MissionProblem
@@ -99,6 +100,7 @@ class RouteFlights:
                 energy_J=self.energy_of(known[k]) if known[k].status.is_solved else None,
                 is_refined=k in refined and refined[k].status.is_solved,
                 is_kept=k == best and solution.status.is_solved,
+                estimate_J=estimate_of(journey),
             )
             for k, (journey, _) in enumerate(flown)
             if k in known
@@ -141,6 +143,9 @@ class RouteFlights:
         """Return the journeys to fly, the shortest first; for a proof all of them."""
         told = self._told
         journeys = find_journeys(told.airspace, told.mission.positions)[:most]
+        if has_corridors(told) and most is None:
+            steady = self._mission.problems.steady_flight(told)
+            return corridor_journeys(told, steady, journeys[0])
         if told.solver.accuracy is Accuracy.PROOF or len(journeys) == 1:
             return journeys
         return promising(journeys, self._cost_per_metre(journeys[0]))
@@ -173,13 +178,14 @@ class RouteFlights:
         if self._known is not None:
             known, self._known = self._known, None
             return known
-        told, past = self._told, self._mission.past_waypoints
+        told, mission = self._told, self._mission
         guess: Any = guess_along(journey, told.nominal_times, is_open=told.mission.is_free)
-        if self._is_plain and past is not None:
-            begun = past.solve_roughly(mesh=self._mesh, guess=guess)
+        if self._is_plain and mission.past_waypoints is not None:
+            begun = mission.past_waypoints.solve_roughly(mesh=self._mesh, guess=guess)
             guess = begun.trajectory if begun.status.is_solved else guess
-        rough = self._mission.solve_roughly(mesh=self._mesh, guess=guess)
-        if self._is_plain or past is None or not rough.status.has_failed:
+        rough = mission.solve_roughly(mesh=self._mesh, guess=guess)
+        is_new = rough.status.has_failed and not self._is_plain
+        if not is_new or mission.past_waypoints is None:
             return rough
         self._is_plain = True
         return self.fly(journey)

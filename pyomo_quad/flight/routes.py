@@ -68,10 +68,16 @@ class Route:
         Corners of the route, start and goal included [m].
     sides : tuple of (str, Side)
         Name of each zone between start and goal, and the side on which it is passed.
+    label : str
+        Name of a route that sides do not tell from others.
+    estimate_J : float or None
+        Energy in steady flight through a wind field.
     """
 
     places: FloatArray
     sides: tuple[tuple[str, Side], ...]
+    label: str = ""
+    estimate_J: float | None = None
 
     @property
     def length(self) -> float:
@@ -85,7 +91,7 @@ class Route:
             f"{side.value} of {zone}" if side in _BESIDE else f"{side.value} {zone}"
             for zone, side in self.sides
         )
-        return ", ".join(words) or "straight"
+        return self.label or ", ".join(words) or "straight"
 
     def places_at(self, shares: FloatArray) -> FloatArray:
         """Return the places at fractions of the length, shape (n, 3)."""
@@ -316,6 +322,8 @@ class TriedRoute:
         Whether it was solved to the mission's tolerance.
     is_kept : bool
         Whether it is the route of the plan.
+    estimate_J : float or None
+        Energy of steady flight along it, known in a wind field alone.
     """
 
     name: str
@@ -323,6 +331,7 @@ class TriedRoute:
     energy_J: float | None
     is_refined: bool
     is_kept: bool
+    estimate_J: float | None = None
 
 
 #: s, durations of hover at the goal; a flight takes the first that suffices to arrive.

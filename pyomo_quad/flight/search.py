@@ -268,8 +268,8 @@ def _proven(plan: Plan) -> str:
 
 
 def accuracy_words(plan: Plan) -> str:
-    """Return which accuracy was asked for, which was reached, and to what the energy is known."""
+    """Return the requested accuracy, the accuracy reached, and the uncertainty of the energy."""
     asked, reached = plan.scenario.solver.accuracy, plan.accuracy_reached
     known = plan.energy_uncertainty
-    words = f"accuracy asked for {asked.value}, reached {'none' if reached is None else reached}"
-    return f"{words}; energy known to {known:.1g} of it" if isfinite(known) else words
+    words = f"accuracy requested: {asked.value}; reached: {'none' if reached is None else reached}"
+    return f"{words}; uncertainty of the energy: {100 * known:.1g} %" if isfinite(known) else words

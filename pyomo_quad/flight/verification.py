@@ -34,6 +34,11 @@ if TYPE_CHECKING:
 
 _PROOF = FIGURES[Accuracy.PROOF]
 SAMPLES_PER_ELEMENT = 8
+# Distance from a zone up to which samples are dense, in distances between a path's nodes: half of
+# one is enough for a straight path between them.
+_REACH = 2.0
+# Decimals of an element to which samples are told apart.
+_DIGITS = 9
 # An uncorrected error of a rotor's speed grows into an error of position with the fourth power of
 # time [s]. Longer flights are integrated with a correspondingly smaller tolerance, bounded by
 # rounding.
@@ -50,7 +55,7 @@ def fly_controls(
     start: FloatArray,
     horizon: tuple[float, float],
     *,
-    samples_per_element: int | Sequence[int] = SAMPLES_PER_ELEMENT,
+    samples_per_element: int | Sequence[FloatArray] = SAMPLES_PER_ELEMENT,
     method: str = "DOP853",
     integration: float = _PROOF.integration,
 ) -> Flown:
@@ -63,8 +68,9 @@ def fly_controls(
     start : ndarray, shape (n_states,)
     horizon : (float, float)
         Start and end time [s].
-    samples_per_element : int or sequence of int, optional
-        Number of samples in each element, for all of them or one by one.
+    samples_per_element : int or sequence of ndarray, optional
+        Number of equally spaced samples in each element; or, one by one, the shares of the elements
+        at which there are samples, rising and ending with 1.
     integration : float, optional
         Relative and absolute tolerance of the integrator.
 
@@ -104,14 +110,16 @@ class OpenLoop:
         horizon: tuple[float, float],
         *,
         part: tuple[float, float] | None = None,
-        samples_per_element: int | Sequence[int] = SAMPLES_PER_ELEMENT,
+        samples_per_element: int | Sequence[FloatArray] = SAMPLES_PER_ELEMENT,
         method: str = "DOP853",
         integration: float = _PROOF.integration,
     ) -> Flown:
         """Fly piecewise polynomial controls, over their horizon or a given part of it."""
         borders = horizon[0] + (horizon[1] - horizon[0]) * np.asarray(mesh.breakpoints)
         begin, end = horizon if part is None else part
-        counts = np.broadcast_to(samples_per_element, mesh.elements)
+        shares = samples_per_element
+        if isinstance(shares, int):
+            shares = [_equal_shares(shares)] * mesh.elements
         share = min(1.0, _LONG_S / (horizon[1] - horizon[0]))
         tolerance = max(_SHARPEST, integration * share**_POWER)
         step = inf if share == 1.0 else share / _STEPS
@@ -126,7 +134,8 @@ class OpenLoop:
             polynomial = control_polynomial(
                 mesh, controls, element, borders[element], borders[element + 1], self._limits
             )
-            samples = np.linspace(first, last, counts[element] + 1)[1:]
+            samples = first + (last - first) * shares[element]
+            samples[-1] = last
             flown = _integrate(
                 self._flow,
                 polynomial,
@@ -324,6 +333,11 @@ def balance_lacking(balance: FloatArray) -> tuple[float, float]:
     return float(np.max(lacking)), float(-np.min(charge) / 100.0)
 
 
+def _equal_shares(count: int) -> FloatArray:
+    """Return the ends of equal parts of an element, as shares of it."""
+    return np.linspace(0.0, 1.0, count + 1)[1:]
+
+
 # Part of a cell of terrain, by length, between samples: the height that a flight has above the
 # ground between them is missed by at most a thousandth of what the ground bends in a cell.
 _PART_OF_CELL = 1 / 20
@@ -331,26 +345,38 @@ _PART_OF_CELL = 1 / 20
 
 def _samples_near_zones(
     airspace: Airspace, dynamics: Dynamics, mesh: Mesh, states: FloatArray, spacing: float
-) -> list[int]:
-    """Return the number of samples in each element needed to check all keep-outs and the ground.
+) -> list[FloatArray]:
+    """Return the shares of each element at which samples suffice to check keep-outs and ground.
 
-    Samples are at most `spacing` [m] apart near zones, and near the ground of terrain a small part
-    of a cell of its grid, in which the surface that limits the flight is one polynomial.
+    Between two nodes, samples are at most `spacing` [m] apart where a path as long as their
+    distance may reach a zone, and a small part of a cell of the terrain where it may reach a limit
+    of the height above the ground: in a cell, the surface that limits the flight is one polynomial.
 
     The states are those planned at the nodes, shape (n_points + 1, n_states).
     """
     places = states[:, [dynamics.state_names.index(name) for name in POSITION_STATES]]
-    counts = []
-    for first, end in pairwise(mesh.first_node):
-        held = places[first : end + 1]
-        length = float(np.linalg.norm(np.diff(held, axis=0), axis=1).sum())
-        depths = (float(zone.depth(held).max()) for zone in airspace.keep_out)
-        is_near = max(depths, default=-np.inf) + airspace.clearance > -length
-        close = ceil(length / spacing) if is_near else 0
-        if airspace.ground is not None and airspace.room_over_ground(held).min() < length:
-            close = max(close, ceil(length / (_PART_OF_CELL * airspace.ground.least_step)))
-        counts.append(max(SAMPLES_PER_ELEMENT, close))
-    return counts
+    gaps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    depths = [np.full(len(places), -np.inf), *(zone.depth(places) for zone in airspace.keep_out)]
+    depth = np.max(depths, axis=0) + airspace.clearance
+    is_near = np.maximum(depth[:-1], depth[1:]) > -_REACH * gaps
+    apart = np.where(is_near, spacing, np.inf)
+    if airspace.ground is not None:
+        room = airspace.room_over_ground(places)
+        is_low = np.minimum(room[:-1], room[1:]) < _REACH * gaps
+        step = _PART_OF_CELL * airspace.ground.least_step
+        apart = np.minimum(apart, np.where(is_low, step, np.inf))
+    nodes = mesh.node_fractions
+    samples = []
+    for e, (first, end) in enumerate(pairwise(mesh.first_node)):
+        shares = (nodes[first : end + 1] - mesh.breakpoints[e]) / mesh.widths[e]
+        close = [
+            np.linspace(shares[k], shares[k + 1], ceil(gaps[first + k] / apart[first + k]) + 1)
+            for k in np.flatnonzero(np.isfinite(apart[first:end]))
+        ]
+        inner = (row[1:-1] for row in close)
+        every = np.concatenate([_equal_shares(SAMPLES_PER_ELEMENT), *inner])
+        samples.append(np.unique(np.round(every, _DIGITS)))
+    return samples
 
 
 # Number of parts into which an element is split if the flight violated a limit in it.
@@ -421,7 +447,7 @@ def verify_controls(
         The required accuracy, which sets the tolerance and the sampling of the flight.
     """
     figures = FIGURES[accuracy]
-    samples: int | list[int] = SAMPLES_PER_ELEMENT
+    samples: int | list[FloatArray] = SAMPLES_PER_ELEMENT
     if airspace is not None and set(POSITION_STATES) <= set(dynamics.state_names):
         samples = _samples_near_zones(airspace, dynamics, mesh, states, figures.spacing)
     flown = fly_controls(

@@ -67,7 +67,19 @@ _DRAWS = 200
 # Step of the difference quotients, relative to a parameter's size.
 _STEP = 1e-3
 # Relative distance from a bound at which a fit starts; ten times that counts as at the bound.
-_NEAR_BOUND = 1e-6
+_NEAR_BOUND, _AT_BOUND = 1e-6, 1e-5
+
+
+@dataclass(frozen=True, kw_only=True)
+class FittedParameter:
+    """Fitted value of a vehicle's field, its standard deviation, and the base's value."""
+
+    name: str
+    base: float
+    value: float
+    deviation: float
+    is_determined: bool
+    is_at_bound: bool
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,8 +162,10 @@ class Fit:
         for k, name in enumerate(self.names):
             if name in _OF_MOTION:
                 self.bounds[1, k] = _most_drag(scenario, self.frame, _OF_MOTION[name])
+        self._scenario = scenario
         self._window = _windows(self.frame)
         self._measured = self.frame[POWER].to_numpy()
+        self.everything = np.ones(len(self.frame), dtype=bool)
 
     def power(self, values: FloatArray) -> FloatArray:
         """Return the power of each row, W."""
@@ -175,15 +189,15 @@ class Fit:
 
         return _robust(residual, self.base if start is None else start, self.bounds)
 
-    def slopes(self, values: FloatArray, rows: Rows) -> FloatArray:
+    def slopes(self, values: FloatArray) -> FloatArray:
         """Return the difference quotients of the windows' power by each parameter."""
-        at, _ = self.windows(self.power(values), rows)
+        at, _ = self.windows(self.power(values), self.everything)
         columns = []
         for k in range(len(self.names)):
             moved = values.copy()
             step = _STEP * max(1.0, abs(values[k]))
             moved[k] += step
-            columns.append((self.windows(self.power(moved), rows)[0] - at) / step)
+            columns.append((self.windows(self.power(moved), self.everything)[0] - at) / step)
         return np.column_stack(columns) if columns else np.zeros((len(at), 0))
 
     def drawn_anew(self, values: FloatArray) -> FloatArray:
@@ -192,10 +206,9 @@ class Fit:
         Each is a robust fit of the equations linearised about the fit to all flights, which is
         exact for parameters that enter linearly.
         """
-        everything = np.ones(len(self.frame), dtype=bool)
-        slopes = self.slopes(values, everything)
-        at, first = self.windows(self.power(values), everything)
-        measured, _ = self.windows(self._measured, everything)
+        slopes = self.slopes(values)
+        at, first = self.windows(self.power(values), self.everything)
+        measured, _ = self.windows(self._measured, self.everything)
         flights, flight = np.unique(self.frame[FLIGHT].to_numpy()[first], return_inverse=True)
         generator = np.random.default_rng(SEED)
         found = []
@@ -210,6 +223,28 @@ class Fit:
 
             found.append(_robust(residual, values, self.bounds))
         return np.array(found)
+
+    def applied(self, values: FloatArray) -> Scenario:
+        """Return the scenario with a vehicle of these values."""
+        named = zip(self.names, values.tolist(), strict=True)
+        return self._scenario.with_values({f"vehicle.{name}": value for name, value in named})
+
+    def parameter(self, name: str, values: FloatArray, deviations: FloatArray) -> FittedParameter:
+        """Return the result for a parameter, the base's value where it was not fitted."""
+        value = base = float(getattr(self._scenario.vehicle, name))
+        deviation, distance = 0.0, np.inf
+        if name in self.names:
+            k = self.names.index(name)
+            value, deviation = float(values[k]), float(deviations[k])
+            distance = float(np.min(np.abs(self.bounds[:, k] - value)))
+        return FittedParameter(
+            name=name,
+            base=base,
+            value=value,
+            deviation=deviation,
+            is_determined=name in self.names,
+            is_at_bound=distance <= _AT_BOUND * max(1.0, abs(value)),
+        )
 
 
 def component(name: str) -> str:
@@ -249,8 +284,7 @@ def _windows(frame: pd.DataFrame) -> NDArray[np.int64]:
 
 def undetermined(fit: Fit) -> tuple[str, ...]:
     """Return the parameters without an independent effect on the power of the flights."""
-    everything = np.ones(len(fit.frame), dtype=bool)
-    slopes = fit.slopes(fit.base, everything)
+    slopes = fit.slopes(fit.base)
     slopes *= _SHARE * np.maximum(np.abs(fit.base), _size(fit))
     least = _LEAST_EFFECT * float(np.median(fit.frame[POWER]))
     left = list(range(len(fit.names)))
@@ -279,7 +313,7 @@ def confounded(fit: Fit, lost: Sequence[str]) -> tuple[tuple[str, str], ...]:
 
     A parameter without an effect on the power is paired with the empty name.
     """
-    slopes = fit.slopes(fit.base, np.ones(len(fit.frame), dtype=bool))
+    slopes = fit.slopes(fit.base)
     norms = np.linalg.norm(slopes, axis=0)
     pairs = []
     for name in lost:
@@ -319,16 +353,14 @@ def identify(
     asked = Fit(motion, scenario, names)
     lost = undetermined(asked)
     fit = Fit(motion, scenario, [name for name in names if name not in lost])
-    values = fit.over(np.ones(len(frame), dtype=bool))
+    values = fit.over(fit.everything)
     draws = fit.drawn_anew(values) if fit.names else np.zeros((1, 0))
 
     def fitted(rows: Rows) -> FloatArray:
         return fit.power(fit.over(rows, values))
 
     return Identification(
-        scenario=scenario.with_values(
-            {f"vehicle.{n}": float(v) for n, v in zip(fit.names, values, strict=True)}
-        ),
+        scenario=fit.applied(values),
         frame=frame,
         parameters=_parameters(fit, values, draws, scenario, names),
         correlations=pd.DataFrame(draws, columns=list(fit.names)).corr(),
@@ -356,7 +388,7 @@ def _cautions(scenario: Scenario, fit: Fit, values: FloatArray, draws: FloatArra
         return
     motion = LoggedMotion(scenario, thinned.reset_index(drop=True))
     coarse = Fit(motion, scenario, fit.names)
-    again = coarse.over(np.ones(len(coarse.frame), dtype=bool), values)
+    again = coarse.over(coarse.everything, values)
     for name, value, other, deviation in zip(
         fit.names, values, again, draws.std(axis=0), strict=True
     ):
@@ -372,27 +404,17 @@ def _cautions(scenario: Scenario, fit: Fit, values: FloatArray, draws: FloatArra
 def _parameters(
     fit: Fit, values: FloatArray, draws: FloatArray, scenario: Scenario, names: Sequence[str]
 ) -> tuple[IdentifiedParameter, ...]:
-    of_row = fit.frame[FLIGHT].to_numpy()
+    of_row, deviations = fit.frame[FLIGHT].to_numpy(), draws.std(axis=0)
     halves = [fit.over(np.isin(of_row, half), values) for half in folds(fit.frame, _HALVES)]
-    columns = zip(values, draws.std(axis=0), *fit.bounds, *halves, strict=True)
-    found = dict(zip(fit.names, columns, strict=True))
     rows = []
     for name in names:
-        base = float(getattr(scenario.vehicle, name))
-        kept = (base, 0.0, -np.inf, np.inf, base, base)
-        value, deviation, low, high, first_half, second_half = found.get(name, kept)
-        distance = min(value - low, high - value)
+        first, second = (fit.parameter(name, half, deviations).value for half in halves)
         rows.append(
             IdentifiedParameter(
-                name=name,
-                base=base,
+                **vars(fit.parameter(name, values, deviations)),
                 base_source=_base_source(scenario, f"vehicle.{name}"),
-                value=float(value),
-                first_half=float(first_half),
-                second_half=float(second_half),
-                deviation=float(deviation),
-                is_determined=name in found,
-                is_at_bound=bool(distance <= 10 * _NEAR_BOUND * max(1.0, abs(value))),
+                first_half=first,
+                second_half=second,
             )
         )
     return tuple(rows)

@@ -26,7 +26,7 @@ from pyomo_quad.identification.columns import (
     TIME,
     VELOCITY,
 )
-from pyomo_quad.scenario import Scenario, ScenarioError, scenario_from_mapping
+from pyomo_quad.scenario import PowerModel, Scenario, ScenarioError, scenario_from_mapping
 
 FloatArray = NDArray[np.float64]
 
@@ -46,8 +46,8 @@ _STEEPEST = 1.2  # rad, bound on roll and pitch during the iterations
 _OTHER_VALUE, _FEW = 1.7, slice(0, 50)
 
 
-def vehicle_scenario(base: str) -> Scenario:
-    """Return a mission of a vehicle of the library or of a file, under the momentum model.
+def vehicle_scenario(base: str, model: PowerModel = PowerModel.MOMENTUM) -> Scenario:
+    """Return a mission of a vehicle of the library or of a file, in air at rest.
 
     Raises
     ------
@@ -59,7 +59,7 @@ def vehicle_scenario(base: str) -> Scenario:
         "name": "logs",
         "vehicle": {"use": file.name if file.suffix == ".toml" else base},
         "wind": {"use": "calm", "coupling": "drag"},
-        "power": {"model": "momentum"},
+        "power": {"model": model},
         "mission": {"goal": {"position": [1.0, 0.0, 0.0]}, "duration": 10.0},
     }
     folder = file.parent if file.suffix == ".toml" else None

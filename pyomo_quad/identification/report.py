@@ -1,6 +1,5 @@
 """Files of `identify` and `predict`: tables, figures, vehicle file, summary and report."""
 
-import json
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -28,6 +27,7 @@ from pyomo_quad.report.document import write_study
 from pyomo_quad.report.tables import write_summary, write_table
 from pyomo_quad.scenario.fields import leaves, spell
 from pyomo_quad.scenario.resolution import read_toml
+from pyomo_quad.scenario.toml_text import inline
 from pyomo_quad.version import __version__
 
 VEHICLE_NAME = "vehicle.toml"
@@ -177,15 +177,7 @@ def _toml_lines(table: Mapping[str, Any], path: str = "") -> Iterator[str]:
     """Yield lines of TOML with dotted keys, each with one number and its source."""
     for name, content in table.items():
         key = f"{path}{name}"
-        if not isinstance(content, Mapping):
-            yield f"{key} = {_quoted(content)}"
-        elif "value" in content:
-            parts = ", ".join(f"{k} = {_quoted(v)}" for k, v in content.items())
-            yield f"{key} = {{ {parts} }}"
-        else:
+        if isinstance(content, Mapping) and "value" not in content:
             yield from _toml_lines(content, f"{key}.")
-
-
-def _quoted(value: object) -> str:
-    # JSON escapes characters beyond 16 bits by surrogates, which TOML does not allow.
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+        else:
+            yield f"{key} = {inline(content)}"

@@ -6,7 +6,7 @@ A point is a flight without acceleration, so the declared equations give its pow
 log.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,7 +28,7 @@ from pyomo_quad.identification.columns import (
     LogColumn,
     wanted_columns,
 )
-from pyomo_quad.identification.fitting import Fit, confounded, undetermined
+from pyomo_quad.identification.fitting import Fit, FittedParameter, confounded, undetermined
 from pyomo_quad.identification.logs import LEAST_POWER_PER_KG, MOST_POWER_PER_KG
 from pyomo_quad.identification.motion import LoggedMotion
 from pyomo_quad.identification.validation import FloatArray
@@ -55,22 +55,8 @@ _MOST_POINTS = 10_000
 _READING_ERROR = 0.05
 # Points per fitted number below which the residual is inconclusive.
 _FEW_PER_NUMBER = 3
-# Distance from the end of its range, as a share, at which a number counts as being at that end.
-_AT_BOUND = 1e-5
 # Seconds between the two equal rows that represent a point.
 _STEP_S = 1.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class SteadyParameter:
-    """Fitted value of a vehicle's field, its standard deviation, and the base's value."""
-
-    name: str
-    base: float
-    value: float
-    deviation: float
-    is_determined: bool
-    is_at_bound: bool
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +70,7 @@ class SteadyFit:
 
     scenario: Scenario
     points: pd.DataFrame
-    parameters: tuple[SteadyParameter, ...]
+    parameters: tuple[FittedParameter, ...]
     power: FloatArray
     unseen: FloatArray
     together: tuple[tuple[str, str], ...]
@@ -191,11 +177,6 @@ def as_flights(points: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
     )
 
 
-def computed_power(scenario: Scenario, points: pd.DataFrame) -> FloatArray:
-    """Return the power of a vehicle at steady points, W, by the declared equations."""
-    return LoggedMotion(scenario, as_flights(points, scenario)).power()[::2]
-
-
 def level_powers(scenario: Scenario, airspeeds: Sequence[float], planner: Planner) -> FloatArray:
     """Return the power of level flight at rising airspeeds, W; NaN above the greatest airspeed."""
     steady = planner.steady_flight(scenario)
@@ -230,8 +211,7 @@ def identify_steady(
     lost = undetermined(asked)
     kept = [name for name in names if name not in lost][: len(points)]
     fit = Fit(motion, scenario, kept)
-    everything = np.ones(len(frame), dtype=bool)
-    values = fit.over(everything)
+    values = fit.over(fit.everything)
     power = fit.power(values)[::2]
     unseen = np.full(len(points), np.nan)
     if len(points) > len(kept) + 1:
@@ -239,37 +219,14 @@ def identify_steady(
         for k in range(len(points)):
             unseen[k] = fit.power(fit.over(flights != k, values))[2 * k]
     spread = _deviations(fit, values, power, points) if kept else np.zeros(0)
-    found = dict(zip(kept, zip(values, spread, strict=True), strict=True))
-    bounds = dict(zip(kept, fit.bounds.T.tolist(), strict=True))
     return SteadyFit(
-        scenario=scenario.with_values(
-            {f"vehicle.{n}": float(v) for n, v in zip(kept, values, strict=True)}
-        ),
+        scenario=fit.applied(values),
         points=points,
-        parameters=tuple(_parameter(name, scenario, found, bounds) for name in names),
+        parameters=tuple(fit.parameter(name, values, spread) for name in names),
         power=power,
         unseen=unseen,
-        together=confounded(asked, [name for name in names if name not in found]),
+        together=confounded(asked, [name for name in names if name not in kept]),
         cautions=tuple(_cautions(points, kept)),
-    )
-
-
-def _parameter(
-    name: str,
-    scenario: Scenario,
-    found: Mapping[str, tuple[float, float]],
-    bounds: Mapping[str, Sequence[float]],
-) -> SteadyParameter:
-    base = float(getattr(scenario.vehicle, name))
-    value, deviation = found.get(name, (base, 0.0))
-    low, high = bounds.get(name, (-np.inf, np.inf))
-    return SteadyParameter(
-        name=name,
-        base=base,
-        value=float(value),
-        deviation=float(deviation),
-        is_determined=name in found,
-        is_at_bound=bool(min(value - low, high - value) <= _AT_BOUND * max(1.0, abs(value))),
     )
 
 
@@ -277,7 +234,7 @@ def _deviations(
     fit: Fit, values: FloatArray, power: FloatArray, points: pd.DataFrame
 ) -> FloatArray:
     """Return standard deviations of linear least squares, by the residual or a reading error."""
-    slopes = fit.slopes(values, np.ones(2 * len(points), dtype=bool))
+    slopes = fit.slopes(values)
     measured = points[POWER].to_numpy()
     freedom = len(points) - len(values)
     reading = _READING_ERROR * float(np.mean(measured))

@@ -4,9 +4,8 @@ Method: see docs/theory/identification.md, eq. (5).  The same cross-validation a
 judge the declared equations and their rivals.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -97,42 +96,29 @@ def cross_validated(frame: pd.DataFrame, fitted: Fitted) -> FloatArray:
 
 
 def trials(frame: pd.DataFrame, fitted: Fitted) -> tuple[Trial, ...]:
-    """Return the scores of fits to heavy or slow flights on light or fast flights."""
-    return tuple(
-        Trial(
-            name=one.name,
-            fitted_on=one.fitted_on,
-            tried_on=one.tried_on,
-            scores=scores(frame[one.tried].reset_index(drop=True), fitted(one.seen)[one.tried]),
-        )
-        for one in extrapolations(frame)
-    )
+    """Return the scores of fits to heavy or slow flights on light or fast flights.
 
+    Over payload and over speed, if the flights differ in them.
+    """
 
-class Extrapolation(NamedTuple):
-    """Rows to fit and rows to test the fit on, each with a description."""
+    def trial(name: str, fitted_on: str, seen: Rows, tried_on: str, tried: Rows) -> Trial:
+        judged = scores(frame[tried].reset_index(drop=True), fitted(seen)[tried])
+        return Trial(name=name, fitted_on=fitted_on, tried_on=tried_on, scores=judged)
 
-    name: str
-    fitted_on: str
-    seen: Rows
-    tried_on: str
-    tried: Rows
-
-
-def extrapolations(frame: pd.DataFrame) -> Iterator[Extrapolation]:
-    """Yield the extrapolations over payload and over speed, if the flights differ in them."""
+    found = []
     payload = np.round(frame[PAYLOAD].to_numpy() / _PAYLOAD_STEP) * _PAYLOAD_STEP
     most, least = payload.max(), payload.min()
     if most > least:
         heavy, light = payload == most, payload == least
-        yield Extrapolation("heavy to light", f"{most:g} kg", heavy, f"{least:g} kg", light)
+        found.append(trial("heavy to light", f"{most:g} kg", heavy, f"{least:g} kg", light))
     speed = cruise_speeds(frame)
     groups = np.unique(speed)
     if len(groups) > 1:
         slow, fast = groups[: max(1, int(_SLOW_SHARE * len(groups)))], groups[-1]
-        said = " and ".join(f"{one:g}" for one in slow)
-        seen = np.isin(speed, slow)
-        yield Extrapolation("slow to fast", f"{said} m/s", seen, f"{fast:g} m/s", speed == fast)
+        said = f"{' and '.join(f'{one:g}' for one in slow)} m/s"
+        seen, tried = np.isin(speed, slow), speed == fast
+        found.append(trial("slow to fast", said, seen, f"{fast:g} m/s", tried))
+    return tuple(found)
 
 
 def cruise_speeds(frame: pd.DataFrame) -> FloatArray:

@@ -24,7 +24,7 @@ from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression, RelationalExpression
 from pyomo.dae import DerivativeVar
 
-from pyomo_quad.model.parameters import Parameter
+from pyomo_quad.model.parameters import Parameter, fields_of
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.mission import Aim
 
@@ -33,78 +33,23 @@ GAS_CONSTANT = 8.314462618 * units.J / units.mol / units.K
 # Fraction of the cells' constant voltage that the slow drop may reach, for scaling.
 _NOMINAL_DROP = 0.03
 
-_RELAXATION = (
-    Parameter(
-        name="relaxation_resistance",
-        units=units.ohm,
-        value=attrgetter("battery.relaxation.resistance"),
-        doc="R_1: slow part of the resistance of one cell",
-    ),
-    Parameter(
-        name="relaxation_time_constant",
-        units=units.s,
-        value=attrgetter("battery.relaxation.time_constant"),
-        doc="tau_1: time constant of the slow drop",
-    ),
-    Parameter(
-        name="initial_relaxation_voltage",
-        units=units.V,
-        value=attrgetter("battery.relaxation.initial_voltage"),
-        doc="slow drop of one cell at the start",
-    ),
+_RELAXATION = fields_of(
+    "battery.relaxation",
+    relaxation_resistance="resistance",
+    relaxation_time_constant="time_constant",
+    initial_relaxation_voltage="initial_voltage",
 )
 _THERMAL = (
-    Parameter(
-        name="heat_capacity",
-        units=units.J / units.K,
-        value=attrgetter("battery.thermal.heat_capacity"),
-        doc="C_T: heat capacity of one cell",
-    ),
-    Parameter(
-        name="cooling",
-        units=units.W / units.K,
-        value=attrgetter("battery.thermal.cooling"),
-        doc="h: heat lost by one cell per kelvin above the air",
-    ),
-    Parameter(
-        name="ambient_temperature",
-        units=units.K,
-        value=attrgetter("battery.thermal.ambient_temperature"),
-        doc="T_a: temperature of the air",
-    ),
+    *fields_of("battery.thermal", "heat_capacity", "cooling", "ambient_temperature"),
     Parameter(
         name="initial_pack_temperature",
         units=units.K,
         value=attrgetter("battery.thermal.start"),
         doc="temperature of the pack at the start",
     ),
-    Parameter(
-        name="reference_temperature",
-        units=units.K,
-        value=attrgetter("battery.thermal.reference_temperature"),
-        doc="T_r: temperature at which the resistances are given",
-    ),
-    Parameter(
-        name="activation_energy",
-        units=units.J / units.mol,
-        value=attrgetter("battery.thermal.activation_energy"),
-        doc="E_a: activation energy of the resistances",
-    ),
+    *fields_of("battery.thermal", "reference_temperature", "activation_energy"),
 )
-_HEALTH = (
-    Parameter(
-        name="capacity_factor",
-        units=units.dimensionless,
-        value=attrgetter("battery.health.capacity_factor"),
-        doc="f_Q: capacity over that of the new pack",
-    ),
-    Parameter(
-        name="resistance_factor",
-        units=units.dimensionless,
-        value=attrgetter("battery.health.resistance_factor"),
-        doc="f_R: resistances over those of the new pack",
-    ),
-)
+_HEALTH = fields_of("battery.health", "capacity_factor", "resistance_factor")
 CIRCUIT_STATES = _DROP, _TEMPERATURE = ("battery.relaxation_voltage", "battery.temperature")
 """Full names of the states that an equivalent circuit adds to the charge."""
 #: Energy that the pack lost, a state under `mission.aim = "charge"`.

@@ -19,6 +19,7 @@ from pyomo_quad.model import (
     mission,
     power,
     rotors,
+    soft_limits,
     turbulence,
     vehicle,
     wind,
@@ -106,9 +107,9 @@ def build_remaining(scenario: Scenario) -> ConcreteModel:
     Returns
     -------
     ConcreteModel
-        As `build_model`, except for two differences: the states at the start are mutable parameters
-        of block `start`, and there is the mutable acceleration `aerodynamics.unexplained`, zero
-        until the vehicle has observed one.
+        As `build_model`, except for three differences: the states at the start are mutable
+        parameters of block `start`; there is the mutable acceleration `aerodynamics.unexplained`,
+        zero until the vehicle has observed one; and the limits are soft, see `model.soft_limits`.
 
     Examples
     --------
@@ -122,6 +123,7 @@ def build_remaining(scenario: Scenario) -> ConcreteModel:
     _declare_flight(m, scenario)
     mission.start_where_measured(m)
     mission.end_in_equilibrium(m)
+    soft_limits.soften(m, scenario)
     return m
 
 

@@ -9,8 +9,6 @@ motor with lag accelerates its rotor by at most (rotor_speed_max - speed) / time
 declared only where they are not zero.
 """
 
-from dataclasses import replace
-
 from pyomo.core import Block, ConcreteModel, inequality, sqrt
 from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression, RelationalExpression
@@ -38,9 +36,11 @@ _RESERVE, _MOTOR_LAG = "reserve", "motor_time_constant"
 _OPTIONAL = (*fields_of("limits", _RESERVE), *fields_of("vehicle", _MOTOR_LAG))
 
 
-_VALIDATED = tuple(
-    replace(row, name=f"validated_{row.name}")
-    for row in fields_of("vehicle.validated", "airspeed", "climb_speed", "descent_speed")
+_VALIDATED = fields_of(
+    "vehicle.validated",
+    validated_airspeed="airspeed",
+    validated_climb_speed="climb_speed",
+    validated_descent_speed="descent_speed",
 )
 
 

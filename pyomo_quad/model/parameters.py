@@ -38,24 +38,26 @@ Table = Callable[[Scenario], Iterable[Parameter]]
 _TABLES: dict[str, Table] = {}
 
 
-def fields_of(table: str, *names: str) -> tuple[Parameter, ...]:
+def fields_of(table: str, *names: str, **renamed: str) -> tuple[Parameter, ...]:
     """Return a parameter for each of some scenario fields, with the field's unit and meaning.
 
     Parameters
     ----------
     table : str
         Dotted path of the table that holds the fields, empty for the scenario itself.
+    **renamed : str
+        Name of a parameter that differs from that of its field, and the field.
     """
     rows = []
-    for name in names:
-        path = f"{table}.{name}".removeprefix(".")
+    for name, field in (*zip(names, names, strict=True), *renamed.items()):
+        path = f"{table}.{field}".removeprefix(".")
         holder, unit = declared_place(Scenario, path.split("."))
         rows.append(
             Parameter(
                 name=name,
                 units=units.dimensionless if unit == "1" else getattr(units, unit),
                 value=attrgetter(path),
-                doc=holder.model_fields[name].description or name,
+                doc=holder.model_fields[field].description or name,
             )
         )
     return tuple(rows)

@@ -79,11 +79,7 @@ def declare_balances(m: ConcreteModel, scenario: Scenario) -> None:
     """
     _declare_force_balances(m.rigid_body, m)
     _declare_tilting_balances(m.rigid_body, m)
-    match scenario.vehicle.attitude:
-        case Attitude.EULER:
-            _declare_yaw_balance_with_reaction(m.rigid_body, m)
-        case Attitude.PAPER:
-            _declare_yaw_balance(m.rigid_body, m)
+    _declare_yaw_balance(m.rigid_body, m, scenario.vehicle.attitude)
 
 
 def _straight_line(start: float, goal: float, duration: float) -> Callable[[Block, float], float]:
@@ -246,18 +242,16 @@ def _declare_tilting_balances(b: Block, m: ConcreteModel) -> None:
         )
 
 
-def _declare_yaw_balance(b: Block, m: ConcreteModel) -> None:
-    @b.Constraint(m.time, doc="eq. (6) row 6: moment balance about body z [N m]")
+def _declare_yaw_balance(b: Block, m: ConcreteModel, attitude: Attitude) -> None:
+    """Declare the balance about body z, which the paper prints without the rotors' reaction."""
+    is_exact = attitude is Attitude.EULER
+    what = " with the rotors' reaction: body z" if is_exact else ": moment balance about body z"
+
+    @b.Constraint(m.time, doc=f"eq. (6) row 6{what} [N m]")
     def yaw_balance(b: Block, t: float) -> RelationalExpression:
         m = b.parent_block()
         airframe_coupling = (m.vehicle.Ix - m.vehicle.Iy) * b.p[t] * b.q[t]
-        return m.vehicle.Iz * b.dr_dt[t] == airframe_coupling + _moment(m, "yaw_moment", t)
-
-
-def _declare_yaw_balance_with_reaction(b: Block, m: ConcreteModel) -> None:
-    @b.Constraint(m.time, doc="eq. (6) row 6 with the rotors' reaction: body z [N m]")
-    def yaw_balance(b: Block, t: float) -> RelationalExpression:
-        m = b.parent_block()
-        airframe_coupling = (m.vehicle.Ix - m.vehicle.Iy) * b.p[t] * b.q[t]
-        moment = _moment(m, "yaw_moment", t) + m.rotors.yaw_reaction[t]
+        moment = _moment(m, "yaw_moment", t)
+        if is_exact:
+            moment = moment + m.rotors.yaw_reaction[t]
         return m.vehicle.Iz * b.dr_dt[t] == airframe_coupling + moment

@@ -291,9 +291,9 @@ def inspect_model(model: ConcreteModel) -> ModelInspection:
     derivatives = list(model.component_objects(DerivativeVar, descend_into=True))
     differentiated = {derivative.get_state_var().name for derivative in derivatives}
     # A DerivativeVar has a type of its own, so this yields states and algebraic variables only.
-    variables = [d for v in _over_time(model, Var, time) for d in _instances(v, instant)]
+    variables = [d for v in _over_time(model, Var, time) for d in instances(v, instant)]
     is_state = {d.name: d.parent_component().name in differentiated for d in variables}
-    path = [d for c in _over_time(model, Constraint, time) for d in _instances(c, instant)]
+    path = [d for c in _over_time(model, Constraint, time) for d in instances(c, instant)]
     whole = list(_over_time(model, Constraint, time))
     return ModelInspection(
         states=tuple(_without_time(d) for d in variables if is_state[d.name]),
@@ -308,7 +308,7 @@ def inspect_model(model: ConcreteModel) -> ModelInspection:
         parameters=sum(
             len(p)
             for p in model.component_objects(Param, descend_into=True)
-            if not _is_over(p, time)
+            if not is_over(p, time)
         ),
         unit_errors=unit_errors(model),
     )
@@ -344,16 +344,18 @@ def unit_errors(model: ConcreteModel) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _is_over(component: Component, time: ContinuousSet) -> bool:
+def is_over(component: Component, time: ContinuousSet) -> bool:
+    """Return whether a component is indexed by time."""
     return component.is_indexed() and any(s is time for s in component.index_set().subsets())
 
 
 def _over_time(model: ConcreteModel, kind: type, time: ContinuousSet) -> list[IndexedComponent]:
     components = model.component_objects(kind, active=True, descend_into=True)
-    return [c for c in components if _is_over(c, time)]
+    return [c for c in components if is_over(c, time)]
 
 
-def _instances(component: IndexedComponent, instant: float) -> list[ComponentData]:
+def instances(component: IndexedComponent, instant: float) -> list[ComponentData]:
+    """Return the members of a component over time at one instant."""
     return [d for index, d in component.items() if instant in _as_tuple(index)[-1:]]
 
 

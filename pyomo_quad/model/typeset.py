@@ -1,8 +1,10 @@
 """The declared equations as LaTeX in the paper's symbols, generated from the Pyomo model."""
 
+import tomllib
 from collections.abc import Hashable, Iterator
 from dataclasses import dataclass
 from math import tau
+from pathlib import Path
 
 from pyomo.core import ConcreteModel, Constraint, Expression, value
 from pyomo.core.base.component import ComponentData
@@ -12,247 +14,17 @@ from pyomo.core.expr import numeric_expr, relational_expr
 from pyomo.core.expr.numvalue import NumericValue, native_numeric_types
 from pyomo.dae import ContinuousSet, DerivativeVar, Integral
 
-from pyomo_quad.model.wind import HARMONICS
+from pyomo_quad.model.screening import instances, is_over
+from pyomo_quad.scenario.fields import leaves, spell
 
-
-def _along(axes: str, **symbols: str) -> dict[str, str]:
-    """Return the symbols of the components of vectors: each name and symbol with its axis."""
-    return {
-        f"{name}_{axis}": f"{symbol}_{axis}" for name, symbol in symbols.items() for axis in axes
-    }
-
-
-_VEHICLE = {
-    "mass": "m",
-    "gravity": "g",
-    "arm_length": "l",
-    **{f"I{axis}": f"I_{axis}" for axis in "xyz"},
-    "thrust_coefficient": r"\kappa_b",
-    "drag_torque_coefficient": r"\kappa",
-    "rotor_inertia": "I_r",
-    "torque_constant": "k_t",
-    "voltage_constant": "k_v",
-    "motor_resistance": "R",
-    "friction_torque": "T_f",
-    "viscous_damping": "D_f",
-    "drag_linear": "d_1",
-    "drag_quadratic": "d_2",
-}
-_RIGID_BODY = {
-    **{name: name for name in "xyzpqr"},
-    **{f"v{axis}": f"v_{axis}" for axis in "xyz"},
-    "phi": r"\phi",
-    "theta": r"\theta",
-    "psi": r"\psi",
-}
-_ROTORS = {
-    "omega": r"\omega",
-    "alpha": r"\alpha",
-    "total_thrust": "u_1",
-    "roll_moment": "u_2",
-    "pitch_moment": "u_3",
-    "yaw_moment": "u_4",
-    "speed_imbalance": r"\varpi",
-    "yaw_reaction": "u_r",
-    "rotor_thrust": "T",
-    "ahead": "X",
-    "aside": "Y",
-    "sense": "s",
-    "motor_torque": r"\tau",
-    "motor_current": "i",
-    "motor_voltage": "v",
-}
-_AERODYNAMICS = {
-    "acceleration_coefficient": "c_W",
-    **_along("xyz", force="F", airspeed="v^{air}"),
-    "drag_coefficient": "d",
-    **_along("xyz", body_airspeed="v^{body}", rotor_airspeed="v^{rotor}"),
-    **_along("xyz", rotor_force="F^{rotor}", body_force="F^{body}", airframe_force="F^{frame}"),
-    "roll_moment": "M_x",
-    "pitch_moment": "M_y",
-    "yaw_moment": "M_z",
-    "rotor_drag_plane": "k_d",
-    "rotor_drag_axis": "k_z",
-    "translational_lift": "k_h",
-    **{f"parasitic_drag[{axis}]": f"c_{axis}" for axis in "xyz"},
-}
-_POWER_SYMBOL = {
-    "rotor_power": "P",
-    "uncredited_power": r"P^{\pm}",
-    "total": r"P_{\Sigma}",
-    "efficiency": r"\eta",
-    "efficiency_polynomial": r"\hat f_r",
-    "drive_efficiency": "f_r",
-    "map_torque": r"\hat\tau",
-    "efficiency_floor": r"f_{min}",
-    "torque_floor": r"\tau_{min}",
-    "smoothing": r"\varepsilon",
-    "torque_with_friction": r"\tau^{f}",
-    "current_with_friction": "i^{f}",
-    "terminal_voltage": r"v^{m}",
-    "rotor_radius": "R",
-    "air_density": r"\rho",
-    "disc_area": "A",
-    "induced_power_factor": "k_i",
-    "profile_power_coefficient": "c_0",
-    "profile_advance_factor": "K",
-    "climb_power_factor": "k_c",
-    "descent_power_factor": "k_d",
-    "electronics_power": "P_e",
-    "induced_velocity": "v_i",
-    "axial_airspeed": "v_a",
-    "in_plane_airspeed_squared": "v_p^2",
-    "axial_power_over_thrust": r"\kappa v_a",
-    "acceleration_power": r"P_\alpha",
-    "rotor_thrust": "T",
-    "profile_power": "P_0",
-    **{
-        f"efficiency_map[{row},{column}]": f"{column}_{number}"
-        for number, row in enumerate(("cubic", "quadratic", "linear", "constant"), start=1)
-        for column in "abc"
-    },
-}
-_BATTERY = {
-    "cells_series": "n_s",
-    "cells_parallel": "n_p",
-    "E0": "e_0",
-    "K": "k",
-    "A": "c_1",
-    "B": "c_2",
-    "capacity": "Q_{cell}",
-    "cell_resistance": "R_{cell}",
-    "pack_capacity": "Q_{bat}",
-    "pack_resistance": "R_{bat}",
-    "charge_drawn": "q_{bat}",
-    "current": "i_{bat}",
-    "voltage": "V_{bat}",
-    "open_circuit_voltage": "e_m",
-    "state_of_charge": r"\mathrm{SoC}",
-    "greatest_power": "P_{max}",
-    "power_reserve": r"\Delta P",
-    "remaining_share": r"\sigma_q",
-    "reserve_share": r"\sigma_P",
-    "relaxation_voltage": "u_1",
-    "loss": "E_l",
-    "reference_voltage": "U_0",
-    "relaxation_resistance": "R_1",
-    "relaxation_time_constant": r"\tau_1",
-    "temperature": "T_{bat}",
-    "heat": r"\dot Q",
-    "heat_capacity": "C_T",
-    "cooling": "h",
-    "ambient_temperature": "T_a",
-    "reference_temperature": "T_r",
-    "activation_energy": "E_a",
-    "resistance_share": "s_R",
-    "capacity_factor": "f_Q",
-    "resistance_factor": "f_R",
-}
-_LIMITS = {
-    "roll_max": r"\phi_{max}",
-    "pitch_max": r"\theta_{max}",
-    "rotor_speed_min": r"\omega_{min}",
-    "rotor_speed_max": r"\omega_{max}",
-    "rotor_acceleration_max": r"\alpha_{max}",
-    "thrust_max": "T_{max}",
-    "roll_moment_max": "u_{2,max}",
-    "pitch_moment_max": "u_{3,max}",
-    "yaw_moment_max": "u_{4,max}",
-    "reserve": r"\sigma",
-    "motor_time_constant": r"\tau_m",
-    "lagging_acceleration": r"\alpha_{lag}",
-    "state_of_charge_min": r"\mathrm{SoC}_{min}",
-    "battery_current_max": "i_{max}",
-    "battery_voltage_min": "V_{min}",
-    "battery_power_share_max": r"\eta_{max}",
-    "speed": "v",
-    "speed_max": "v_{max}",
-}
-_AIRSPACE = {
-    "floor": "z_{min}",
-    "ceiling": "z_{max}",
-    "clearance": "c",
-    "centre": "c",
-    "radius": "R",
-    "beyond": "d",
-    "rounding": r"\varepsilon_r",
-    "edge_width": "w",
-    "terrain_end": "b",
-}
-_GROUND = {"height_limited_below": "h_U", "height_limited_above": "h_L"}
-_HOMING = {
-    **{f"home_{axis}": f"{axis}_{{home}}" for axis in "xyz"},
-    "way": "d",
-    "tail_wind": r"w_{\parallel}",
-    "ground_speed": "g",
-    "airspeed": "V",
-    "current": "i",
-    "margin": r"\mu",
-    "usable_charge": r"\kappa",
-    "charge_to": "q",
-    "charge_home": "q_{home}",
+#: Full component name (with index where the symbol depends on it) -> its symbol.
+SYMBOLS: dict[str, str] = {
+    spell(path): symbol
+    for path, symbol in leaves(
+        tomllib.loads(Path(__file__).with_name("symbols.toml").read_text(encoding="utf-8"))
+    )
 }
 
-
-def _wind_axis(axis: str) -> dict[str, str]:
-    harmonics = {}
-    for k in HARMONICS:
-        harmonics[f"amplitudes[{k}]"] = f"A_{{{axis},{k}}}"
-        harmonics[f"frequencies[{k}]"] = rf"\Omega_{{{axis},{k}}}"
-    return harmonics | {
-        "mean": f"v_{{0,{axis}}}",
-        "gust": f"v_{{g,{axis}}}",
-        "gust_amplitude": f"v_{{gmax,{axis}}}",
-        "gust_period": f"T_{{g,{axis}}}",
-    }
-
-
-_BLOCKS = {
-    "vehicle": _VEHICLE,
-    "rigid_body": _RIGID_BODY,
-    "rotors": _ROTORS,
-    "wind.x": _wind_axis("x"),
-    "wind.y": _wind_axis("y"),
-    "wind": {
-        **_along("xyz", velocity="v^{wind}"),
-        "wind_time": r"t_w",
-        "time_offset": "t_0",
-        "vertical": "w_0",
-        "height_above": r"\Delta h",
-        "height": "h",
-        "profile": "s_h",
-        "reference_height": "h_r",
-        "least_height": "h_0",
-        "greatest_height": "h_1",
-        "height_below": r"\Delta h_1",
-        "height_share": r"\eta",
-        "shape": "B",
-        "exponent": "a",
-        "roughness": "z_0",
-        **_along("xy", measured=r"\tilde v^{wind}"),
-        **_along("xyz", of_field="w"),
-        "field_unit": "s",
-    },
-    "aerodynamics": _AERODYNAMICS,
-    "power": _POWER_SYMBOL,
-    "battery": _BATTERY,
-    "limits": _LIMITS,
-    "airspace": _AIRSPACE,
-    "ground": _GROUND,
-    "homing": _HOMING,
-}
-
-# Full component name (with index where the symbol depends on it) to its symbol.
-SYMBOLS = {"clock": "t"} | {
-    f"{block}.{name}": symbol
-    for block, symbols in _BLOCKS.items()
-    for name, symbol in symbols.items()
-}
-
-
-_TABLES = {"ground.above": "U", "ground.below": "L"} | {
-    f"wind.field_{axis}": rf"\hat w_{axis}" for axis in "xyz"
-}
 # Component that declares each numbered equation of the paper.
 EQUATION_TABLE = {
     1: ("pyomo_quad.model.rotors.declare_motors", "pyomo_quad.model.rotors.declare_rotors"),
@@ -310,10 +82,9 @@ def typeset_equations(model: ConcreteModel) -> tuple[TypesetEquation, ...]:
 
 
 def _component(component: IndexedComponent, time: ContinuousSet, instant: float) -> Iterator[str]:
-    if not component.is_indexed() or all(s is not time for s in component.index_set().subsets()):
+    if not is_over(component, time):
         return
-    instances = [d for index, d in component.items() if _time_of(index) == instant]
-    first = instances[0]
+    first = instances(component, instant)[0]
     writer = _Writer(has_free_index=len(_index(first)) > 0)
     if component.ctype is Constraint:
         yield writer.relation(first.expr)
@@ -331,10 +102,6 @@ def _index(data: ComponentData) -> tuple[Hashable, ...]:
         s.ctype is ContinuousSet for s in data.parent_component().index_set().subsets()
     )
     return whole[:-1] if is_over_time else whole
-
-
-def _time_of(index: Hashable) -> Hashable:
-    return index[-1] if isinstance(index, tuple) else index
 
 
 class _Writer:
@@ -453,10 +220,10 @@ class _Writer:
             return f"e^{{{argument}}}", _POWER
         if node.name in _FUNCTIONS:
             return rf"\{node.name}\left({argument}\right)", _ATOM
-        if node.name in _TABLES:
-            # Pyomo appends an argument that identifies the function.
+        if node.name in SYMBOLS:
+            # A table of the model; Pyomo appends an argument that identifies it.
             arguments = ", ".join(map(self.text, node.args[:-1]))
-            return rf"{_TABLES[node.name]}\left({arguments}\right)", _ATOM
+            return rf"{SYMBOLS[node.name]}\left({arguments}\right)", _ATOM
         return rf"\operatorname{{{node.name}}}\left({argument}\right)", _ATOM
 
     def _bracketed(self, node: NumericValue, needed: int) -> str:

@@ -76,10 +76,6 @@ class BaselineFlight:
     case: BaselineCase
     flight: Flight
 
-    def priced_by(self, optimum: "PaperFlight") -> Flight:
-        """Return the flight with the energy to complete it, estimated by the optimum's costates."""
-        return self.flight.priced(optimum.end_prices)
-
 
 def baseline_cases(*, is_quick: bool = False) -> tuple[BaselineCase, ...]:
     """List the controlled flights of the report."""

@@ -165,23 +165,6 @@ def find_baseline(
     )
 
 
-def baseline_saving(study: PaperStudy, flown: BaselineFlight) -> tuple[float, float]:
-    """Return the saving of the optimum against a controlled flight.
-
-    Returns
-    -------
-    saving, saving_of_excess : float
-        Percent of the controlled flight's energy, including the energy to complete it, and of its
-        energy above hovering. A power without an optimum has no costates to estimate that energy;
-        its flights count as flown.
-    """
-    optimum = find_flight(study.flights, flown.case.experiment, flown.case.power_model)
-    least = optimum.flight.energy_J
-    spent = settled_energy(flown.priced_by(optimum))
-    excess = spent - optimum.hover_energy_J
-    return 100 * (1 - least / spent), 100 * (spent - least) / excess
-
-
 def _common(flown: PaperFlight) -> dict[str, object]:
     frame = flown.flight.frame
     charge = BATTERY[-1].of(frame)
@@ -217,11 +200,17 @@ def _wind_row(flown: PaperFlight) -> dict[str, object]:
 
 
 def baseline_row(study: PaperStudy, flown: BaselineFlight) -> dict[str, Any]:
-    """Return the row of a controlled flight: its energies, and the saving of the optimum."""
+    """Return the row of a controlled flight: its energies, and the saving of the optimum.
+
+    Savings are in per cent of the controlled flight's energy, including the energy to complete it,
+    and of its energy above hovering. A power without an optimum has no costates to estimate that
+    energy; its flights count as flown.
+    """
     case = flown.case
-    saving, saving_of_excess = baseline_saving(study, flown)
     optimum = find_flight(study.flights, case.experiment, case.power_model)
-    priced = flown.priced_by(optimum)
+    priced = flown.flight.priced(optimum.end_prices)
+    least, spent = optimum.flight.energy_J, settled_energy(priced)
+    excess = spent - optimum.hover_energy_J
     return {
         "experiment": case.experiment.value,
         "power_model": case.power_model.value,
@@ -229,10 +218,10 @@ def baseline_row(study: PaperStudy, flown: BaselineFlight) -> dict[str, Any]:
         ENERGY: flown.flight.energy_J,
         "owed_energy_J": priced.owed_energy_J,
         "hover_energy_J": optimum.hover_energy_J,
-        "excess_energy_J": settled_energy(priced) - optimum.hover_energy_J,
-        "optimum_J": optimum.flight.energy_J,
-        "saving_percent": saving,
-        "saving_of_excess_percent": saving_of_excess,
+        "excess_energy_J": excess,
+        "optimum_J": least,
+        "saving_percent": 100 * (1 - least / spent),
+        "saving_of_excess_percent": 100 * (spent - least) / excess,
         "terminal_miss_m": flown.flight.terminal_miss_m,
         "flight_verified": flown.flight.is_verified,
         "paper_adaptive_J": ADAPTIVE_ENERGY[case.experiment.value],

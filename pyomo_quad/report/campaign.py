@@ -32,8 +32,8 @@ def write_campaign(
     drawing = Drawing(
         "campaign",
         "Charge and voltage over the flights",
-        "Above: state of charge at the start (dots) and end (squares) of each flight. Below: the "
-        "lowest voltage of the pack in each. Dashed: the limits.",
+        "Above: state of charge at the start (dots) and end (squares) of each flight. Below: "
+        "lowest voltage of the pack during each flight. Dashed: limits.",
         partial(draw_campaign, campaign),
     )
     write_study(
@@ -79,7 +79,7 @@ def campaign_words(campaign: Campaign) -> list[str]:
         energy_kJ = sum(plan.energy for plan in plans) / 1e3
         said.append(
             f"Charge {charge}: {count} flight{'' if count == 1 else 's'}, {minutes:.1f} minutes "
-            f"and {energy_kJ:.1f} kJ; the next is kept from it by: {ending}."
+            f"and {energy_kJ:.1f} kJ. Reason for no further flight: {ending}."
         )
     return said
 

@@ -29,14 +29,14 @@ _NUMBER_ROOM = 1.28  # the axis is longer than the longest bar, to fit the numbe
 def draw_energy_split(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figure:
     """Draw bars of the total energy from zero, and bars of the differences between flights.
 
-    The difference is the energy above the hover floor; if durations, and so hover floors, differ,
-    it is the energy above that of the first flight.
+    The difference is the energy above hovering; if durations differ, it is the energy above that of
+    the first flight.
     """
     height = _EDGES + _ROW * len(flights)
     figure = Figure(figsize=(FULL_WIDTH, height))
     whole, apart = figure.subplots(1, 2, sharey=True)
     figure.subplots_adjust(
-        left=0.24, right=0.99, top=1 - 0.3 / height, bottom=0.62 / height, wspace=0.07
+        left=0.24, right=0.97, top=1 - 0.3 / height, bottom=0.62 / height, wspace=0.07
     )
     longest = []
     for row, flight in enumerate(flights):
@@ -46,8 +46,8 @@ def draw_energy_split(flights: Sequence[StyledFlight], hover_energy_J: float) ->
         longest.append(max(hover, flight.energy_J))
     _write_values(whole, [flight.energy_J for flight in flights], longest)
     _make_room(whole, longest)
-    whole.set(title="Whole: hover floor (grey) and the rest", xlabel="Energy (J)")
-    least, title = hover_energy_J, "Above the hover floor only"
+    whole.set(title="Total energy; grey: hovering for the same time", xlabel="Energy (J)")
+    least, title = hover_energy_J, "Above hovering"
     if not take_one_time(flights):
         least, title = flights[0].energy_J, f"More than {flights[0].name}"
     differences = [flight.energy_J - least for flight in flights]
@@ -64,7 +64,7 @@ def draw_energy_by_scenario(comparison: pd.DataFrame) -> Figure:
     """Draw the energy of each flight as a bar, in one panel for each scenario, on one scale.
 
     Bars show the energy above hovering if the flights of each scenario have equal durations, else
-    the total energy: above different hover floors they would rank flights by duration.
+    the total energy, because energies above hovering would rank such flights by duration.
     """
     is_above = takes_one_time_each(comparison)
     energies = comparison[ComparisonColumn.EXCESS_ENERGY].astype(float)

@@ -13,6 +13,7 @@ from pyomo_quad.flight.columns import ENERGY as ENERGY_TRACK
 from pyomo_quad.flight.ensemble import OFF, SPEED, TILT
 from pyomo_quad.report import Figures
 from pyomo_quad.report.document import Drawing, write_study
+from pyomo_quad.report.labels import write_labels
 from pyomo_quad.report.paths import axis_label, draw_mission
 from pyomo_quad.report.signals import POSITION
 from pyomo_quad.report.style import (
@@ -72,11 +73,11 @@ def ensemble_drawings(
 ) -> tuple[Drawing, ...]:
     """List the figures of many flights; a margin [m] is drawn round the path that they follow."""
     shown = min(SHOWN_PATHS, flown.count)
-    paths = f"The first {shown} flights, and the path that they follow."
-    energy = "Energy of the flights (kJ), each in a wind of its own."
+    paths = f"Paths of {shown} flights, and the path to follow."
+    energy = "Energies of the flights (kJ), each in its own random wind; line: median."
     if savings:
-        energy += " The winds are the same for all kinds of flights."
-    bands = "Median over the flights, and the band in which 90 % of them are at each time."
+        energy += " Plan and autopilot fly in the same winds."
+    bands = "Median of the flights over time, and the band of 90 % of the flights."
     return (
         Drawing("paths", "Paths", paths, partial(draw_many_paths, flown, margin)),
         Drawing("energy", "Energy", energy, partial(draw_energies, flown, savings)),
@@ -95,20 +96,22 @@ def draw_many_paths(flown: Ensemble, margin: float = 0.0) -> Figure:
     for axes, (across, up), title in zip(
         panels[:, 0], ((0, 1), (0, 2)), ("from above", "from the front"), strict=True
     ):
-        draw_mission(axes, flown.scenario, (across, up))
+        labels = draw_mission(axes, flown.scenario, (across, up))
         for k in range(tracks[0].shape[1]):
             label = "flights" if k == 0 else None
             axes.plot(
                 tracks[across][:, k], tracks[up][:, k], color=color, linewidth=0.5, label=label
             )
         planned = flown.planned
-        axes.plot(planned[:, across], planned[:, up], color=INK, linewidth=0.8, label="followed")
+        to_follow = planned[:, across], planned[:, up]
+        axes.plot(*to_follow, color=INK, linewidth=0.8, label="path to follow")
         for side, label in ((margin, "margin"), (-margin, None)) if margin else ():
             beside = _beside(planned[:, [across, up]], side)
             axes.plot(*beside.T, color=INK, linewidth=0.5, linestyle=":", label=label)
         axes.set_title(f"Seen {title}")
         axes.set(xlabel=axis_label(POSITION[across]), ylabel=axis_label(POSITION[up]))
         axes.set_aspect("equal", adjustable="datalim")
+        write_labels(axes, labels)
     legend_below(figure, panels[0, 0])
     return figure
 
@@ -139,7 +142,7 @@ def draw_energies(flown: Ensemble, savings: Sequence[Saving]) -> Figure:
 
 # Track, title of its panel, and printed value of a stored value of 1.
 _PANELS = (
-    (OFF, "Distance from the path followed (m)", 1.0),
+    (OFF, "Distance from the path to follow (m)", 1.0),
     (SPEED, "Speed over ground (m/s)", 1.0),
     (TILT, "Tilt (°)", float(np.degrees(1.0))),
     (ENERGY_TRACK, "Energy (kJ)", 1e-3),

@@ -371,7 +371,7 @@ def draw_way(flights: Sequence[StyledFlight], mission: "Scenario") -> Figure:
         place = np.interp(times[-1] if waypoint.at is None else waypoint.at, times, way)
         speeds.axvline(place, color=MUTED, linewidth=0.8, linestyle=(0, (1, 1.5)), zorder=1)
         speeds.annotate(str(number), (place, 1.0), xycoords=("data", "axes fraction"), va="top")
-    speeds.set(title="Speed (m/s)", xlabel="Way flown (m)", xlim=(0.0, None), ylim=(0.0, None))
+    speeds.set(title="Speed (m/s)", xlabel="Path length (m)", xlim=(0.0, None), ylim=(0.0, None))
     if len(legs):
         _draw_legs(figure.add_subplot(over_way[0, 3:]), optimum, legs)
     legend_below(figure, speeds)

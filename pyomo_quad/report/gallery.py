@@ -93,7 +93,7 @@ def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawin
     if plan.scenario.airspace.ground is not None:
         way = (_heights(flights, mission), *way)
     mesh = partial(draw_mesh, plan.history, plan.mesh, tolerance, flights[0].duration_s)
-    caption = "Left: the error estimate on each mesh. Right: the last mesh."
+    caption = "Left: error estimate on each mesh. Right: elements and degrees of the last mesh."
     return (
         *flight_drawings(flights, plan.hover_energy_J, blowing, mission),
         *(one for one in way if set(one.needs) <= set(flights[0].frame)),
@@ -149,16 +149,16 @@ def comparison_drawings(
     good = comparison[ComparisonColumn.ARRIVED] & comparison[ComparisonColumn.LIMITS_KEPT]
     names = set(comparison.loc[good.astype(bool), ComparisonColumn.FLIGHT]) | {flights[0].name}
     compared = [flight for flight in flights if flight.name in names]
-    beyond = f"how much more energy each takes than {flights[0].name}, whatever their times"
+    beyond = f"energy more than {flights[0].name}"
     if take_one_time(compared):
-        beyond = "the energy above the hover floor"
-    course = f"From above, to one scale, from start (dot) to goal (star).{_course(mission)}"
+        beyond = "the part above hovering, enlarged"
+    course = f"Seen from above, from start (dot) to goal (star).{_course(mission)}"
     split = (
-        "Left: energy of each flight, including the owed energy of its end state, split at the "
-        f"energy of hovering for as long.{_undercut(compared, hover_energy_J)} Right: {beyond}."
+        "Left: total energy of each flight; grey: hovering for the same time."
+        f"{_undercut(compared, hover_energy_J)} Right: {beyond}."
         f"{_not_comparable(flights, compared)}"
     )
-    power = f"Power over time; grey: hovering.{_cut(pair)}"
+    power = f"Power over time; dotted: hovering.{_cut(pair)}"
     draw_split = partial(draw_energy_split, compared, hover_energy_J)
     return (
         Drawing(MAP_NAME, "Map", course, partial(draw_map, pair, mission)),
@@ -178,15 +178,15 @@ def _not_comparable(flights: Sequence[StyledFlight], compared: Sequence[StyledFl
     rest = [flight for flight in flights if flight not in compared]
     if not rest:
         return ""
-    return f" Not comparable, for they missed the goal or broke a limit: {_listed(rest)}."
+    return f" Without a bar, because they missed the goal or broke a limit: {_listed(rest)}."
 
 
 def adaptation_drawing(study: pd.DataFrame) -> Drawing:
     """Return the figure of the effect of adaptation, from an `adaptation_study`."""
     caption = (
-        "The adaptive controller does not know the wind. Left: its distance from its reference, "
-        "with adaptation and without. Right: the force of the wind divided by the mass, and its "
-        "estimate by the adaptation."
+        "The adaptive controller does not know the wind. Left: distance of the vehicle from the "
+        "path to follow, with adaptation and without. Right: the force of the wind divided by the "
+        "mass, and its estimate by the adaptation."
     )
     return Drawing("adaptation", "Adaptation to the wind", caption, partial(draw_adaptation, study))
 
@@ -194,8 +194,8 @@ def adaptation_drawing(study: pd.DataFrame) -> Drawing:
 def front_drawing(front: pd.DataFrame) -> Drawing:
     """Return the figure of an energy-time front."""
     caption = (
-        "The least energy for each price of a second, with the plan marked (star): no flight on "
-        "the plan's route is both shorter and cheaper."
+        "Flights of least energy for several prices of a second; star: the plan. No flight on the "
+        "plan's route is both shorter and cheaper."
     )
     return Drawing(FRONT_FIGURE, "Energy against time", caption, partial(draw_front, front))
 
@@ -234,8 +234,8 @@ def drawings_of_comparison(comparison: pd.DataFrame) -> tuple[Drawing]:
     if not takes_one_time_each(comparison):
         energy = "Total energy"
     caption = (
-        f"{energy}, including the owed energy of the end state: one panel per scenario. A flight "
-        "that did not arrive is pale."
+        f"{energy}, with the energy to complete each flight; one panel per scenario. Flights that "
+        "did not arrive are pale."
     )
     draw = partial(draw_energy_by_scenario, comparison)
     return (Drawing("energy_compared", "Energy of each flight", caption, draw),)
@@ -271,8 +271,8 @@ def _comparison(result: "RunResult", flights: tuple[StyledFlight, ...]) -> tuple
 def _path(flights: Sequence[StyledFlight], mission: "Scenario | None") -> Drawing:
     distinct, beat = distinct_paths(flights), flights[0].duration_s / BEAT_COUNT
     caption = (
-        "Paths from start (dot) to goal (star), to one scale along all axes of a view, with a mark "
-        f"every {beat:.3g} s.{'' if mission is None else _course(mission)}{left_out(flights)}"
+        f"Paths from start (dot) to goal (star), with a mark every {beat:.3g} s; each view has one "
+        f"scale.{'' if mission is None else _course(mission)}{left_out(flights)}"
     )
     draw = partial(draw_path, distinct, mission)
     return Drawing(PATH_NAME, PLAYER_TITLE, caption, draw, _columns(POSITION))
@@ -282,10 +282,10 @@ def _course(mission: "Scenario") -> str:
     """Return the sentences on waypoints, zones and limits in the figure of the paths."""
     airspace, said = mission.airspace, ""
     if mission.mission.waypoints:
-        said += " Crosses: the waypoints, with the times at which the plan passes them."
+        said += " Crosses: waypoints, with the times at which the plan passes them."
     said += _zones(mission)
     if airspace.keep_out and airspace.clearance:
-        said += " Dashed around them, seen along an axis: their clearance."
+        said += " Dashed: their clearance."
     limits = (("floor", airspace.floor), ("ceiling", airspace.ceiling))
     over = "" if airspace.ground is None else " above the ground"
     said += "" if airspace.ground is None else " Brown: the terrain."
@@ -296,7 +296,7 @@ def _course(mission: "Scenario") -> str:
 def _zones(mission: "Scenario") -> str:
     """Return the sentence that names the keep-outs in a figure, empty without any."""
     named = ", ".join(zone.name for zone in mission.airspace.keep_out)
-    return f" Red: the keep-outs ({named})." if named else ""
+    return f" Red: keep-out zones ({named})." if named else ""
 
 
 def _has_way(scenario: "Scenario") -> bool:
@@ -307,15 +307,15 @@ def _has_way(scenario: "Scenario") -> bool:
 
 
 def _way(flights: Sequence[StyledFlight], mission: "Scenario") -> Drawing:
-    caption = "Speed over the way flown."
+    caption = "Speed over the path length."
     if mission.mission.waypoints:
         caption = (
-            "Left: speed over the way flown. Dotted: where the plan passes the "
+            "Left: speed over the path length; dotted: places where the plan passes the "
             "waypoints. Right: energy of each leg of the plan."
         )
     needs = _columns(POSITION, VELOCITY, (ENERGY,))
     draw = partial(draw_way, distinct_paths(flights), mission)
-    title = "Speed and energy over the way"
+    title = "Speed along the path"
     return Drawing("way", title, f"{caption}{left_out(flights)}", draw, needs)
 
 
@@ -340,7 +340,7 @@ def left_out(flights: Sequence[StyledFlight]) -> str:
     distinct, astray = distinct_paths(flights), leaving_paths(flights)
     near = [flight for flight in flights if flight not in distinct]
     if near:
-        said += f" Too close to {flights[0].name} to be distinguished: {_listed(near)}."
+        said += f" Not drawn, because they follow the path of {flights[0].name}: {_listed(near)}."
     if astray:
         said += f" Extends beyond the figure: {_listed(astray)}."
     return said
@@ -348,8 +348,8 @@ def left_out(flights: Sequence[StyledFlight]) -> str:
 
 def _motion(flights: Sequence[StyledFlight]) -> tuple[Drawing, ...]:
     pair = fair_pair(flights)
-    states = f"The sixteen states: {_listed(pair)}.{_not_drawn(flights, pair)}"
-    controls = f"The four controls, accelerations of the rotors: {_optimum_alone(flights)}"
+    states = f"The sixteen states of the vehicle: {_listed(pair)}.{_not_drawn(flights, pair)}"
+    controls = f"The four controls, which are the rotor accelerations: {_optimum_alone(flights)}"
     return (
         Drawing("states", "States", states, partial(draw_states, pair), _columns(*STATE_GRID)),
         Drawing(
@@ -365,7 +365,8 @@ def _motion(flights: Sequence[StyledFlight]) -> tuple[Drawing, ...]:
 def _supply(flights: Sequence[StyledFlight], hover_energy_J: float) -> tuple[Drawing, ...]:
     pair = fair_pair(flights)
     energy = (
-        "Power, energy, and energy above hovering until then."
+        "From above: power, energy spent, and energy spent less the energy of hovering until then; "
+        "dotted: hovering."
         f"{_own_floors(flights)}{_cut(flights)}{_coinciding(flights, hover_energy_J)}"
     )
     motors = f"The four motors: {_optimum_alone(flights)}"
@@ -392,12 +393,12 @@ def _wind(optimum: StyledFlight, blowing: StyledFlight | None) -> tuple[Drawing,
 
 
 def _own_floors(flights: Sequence[StyledFlight]) -> str:
-    """Return the warning that flights of different durations have different hover floors."""
+    """Return the warning that flights of different durations cannot be compared above hovering."""
     if take_one_time(flights):
         return ""
     return (
-        " Flights of other durations have other hover floors: only their total energies "
-        "are comparable."
+        " The durations differ, so only total energies can be compared, not energies above "
+        "hovering."
     )
 
 
@@ -410,7 +411,7 @@ def _cut(flights: Sequence[StyledFlight]) -> str:
         for flight in cut_flights(flights)
         for power in (POWER.of(flight.frame),)
     ]
-    return f" Short peaks extend beyond the first panel: {', '.join(peaks)}." if peaks else ""
+    return f" Short peaks are cut off: {', '.join(peaks)}." if peaks else ""
 
 
 def _coinciding(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
@@ -424,10 +425,10 @@ def _coinciding(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
 
 
 def _undercut(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
-    """Return the explanation of bars below the hover floor, empty without any."""
+    """Return the explanation of bars shorter than hovering, empty without such bars."""
     hover_power = hover_energy_J / flights[0].duration_s
     is_below = any(flight.energy_J < hover_power * flight.duration_s for flight in flights)
-    return " Colour within the grey is the energy saved compared with hovering." if is_below else ""
+    return " Colour inside the grey: energy saved compared with hovering." if is_below else ""
 
 
 def _not_drawn(flights: Sequence[StyledFlight], drawn: Sequence[StyledFlight]) -> str:
@@ -441,8 +442,8 @@ def _costates(plan: "Plan") -> tuple[Drawing, ...]:
     if not set(COSTATES) <= set(costates):
         return ()
     caption = (
-        "Costates: the derivative of the least remaining energy by each state. "
-        "The Hamiltonian varies only with the wind; in calm air it is constant."
+        "Costates: derivatives of the least remaining energy by each state. "
+        "Without waypoints the Hamiltonian is constant unless the wind changes with time."
     )
     draw = partial(draw_costates, costates, plan.duration_s)
     return (Drawing("costates", "Costates and Hamiltonian", caption, draw),)

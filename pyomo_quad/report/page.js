@@ -137,7 +137,7 @@
     const across = c * dx + s * dy, away = -s * dx + c * dy;
     const depth = away * ce - dz * se, up = away * se + dz * ce;
     const distance = 2.4 * size;
-    const scale = (camera.zoom * 0.98 * Math.min(canvas.clientWidth, canvas.clientHeight) / size)
+    const scale = (camera.zoom * 0.9 * Math.min(canvas.clientWidth, canvas.clientHeight) / size)
       * distance / (distance + depth);
     return [canvas.clientWidth / 2 + across * scale, canvas.clientHeight / 2 - up * scale];
   };

@@ -17,6 +17,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-u
 from mpl_toolkits.mplot3d.axes3d import Axes3D  # type: ignore[import-untyped]
 
 from pyomo_quad.flight.columns import Column
+from pyomo_quad.report.labels import Label, write_labels
 from pyomo_quad.report.relief import draw_relief
 from pyomo_quad.report.signals import (
     ATTITUDE,
@@ -91,9 +92,9 @@ def draw_path(flights: Sequence[StyledFlight], mission: Scenario | None = None) 
     boxes = ((0.575, 0.595, 0.405, 0.37), (0.075, 0.115, 0.405, 0.37), (0.575, 0.115, 0.405, 0.37))
     for (across, up, title), box in zip(_PROJECTIONS, boxes, strict=True):
         axes = figure.add_axes(box)
-        if mission is not None:
-            draw_mission(axes, mission, (across, up))
+        labels = [] if mission is None else draw_mission(axes, mission, (across, up))
         _draw_projection(axes, flights, limits, (across, up), title)
+        write_labels(axes, labels)
     legend_below(figure, space)
     return figure
 
@@ -108,12 +109,13 @@ def draw_map(flights: Sequence[StyledFlight], mission: Scenario) -> Figure:
     half = (np.ptp(limits, axis=1) / room).max() * room / 2
     (low_x, low_y), (high_x, high_y) = (limits.mean(axis=1) + way * half for way in (-1, 1))
     axes.set(xlim=(low_x, high_x), ylim=(low_y, high_y))
-    draw_mission(axes, mission, (0, 1))
+    labels = draw_mission(axes, mission, (0, 1))
     for flight in flights:
         axes.plot(*_track(flight)[:, :2].T, label=flight.name, **flight.style.line)
     for end, name, shape in _ends(flights[0]):
         axes.plot(*end[:2, None], marker=shape, color=INK, markersize=7, linestyle="none")
-        axes.annotate(name, (end[0], end[1]), **_BESIDE)
+        labels.insert(0, Label(text=name, x=float(end[0]), y=float(end[1])))
+    write_labels(axes, labels)
     _draw_mean_wind(axes, flights[0])
     axes.set(xlabel=axis_label(POSITION[0]), ylabel=axis_label(POSITION[1]))
     legend_below(figure, axes)
@@ -266,11 +268,14 @@ def _with_airspace(limits: np.ndarray, airspace: Airspace) -> np.ndarray:
     )
 
 
-def draw_mission(axes: Axes, mission: Scenario, directions: tuple[int, int]) -> None:
-    """Draw terrain, zones, floor, ceiling and waypoints as seen along an axis."""
+def draw_mission(axes: Axes, mission: Scenario, directions: tuple[int, int]) -> list[Label]:
+    """Draw terrain, zones, limits of height and waypoints along an axis; return their labels.
+
+    The labels of waypoints come first, then, from above, the names of zones.
+    """
     airspace = mission.airspace
-    if airspace.ground is not None:
-        draw_relief(axes, airspace.ground, directions)
+    draw_relief(axes, airspace.ground, directions)
+    names = []
     if airspace.keep_in is not None and set(directions) == {0, 1}:
         fence = [(c[directions[0]], c[directions[1]]) for c in airspace.keep_in.corners]
         axes.add_patch(Polygon(fence, fill=False, edgecolor=ZONE_COLOR, linewidth=1.0))
@@ -282,6 +287,9 @@ def draw_mission(axes: Axes, mission: Scenario, directions: tuple[int, int]) -> 
         shape = outline(zone, directions)
         shape.set(facecolor=ZONE_COLOR, alpha=0.25, linewidth=0.0, zorder=1)
         axes.add_patch(shape)
+        if directions[1] != _UP:
+            x, y, _ = box_around(zone).mean(axis=0).tolist()
+            names.append(Label(text=zone.name, x=x, y=y, color=ZONE_COLOR, is_centred=True))
     for name, height in (("floor", airspace.floor), ("ceiling", airspace.ceiling)):
         if height is not None and directions[1] == _UP and airspace.ground is None:
             axes.axhline(height, color=ZONE_COLOR, linewidth=1.0)
@@ -295,12 +303,10 @@ def draw_mission(axes: Axes, mission: Scenario, directions: tuple[int, int]) -> 
         has_time = waypoint.at is not None and directions[1] != _UP
         label = f"{number}: {waypoint.at:.1f} s" if has_time else str(number)
         passed.setdefault(place, []).append(label)
-    across_all = [position[directions[0]] for position in mission.mission.positions]
-    middle = (min(across_all) + max(across_all)) / 2.0
-    for (across, up), said in passed.items():
-        axes.plot(across, up, marker="x", color=INK, markersize=5, linestyle="none", zorder=4)
-        side = "left" if across <= middle else "right"
-        axes.annotate(", ".join(said), (across, up), ha=side, **_BESIDE)
+    for place in passed:
+        axes.plot(*place, marker="x", color=INK, markersize=5, linestyle="none", zorder=4)
+    places = [Label(text=", ".join(said), x=x, y=y) for (x, y), said in passed.items()]
+    return [*places, *names]
 
 
 def _draw_projection(

@@ -22,8 +22,10 @@ _BELOW = 0.08  # of the range of heights, drawn below the lowest ground
 _LIMITS = (("floor", 1), ("ceiling", -1))
 
 
-def draw_relief(axes: Axes, ground: TerrainGrid, directions: tuple[int, int]) -> None:
-    """Draw terrain as seen along an axis."""
+def draw_relief(axes: Axes, ground: TerrainGrid | None, directions: tuple[int, int]) -> None:
+    """Draw terrain, if there is any, as seen along an axis."""
+    if ground is None:
+        return
     x, y, heights = np.array(ground.x), np.array(ground.y), ground.elevations
     if set(directions) == {0, 1}:
         levels = axes.contour(

@@ -18,21 +18,21 @@ from pyomo_quad.study.comparison import against_hovering
 NOTHING = "n/a"
 
 POWER_WORDS = {
-    PowerModel.MOTOR: "electrical power of the motors, copper loss included",
-    PowerModel.EFFICIENCY: "shaft power over the recovered efficiency f_r, eq. (8)",
+    PowerModel.MOTOR: "electrical power of the motors, with copper loss",
+    PowerModel.EFFICIENCY: "shaft power divided by the recovered efficiency f_r, eq. (8)",
     PowerModel.SHAFT: "shaft power",
-    PowerModel.CONSTANT_EFFICIENCY: "shaft power over a constant efficiency",
+    PowerModel.CONSTANT_EFFICIENCY: "shaft power divided by a constant efficiency",
     PowerModel.MOTOR_WITH_FRICTION: "electrical power of the motors, with their friction",
-    PowerModel.MOMENTUM: "momentum theory, blade drag and climb in moving air",
+    PowerModel.MOMENTUM: "momentum theory: lift, blade drag and climb depend on the airspeed",
 }
 
 COUPLING_WORDS = {
-    WindCoupling.ACCELERATION: "added to the acceleration as printed in eq. (9), times 1 1/s",
-    WindCoupling.DRAG: "through drag on the relative airspeed",
+    WindCoupling.ACCELERATION: "acts as an acceleration of 1 1/s times its speed, as in eq. (9)",
+    WindCoupling.DRAG: "acts by drag on the airspeed",
 }
 
 STATUS_WORDS = {
-    PlanStatus.VERIFIED: "Verified",
+    PlanStatus.VERIFIED: "Verified in simulation",
     PlanStatus.USABLE: "Usable",
     PlanStatus.SOLVED: "Not verified",
     PlanStatus.NOT_CONVERGED: "Failed, not converged",
@@ -155,6 +155,7 @@ def environment() -> Environment:
     made.globals |= {
         "COUPLING_WORDS": COUPLING_WORDS,
         "FIGURE_FOLDER": FIGURE_FOLDER,
+        "NOTHING": NOTHING,
         "POWER_WORDS": POWER_WORDS,
         "STATUS_WORDS": STATUS_WORDS,
         "limit_amount": limit_amount,

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import inf
+from math import atan2, degrees, inf
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -53,7 +53,8 @@ from pyomo_quad.study.comparison import (
     way_flown,
 )
 from pyomo_quad.study.front import FrontColumn
-from pyomo_quad.study.headline import cruise_words, flight_words, headline_of, settled_of
+from pyomo_quad.study.headline import cruise_words, headline_of, legend_of, settled_of
+from pyomo_quad.study.limits_kept import limit_lines
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -63,6 +64,8 @@ if TYPE_CHECKING:
     from pyomo_quad.study.run import RunResult
 
 _CHARGE = column_of("battery.state_of_charge").name
+_WIND = tuple(column_of(f"wind.velocity_{axis}").name for axis in "xy")
+_CALM = 0.005  # m/s: a slower wind prints as 0.00 m/s
 _SHORTEST_PATH_M = 0.1  # a shorter flight counts as hovering and has no range
 
 COMPARISON_NAME = "comparison.csv"
@@ -216,6 +219,7 @@ def _plan_values(plan: "Plan") -> dict[str, Any]:
         if plan.verification is None
         else tuple(departures_of(plan.scenario, columns)),
         "free_climb": _free_climb(plan),
+        "wind_met": _wind_words(columns),
         "legs": leg_rows(plan.mission_flown, columns),
         "leg": LegColumn,
         "allowed": {
@@ -267,6 +271,21 @@ def climb_of(scenario: "Scenario") -> tuple[float, float]:
     return height, scenario.vehicle.total_mass * scenario.gravity * height
 
 
+def _wind_words(columns: Mapping[str, np.ndarray]) -> str:
+    """Return mean, direction and range of the horizontal wind along a plan; empty if calm."""
+    if not set(_WIND) <= set(columns):
+        return ""
+    along = np.array([columns[name] for name in _WIND])
+    speeds, (x, y) = np.hypot(*along), along.mean(axis=1)
+    if speeds.max() < _CALM:
+        return ""
+    toward = f" toward {degrees(atan2(y, x)) % 360.0:.0f}°" if np.hypot(x, y) > _CALM else ""
+    return (
+        f"{np.hypot(x, y):.2f} m/s{toward} on average (0° is +x, 90° is +y), "
+        f"{speeds.min():.2f} to {speeds.max():.2f} m/s"
+    )
+
+
 def _battery_use(plan: "Plan", columns: Mapping[str, np.ndarray]) -> dict[str, float | None]:
     """Return the plan's path length and battery use, and time and distance on a full charge."""
     if plan.verification is None:
@@ -316,7 +335,9 @@ def _run_values(result: "RunResult", replanned: "pd.DataFrame") -> dict[str, Any
         "headline": headline_of(result),
         "settled_of": settled_of,
         "cruise_words": cruise_words,
-        "flight_words": flight_words,
+        "legend_of": legend_of,
+        "limit_lines": tuple(limit_lines(result.plan, result.flights)),
+        "often_words": "" if result.often is None else result.often.words,
         "tuning": result.tuning,
         "TUNING_NAME": TUNING_NAME,
         "alone": by_name.get(OPEN_LOOP),

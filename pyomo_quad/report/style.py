@@ -40,6 +40,7 @@ PALE = "#dddddd"
 _BLUE, _VERMILION, _GREEN = "#0072b2", "#d55e00", "#009e73"
 _ORANGE, _PURPLE, _SKY = "#e69f00", "#a8487f", "#56b4e9"
 _BROWN, _PINK, _OLIVE, _TEAL = "#7a4b1e", "#f2a0c0", "#8a8a00", "#006d77"
+_VIOLET, _LIME = "#5e3c99", "#66a61e"
 
 # Without a date, because a date would make two equal runs differ.
 _UNDATED = {"svg": {"Date": None, "Creator": None}, "pdf": {"CreationDate": None}}
@@ -120,6 +121,8 @@ SERIES_STYLES = (
     LineStyle(color=_TEAL, dashes=(6, 1, 1, 1, 1, 1), marker="h", hatch="-|"),
     LineStyle(color=_OLIVE, dashes=(1, 2), marker="p", hatch="//\\\\"),
     LineStyle(color=_PINK, dashes=(10, 2, 2, 2), marker=">", hatch="**"),
+    LineStyle(color=_VIOLET, dashes=(2.5, 1.2, 2.5, 1.2, 1, 1.2), marker="*", hatch="OO"),
+    LineStyle(color=_LIME, dashes=(7, 1.2, 2.5, 1.2), marker="8", hatch="|/"),
 )
 
 _FLIGHTS = (
@@ -357,7 +360,7 @@ def last_end(flights: Sequence[StyledFlight]) -> float:
 
 
 def take_one_time(flights: Sequence[StyledFlight]) -> bool:
-    """Return whether flights have equal durations, and so equal hover floors."""
+    """Return whether flights have equal durations, and so equal energies of hovering."""
     return all(isclose(f.duration_s, flights[0].duration_s, rel_tol=SAME_TIME) for f in flights)
 
 

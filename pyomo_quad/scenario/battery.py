@@ -5,32 +5,34 @@ from typing import Self
 from pydantic import model_validator
 
 from pyomo_quad.scenario.fields import (
-    ONE_LINE,
     Number,
     Part,
     Sound,
     Text,
     WholeNumber,
+    late_quantity,
+    not_negative,
+    positive,
     quantity,
+    title_field,
 )
 
-_VOLTAGE = Sound(0, 100, "cells of all chemistries have 1 to 5 V")
-_RESISTANCE = Sound(1e-6, 100, "cells have from 0.1 mohm to some ohms")
+_VOLTAGE = not_negative(100, "cells of all chemistries have 1 to 5 V")
+_RESISTANCE = positive(1e-6, 100, "cells have from 0.1 mohm to some ohms")
 _TEMPERATURE = Sound(150, 500, "temperatures are in kelvin, 20 degrees Celsius are 293.15 K")
-_FACTOR = Sound(0.05, 20, "a pack that lost nineteen twentieths of itself is scrap")
+_FACTOR = positive(0.05, 20, "a pack that lost nineteen twentieths of itself is scrap")
 
 
 class Relaxation(Part):
     """The slow part of a cell's voltage drop: a resistance and a capacitance in parallel."""
 
     resistance: Number = quantity(
-        "ohm", "slow part of the resistance of one cell", gt=0, sound=_RESISTANCE
+        "ohm", "slow part of the resistance of one cell", sound=_RESISTANCE
     )
     time_constant: Number = quantity(
         "s",
         "time in which the slow drop covers 63 % of its way",
-        gt=0,
-        sound=Sound(1e-2, 1e5, "diffusion in a cell takes seconds to hours"),
+        sound=positive(1e-2, 1e5, "diffusion in a cell takes seconds to hours"),
     )
     initial_voltage: Number = quantity(
         "V",
@@ -46,8 +48,7 @@ class Thermal(Part):
     heat_capacity: Number = quantity(
         "J/K",
         "heat capacity of one cell",
-        gt=0,
-        sound=Sound(1e-2, 1e6, "cells weigh grams to kilograms and take about 1 J/g/K"),
+        sound=positive(1e-2, 1e6, "cells weigh grams to kilograms and take about 1 J/g/K"),
     )
     cooling: Number = quantity(
         "W/K", "heat lost to the air per kelvin above it, of one cell", 0.0, ge=0, le=1e4
@@ -65,8 +66,7 @@ class Thermal(Part):
         "J/mol",
         "by which the resistances fall with the temperature (Arrhenius); 0 leaves them constant",
         0.0,
-        ge=0,
-        sound=Sound(0, 1e6, "cells have 10 to 60 kJ/mol"),
+        sound=not_negative(1e6, "cells have 10 to 60 kJ/mol"),
     )
 
     @property
@@ -83,10 +83,10 @@ class Health(Part):
     """State of health: what is left of a new pack's capacity, and how its resistance grew."""
 
     capacity_factor: Number = quantity(
-        "1", "capacity over that of the new pack", 1.0, gt=0, sound=_FACTOR
+        "1", "capacity over that of the new pack", 1.0, sound=_FACTOR
     )
     resistance_factor: Number = quantity(
-        "1", "resistances over those of the new pack", 1.0, gt=0, sound=_FACTOR
+        "1", "resistances over those of the new pack", 1.0, sound=_FACTOR
     )
 
 
@@ -94,48 +94,42 @@ class Battery(Part):
     """Cell constants of the Tremblay-Dessaint model and the number of cells."""
 
     use: Text = quantity("", "name of the battery in the library, or a file of its own, NAME.toml")
-    title: Text = quantity(
-        "", "name for people", pattern=ONE_LINE, allowed="one line", max_length=200
-    )
+    title: Text = title_field("name for people")
     cells_series: WholeNumber = quantity("1", "cells in series", ge=1, le=1000)
     cells_parallel: WholeNumber = quantity("1", "cells in parallel", ge=1, le=1000)
     E0: Number = quantity(
         "V",
         "constant voltage of one cell (e0)",
-        gt=0,
-        sound=Sound(0.1, 100, "cells of all chemistries have 1 to 5 V"),
+        sound=positive(0.1, 100, "cells of all chemistries have 1 to 5 V"),
     )
-    K: Number = quantity("V", "polarisation voltage of one cell (k)", ge=0, sound=_VOLTAGE)
-    A: Number = quantity("V", "exponential voltage of one cell (c1)", ge=0, sound=_VOLTAGE)
+    K: Number = quantity("V", "polarisation voltage of one cell (k)", sound=_VOLTAGE)
+    A: Number = quantity("V", "exponential voltage of one cell (c1)", sound=_VOLTAGE)
     B: Number = quantity(
         "1/A/hr",
         "inverse exponential capacity of one cell (c2)",
-        ge=0,
-        sound=Sound(0, 1e4, "the exponential zone spans at least 0.1 mAh of charge"),
+        sound=not_negative(1e4, "the exponential zone spans at least 0.1 mAh of charge"),
     )
     capacity: Number = quantity(
         "A*hr",
         "capacity of one cell (Qbat)",
-        gt=0,
-        sound=Sound(1e-4, 1e4, "cells hold from 1 mAh to 1000 Ah"),
+        sound=positive(1e-4, 1e4, "cells hold from 1 mAh to 1000 Ah"),
     )
     cell_resistance: Number = quantity(
         "ohm",
         "resistance of one cell (Rbat); where relaxation is given, the part that acts at once",
-        gt=0,
         sound=_RESISTANCE,
     )
     initial_state_of_charge: Number = quantity(
         "percent", "state of charge at the start", 100.0, gt=0, le=100
     )
-    relaxation: Relaxation | None = quantity(
-        "", "slow part of the voltage drop, none when absent", None, is_late=True
+    relaxation: Relaxation | None = late_quantity(
+        "", "slow part of the voltage drop, none when absent", None
     )
-    thermal: Thermal | None = quantity(
-        "", "temperature of the pack, not counted when absent", None, is_late=True
+    thermal: Thermal | None = late_quantity(
+        "", "temperature of the pack, not counted when absent", None
     )
-    health: Health | None = quantity(
-        "", "state of health, that of a new pack when absent", None, is_late=True
+    health: Health | None = late_quantity(
+        "", "state of health, that of a new pack when absent", None
     )
 
     @model_validator(mode="after")

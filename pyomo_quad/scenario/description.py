@@ -6,6 +6,7 @@ checkout or in the installed package.
 """
 
 import re
+import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -291,6 +292,15 @@ def shipped_scenarios() -> Mapping[str, Path]:
     place = next(place for place in _PLACES if place.is_dir())
     found = {f.stem: f for f in sorted(place.glob("*.toml")) if not f.stem.startswith(_STUDY)}
     return {short: found[name] for short, name in _SHORT_NAMES.items() if name in found} | found
+
+
+def files_beside(template: str) -> dict[str, Path]:
+    """Return the files that a shipped scenario names, by their names in it."""
+    file = shipped_scenarios()[template]
+    tables = tomllib.loads(file.read_text(encoding="utf-8"))
+    fields = (("wind", "field"), ("airspace", "terrain"))
+    named = (tables.get(table, {}).get(field) for table, field in fields)
+    return {name: file.parent / name for name in named if name is not None}
 
 
 def refuse_no_name(text: str) -> None:

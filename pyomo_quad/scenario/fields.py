@@ -37,7 +37,7 @@ _DECIMAL = re.compile(
 )
 
 # Pattern of a title: no line break and no other control character.
-ONE_LINE = r"^[^\x00-\x1f\x7f-\x9f\u2028\u2029]*$"
+_ONE_LINE = r"^[^\x00-\x1f\x7f-\x9f\u2028\u2029]*$"
 
 
 class Sound(NamedTuple):
@@ -49,6 +49,18 @@ class Sound(NamedTuple):
     low: float
     high: float
     because: str
+    sign: str = ""
+    """Bound at 0 that holds whatever is plausible: `gt`, `ge`, or none."""
+
+
+def positive(low: float, high: float, because: str) -> Sound:
+    """Return the plausible range of a number that must be above 0."""
+    return Sound(low, high, because, "gt")
+
+
+def not_negative(high: float, because: str) -> Sound:
+    """Return the plausible range of a number from 0 on."""
+    return Sound(0, high, because, "ge")
 
 
 class Part(BaseModel):
@@ -126,6 +138,10 @@ def quantity(
         Keys by which a file may give the field in another unit, and that unit in ``unit``.
     """
     declared: dict[str, Any] = {} if initial is None else {"default": initial}
+    if sound is not None:
+        declared["sound"] = {"low": sound.low, "high": sound.high, "because": sound.because}
+    if sound is not None and sound.sign:
+        limits[sound.sign] = 0
     field = Field(
         default,
         description=description,
@@ -134,7 +150,6 @@ def quantity(
             "allowed": allowed,
             "example": example,
             "other_names": list(other_names),
-            "sound": None if sound is None else sound._asdict(),
             "is_late": is_late,
             "unit_keys": dict(unit_keys or {}),
             **declared,
@@ -148,6 +163,8 @@ def quantity(
 
 #: Declares a field that older records lack: `quantity` with `is_late`.
 late_quantity = partial(quantity, is_late=True)
+#: Declares a text in one line.
+title_field = partial(quantity, "", pattern=_ONE_LINE, allowed="one line", max_length=200)
 
 
 def unit_of(model: type[BaseModel], name: str) -> str:

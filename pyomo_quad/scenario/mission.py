@@ -8,7 +8,16 @@ from typing import Annotated, Literal, NamedTuple, Self
 from pydantic import Field, model_validator
 
 from pyomo_quad.scenario.earth import Frame, GeodeticOrigin
-from pyomo_quad.scenario.fields import Number, Part, Sound, Triple, late_quantity, quantity
+from pyomo_quad.scenario.fields import (
+    Number,
+    Part,
+    Sound,
+    Triple,
+    late_quantity,
+    not_negative,
+    positive,
+    quantity,
+)
 from pyomo_quad.scenario.messages import ScenarioError
 
 _FAR = Sound(-1e5, 1e5, "coordinates lie within 100 km of the origin")
@@ -61,15 +70,13 @@ class Waypoint(Part):
         "m",
         "largest distance at which the waypoint counts as passed",
         0.0,
-        ge=0,
-        sound=Sound(0, 1e4, _NEAR),
+        sound=not_negative(1e4, _NEAR),
     )
     hold: Number = quantity(
         "s",
         "time of hovering at the waypoint",
         0.0,
-        ge=0,
-        sound=Sound(0, _ALOFT.high, _ALOFT.because),
+        sound=not_negative(_ALOFT.high, _ALOFT.because),
     )
     yaw: Number | None = quantity(
         "rad", "heading at the waypoint, free when absent", None, sound=_TURNS
@@ -78,8 +85,7 @@ class Waypoint(Part):
         "m/s",
         "largest speed at the waypoint, no limit when absent",
         None,
-        gt=0,
-        sound=Sound(1e-3, 1e3, "rotorcraft fly below 340 m/s, the speed of sound"),
+        sound=positive(1e-3, 1e3, "rotorcraft fly below 340 m/s, the speed of sound"),
     )
     at: Number | None = quantity(
         "s", "time of passing, chosen by the plan when absent", None, gt=0, sound=_ALOFT
@@ -88,8 +94,7 @@ class Waypoint(Part):
         "kg",
         "payload released at the waypoint",
         0.0,
-        ge=0,
-        sound=Sound(0, 1e4, "payloads weigh at most 10 t"),
+        sound=not_negative(1e4, "payloads weigh at most 10 t"),
     )
 
 
@@ -100,22 +105,19 @@ class ReturnFlight(Part):
         "1",
         "charge kept beyond that of the return, as a share of it",
         0.2,
-        ge=0,
-        sound=Sound(0, 10, "ten returns are enough"),
+        sound=not_negative(10, "ten returns are enough"),
     )
     airspeed: Number | None = quantity(
         "m/s",
         "airspeed of the return, that of least charge against the wind when absent",
         None,
-        gt=0,
-        sound=Sound(1e-3, 1e3, "rotorcraft fly below 340 m/s, the speed of sound"),
+        sound=positive(1e-3, 1e3, "rotorcraft fly below 340 m/s, the speed of sound"),
     )
     current: Number | None = quantity(
         "A",
         "current of the pack at that airspeed, found from steady flight when absent",
         None,
-        gt=0,
-        sound=Sound(1e-3, 1e4, "packs give at most 10 kA"),
+        sound=positive(1e-3, 1e4, "packs give at most 10 kA"),
     )
 
 
@@ -129,17 +131,13 @@ class NamedDuration(NamedTuple):
 class Mission(Part):
     """Start, goal and duration of the flight."""
 
-    frame: Frame = quantity(
-        "",
-        "directions of the world axes, enu: x east, y north, z up from the origin",
-        Frame.ENU,
-        is_late=True,
+    frame: Frame = late_quantity(
+        "", "directions of the world axes, enu: x east, y north, z up from the origin", Frame.ENU
     )
-    origin: GeodeticOrigin | None = quantity(
+    origin: GeodeticOrigin | None = late_quantity(
         "",
         "where x = y = z = 0 lies on earth, so that places may be given by latitude and longitude",
         None,
-        is_late=True,
     )
     start: Hover = quantity(
         "",
@@ -157,36 +155,27 @@ class Mission(Part):
         other_names=("time", "t_final", "final_time", "seconds"),
         sound=_ALOFT,
     )
-    duration_min: Number | None = quantity(
-        "s",
-        "least duration where it is free, no limit when absent",
-        None,
-        gt=0,
-        sound=_ALOFT,
-        is_late=True,
+    duration_min: Number | None = late_quantity(
+        "s", "least duration where it is free, no limit when absent", None, gt=0, sound=_ALOFT
     )
-    duration_max: Number | None = quantity(
+    duration_max: Number | None = late_quantity(
         "s",
         "greatest duration where it is free; when absent until wind.file ends, or without limit",
         None,
         gt=0,
         sound=_ALOFT,
-        is_late=True,
     )
-    price_of_time: Number = quantity(
+    price_of_time: Number = late_quantity(
         "W",
         "what a second of a free duration costs beside the energy",
         0.0,
-        ge=0,
-        sound=Sound(0, 1e9, "for the least time regardless of energy, set mission.aim"),
-        is_late=True,
+        sound=not_negative(1e9, "for the least time regardless of energy, set mission.aim"),
     )
-    aim: Aim = quantity(
+    aim: Aim = late_quantity(
         "",
         "what the plan spends least of: energy; charge drawn from the pack, its own loss "
         "included; or, of a free duration, time, of which the plan says how close it came",
         Aim.ENERGY,
-        is_late=True,
     )
 
     waypoints: tuple[Waypoint, ...] = late_quantity(
@@ -205,11 +194,7 @@ class Mission(Part):
     )
 
     rally: tuple[Triple, ...] = late_quantity(
-        "m",
-        "alternative places to land, x, y, z, besides the start",
-        (),
-        max_length=16,
-        sound=_FAR,
+        "m", "alternative places to land, x, y, z, besides the start", (), max_length=16, sound=_FAR
     )
     return_reserve: bool = late_quantity(
         "",
@@ -223,7 +208,7 @@ class Mission(Part):
     risk: Number | None = late_quantity(
         "1",
         "largest allowed probability that a flight of the plan under feedback breaks a limit; no "
-        "bound when 1 or absent",
+        "bound when 1; when absent 0.01 where the duration is free, else no bound",
         None,
         gt=0,
         le=1,

@@ -13,16 +13,16 @@ from pydantic import BaseModel, PrivateAttr, ValidationError
 from pyomo_quad.scenario.airspace import Airspace
 from pyomo_quad.scenario.battery import Battery
 from pyomo_quad.scenario.fields import (
-    ONE_LINE,
     Number,
     Part,
-    Sound,
     Text,
     late_quantity,
     leaves,
     parse_path,
+    positive,
     quantity,
     spell,
+    title_field,
     unit_of,
 )
 from pyomo_quad.scenario.messages import (
@@ -73,15 +73,12 @@ class Scenario(Part):
         allowed="1 to 64 letters, digits, '_', '-' or '.', starting with a letter or digit",
         example='"delivery"',
     )
-    title: Text = quantity(
-        "", "title of the report", "", pattern=ONE_LINE, allowed="one line", max_length=200
-    )
+    title: Text = title_field("title of the report", "")
     gravity: Number = quantity(
         "m/s^2",
         "acceleration of gravity",
         9.81,
-        gt=0,
-        sound=Sound(0.1, 100, "9.81 on earth, 1.62 on the moon, 24.8 on Jupiter"),
+        sound=positive(0.1, 100, "9.81 on earth, 1.62 on the moon, 24.8 on Jupiter"),
     )
     model: Text | None = quantity(
         "",

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 from math import acos, cos, pi
 from typing import Annotated, Any, Self
 
@@ -16,15 +17,17 @@ from pyomo_quad.scenario.fields import (
     Sound,
     WholeNumber,
     late_quantity,
+    not_negative,
+    positive,
     quantity,
 )
 from pyomo_quad.scenario.vehicle import Vehicle
 from pyomo_quad.scenario.wind import SEA_LEVEL_DENSITY
 
 _MILLISECONDS = "motors and sensors respond within milliseconds"
-_RATE = Sound(1e-3, 1e4, _MILLISECONDS)
-_ADAPTATION = Sound(0, 1e6, _MILLISECONDS)
-_FORCE = Sound(1e-3, 1e4, "accelerations stay below 1000 g")
+_rate = partial(quantity, "1/s", sound=positive(1e-3, 1e4, _MILLISECONDS))
+_adaptation = partial(quantity, "1/s^2", sound=not_negative(1e6, _MILLISECONDS))
+_FORCE = positive(1e-3, 1e4, "accelerations stay below 1000 g")
 _SPEED = Sound(1e-3, 1e3, "rotorcraft fly below 340 m/s, the speed of sound")
 _MOST_SPEEDS = 20
 
@@ -52,72 +55,47 @@ class Gains(Part):
     fast as the next outer loop, and a step settles in less than 3 s.
     """
 
-    position: Number = quantity("1/s", "position error to velocity (k1)", 1.5, gt=0, sound=_RATE)
-    velocity: Number = quantity(
-        "1/s", "velocity error to acceleration (k2)", 3.0, gt=0, sound=_RATE
-    )
+    position: Number = _rate("position error to velocity (k1)", 1.5)
+    velocity: Number = _rate("velocity error to acceleration (k2)", 3.0)
     speed_max: Number = quantity(
-        "m/s",
-        "largest speed of approach to a distant goal",
-        3.0,
-        gt=0,
-        sound=_SPEED,
+        "m/s", "largest speed of approach to a distant goal", 3.0, gt=0, sound=_SPEED
     )
     acceleration_max: Number = quantity(
-        "m/s^2", "largest correcting acceleration", 2.0, gt=0, sound=_FORCE
+        "m/s^2", "largest correcting acceleration", 2.0, sound=_FORCE
     )
     tilt_max: Number | None = quantity(
         "rad",
         "largest tilt asked of the attitude loop, what the limits of roll, pitch and thrust allow "
         "when absent",
         None,
-        gt=0,
         lt=1.5,
-        sound=Sound(1e-3, 1.5, "below 0.001 rad the vehicle cannot be steered"),
+        sound=positive(1e-3, 1.5, "below 0.001 rad the vehicle cannot be steered"),
     )
     thrust_share: Number = quantity(
         "1",
         "share of the thrust in excess of the weight that the position loop may use",
         0.7,
-        gt=0,
         le=1,
-        sound=Sound(1e-3, 1, "below 0.001 the vehicle cannot be steered"),
+        sound=positive(1e-3, 1, "below 0.001 the vehicle cannot be steered"),
     )
-    tilt_command: Number = quantity(
-        "1/s", "tilt error to tilt rate, of the filter", 6.0, gt=0, sound=_RATE
-    )
-    attitude: Number = quantity("1/s", "roll and pitch error to rate (k3)", 6.0, gt=0, sound=_RATE)
-    attitude_rate: Number = quantity(
-        "1/s", "roll and pitch rate error to acceleration (k4)", 15.0, gt=0, sound=_RATE
-    )
-    yaw: Number = quantity("1/s", "yaw error to yaw rate (k3)", 1.0, gt=0, sound=_RATE)
-    yaw_rate: Number = quantity(
-        "1/s", "yaw rate error to acceleration (k4)", 2.5, gt=0, sound=_RATE
-    )
-    rotor: Number = quantity(
-        "1/s", "rotor speed error to rotor acceleration", 60.0, gt=0, sound=_RATE
-    )
-    force_identification: Number = quantity(
-        "1/s", "rate of the force identifier (kappa)", 20.0, gt=0, sound=_RATE
-    )
-    moment_identification: Number = quantity(
-        "1/s", "rate of the moment identifier (kappa)", 10.0, gt=0, sound=_RATE
-    )
-    force_adaptation: Number = quantity(
-        "1/s^2", "adaptation to a force (gamma)", 100.0, ge=0, sound=_ADAPTATION
-    )
+    tilt_command: Number = _rate("tilt error to tilt rate, of the filter", 6.0)
+    attitude: Number = _rate("roll and pitch error to rate (k3)", 6.0)
+    attitude_rate: Number = _rate("roll and pitch rate error to acceleration (k4)", 15.0)
+    yaw: Number = _rate("yaw error to yaw rate (k3)", 1.0)
+    yaw_rate: Number = _rate("yaw rate error to acceleration (k4)", 2.5)
+    rotor: Number = _rate("rotor speed error to rotor acceleration", 60.0)
+    force_identification: Number = _rate("rate of the force identifier (kappa)", 20.0)
+    moment_identification: Number = _rate("rate of the moment identifier (kappa)", 10.0)
+    force_adaptation: Number = _adaptation("adaptation to a force (gamma)", 100.0)
     force_max: Number = quantity(
-        "m/s^2", "bound of the adapted force over the mass", 4.0, gt=0, sound=_FORCE
+        "m/s^2", "bound of the adapted force over the mass", 4.0, sound=_FORCE
     )
-    moment_adaptation: Number = quantity(
-        "1/s^2", "adaptation to a moment (gamma)", 25.0, ge=0, sound=_ADAPTATION
-    )
+    moment_adaptation: Number = _adaptation("adaptation to a moment (gamma)", 25.0)
     moment_max: Number = quantity(
         "rad/s^2",
         "bound of the adapted moment over the inertia",
         1.0,
-        gt=0,
-        sound=Sound(1e-3, 1e8, "larger than any airframe reaches"),
+        sound=positive(1e-3, 1e8, "larger than any airframe reaches"),
     )
 
 
@@ -143,15 +121,13 @@ class Replanning(Part):
         "s",
         "time from one solve of the remaining mission to the next",
         0.2,
-        gt=0,
-        sound=Sound(1e-2, 1e4, "a solve aboard takes at least 10 ms"),
+        sound=positive(1e-2, 1e4, "a solve aboard takes at least 10 ms"),
     )
     solve_time: Number = quantity(
         "s",
         "time allowed for a solve; its plan starts where the vehicle will be then",
         0.06,
-        ge=0,
-        sound=Sound(0, 1e3, "plans that are older than 1000 s are useless"),
+        sound=not_negative(1e3, "plans that are older than 1000 s are useless"),
     )
     clock: SolveTiming = quantity(
         "",
@@ -185,7 +161,7 @@ class Baseline(Part):
         tuple(Reference),
         max_length=len(Reference),
     )
-    cruise_speeds: tuple[Annotated[Number, Field(gt=0)], ...] | None = quantity(
+    cruise_speeds: tuple[Annotated[Number, Field(gt=0)], ...] | None = late_quantity(
         "m/s",
         "speeds of reference cruise, one flight for each beside the tuned one",
         None,
@@ -193,29 +169,22 @@ class Baseline(Part):
         max_length=_MOST_SPEEDS,
         example="[5.0, 10.0]",
         sound=_SPEED,
-        is_late=True,
     )
-    cruise_acceleration: Number = quantity(
+    cruise_acceleration: Number = late_quantity(
         "m/s^2",
         "largest acceleration of reference cruise at cruise_speeds (MPC_ACC_HOR of PX4)",
         3.0,
-        gt=0,
         sound=_FORCE,
-        is_late=True,
     )
-    cruise_jerk: Number = quantity(
+    cruise_jerk: Number = late_quantity(
         "m/s^3",
         "largest jerk of reference cruise at cruise_speeds (MPC_JERK_AUTO of PX4)",
         4.0,
-        gt=0,
-        sound=Sound(1e-3, 1e6, _MILLISECONDS),
-        is_late=True,
+        sound=positive(1e-3, 1e6, _MILLISECONDS),
     )
     adaptation: Flag = quantity("", "whether the controller adapts", True)
     gains: Gains = quantity("", "controller gains", Gains())
-    mpc: Replanning | None = quantity(
-        "", "re-planning in flight, not flown when absent", None, is_late=True
-    )
+    mpc: Replanning | None = late_quantity("", "re-planning in flight, not flown when absent", None)
 
     def cruise_settings(self, speed: float) -> CruiseSettings:
         """Return the settings of the cruise at a speed [m/s]."""
@@ -275,23 +244,22 @@ class Power(Part):
         "N*m",
         "efficiency: smallest torque used in f_r",
         0.0,
-        ge=0,
-        sound=Sound(0, 100, "rotors have smaller drag torques"),
+        sound=not_negative(100, "rotors have smaller drag torques"),
     )
     efficiency_floor: Number = quantity(
         "1",
         "efficiency: smallest f_r",
         0.05,
-        gt=0,
         le=1,
-        sound=Sound(1e-4, 1, "a smaller efficiency means more than 10,000 times the useful power"),
+        sound=positive(
+            1e-4, 1, "a smaller efficiency means more than 10,000 times the useful power"
+        ),
     )
     air_density: Number = late_quantity(
         "kg/m^3",
         "momentum: density of the air",
         SEA_LEVEL_DENSITY,
-        gt=0,
-        sound=Sound(1e-3, 100, "1.225 at sea level, 0.02 on Mars"),
+        sound=positive(1e-3, 100, "1.225 at sea level, 0.02 on Mars"),
     )
     regeneration: Flag = quantity(
         "", "whether braking returns energy; the default depends on the power model", False
@@ -301,15 +269,13 @@ class Power(Part):
         "standard deviation of the hover power, if it is uncertain; all other powers err by the "
         "same share",
         0.0,
-        ge=0,
-        sound=Sound(0, 1e6, "flight powers range from watts to megawatts"),
+        sound=not_negative(1e6, "flight powers range from watts to megawatts"),
     )
     smoothing: Number = quantity(
         "W",
         "without regeneration: width of the smooth floor at 0 W",
         0.1,
-        gt=0,
-        sound=Sound(
+        sound=positive(
             1e-6, 1e5, "must be small compared with the power in flight, watts to megawatts"
         ),
     )
@@ -329,12 +295,11 @@ _MOST_POINTS = 50_000
 class Solver(Part):
     """Accuracy, first mesh and bounds on the effort."""
 
-    accuracy: Accuracy = quantity(
+    accuracy: Accuracy = late_quantity(
         "",
         "required accuracy: quick, energy within 1e-3 and arrival within 0.1 m in open loop; "
         "standard, 1e-4 and 1 cm; proof, 1e-6 and 0.1 mm, for studies",
         Accuracy.PROOF,
-        is_late=True,
         initial=Accuracy.STANDARD,
     )
     tolerance: Number = quantity(
@@ -342,9 +307,8 @@ class Solver(Part):
         "relative error of the states to which meshes are refined; by default 1e-3, 1e-4 or 1e-6, "
         "depending on the accuracy",
         FIGURES[Accuracy.PROOF].energy,
-        gt=0,
         le=1e-1,
-        sound=Sound(1e-11, 0.1, "rounding errors are about 1e-12"),
+        sound=positive(1e-11, 0.1, "rounding errors are about 1e-12"),
     )
     elements: WholeNumber = quantity("1", "elements of the first mesh", 10, ge=1, le=100_000)
     degree: WholeNumber = quantity("1", "degree of each element of the first mesh", 4, ge=1, le=20)
@@ -382,8 +346,8 @@ class Solver(Part):
 
 #: rad/s.
 FASTEST_ROTOR = 1e5
-_ANGLE = Sound(1e-4, 2, "angles are in radians")
-_MOMENT = Sound(0, 1e8, "the weight of 10 t on an arm of 1 km is 1e8 N m")
+_ANGLE = positive(1e-4, 2, "angles are in radians")
+_MOMENT = positive(0, 1e8, "the weight of 10 t on an arm of 1 km is 1e8 N m")
 
 
 # Fraction of the charge that packs usually keep, and above which the battery's equations are exact.
@@ -394,17 +358,16 @@ class Limits(Part):
     """Bounds in the optimisation, to which the controller is clipped too."""
 
     roll_max: Number = quantity(
-        "rad", "largest roll angle, eq. (10)", pi / 2, gt=0, le=pi / 2, sound=_ANGLE
+        "rad", "largest roll angle, eq. (10)", pi / 2, le=pi / 2, sound=_ANGLE
     )
     pitch_max: Number = quantity(
-        "rad", "largest pitch angle, eq. (10)", pi / 2, gt=0, le=pi / 2, sound=_ANGLE
+        "rad", "largest pitch angle, eq. (10)", pi / 2, le=pi / 2, sound=_ANGLE
     )
     rotor_speed_min: Number = quantity(
         "rad/s",
         "smallest rotor speed, eq. (10)",
         0.0,
-        ge=0,
-        sound=Sound(0, FASTEST_ROTOR, "tips of the smallest rotors reach the speed of sound"),
+        sound=not_negative(FASTEST_ROTOR, "tips of the smallest rotors reach the speed of sound"),
     )
     rotor_speed_max: Number = quantity(
         "rad/s", "largest rotor speed, eq. (10)", gt=0, le=FASTEST_ROTOR
@@ -412,39 +375,29 @@ class Limits(Part):
     rotor_acceleration_max: Number = quantity(
         "rad/s^2",
         "largest rotor acceleration",
-        gt=0,
-        sound=Sound(1e-2, 1e8, "rotors take from 1 ms to minutes to reach their speed"),
+        sound=positive(1e-2, 1e8, "rotors take from 1 ms to minutes to reach their speed"),
     )
     thrust_max: Number = quantity(
         "N",
         "largest total thrust; by default all rotors at rotor_speed_max",
-        gt=0,
-        sound=Sound(0, 1e7, "multirotors weigh at most 10 t"),
+        sound=positive(0, 1e7, "multirotors weigh at most 10 t"),
     )
     roll_moment_max: Number = quantity(
         "N*m",
         "largest roll moment; by default the rotors on one side at rotor_speed_max",
-        gt=0,
         sound=_MOMENT,
     )
     pitch_moment_max: Number = quantity(
-        "N*m",
-        "largest pitch moment; by default the rotors ahead at rotor_speed_max",
-        gt=0,
-        sound=_MOMENT,
+        "N*m", "largest pitch moment; by default the rotors ahead at rotor_speed_max", sound=_MOMENT
     )
     yaw_moment_max: Number = quantity(
-        "N*m",
-        "largest yaw moment; by default half of the rotors at rotor_speed_max",
-        gt=0,
-        sound=_MOMENT,
+        "N*m", "largest yaw moment; by default half of the rotors at rotor_speed_max", sound=_MOMENT
     )
     speed_max: Number | None = late_quantity(
         "m/s",
         "largest speed over ground, no limit when absent",
         None,
-        gt=0,
-        sound=Sound(1e-2, 1e3, "rotorcraft fly below 340 m/s, the speed of sound"),
+        sound=positive(1e-2, 1e3, "rotorcraft fly below 340 m/s, the speed of sound"),
     )
     reserve: Number = late_quantity(
         "1",
@@ -460,15 +413,13 @@ class Limits(Part):
         "A",
         "largest pack current, no limit when absent",
         None,
-        gt=0,
-        sound=Sound(1e-3, 1e6, "flight packs give from milliamperes to thousands of amperes"),
+        sound=positive(1e-3, 1e6, "flight packs give from milliamperes to thousands of amperes"),
     )
     battery_voltage_min: Number | None = quantity(
         "V",
         "lowest pack voltage, no limit when absent",
         None,
-        gt=0,
-        sound=Sound(1e-3, 1e5, "flight packs have from 1 V to thousands of volts"),
+        sound=positive(1e-3, 1e5, "flight packs have from 1 V to thousands of volts"),
     )
     within_validated: Flag = late_quantity(
         "",

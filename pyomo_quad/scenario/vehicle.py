@@ -9,7 +9,6 @@ from typing import NamedTuple, Self
 from pydantic import model_validator
 
 from pyomo_quad.scenario.fields import (
-    ONE_LINE,
     Number,
     Part,
     Sound,
@@ -17,7 +16,10 @@ from pyomo_quad.scenario.fields import (
     Triple,
     WholeNumber,
     late_quantity,
+    not_negative,
+    positive,
     quantity,
+    title_field,
 )
 
 ROTOR_COUNT = 4
@@ -25,11 +27,11 @@ MOST_ROTORS = 8
 # Ahead, left, behind, right, as in the signs of eq. (7).
 _CROSS = ((1, 0), (0, 1), (-1, 0), (0, -1))
 
-_INERTIA = Sound(1e-9, 1e6, "1 g at a radius of 1 mm has 1e-9, 10 t at 10 m have 1e6")
+_INERTIA = positive(1e-9, 1e6, "1 g at a radius of 1 mm has 1e-9, 10 t at 10 m have 1e6")
 _WEIGHT = "multirotors weigh from 1 g to 10 t"
 #: kg, mass carried by a vehicle.
-CARRIED = Sound(0, 1e4, _WEIGHT)
-_ROTOR_DRAG = Sound(0, 1e2, "from about 1e-8 for a 1 cm rotor to about 1 for a 10 m rotor")
+CARRIED = not_negative(1e4, _WEIGHT)
+_ROTOR_DRAG = not_negative(1e2, "from about 1e-8 for a 1 cm rotor to about 1 for a 10 m rotor")
 _FITTED = Sound(-1e9, 1e9, "f_r is an efficiency between 0 and 1")
 
 
@@ -64,24 +66,22 @@ class EfficiencyMap(Part):
     constant: Triple = quantity("", "row without tau", sound=_FITTED)
 
 
-_SLOW = Sound(1e-2, 1e3, "rotorcraft fly below 340 m/s, the speed of sound")
+_SLOW = positive(1e-2, 1e3, "rotorcraft fly below 340 m/s, the speed of sound")
 
 
 class Validated(Part):
     """Range in which measured flights confirm the vehicle's power and drag; None where unknown."""
 
     airspeed: Number | None = quantity(
-        "m/s", "largest airspeed of the flights that confirm the vehicle", None, gt=0, sound=_SLOW
+        "m/s", "largest airspeed of the flights that confirm the vehicle", None, sound=_SLOW
     )
     climb_speed: Number | None = quantity(
-        "m/s", "largest climb speed of those flights, over ground", None, gt=0, sound=_SLOW
+        "m/s", "largest climb speed of those flights, over ground", None, sound=_SLOW
     )
     descent_speed: Number | None = quantity(
-        "m/s", "largest descent speed of those flights, over ground", None, gt=0, sound=_SLOW
+        "m/s", "largest descent speed of those flights, over ground", None, sound=_SLOW
     )
-    payload: Number | None = quantity(
-        "kg", "largest payload of those flights", None, ge=0, sound=CARRIED
-    )
+    payload: Number | None = quantity("kg", "largest payload of those flights", None, sound=CARRIED)
 
 
 class Attitude(StrEnum):
@@ -108,105 +108,86 @@ class Vehicle(Part):
     """A multirotor with equal rotors: by default the paper's four on arms along body x and y."""
 
     use: Text = quantity("", "name of the vehicle in the library, or a file of its own, NAME.toml")
-    title: Text = quantity(
-        "", "name for people", pattern=ONE_LINE, allowed="one line", max_length=200
-    )
+    title: Text = title_field("name for people")
     mass: Number = quantity(
-        "kg",
-        "mass without payload",
-        gt=0,
-        sound=Sound(1e-3, CARRIED.high, _WEIGHT),
+        "kg", "mass without payload", sound=positive(1e-3, CARRIED.high, _WEIGHT)
     )
-    payload: Number = quantity(
-        "kg",
-        "mass carried, at the centre of mass",
-        0.0,
-        ge=0,
-        sound=CARRIED,
-    )
+    payload: Number = quantity("kg", "mass carried, at the centre of mass", 0.0, sound=CARRIED)
     mass_deviation: Number = late_quantity(
         "kg",
         "standard deviation of the mass in flight, for an uncertain mass of vehicle or payload",
         0.0,
-        ge=0,
         sound=CARRIED,
     )
     arm_length: Number = quantity(
         "m",
         "centre of mass to rotor shaft (l)",
-        gt=0,
-        sound=Sound(1e-3, 100, "arms measure from 1 mm to 100 m"),
+        sound=positive(1e-3, 100, "arms measure from 1 mm to 100 m"),
     )
-    Ix: Number = quantity("kg*m^2", "moment of inertia about body x", gt=0, sound=_INERTIA)
-    Iy: Number = quantity("kg*m^2", "moment of inertia about body y", gt=0, sound=_INERTIA)
-    Iz: Number = quantity("kg*m^2", "moment of inertia about body z", gt=0, sound=_INERTIA)
+    Ix: Number = quantity("kg*m^2", "moment of inertia about body x", sound=_INERTIA)
+    Iy: Number = quantity("kg*m^2", "moment of inertia about body y", sound=_INERTIA)
+    Iz: Number = quantity("kg*m^2", "moment of inertia about body z", sound=_INERTIA)
     thrust_coefficient: Number = quantity(
         "N*s^2",
         "thrust over rotor speed squared (kb)",
-        gt=0,
-        sound=Sound(1e-12, 100, "from about 1e-10 for a 1 cm rotor to about 10 for a 10 m rotor"),
+        sound=positive(
+            1e-12, 100, "from about 1e-10 for a 1 cm rotor to about 10 for a 10 m rotor"
+        ),
     )
     drag_torque_coefficient: Number = quantity(
         "N*m*s^2",
         "drag torque over rotor speed squared (kappa)",
-        gt=0,
-        sound=Sound(1e-15, 100, "from about 1e-13 for a 1 cm rotor to about 1 for a 10 m rotor"),
+        sound=positive(1e-15, 100, "from about 1e-13 for a 1 cm rotor to about 1 for a 10 m rotor"),
     )
     rotor_inertia: Number = quantity(
         "kg*m^2",
         "inertia of rotor and propeller (Ir)",
-        gt=0,
-        sound=Sound(1e-12, 1e4, "from about 1e-11 for a 1 cm rotor to about 1e3 for a 10 m rotor"),
+        sound=positive(
+            1e-12, 1e4, "from about 1e-11 for a 1 cm rotor to about 1e3 for a 10 m rotor"
+        ),
     )
     torque_constant: Number | None = late_quantity(
         "N*m/A",
         "motor torque over current (kt), 1 / voltage_constant when absent",
         None,
-        gt=0,
-        sound=Sound(1e-6, 100, "flight motors give from 1e-6 to some N m per ampere"),
+        sound=positive(1e-6, 100, "flight motors give from 1e-6 to some N m per ampere"),
     )
     voltage_constant: Number | None = late_quantity(
         "rad/s/V",
         "motor speed over voltage (kv), 1 / torque_constant when absent",
         None,
-        gt=0,
-        sound=Sound(1e-2, 1e5, "flight motors turn at 0.1 to 10,000 rad/s per volt"),
+        sound=positive(1e-2, 1e5, "flight motors turn at 0.1 to 10,000 rad/s per volt"),
         unit_keys={"kv_rpm_per_V": RPM},
     )
     motor_resistance: Number | None = late_quantity(
         "ohm",
         "winding resistance (R)",
         None,
-        gt=0,
-        sound=Sound(1e-6, 1e3, "windings have from micro-ohms to hundreds of ohms"),
+        sound=positive(1e-6, 1e3, "windings have from micro-ohms to hundreds of ohms"),
     )
     friction_torque: Number = quantity(
         "N*m",
         "dry friction of one motor (Tf)",
         0.0,
-        ge=0,
-        sound=Sound(0, 100, "rotor bearings have little friction"),
+        sound=not_negative(100, "rotor bearings have little friction"),
     )
     viscous_damping: Number = quantity(
         "N*m*s",
         "viscous friction of one motor (Df)",
         0.0,
-        ge=0,
-        sound=Sound(0, 1, "rotor bearings have little friction"),
+        sound=not_negative(1, "rotor bearings have little friction"),
     )
     drag_linear: Number = quantity(
         "kg/s",
         "linear drag on the relative airspeed",
         0.0,
-        ge=0,
-        sound=Sound(0, 1e4, "a frontal area of 100 m^2 has about 1e3"),
+        sound=not_negative(1e4, "a frontal area of 100 m^2 has about 1e3"),
     )
     drag_quadratic: Number = quantity(
         "kg/m",
         "quadratic drag on the relative airspeed",
         0.0,
-        ge=0,
-        sound=Sound(0, 1e3, "a frontal area of 100 m^2 has about 1e2"),
+        sound=not_negative(1e3, "a frontal area of 100 m^2 has about 1e2"),
     )
     efficiency_map: EfficiencyMap | None = late_quantity(
         "", "efficiency: the recovered function f_r", None
@@ -215,58 +196,34 @@ class Vehicle(Part):
         "m",
         "momentum: radius of one rotor (R)",
         None,
-        gt=0,
-        sound=Sound(1e-3, 100, "rotor radii range from 1 mm to 100 m"),
+        sound=positive(1e-3, 100, "rotor radii range from 1 mm to 100 m"),
     )
     induced_power_factor: Number = late_quantity(
         "1", "momentum: induced power over that of an ideal rotor", 1.0, ge=1, le=10
     )
     profile_power_coefficient: Number = late_quantity(
-        "1",
-        "momentum: profile power over thrust^1.5 / sqrt(density * disc area)",
-        0.0,
-        ge=0,
-        le=10,
+        "1", "momentum: profile power over thrust^1.5 / sqrt(density * disc area)", 0.0, ge=0, le=10
     )
     profile_advance_factor: Number = late_quantity(
-        "1",
-        "momentum: growth of profile power with the advance ratio squared",
-        4.65,
-        ge=0,
-        le=100,
+        "1", "momentum: growth of profile power with the advance ratio squared", 4.65, ge=0, le=100
     )
     climb_power_factor: Number = late_quantity(
-        "1",
-        "momentum: power over thrust times axial airspeed, in climb",
-        1.0,
-        ge=0,
-        le=10,
+        "1", "momentum: power over thrust times axial airspeed, in climb", 1.0, ge=0, le=10
     )
     descent_power_factor: Number = late_quantity(
-        "1",
-        "momentum: power over thrust times axial airspeed, in descent",
-        1.0,
-        ge=0,
-        le=10,
+        "1", "momentum: power over thrust times axial airspeed, in descent", 1.0, ge=0, le=10
     )
     electronics_power: Number = late_quantity(
         "W",
         "momentum: power of all but the motors",
         0.0,
-        ge=0,
-        sound=Sound(0, 1e5, "onboard electronics draw milliwatts to kilowatts"),
+        sound=not_negative(1e5, "onboard electronics draw milliwatts to kilowatts"),
     )
     anemometer_factor: Number = late_quantity(
-        "1",
-        "logs: true airspeed over the reading of the vehicle's anemometer",
-        1.0,
-        gt=0,
-        le=10,
+        "1", "logs: true airspeed over the reading of the vehicle's anemometer", 1.0, gt=0, le=10
     )
     rotor_positions: tuple[tuple[Number, Number], ...] | None = late_quantity(
-        "m",
-        "position of each rotor along body x and y; by default a cross of four arms",
-        None,
+        "m", "position of each rotor along body x and y; by default a cross of four arms", None
     )
     rotor_spins: tuple[WholeNumber, ...] | None = late_quantity(
         "1",
@@ -277,22 +234,19 @@ class Vehicle(Part):
         "kg/rad",
         "drag in the rotor plane over airspeed and rotor speed, of one rotor (Mellinger)",
         0.0,
-        ge=0,
         sound=_ROTOR_DRAG,
     )
     rotor_drag_axis: Number = late_quantity(
         "kg/rad",
         "loss of thrust over axial airspeed and rotor speed, of one rotor (Svacha, Mohta, Kumar)",
         0.0,
-        ge=0,
         sound=_ROTOR_DRAG,
     )
     translational_lift: Number = late_quantity(
         "kg/m",
         "thrust over in-plane airspeed squared, of one rotor (Faessler, Franchi, Scaramuzza)",
         0.0,
-        ge=0,
-        sound=Sound(0, 1e3, "a frontal area of 100 m^2 has about 1e2"),
+        sound=not_negative(1e3, "a frontal area of 100 m^2 has about 1e2"),
     )
     parasitic_drag: Triple = late_quantity(
         "kg/m",
@@ -304,8 +258,7 @@ class Vehicle(Part):
         "s",
         "lag of the motors: rotors accelerate by at most (rotor_speed_max - speed) over it",
         0.0,
-        ge=0,
-        sound=Sound(0, 1e3, "rotors take from 1 ms to minutes to reach their speed"),
+        sound=not_negative(1e3, "rotors take from 1 ms to minutes to reach their speed"),
     )
     attitude: Attitude = late_quantity(
         "",

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Self
 from pydantic import ValidationError, model_validator
 
 from pyomo_quad.scenario.fields import (
-    ONE_LINE,
     FieldPath,
     Number,
     Part,
@@ -20,10 +19,14 @@ from pyomo_quad.scenario.fields import (
     Triple,
     WholeNumber,
     is_number,
+    late_quantity,
+    not_negative,
+    positive,
     quantity,
     set_value,
     spell,
     table_at,
+    title_field,
 )
 from pyomo_quad.scenario.messages import shown
 from pyomo_quad.scenario.packed_arrays import unpacked
@@ -69,10 +72,7 @@ class WindAxis(Part):
     )
     gust_amplitude: Number = quantity("m/s", "gust amplitude (v_gmax)", sound=_WIND)
     gust_period: Number = quantity(
-        "s",
-        "gust period (T_g)",
-        gt=0,
-        sound=Sound(1e-3, 1e6, "gusts last from seconds to minutes"),
+        "s", "gust period (T_g)", sound=positive(1e-3, 1e6, "gusts last from seconds to minutes")
     )
 
 
@@ -93,23 +93,20 @@ class WindProfile(Part):
         "m",
         "height for which the wind is given",
         USUAL_HEIGHT,
-        gt=0,
-        sound=Sound(0.5, 1e3, "winds are measured at 0.5 m to 1000 m"),
+        sound=positive(0.5, 1e3, "winds are measured at 0.5 m to 1000 m"),
     )
     exponent: Number | None = quantity(
         "1",
         "exponent of the power law: about 0.11 over water, 0.14 over open country, 0.3 over a town",
         None,
-        gt=0,
-        sound=Sound(1e-3, 1, "exponents range up to 0.4 over cities"),
+        sound=positive(1e-3, 1, "exponents range up to 0.4 over cities"),
     )
     roughness: Number | None = quantity(
         "m",
         "height at which the logarithmic law has no wind: 2e-4 over water, 0.03 over grass, "
         "1 over a town",
         None,
-        gt=0,
-        sound=Sound(1e-6, 10, "from 1e-5 m over ice to 4 m over a city of towers"),
+        sound=positive(1e-6, 10, "from 1e-5 m over ice to 4 m over a city of towers"),
     )
 
     @model_validator(mode="after")
@@ -134,8 +131,8 @@ class WindSeries(Part):
     times: tuple[Number, ...] = quantity("s", "times from the start of the mission")
     wind_x: tuple[Number, ...] = quantity("m/s", "wind toward +x")
     wind_y: tuple[Number, ...] = quantity("m/s", "wind toward +y")
-    heights: tuple[Number, ...] = quantity(
-        "m", "heights of the wind values at each time, the same at all times", (), is_late=True
+    heights: tuple[Number, ...] = late_quantity(
+        "m", "heights of the wind values at each time, the same at all times", ()
     )
 
 
@@ -166,8 +163,7 @@ class Turbulence(Part):
         "m/s",
         "wind at 6 m (20 ft) above the ground, in place of intensity",
         None,
-        ge=0,
-        sound=Sound(0, LARGEST_WIND, STRONGEST_GUST),
+        sound=not_negative(LARGEST_WIND, STRONGEST_GUST),
     )
     seed: WholeNumber = quantity("1", "seed of the turbulence's noise", 0, ge=0)
 
@@ -244,9 +240,7 @@ class Wind(Part):
     """The wind in world axes."""
 
     use: Text = quantity("", "name of the wind in the library, or a file of its own, NAME.toml")
-    title: Text = quantity(
-        "", "name for people", pattern=ONE_LINE, allowed="one line", max_length=200
-    )
+    title: Text = title_field("name for people")
     coupling: WindCoupling = quantity(
         "",
         "drag: drag on the airspeed, the default for a vehicle with drag; acceleration: eq. (9) as "
@@ -256,8 +250,7 @@ class Wind(Part):
         "1/s",
         "acceleration over wind velocity in eq. (9)",
         1.0,
-        ge=0,
-        sound=Sound(0, 1e3, "the wind takes longer than 1 ms to carry a vehicle along"),
+        sound=not_negative(1e3, "the wind takes longer than 1 ms to carry a vehicle along"),
     )
     frequency_unit: FrequencyUnit = quantity(
         "", "unit of the frequencies: rad/s (as eq. 11) or hz", FrequencyUnit.RADIAN_PER_SECOND
@@ -283,58 +276,50 @@ class Wind(Part):
         None,
     )
     series: WindSeries | None = quantity("", "the wind read from file", None)
-    field: Text | None = quantity(
+    field: Text | None = late_quantity(
         "",
         "file of a wind that varies from place to place, in place of eq. (11)-(12): NetCDF with CF "
         "names and units, or CSV or Parquet with the columns x_m,y_m, perhaps z_m and time_s, then "
         "wind_x_m_per_s,wind_y_m_per_s and perhaps wind_z_m_per_s",
         None,
-        is_late=True,
     )
-    field_scale: Number = quantity(
+    field_scale: Number = late_quantity(
         "1",
         "factor on the wind of the field",
         1.0,
         sound=Sound(-1e3, 1e3, "a factor of 1000 turns a breath of 0.1 m/s into a hurricane"),
-        is_late=True,
     )
-    beyond: Beyond = quantity(
+    beyond: Beyond = late_quantity(
         "",
         "behaviour outside the field and in cells without wind: refuse the plan, or hold the "
         "nearest wind",
         Beyond.REFUSE,
-        is_late=True,
     )
-    grid: WindGrid | None = quantity("", "the wind read from field", None, is_late=True)
+    grid: WindGrid | None = late_quantity("", "the wind read from field", None)
     x: WindAxis = quantity("", "wind toward +x")
     y: WindAxis = quantity("", "wind toward +y")
-    vertical: Number = quantity(
-        "m/s", "steady wind upwards, the same at every height", 0.0, sound=_WIND, is_late=True
+    vertical: Number = late_quantity(
+        "m/s", "steady wind upwards, the same at every height", 0.0, sound=_WIND
     )
-    profile: WindProfile | None = quantity(
-        "",
-        "law of the horizontal wind over height, constant when absent",
-        None,
-        is_late=True,
+    profile: WindProfile | None = late_quantity(
+        "", "law of the horizontal wind over height, constant when absent", None
     )
-    speed_deviation: Number = quantity(
+    speed_deviation: Number = late_quantity(
         "m/s",
         "standard deviation of the error of the forecast wind speed",
         0.0,
-        ge=0,
-        sound=Sound(0, LARGEST_WIND, STRONGEST_GUST),
-        is_late=True,
+        sound=not_negative(LARGEST_WIND, STRONGEST_GUST),
     )
-    direction_deviation: Number = quantity(
+    direction_deviation: Number = late_quantity(
         "rad",
         "standard deviation of the error of the forecast wind direction",
         0.0,
-        ge=0,
-        sound=Sound(0, 1.6, "an error of more than a quarter turn leaves the direction unknown"),
-        is_late=True,
+        sound=not_negative(
+            1.6, "an error of more than a quarter turn leaves the direction unknown"
+        ),
     )
-    turbulence: Turbulence | None = quantity(
-        "", "turbulence in flight, none when absent", None, is_late=True
+    turbulence: Turbulence | None = late_quantity(
+        "", "turbulence in flight, none when absent", None
     )
     forecast: Self | None = quantity(
         "", "wind assumed by the optimiser, the actual wind when absent", None

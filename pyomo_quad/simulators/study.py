@@ -33,6 +33,7 @@ from pyomo_quad.scenario import Reference, Scenario, ScenarioError, load_scenari
 from pyomo_quad.scenario.description import shipped_scenarios
 from pyomo_quad.simulators.vehicles import NAMES, rotorpy_parameters, vehicle_fields
 from pyomo_quad.study.comparison import has_arrived
+from pyomo_quad.study.tables import TableColumn
 
 _EXACT = {"vehicle.attitude": "euler"}
 _BREEZE = {"wind.use": "constant", "wind.speed": 3.0, "wind.direction": 1.0}
@@ -125,7 +126,7 @@ TOLD, STIFF, OUR_HEADING = "se3, told the air's force", "se3, stiffer", "se3, to
 STIFFNESS = 4.0
 
 
-class OutsideColumn(StrEnum):
+class OutsideColumn(TableColumn):
     """Columns of the table of flights, in order."""
 
     CASE = "case"
@@ -256,7 +257,7 @@ def run_outside_study(planner: Planner | None = None) -> OutsideStudy:
             if flight is not None and flown.followed is Reference.PLAN:
                 tracks[case, flown.plant, str(flown.controller)] = _track(flight, plan)
     return OutsideStudy(
-        flights=pd.DataFrame(rows, columns=[column.value for column in OutsideColumn]),
+        flights=OutsideColumn.of_rows(rows),
         tracks=tracks,
         lag_s=1.0 / paper.baseline.gains.rotor,
     )

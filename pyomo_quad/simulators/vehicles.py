@@ -6,7 +6,6 @@ If Ixx and Iyy differ, the turn creates a product of inertia, half their differe
 neglected.
 """
 
-import json
 from math import hypot
 from typing import Any, NamedTuple
 
@@ -14,6 +13,7 @@ from pyomo_quad.flight.outside_plant import rotorpy_module
 from pyomo_quad.report.folder import MARK
 from pyomo_quad.scenario import ScenarioError
 from pyomo_quad.scenario.messages import shown
+from pyomo_quad.scenario.toml_text import with_source
 
 #: Sets of RotorPy with four rotors in a cross, with the mass [kg] and the length [m] of a rotor.
 _ROTORS = {"hummingbird": (6e-3, 0.2), "crazyflie": (2e-4, 0.046)}
@@ -86,6 +86,6 @@ def vehicle_file(name: str) -> str:
         f'use = "{name}"',
     ]
     for path, (value, source) in vehicle_fields(name).items():
-        written = json.dumps(value if isinstance(value, str | list) else float(value))
-        lines += ["", f"[{path}]", f"value = {written}", f'source = "{source}"']
+        number = value if isinstance(value, str | list) else float(value)
+        lines += with_source(path, number, source)
     return "\n".join(lines) + "\n"

@@ -1,6 +1,5 @@
 """Least energy against least charge: the same mission planned for each, on the plan's own mesh."""
 
-from enum import StrEnum
 from time import thread_time
 from typing import TYPE_CHECKING
 
@@ -10,6 +9,7 @@ from pyomo_quad.model.battery import CHARGE_STATE
 from pyomo_quad.scenario import Attitude
 from pyomo_quad.scenario.mission import Aim
 from pyomo_quad.study.front import planned_alike
+from pyomo_quad.study.tables import TableColumn
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -21,7 +21,7 @@ DISAGREEMENT = 0.005
 _LONGEST_S = 10.0
 
 
-class AimColumn(StrEnum):
+class AimColumn(TableColumn):
     """Columns of `energy_and_charge`, in order."""
 
     AIM = "aim"
@@ -57,24 +57,21 @@ def energy_and_charge(
         Columns of `AimColumn`, least energy first; empty if the plan is not verified, for the least
         time, of the paper's own equations or of a user's own model, and if the other fails.
     """
-    import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
-
-    columns = [column.value for column in AimColumn]
     scenario = plan.scenario
     is_of_paper = scenario.vehicle.attitude is Attitude.PAPER
     if not plan.is_verified or scenario.model is not None or is_of_paper:
-        return pd.DataFrame(columns=columns)
+        return AimColumn.of_rows(())
     if scenario.mission.aim not in _AIMS:
-        return pd.DataFrame(columns=columns)
+        return AimColumn.of_rows(())
     other = next(aim for aim in _AIMS if aim is not scenario.mission.aim)
     found = planned_alike(plan, planner, _briefly(progress), aim=other)
     if found.verification is None:
-        return pd.DataFrame(columns=columns)
+        return AimColumn.of_rows(())
     rows = [
         (one.scenario.mission.aim.value, one.energy, charge_drawn(one), one is plan)
         for one in sorted((plan, found), key=lambda one: _AIMS.index(one.scenario.mission.aim))
     ]
-    return pd.DataFrame(rows, columns=columns)
+    return AimColumn.of_rows(rows)
 
 
 def _briefly(progress: Progress | None) -> Progress:

@@ -8,7 +8,6 @@ mission.
 """
 
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from functools import partial
 from math import inf, log
 from typing import TYPE_CHECKING
@@ -38,6 +37,7 @@ from pyomo_quad.flight.weather import vehicle_flown
 from pyomo_quad.scenario import Reference, Scenario, ScenarioError
 from pyomo_quad.scenario.tables import CruiseSettings
 from pyomo_quad.study.comparison import has_arrived, is_comparable
+from pyomo_quad.study.tables import TableColumn
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -246,16 +246,16 @@ def _tried(
     )
 
 
-class TuningColumn(StrEnum):
+class TuningColumn(TableColumn):
     """Columns of the table of the settings that were tried, in order."""
 
-    SPEED = "speed_m_per_s"
-    ACCELERATION = "acceleration_m_per_s2"
-    JERK = "jerk_m_per_s3"
-    DURATION = "duration_s"
-    ENERGY = "energy_J"
-    ARRIVED = "arrived"
-    BROKEN_LIMITS = "broken_limits"
+    SPEED = "speed_m_per_s", lambda one: one.settings.speed
+    ACCELERATION = "acceleration_m_per_s2", lambda one: one.settings.acceleration
+    JERK = "jerk_m_per_s3", lambda one: one.settings.jerk
+    DURATION = "duration_s", lambda one: one.duration_s
+    ENERGY = "energy_J", lambda one: one.energy_J
+    ARRIVED = "arrived", lambda one: one.arrived
+    BROKEN_LIMITS = "broken_limits", lambda one: "; ".join(one.broken) or "none"
 
 
 def tuning_table(tuning: Tuning | None) -> "pd.DataFrame":
@@ -263,18 +263,4 @@ def tuning_table(tuning: Tuning | None) -> "pd.DataFrame":
 
     Their energies are those of the search; `Tuning.flight` has the energy to full accuracy.
     """
-    import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
-
-    rows = [
-        {
-            TuningColumn.SPEED: one.settings.speed,
-            TuningColumn.ACCELERATION: one.settings.acceleration,
-            TuningColumn.JERK: one.settings.jerk,
-            TuningColumn.DURATION: one.duration_s,
-            TuningColumn.ENERGY: one.energy_J,
-            TuningColumn.ARRIVED: one.arrived,
-            TuningColumn.BROKEN_LIMITS: "; ".join(one.broken) or "none",
-        }
-        for one in (() if tuning is None else tuning.tried)
-    ]
-    return pd.DataFrame(rows, columns=[column.value for column in TuningColumn])
+    return TuningColumn.of_objects(() if tuning is None else tuning.tried)

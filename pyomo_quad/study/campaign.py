@@ -6,9 +6,8 @@ flight that has no plan: it would leave less charge than the pack must keep, or 
 fall below its limit.  No pack rests between two flights, or ages.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from itertools import cycle
 from typing import TYPE_CHECKING
 
@@ -22,6 +21,7 @@ from pyomo_quad.flight.verification import BALANCE_TOLERANCE, fly_controls, shar
 from pyomo_quad.model.battery import CHARGE_STATE
 from pyomo_quad.model.battery_circuit import CIRCUIT_STATES, fields_after
 from pyomo_quad.scenario import Scenario, ScenarioError
+from pyomo_quad.study.tables import TableColumn
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -37,17 +37,17 @@ CHARGE_RESERVE = "charge reserve"
 """What ends a charge whose next flight would leave less than the pack must keep."""
 
 
-class CampaignColumn(StrEnum):
+class CampaignColumn(TableColumn):
     """Columns of a campaign, one row for each flight, in order."""
 
-    CHARGE = "charge"
-    FLIGHT = "flight"
-    MISSION = "mission"
-    DURATION = "duration_s"
-    ENERGY = "energy_J"
-    CHARGE_AT_START = "charge_at_start_percent"
-    CHARGE_AT_END = "charge_at_end_percent"
-    LOWEST_VOLTAGE = "lowest_voltage_V"
+    CHARGE = "charge", lambda flight: flight.charge
+    FLIGHT = "flight", lambda flight: flight.number
+    MISSION = "mission", lambda flight: flight.plan.scenario.name
+    DURATION = "duration_s", lambda flight: flight.plan.duration_s
+    ENERGY = "energy_J", lambda flight: flight.plan.energy
+    CHARGE_AT_START = "charge_at_start_percent", lambda flight: flight.charge_at_start
+    CHARGE_AT_END = "charge_at_end_percent", lambda flight: flight.charge_at_end
+    LOWEST_VOLTAGE = "lowest_voltage_V", lambda flight: flight.lowest_voltage_V
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,30 +107,11 @@ class Campaign(Summarised):
 
     def table(self) -> "pd.DataFrame":
         """Return one row per flight, with the columns of `CampaignColumn`."""
-        import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
-
-        rows = [
-            {
-                CampaignColumn.CHARGE: flight.charge,
-                CampaignColumn.FLIGHT: flight.number,
-                CampaignColumn.MISSION: flight.plan.scenario.name,
-                CampaignColumn.DURATION: flight.plan.duration_s,
-                CampaignColumn.ENERGY: flight.plan.energy,
-                CampaignColumn.CHARGE_AT_START: flight.charge_at_start,
-                CampaignColumn.CHARGE_AT_END: flight.charge_at_end,
-                CampaignColumn.LOWEST_VOLTAGE: flight.lowest_voltage_V,
-            }
-            for flight in self.flights
-        ]
-        return pd.DataFrame(rows, columns=[column.value for column in CampaignColumn])
+        return CampaignColumn.of_objects(self.flights)
 
 
 def fly_campaign(
-    missions: Sequence[Scenario],
-    planners: Sequence[Planner],
-    *,
-    charges: int = 1,
-    follow: Callable[[CampaignFlight], None] = lambda _flight: None,
+    missions: Sequence[Scenario], planners: Sequence[Planner], *, charges: int = 1
 ) -> Campaign:
     """Plan missions in a row until the pack is at its limit, on so many charges.
 
@@ -140,8 +121,6 @@ def fly_campaign(
         With one and the same battery and vehicle; each charge begins with that of the first.
     planners : sequence of Planner
         One for each mission.
-    follow : callable, optional
-        Called after each flight.
 
     Raises
     ------
@@ -166,7 +145,6 @@ def fly_campaign(
             flights.append(_flight(charge, number, plan))
             left = {"battery.initial_state_of_charge": flights[-1].charge_at_end}
             left |= fields_after(told, _ended(plan))
-            follow(flights[-1])
         else:
             endings.append(f"{MOST_FLIGHTS} flights, after which a campaign is not continued")
     return Campaign(

@@ -1,7 +1,6 @@
 """Comparison of the flights of a mission, one row each, and the effect of adaptation."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from enum import StrEnum
 from math import isclose, isfinite, nan
 from typing import TYPE_CHECKING
 
@@ -9,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pyomo_quad.collocation import Dynamics
-from pyomo_quad.flight import Planner
 from pyomo_quad.flight.baselines import (
     ClosedLoopFlight,
     baseline_name,
@@ -26,9 +24,11 @@ from pyomo_quad.flight.flight import (
     VELOCITY_STATES,
     Flight,
 )
+from pyomo_quad.flight.references import ReferencePath
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.tables import Reference, Replanning
 from pyomo_quad.study.certificate import SAME_TIME, Certificate
+from pyomo_quad.study.tables import TableColumn
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -43,42 +43,27 @@ TRUE = tuple(f"true_disturbance_{axis}_m_per_s2" for axis in "xyz")
 _ESTIMATES = tuple(f"disturbance_{axis}_m_per_s2" for axis in "xyz")
 
 
-def adaptation_study(
-    scenario: Scenario,
-    reference: Reference = Reference.QUINTIC,
-    *,
-    dynamics: Dynamics | None = None,
-) -> "pd.DataFrame":
-    """Fly a mission under the adaptive controller, with adaptation and without."""
+def adaptation_study(scenario: Scenario, *, dynamics: Dynamics) -> "pd.DataFrame":
+    """Fly a mission's smooth reference under the controller, with adaptation and without."""
     import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
-    vehicle = Planner().dynamics(scenario) if dynamics is None else dynamics
-    with_it, without_it = (
-        fly_reference(
-            scenario.with_values({"baseline.adaptation": adapts}), reference, dynamics=vehicle
-        )
-        for adapts in (True, False)
-    )
-    flown = with_it.flown
+    told = (scenario.with_values({"baseline.adaptation": adapts}) for adapts in (True, False))
+    flights = [fly_reference(one, Reference.QUINTIC, dynamics=dynamics) for one in told]
+    path = reference_path(scenario, Reference.QUINTIC)
+    flown = flights[0].flown
     keys = tuple((force, None) for force in AIR_FORCE)
-    forces = vehicle.table(keys, flown.t, flown.states, flown.controls)
+    forces = dynamics.table(keys, flown.t, flown.states, flown.controls)
     columns = [CONTROLLER_STATES.index(name) for name in _ESTIMATES]
-    table = {
-        TIME: flown.t,
-        ERROR_WITH: _error(scenario, reference, vehicle, with_it),
-        ERROR_WITHOUT: _error(scenario, reference, vehicle, without_it),
-    }
-    table |= dict(zip(ESTIMATED, with_it.controller_states[:, columns].T, strict=True))
+    errors = (_error(path, dynamics, flight) for flight in flights)
+    table = {TIME: flown.t} | dict(zip((ERROR_WITH, ERROR_WITHOUT), errors, strict=True))
+    table |= dict(zip(ESTIMATED, flights[0].controller_states[:, columns].T, strict=True))
     table |= dict(zip(TRUE, forces.T / scenario.vehicle.total_mass, strict=True))
     return pd.DataFrame(table)
 
 
-def _error(
-    scenario: Scenario, reference: Reference, vehicle: Dynamics, flight: ClosedLoopFlight
-) -> FloatArray:
-    path = reference_path(scenario, reference)
+def _error(path: ReferencePath, dynamics: Dynamics, flight: ClosedLoopFlight) -> FloatArray:
     wanted = np.array([path(t).place[:3] for t in flight.flown.t])
-    columns = [vehicle.state_names.index(name) for name in POSITION_STATES]
+    columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
     return np.linalg.norm(flight.flown.states[:, columns] - wanted, axis=1)
 
 
@@ -91,7 +76,7 @@ INSIDE_DISTANCE_M = 0.1
 _PLACE = tuple(column_of(state).name for state in POSITION_STATES)
 
 
-class ComparisonColumn(StrEnum):
+class ComparisonColumn(TableColumn):
     """Columns of a comparison, in order."""
 
     SCENARIO = "scenario"
@@ -158,8 +143,6 @@ def compare_flights(
     above hover, since the two floors differ.  There is no saving above hover either if the optimum
     takes less energy than hovering: it would exceed 100 %.
     """
-    import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
-
     is_told_the_wind = scenario.wind.forecast is None
     optimum = next((f for f in flights if f.name == OPTIMAL and is_comparable(f)), None)
     rows = []
@@ -200,7 +183,7 @@ def compare_flights(
                 **_measured(scenario, flight.frame),
             }
         )
-    compared = pd.DataFrame(rows, columns=[column.value for column in ComparisonColumn])
+    compared = ComparisonColumn.of_rows(rows)
     if scenario.limits.reserve:
         compared[RESERVE] = [_reserve_percent(scenario, flight.frame) for flight in flights]
     return compared
@@ -222,7 +205,7 @@ def _hover_energy(scenario: Scenario, flight: Flight, hover_energy_J: float) -> 
     return hover_energy_J * flight.duration_s / scenario.mission.fixed_duration
 
 
-class LegColumn(StrEnum):
+class LegColumn(TableColumn):
     """Columns of the legs of a flight, in order."""
 
     LEG = "leg"
@@ -234,9 +217,7 @@ class LegColumn(StrEnum):
 
 def leg_table(mission: Scenario, frame: "pd.DataFrame") -> "pd.DataFrame":
     """Return `leg_rows` as a table with the columns of `LegColumn`."""
-    import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
-
-    return pd.DataFrame(leg_rows(mission, frame), columns=[column.value for column in LegColumn])
+    return LegColumn.of_rows(leg_rows(mission, frame))
 
 
 def leg_rows(
@@ -299,7 +280,7 @@ def way_flown(flown: "Mapping[str, FloatArray] | pd.DataFrame") -> FloatArray:
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
-class ReplanningColumn(StrEnum):
+class ReplanningColumn(TableColumn):
     """Columns of the table of re-planned flights, in order."""
 
     FLIGHT = "flight"
@@ -326,8 +307,6 @@ def replanning_table(flights: Sequence[Flight], settings: Replanning) -> "pd.Dat
     DataFrame
         One row for each flight with solves, columns of `ReplanningColumn`.
     """
-    import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
-
     rows = []
     for flight in flights:
         if not flight.resolves:
@@ -349,7 +328,7 @@ def replanning_table(flights: Sequence[Flight], settings: Replanning) -> "pd.Dat
                 ReplanningColumn.LONGEST_SOLVE: float(times[2]),
             }
         )
-    return pd.DataFrame(rows, columns=[column.value for column in ReplanningColumn])
+    return ReplanningColumn.of_rows(rows)
 
 
 def is_comparable(flight: Flight) -> bool:
@@ -369,7 +348,7 @@ def combine(frames: "Sequence[pd.DataFrame]") -> "pd.DataFrame":
     import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
     if not frames:
-        return pd.DataFrame(columns=[column.value for column in ComparisonColumn])
+        return ComparisonColumn.of_rows(())
     return pd.concat(frames, ignore_index=True)
 
 

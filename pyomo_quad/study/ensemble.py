@@ -70,7 +70,7 @@ class Share:
         return low, high
 
     def __str__(self) -> str:
-        """Return the share with its interval, as "98.7 % (97.8 to 99.3 %)"."""
+        """Return the share with its confidence interval, as "98.7 % (97.8 to 99.3 %)"."""
         low, high = (100.0 * end for end in self.interval)
         return f"{100.0 * self.value:.1f} % ({low:.1f} to {high:.1f} %)"
 
@@ -275,18 +275,18 @@ class InTurbulence:
 
     @property
     def words(self) -> str:
-        """The share that held, and the saving, in one or two sentences."""
+        """Share of flights that arrive and keep every limit, and the saving in the same winds."""
         held, most = self.flown.held, next(iter(self.flown.broken.items()), None)
-        broken = "" if most is None else f", and {most[1].count} break the limit {most[0]}"
+        broken = "" if most is None else f"; the limit broken most often: {most[0]}"
         found = (
-            f"Of {held.of} flights in turbulence {held.count} arrive and keep every limit: "
-            f"{held}{broken}."
+            f"In turbulence, {held.count} of {held.of} simulated flights arrive and keep every "
+            f"limit: {held}{broken}."
         )
         for saving in self.savings:
             low, middle, high = saving.percent
             found += (
-                f" Against {saving.rival.name} in the same winds the plan saves {middle:.1f} % in "
-                f"the median ({low:.1f} to {high:.1f} % in 90 % of them)."
+                f" In the same turbulence the plan saves {middle:.1f} % against "
+                f"{saving.rival.name} (median; {low:.1f} to {high:.1f} % in 90 % of the flights)."
             )
         return found
 

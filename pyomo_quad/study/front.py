@@ -5,13 +5,13 @@ and cheaper.  Where the least energy is convex in the duration, each price selec
 the slope of the front there is minus the price.
 """
 
-from enum import StrEnum
 from math import isclose, isfinite, nan
 from typing import TYPE_CHECKING
 
 from pyomo_quad.collocation import Progress
 from pyomo_quad.flight import Plan, Planner
 from pyomo_quad.scenario.mission import Aim
+from pyomo_quad.study.tables import TableColumn
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -22,7 +22,7 @@ _PRICES = (0.0, 0.3, 1.0, 3.0)
 _SAME_TIME = 1e-4
 
 
-class FrontColumn(StrEnum):
+class FrontColumn(TableColumn):
     """Columns of an energy-time front, in order."""
 
     PRICE = "price_of_time_W"
@@ -52,11 +52,8 @@ def energy_time_front(
         Columns of `FrontColumn`, the shortest flight first; empty if the plan is not verified or
         its duration is fixed.  The plan's price is NaN if its aim is the least time.
     """
-    import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
-
-    columns = [column.value for column in FrontColumn]
     if not plan.is_verified or not plan.scenario.mission.is_free:
-        return pd.DataFrame(columns=columns)
+        return FrontColumn.of_rows(())
     mission = plan.scenario.mission
     own = nan if mission.aim is Aim.TIME else mission.price_of_time
     aim = Aim.ENERGY if mission.aim is Aim.TIME else mission.aim
@@ -70,8 +67,7 @@ def energy_time_front(
         is_new = not any(isclose(found.duration_s, row[1], rel_tol=_SAME_TIME) for row in rows)
         if found.verification is not None and is_new:
             rows.append((price, found.duration_s, found.energy, False))
-    front = pd.DataFrame(rows, columns=columns)
-    return front.sort_values(FrontColumn.DURATION, ignore_index=True)
+    return FrontColumn.of_rows(rows).sort_values(FrontColumn.DURATION, ignore_index=True)
 
 
 def planned_alike(

@@ -1,11 +1,11 @@
-"""The result of a run in plain words: energy, saving, duration, and the share of flights that hold.
+"""The result of a run in plain words: energy, duration, saving, and flights in turbulence.
 
 The saving is against the autopilot tuned for least energy (`study.autopilot`).  A run without this
 flight compares with the smooth baseline, or else with the cheapest flight that arrived within the
 limits.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from math import isfinite
 from typing import TYPE_CHECKING, Any
@@ -29,7 +29,7 @@ Row = Mapping[Any, Any]
 
 @dataclass(frozen=True, kw_only=True)
 class Headline:
-    """What a run found.
+    """Main results of a run.
 
     Attributes
     ----------
@@ -38,14 +38,14 @@ class Headline:
     battery_percent : float or None
         Charge that the plan uses; None without a battery.
     rival : mapping or None
-        Row of the comparison of the flight that the saving is against; None if no other flight
-        arrived within the limits.
+        Row of the flight with which the plan is compared; None if no other flight arrived within
+        the limits.
     settings : CruiseSettings or None
-        Those of the tuned autopilot, if it is the rival.
+        Limits of the tuned autopilot, if it is the rival.
     risk : RiskTaken or None
-        The flights in turbulence that the plan was tried in.
+        Risk that the plan was made for, with its flights in turbulence.
     often : InTurbulence or None
-        Many flights of the run in turbulence, which are named instead of those.
+        Many flights of the run in turbulence; the headline prefers them to those of ``risk``.
     """
 
     energy_J: float
@@ -58,16 +58,16 @@ class Headline:
 
     @property
     def words(self) -> str:
-        """The headline, in three sentences."""
+        """The headline: energy and time, saving, flights in turbulence, price of the margins."""
         charge = ""
         if self.battery_percent is not None:
             charge = f" ({self.battery_percent:.2f} % of the battery)"
-        plan = f"The plan takes {self.energy_J:.2f} J{charge} and {self.duration_s:.6g} s."
-        return f"{plan} {self._saving} {self._share}"
+        plan = f"The plan takes {self.energy_J:.2f} J{charge} and {self.duration_s:.4g} s"
+        return " ".join(filter(None, (f"{plan}: {self._saving}.", self._share, self._price)))
 
     @property
     def summary(self) -> dict[str, Any]:
-        """The words, and the numbers of the saving."""
+        """The headline and the numbers of its saving, as values for JSON."""
         against = (
             {
                 "flight": self.rival[ComparisonColumn.FLIGHT],
@@ -87,30 +87,41 @@ class Headline:
     @property
     def _saving(self) -> str:
         if self.rival is None:
-            return "No other flight arrived within the limits, so no saving is known."
+            return "no other flight arrived within its limits to compare with"
         spent, duration = settled_of(self.rival), float(self.rival[ComparisonColumn.DURATION])
-        who = f"The controller on its own path ({self.rival[ComparisonColumn.FLIGHT]})"
+        who = f"a controller without the plan ({self.rival[ComparisonColumn.FLIGHT]}: "
+        at_most = ""
         if self.settings is not None:
-            who = f"An autopilot tuned for least energy, at {cruise_words(self.settings)},"
+            who = "an autopilot tuned for least energy ("
+            at_most = f", at most {cruise_words(self.settings)}"
         saving = float(self.rival[ComparisonColumn.SAVING])
-        found = f"saves {saving:.2f} %" if saving >= 0.0 else f"takes {-saving:.2f} % more"
-        return f"{who} takes {spent:.2f} J and {duration:.4g} s: the plan {found}."
+        found = f"{abs(saving):.2f} % {'less' if saving >= 0.0 else 'more'} energy"
+        return f"{found} than {who}{spent:.2f} J, {duration:.4g} s{at_most})"
 
     @property
     def _share(self) -> str:
         if self.often is not None:
             return self.often.words
-        if self.risk is None:
-            return "No flights in turbulence were flown."
+        if self.risk is None or not self.risk.flown:
+            return "Flights in gusts were not simulated."
         held = self.risk.flown - self.risk.failed
         return (
-            f"Of {self.risk.flown} flights in turbulence {held} arrive and keep every limit "
-            f"({100.0 * held / self.risk.flown:.1f} %)."
+            f"In turbulence, {held} of {self.risk.flown} simulated flights arrive and keep every "
+            f"limit ({100.0 * held / self.risk.flown:.1f} %)."
+        )
+
+    @property
+    def _price(self) -> str:
+        if self.risk is None:
+            return ""
+        joules, percent = self.risk.price(self.energy_J)
+        return (
+            f"The margins for a risk of {self.risk.asked:g} cost {joules:.3g} J ({percent:.2g} %)."
         )
 
 
 def cruise_words(settings: "CruiseSettings") -> str:
-    """Return the settings of an autopilot in words."""
+    """Return the limits of an autopilot in words, such as "9.2 m/s, 4.1 m/s² and 31 m/s³"."""
     return (
         f"{settings.speed:.3g} m/s, {settings.acceleration:.3g} m/s² and {settings.jerk:.3g} m/s³"
     )
@@ -138,7 +149,7 @@ def headline_of(result: "RunResult") -> Headline | None:
 
 
 def rival_of(comparison: "pd.DataFrame") -> Row | None:
-    """Return the flight that savings are against, of those that arrived within the limits."""
+    """Return the row of the flight with which the plan is compared, None if no flight qualifies."""
     is_own = comparison[ComparisonColumn.FLIGHT].isin((OPTIMAL, OPEN_LOOP))
     rivals = comparison[comparison[ComparisonColumn.SAVING].notna() & ~is_own]
     by_name = {row[ComparisonColumn.FLIGHT]: row for row in rivals.to_dict("records")}
@@ -147,27 +158,31 @@ def rival_of(comparison: "pd.DataFrame") -> Row | None:
 
 
 def settled_of(row: Row) -> float:
-    """Return the energy of a flight plus its owed energy, by which flights are compared [J]."""
+    """Return the energy of a flight plus its energy to complete, for comparisons [J]."""
     return float(row[ComparisonColumn.HOVER_ENERGY] + row[ComparisonColumn.EXCESS_ENERGY])
 
 
 _WORDS = {
     OPTIMAL: "the plan",
-    OPEN_LOOP: "the plan's controls without feedback",
-    TUNED_CRUISE: "an autopilot at the settings of least energy",
-    baseline_name(Reference.PLAN): "the plan under feedback",
-    baseline_name(Reference.QUINTIC): "a smooth straight path in the mission's time",
-    baseline_name(Reference.MINIMUM_SNAP): "a smoother straight path in the mission's time",
-    baseline_name(Reference.STEP): "the goal given at once",
-    replanned_name(Knowledge.TOLD): "planned again in flight, told the wind",
-    replanned_name(Knowledge.ESTIMATED): "planned again in flight, estimating the wind",
-    replanned_name(Knowledge.UNTOLD): "planned again in flight, not told the wind",
+    OPEN_LOOP: "the plan's rotor commands without feedback",
+    TUNED_CRUISE: "an autopilot on straight legs, tuned for least energy",
+    baseline_name(Reference.PLAN): "a controller that follows the plan",
+    baseline_name(Reference.QUINTIC): "the controller on a smooth straight path",
+    baseline_name(Reference.MINIMUM_SNAP): "the controller on a straight path of minimum snap",
+    baseline_name(Reference.STEP): "the controller, given only the goal",
+    replanned_name(Knowledge.TOLD): "planned again during the flight, knowing the wind",
+    replanned_name(Knowledge.ESTIMATED): "planned again during the flight, estimating the wind",
+    replanned_name(Knowledge.UNTOLD): "planned again during the flight, without knowing the wind",
 }
+_CRUISE_WORDS = "an autopilot on straight legs at this speed"
 
 
-def flight_words(name: str) -> str:
-    """Return what a flight is, for a reader who does not know its name."""
-    if name in _WORDS:
-        return _WORDS[name]
-    is_cruise = name.startswith(baseline_name(Reference.CRUISE))
-    return "an autopilot at this speed" if is_cruise else "another flight"
+def legend_of(rows: Iterable[Row]) -> list[tuple[list[str], str]]:
+    """Return names of flights and their meaning, in order; equal meanings share an entry."""
+    found: dict[str, list[str]] = {}
+    for row in rows:
+        name = row[ComparisonColumn.FLIGHT]
+        is_cruise = name.startswith(baseline_name(Reference.CRUISE))
+        words = _WORDS.get(name, _CRUISE_WORDS if is_cruise else "another flight")
+        found.setdefault(words, []).append(name)
+    return [(names, words) for words, names in found.items()]

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from pyomo_quad.sweep.case import worker_version
-from pyomo_quad.sweep.workers import WATCH_SECONDS, ClusterError, Crew, Workers
+from pyomo_quad.sweep.workers import WATCH_SECONDS, ClusterError, Workers
 from pyomo_quad.version import __version__
 
 if TYPE_CHECKING:
@@ -42,12 +42,10 @@ def cluster_workers(address: str) -> Iterator[Workers]:
         _check_workers(client, address)
         threads = _Threads(client, address)
         workers = Workers(
-            Crew(
-                description=f"Dask cluster {address}",
-                start=lambda: client.get_executor(pure=False),
-                stop=lambda executor: executor.shutdown(wait=False),
-                count=threads.count,
-            )
+            description=f"Dask cluster {address}",
+            begin=lambda: client.get_executor(pure=False),
+            end=lambda executor: executor.shutdown(wait=False),
+            count=threads.count,
         )
         yield workers
         workers.stop()

@@ -16,7 +16,7 @@ from concurrent.futures import (
     wait,
 )
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from pyomo_quad.scenario.messages import PyomoQuadError
 from pyomo_quad.study.processes import end_processes, environment_of_workers, pool_of
@@ -32,40 +32,32 @@ class ClusterError(PyomoQuadError, RuntimeError):
     """A Dask cluster cannot be reached or was lost; finished cases are kept."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Crew:
-    """Functions that start, stop and count the workers of an executor.
+@dataclass(kw_only=True, eq=False)
+class Workers:
+    """The cases under way on an executor.
 
     Attributes
     ----------
     description : str
         Name of the workers in messages.
-    start : callable
+    begin : callable
         Starts an executor.
-    stop : callable
+    end : callable
         Stops an executor without waiting for its running tasks.
     count : callable
         Number of tasks that run at a time; raises ClusterError if the cluster is lost.
     """
 
     description: str
-    start: Callable[[], Executor]
-    stop: Callable[[Executor], None]
+    begin: Callable[[], Executor]
+    end: Callable[[Executor], None]
     count: Callable[[], int]
-
-
-class Workers:
-    """The running cases of a crew's executor."""
-
-    def __init__(self, crew: Crew) -> None:
-        self.description = crew.description
-        self._crew = crew
-        self._executor: Executor | None = None
-        self._under_way: dict[Future[CaseOutcome], CaseTask] = {}
-        # Cases to retry alone, and keys of all cases that were running when a worker died.
-        self._suspects: deque[CaseTask] = deque()
-        self._accused: set[str] = set()
-        self._is_alone = False
+    _executor: Executor | None = None
+    _under_way: dict[Future[CaseOutcome], CaseTask] = field(default_factory=dict)
+    # Cases to retry alone, and keys of all cases that were running when a worker died.
+    _suspects: deque[CaseTask] = field(default_factory=deque)
+    _accused: set[str] = field(default_factory=set)
+    _is_alone: bool = False
 
     @property
     def room(self) -> int:
@@ -73,12 +65,12 @@ class Workers:
         if self._suspects or self._is_alone:
             return 0
         # Without any worker, one task waits for the first worker to connect.
-        return max(1, _TASKS_PER_WORKER * self._crew.count()) - len(self._under_way)
+        return max(1, _TASKS_PER_WORKER * self.count()) - len(self._under_way)
 
     def submit(self, task: CaseTask) -> None:
         """Submit a task to the executor."""
         if self._executor is None:
-            self._executor = self._crew.start()
+            self._executor = self.begin()
         try:
             self._under_way[self._executor.submit(perform, task)] = task
         except BrokenExecutor:
@@ -94,7 +86,7 @@ class Workers:
                 self.submit(self._suspects.popleft())
             done, _ = wait(self._under_way, WATCH_SECONDS, FIRST_COMPLETED)
             if not done:
-                self._crew.count()
+                self.count()
             for future in [one for one in self._under_way if one in done]:
                 outcomes += self._collect(future)
             self._is_alone = self._is_alone and bool(self._under_way)
@@ -144,7 +136,7 @@ class Workers:
 
     def _abandon(self) -> None:
         if self._executor is not None:
-            self._crew.stop(self._executor)
+            self.end(self._executor)
             self._executor = None
 
 
@@ -164,12 +156,10 @@ def process_workers(count: int) -> Iterator[Workers]:
     """
     with environment_of_workers():
         workers = Workers(
-            Crew(
-                description=f"{count} worker process{'es' if count > 1 else ''}",
-                start=lambda: pool_of(count),
-                stop=end_processes,
-                count=lambda: count,
-            )
+            description=f"{count} worker process{'es' if count > 1 else ''}",
+            begin=lambda: pool_of(count),
+            end=end_processes,
+            count=lambda: count,
         )
         try:
             yield workers

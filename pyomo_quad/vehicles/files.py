@@ -1,12 +1,11 @@
 """Files of an estimated vehicle: vehicle and pack, every number with its source."""
 
-import json
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any
 
 from pyomo_quad.report.folder import MARK
 from pyomo_quad.scenario import Scenario, scenario_from_mapping
+from pyomo_quad.scenario.toml_text import with_source
 from pyomo_quad.vehicles.estimate import Estimate
 from pyomo_quad.vehicles.owner import EstimatedVehicle
 
@@ -25,19 +24,19 @@ def vehicle_text(vehicle: EstimatedVehicle, title: str) -> str:
         f"# {MARK}: {title}.",
         '# Under power.model = "momentum"; derivations: docs/theory/vehicle_from_data.md.',
         f'battery = "{pack_name(known.name)}"',
-        *_number("fields.title", title, "the owner"),
+        *with_source("fields.title", title, "the owner"),
         *_numbers("fields", vehicle.fields),
     ]
     if vehicle.rotor_positions is not None:
         held = [list(place) for place in vehicle.rotor_positions]
-        lines += _number("fields.rotor_positions", held, "a ring on the arms")
+        lines += with_source("fields.rotor_positions", held, "a ring on the arms")
     return "\n".join([*lines, *_numbers("limits", vehicle.limits)]) + "\n"
 
 
 def pack_text(vehicle: EstimatedVehicle) -> str:
     """Return the pack's file."""
     title = f"Pack of {vehicle.known.name}, {vehicle.pack.label}"
-    lines = [f"# {MARK}.", *_number("fields.title", title, "the owner")]
+    lines = [f"# {MARK}.", *with_source("fields.title", title, "the owner")]
     return "\n".join([*lines, *_numbers("fields", vehicle.pack.fields())]) + "\n"
 
 
@@ -45,33 +44,17 @@ def _numbers(section: str, numbers: Mapping[str, Estimate]) -> Iterator[str]:
     for name, one in numbers.items():
         whole = name.startswith("cells_")
         value = int(one.value) if whole else float(f"{one.value:.{_DIGITS}g}")
-        yield from _number(f"{section}.{name}", value, one.source)
+        yield from with_source(f"{section}.{name}", value, one.source)
 
 
-def _number(path: str, value: Any, source: str) -> Iterator[str]:  # noqa: ANN401
-    yield ""
-    yield f"[{path}]"
-    yield f"value = {json.dumps(value, ensure_ascii=False)}"
-    yield f"source = {json.dumps(source, ensure_ascii=False)}"
-
-
-def scenario_of(vehicle: EstimatedVehicle, folder: Path | None = None) -> Scenario:
-    """Return a mission of an estimated vehicle under the momentum model.
-
-    Parameters
-    ----------
-    folder : Path, optional
-        Where the vehicle's files are; without, its numbers stand in the scenario itself.
-    """
+def scenario_of(vehicle: EstimatedVehicle) -> Scenario:
+    """Return a mission of an estimated vehicle under the momentum model, in its own numbers."""
     tables: dict[str, Any] = {
         "name": vehicle.known.name,
         "wind": {"use": "calm", "coupling": "drag"},
         "power": {"model": "momentum"},
         "mission": {"goal": {"position": [40.0, 0.0, 0.0]}, "duration": 10.0},
     }
-    if folder is not None:
-        tables["vehicle"] = {"use": f"{vehicle.known.name}.toml"}
-        return scenario_from_mapping(tables, source=vehicle.known.name, folder=folder)
     tables["vehicle"] = {name: one.value for name, one in vehicle.fields.items()}
     tables["limits"] = {name: one.value for name, one in vehicle.limits.items()}
     tables["battery"] = {

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from pyomo_quad.flight import Planner
 from pyomo_quad.identification.columns import DENSITY, PAYLOAD, POWER
+from pyomo_quad.identification.motion import vehicle_scenario
 from pyomo_quad.identification.steady import (
     AIRSPEED,
     ENDURANCE,
@@ -20,7 +21,7 @@ from pyomo_quad.identification.steady import (
     filled_in,
     level_powers,
 )
-from pyomo_quad.scenario import Scenario, library_entry, library_names, scenario_from_mapping
+from pyomo_quad.scenario import PowerModel, Scenario, library_entry, library_names
 from pyomo_quad.vehicles.owner import Known, estimate_vehicle
 from pyomo_quad.vehicles.pack import pack_of
 from pyomo_quad.vehicles.propulsion import propeller_of
@@ -85,16 +86,7 @@ def held_against(name: str, planner: Planner) -> Held:
     """Return a library vehicle with its measurements and computed powers."""
     entry = library_entry("vehicles", name)
     is_momentum = "vehicle.rotor_radius" in entry.sources
-    scenario = scenario_from_mapping(
-        {
-            "name": name,
-            "vehicle": {"use": name},
-            "wind": {"use": "calm", "coupling": "drag"},
-            "power": {"model": "momentum" if is_momentum else "motor"},
-            "mission": {"goal": {"position": [1.0, 0.0, 0.0]}, "duration": 10.0},
-        },
-        source=name,
-    )
+    scenario = vehicle_scenario(name, PowerModel.MOMENTUM if is_momentum else PowerModel.MOTOR)
     with _folder().joinpath(f"{name}.csv").open(encoding="utf-8") as stream:
         read = pd.read_csv(stream)
     points = filled_in(read, scenario).sort_values([PAYLOAD, AIRSPEED], ignore_index=True)

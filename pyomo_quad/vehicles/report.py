@@ -55,17 +55,13 @@ def write_vehicles(
             folder / f"{one.name}.md",
             "vehicles/page.md.j2",
             one=one,
-            rows=_table(one).to_dict("records"),
+            rows=point_table(one.points, one.computed).to_dict("records"),
             columns=(AIRSPEED, PAYLOAD, POWER, COMPUTED, ERROR),
             drawings=[shown[one.name]] if one.name in shown else [],
             sources=library_entry("vehicles", one.name).sources,
             version=__version__,
         )
     return sheets
-
-
-def _table(held: Held) -> pd.DataFrame:
-    return point_table(held.points, held.computed)
 
 
 def _drawing(held: Held, planner: Planner) -> Drawing:

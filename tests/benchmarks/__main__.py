@@ -24,6 +24,7 @@ MODULES = {
     "sweep": "sweep_speed",
     "mpc": "replanning",
     "charge": "charge",
+    "holds": "holds",
 }
 
 
@@ -36,9 +37,11 @@ def main():
     parser.add_argument(
         "--minutes",
         type=float,
-        help="robustness, places, strangers, mpc, jobs, peers: begin nothing after it.",
+        help="robustness, places, strangers, mpc, jobs, peers, holds: begin nothing after it.",
     )
-    parser.add_argument("--count", type=int, help="strangers: the first so many missions only.")
+    parser.add_argument(
+        "--count", type=int, help="strangers, holds: the first so many missions only."
+    )
     parser.add_argument("--beside", type=Path, help="jobs: a checkout of an older commit.")
     parser.add_argument("--render", action="store_true", help="Measure nothing.")
     arguments = parser.parse_args()

@@ -132,20 +132,24 @@ def outcome_rows(seed, outcomes):
         yield [seed, verdict, counts[verdict], f"{share:.1%}", middle, high]
 
 
-def finished(results):
-    """Return the outcomes that a results file holds."""
+def stored(results):
+    """Return the lines of a results file, each a mapping with a seed and a number."""
     if not results.exists():
         return []
-    lines = [json.loads(line) for line in results.read_text(encoding="utf-8").splitlines()]
+    return [json.loads(line) for line in results.read_text(encoding="utf-8").splitlines()]
+
+
+def finished(results):
+    """Return the outcomes that a results file holds."""
     return [
         Outcome(**line | {key: tuple(line[key]) for key in ("settings", "attempts")})
-        for line in lines
+        for line in stored(results)
     ]
 
 
 def fly_all(minutes, drawn, results=RESULTS, fly_one=fly, workers=WORKERS):
     """Fly every mission drawn that the results do not hold, and write each down as it ends."""
-    known = {(outcome.seed, outcome.number) for outcome in finished(results)}
+    known = {(line["seed"], line["number"]) for line in stored(results)}
     wanted = [mission for mission in drawn if mission[:2] not in known]
     deadline = perf_counter() + 60.0 * (np.inf if minutes is None else minutes)
     results.parent.mkdir(parents=True, exist_ok=True)

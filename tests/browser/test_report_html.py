@@ -159,8 +159,10 @@ def test_no_table_is_cut(page, screen):
 
 
 def test_a_phone_names_each_cell(page):
-    beside = "return getComputedStyle(document.querySelector('.cards td'), '::before').content"
-    assert on_a_screen(page, PHONE, beside) == '"Energy (J)"'
+    beside = (
+        "return getComputedStyle(document.querySelector('.cards td.number'), '::before').content"
+    )
+    assert on_a_screen(page, PHONE, beside) == '"Duration (s)"'
 
 
 SCREENS = pytest.mark.parametrize("screen", [PHONE, WIDE], ids=["390 px", "1400 px"])

@@ -100,7 +100,7 @@ def test_quiet_run_with_even_rows_in_the_default_folder(tmp_path, capsys, monkey
     said = capsys.readouterr()
     assert said.out == ""
     verdict, warning = said.err.splitlines()
-    assert verdict.startswith("paper_calm: solved but not verified: ")
+    assert verdict.startswith("paper_calm: solved, but not verified: ")
     assert warning.startswith("paper_calm: warning: battery phantom_2_pack, 3 x 1 cells: hovering")
     report = (tmp_path / "reports" / "paper_calm" / "report.md").read_text()
     assert "hovering for 4 s needs 0.0064" in report
@@ -161,7 +161,7 @@ def test_refinement_that_gives_up_says_so(tmp_path, capsys):
     assert (summary["status"], summary["verified"]) == ("solved", False)
     assert summary["solver"]["status"] == "tolerance_not_met"
     said = capsys.readouterr().err
-    assert said.startswith("paper_calm: solved but not verified: refinement stopped")
+    assert said.startswith("paper_calm: solved, but not verified: refinement stopped")
 
 
 @pytest.mark.slow

@@ -64,10 +64,10 @@ def test_ctrl_c_while_a_risk_is_searched_for_leaves_the_plan_found_so_far(tmp_pa
     out = tmp_path / "report"
     hop = ("--set=mission.goal.position=[2.0, 0.0, 1.0]", "--set=mission.duration=4.0")
     asked = ["solve", PAPER_CALM, "--out", str(out), *NO_FIGURES, *hop, "--set=mission.risk=0.01"]
-    assert main(asked) == ExitCode.VERIFIED
+    assert main(asked) == ExitCode.RISK_NOT_HAD
     plan = Plan.load(out / "plan.npz")
     assert plan.status is PlanStatus.VERIFIED
-    assert plan.risk is not None
+    assert plan.risk.stopped
     assert plan.risk.asked == 0.01
     assert plan.energy == pytest.approx(plan.risk.paper_energy_J)
 

@@ -23,9 +23,7 @@ REPORT = str(SCENARIOS.parent / "reports" / "paper_calm")
 def test_a_committed_report_is_exported_under_its_own_name(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["export", REPORT, "--to", "px4"]) == ExitCode.VERIFIED
-    assert (
-        "Written to paper_calm_px4.csv: 501 setpoints, never more than" in capsys.readouterr().out
-    )
+    assert "Written to paper_calm_px4.csv: 501 setpoints, at most" in capsys.readouterr().out
     command = ["export", REPORT, "--to", "qgroundcontrol", "--origin", "-12,-77,150", "--json"]
     assert main(command) == ExitCode.VERIFIED
     said = json.loads(capsys.readouterr().out)
@@ -43,7 +41,7 @@ def test_the_export_of_a_paper_plan_says_that_it_leaves_nothing_to_the_controlle
     assert main(["export", REPORT, "--to", "px4"]) == ExitCode.VERIFIED
     warned = capsys.readouterr().err.splitlines()
     assert len(warned) == 1
-    assert "a paper plan, which leaves nothing to the controller; solve it with" in warned[0]
+    assert "the plan has no margins: it may fly exactly at its limits" in warned[0]
     assert main(["export", REPORT, "--to", "px4", "--as-planned"]) == ExitCode.VERIFIED
     assert capsys.readouterr().err == ""
 

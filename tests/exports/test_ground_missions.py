@@ -147,7 +147,7 @@ def test_the_command_writes_a_scenario_that_loads(tmp_path, monkeypatch, capsys)
     assert said[0] == (
         "Written to site.toml: start, 3 waypoints, goal; a fence, 2 zones, 2 rally points."
     )
-    assert said[1:] == ["Not in it: command 206.", "Fly it: pyomo-quad run site.toml"]
+    assert said[1:] == ["Left out: command 206.", "Fly it: pyomo-quad run site.toml"]
     read = read_mission(MISSIONS / "fence.plan", payload_kg=0.4, name="site").scenario
     written = load_scenario("site.toml")
     assert (written.mission, written.airspace) == (read.mission, read.airspace)

@@ -21,7 +21,7 @@ from pyomo_quad.paper.experiments import (
 from pyomo_quad.paper.loss_chain import energy_chain
 from pyomo_quad.paper.readings import Reading
 from pyomo_quad.paper.report import examination
-from pyomo_quad.paper.tables import baseline_saving, corrections, find_baseline, find_flight
+from pyomo_quad.paper.tables import baseline_row, corrections, find_baseline
 from pyomo_quad.report.render import render_markdown
 from pyomo_quad.scenario import PowerModel, Reference
 from tests.flights import PLANNER
@@ -172,10 +172,10 @@ def test_a_controlled_flight_is_charged_what_its_end_owes_where_an_optimum_price
     # Four millimetres too low at 12 J/m, and 1 cm/s upward at 3 J s/m.
     owed = 0.004 * 12.0 + 0.01 * 3.0
     least, spent = 1.001 * 708.6, 1.01 * 708.6 + owed
-    assert baseline_saving(made, by_motor) == pytest.approx(
-        (100 * (1 - least / spent), 100 * (spent - least) / (spent - 708.6))
-    )
+    row = baseline_row(made, by_motor)
+    assert row["saving_percent"] == pytest.approx(100 * (1 - least / spent))
+    assert row["saving_of_excess_percent"] == pytest.approx(100 * (spent - least) / (spent - 708.6))
     by_map = find_baseline(made, Experiment.CALM, PowerModel.EFFICIENCY, Reference.QUINTIC)
-    optimum = find_flight(made.flights, Experiment.CALM, PowerModel.EFFICIENCY)
-    assert np.isnan(by_map.priced_by(optimum).owed_energy_J)
-    assert baseline_saving(made, by_map)[0] == pytest.approx(100 * (1 - 1.001 / 1.01))
+    row = baseline_row(made, by_map)
+    assert np.isnan(row["owed_energy_J"])
+    assert row["saving_percent"] == pytest.approx(100 * (1 - 1.001 / 1.01))

@@ -25,7 +25,6 @@ from pyomo_quad.sweep import (
 )
 from pyomo_quad.sweep.case import CaseOutcome
 from pyomo_quad.sweep.design import Case
-from pyomo_quad.sweep.workers import Crew
 from tests.sweep.stand_in import SOLVER
 
 
@@ -35,12 +34,10 @@ class Here(Workers):
     def __init__(self) -> None:
         self.solved: list[str] = []
         super().__init__(
-            Crew(
-                description="this process",
-                start=lambda: _InThisProcess(self.solved),
-                stop=lambda _: None,
-                count=lambda: 1,
-            )
+            description="this process",
+            begin=lambda: _InThisProcess(self.solved),
+            end=lambda _: None,
+            count=lambda: 1,
         )
 
 

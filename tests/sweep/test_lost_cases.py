@@ -15,7 +15,6 @@ import pytest
 from pyomo_quad.sweep import Workers, design_sweep, load_study
 from pyomo_quad.sweep.case import perform
 from pyomo_quad.sweep.design import expand
-from pyomo_quad.sweep.workers import Crew
 from tests.sweep import stand_in
 from tests.sweep.studies import write_study
 from tests.sweep.sweeping import AfterCases, Here, press_ctrl_c, rows, sweep
@@ -62,7 +61,7 @@ class Dying(Workers):
         self.solved: list[str] = []
         self.pools: list[DyingPool] = []
         super().__init__(
-            Crew(description="dying", start=self._start, stop=lambda _: None, count=self._count)
+            description="dying", begin=self._start, end=lambda _: None, count=self._count
         )
         self._deaths = Counter(deaths)
 

@@ -35,15 +35,25 @@ def transfer_rules(model: Any, copy: Any) -> None:
     translator = _Translator(model, copy)
     for component in copy.component_objects(descend_into=True):
         for name in _RULES:
-            rule = getattr(component, name, None)
-            while hasattr(rule, _INNER):
-                rule = getattr(rule, _INNER)
+            rule = _innermost(getattr(component, name, None))
             if hasattr(rule, _FUNCTION):
                 setattr(rule, _FUNCTION, translator.translate(getattr(rule, _FUNCTION)))
         if isinstance(component, DerivativeVar):
             # The equation with which a discretisation in space replaced the derivative.
             formula = translator.translate(component.get_derivative_expression())
             component.set_derivative_expression(formula)
+
+
+def _innermost(rule: Any) -> Any:
+    """Return the initializer that others wrap."""
+    while hasattr(rule, _INNER):
+        rule = getattr(rule, _INNER)
+    return rule
+
+
+def function_of(component: Any) -> Any:
+    """Return the function that states a component's members, which takes a block and an index."""
+    return getattr(_innermost(component._rule), _FUNCTION)  # noqa: SLF001
 
 
 def rule_of(component: Any) -> Any:

@@ -16,7 +16,7 @@ from collections import OrderedDict
 from dataclasses import dataclass, field
 from itertools import pairwise
 from math import ceil, floor
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import casadi
 import numpy as np
@@ -45,6 +45,16 @@ _UNDIMINISHED = 0.75
 _ROUNDING = 1e-9
 # Number of times for which a schedule caches its readings.
 _REMEMBERED = 100_000
+T = TypeVar("T")
+
+
+def _remembered(known: OrderedDict[float, T], time: float, of: Callable[[float], T]) -> T:
+    """Return what a function of time returns, called once for each of the last times."""
+    if time not in known:
+        if len(known) >= _REMEMBERED:
+            known.popitem(last=False)
+        known[time] = of(time)
+    return known[time]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,6 +110,9 @@ class Schedule:
         Time -> Statement.
     times : sequence of float
         Declared times; the rule is called between them and on both sides of each.
+    place : callable, optional
+        Time -> the time in whose place the rule is called: one for all times at which the rule
+        states the same.
 
     Attributes
     ----------
@@ -113,13 +126,18 @@ class Schedule:
     """
 
     def __init__(
-        self, name: str, say: Callable[[float], Statement], times: Sequence[float]
+        self,
+        name: str,
+        say: Callable[[float], Statement],
+        times: Sequence[float],
+        place: Callable[[float], float] = float,
     ) -> None:
         self.name = name
-        self._say = say
+        self._say, self._place = say, place
         self._forms: dict[Any, _Form] = {}
         self._is_compiled = False
         self._known: OrderedDict[float, Reading] = OrderedDict()
+        self._rows: OrderedDict[float, list[float]] = OrderedDict()
         for _ in jumps(self.reading, probes(times)):
             pass
         self._is_compiled = True
@@ -150,16 +168,15 @@ class Schedule:
             If the rule returns a form that it returned at none of the times tried before
             compilation.
         """
-        if time not in self._known:
-            statement = self._say(time)
-            numbers: list[float] = []
-            structure = tuple(_structure(part, numbers) for part in statement.parts)
-            found = Reading((structure, statement.is_equality), tuple(numbers))
-            self._sort(found, statement, time)
-            if len(self._known) >= _REMEMBERED:
-                self._known.popitem(last=False)
-            self._known[time] = found
-        return self._known[time]
+        return _remembered(self._known, self._place(time), self._read)
+
+    def _read(self, time: float) -> Reading:
+        statement = self._say(time)
+        numbers: list[float] = []
+        structure = tuple(_structure(part, numbers) for part in statement.parts)
+        found = Reading((structure, statement.is_equality), tuple(numbers))
+        self._sort(found, statement, time)
+        return found
 
     def _sort(self, found: Reading, statement: Statement, time: float) -> None:
         form = self._forms.get(found.key)
@@ -187,7 +204,10 @@ class Schedule:
 
     def row(self, time: float) -> list[float]:
         """Return the values of the slots at a time."""
-        found = self.reading(time)
+        return _remembered(self._rows, self._place(time), self._row)
+
+    def _row(self, time: float) -> list[float]:
+        found = self._read(time)
         row = [float(key == found.key) for key in list(self._forms)[: len(self._chosen)]]
         for key, form in self._forms.items():
             held = found.numbers if key == found.key else form.numbers

@@ -338,7 +338,11 @@ class TemplateWriter:
         if statement is not None and not symbol.is_read:
             parts = zip(statement.parts, _ABSENT, strict=False)
             return [self._part(p, name, absent) for p, absent in parts], statement.is_equality
-        schedule = Schedule(name, partial(self._statement_at, name, say), self.copy.declared_times)
+        # Where times are free, a rule knows only between which declared times its own lies.
+        place = self._within if self.symbols.clock.is_free else float
+        schedule = Schedule(
+            name, partial(self._statement_at, name, say), self.copy.declared_times, place
+        )
         self.schedules.append(schedule)
 
         def write(part: Any, numbers: Iterator[Any]) -> Any:
@@ -351,7 +355,7 @@ class TemplateWriter:
         template = self.copy.template_time
         if self.symbols.clock.is_free:
             declared = self.copy.declared_times
-            index: Any = TimeSymbol(template, self._clock, declared, self._within(time))
+            index: Any = TimeSymbol(template, self._clock, declared, time)
         else:
             index = Instant(time, template)
         try:

@@ -8,7 +8,7 @@ import pytest
 
 from pyomo_quad.collocation import Mesh, SolverOptions, compile
 from pyomo_quad.collocation.formulation import OutputStates
-from pyomo_quad.flight import Planner, replanning
+from pyomo_quad.flight import Planner, remaining
 from pyomo_quad.flight.baselines import fly_baseline
 from pyomo_quad.flight.replanning import fly_replanned
 from pyomo_quad.model import build_remaining, parameter_values
@@ -73,13 +73,15 @@ def test_what_is_not_told_is_learnt_and_not_knowing_it_costs():
 def test_mass_and_wind_are_told_apart(monkeypatch):
     """In a steady wind, with a heavier vehicle, both are found: they are the plant's numbers."""
     beliefs = []
-    solve = replanning.Replanner.solve
-    monkeypatch.setattr(
-        replanning.Replanner,
-        "solve",
-        lambda self, t, state, belief: beliefs.append(belief) or solve(self, t, state, belief),
-    )
-    flight = replanned(Knowledge.ESTIMATED, plant=("vehicle.payload=0.1", *STEADY))
+    solve = remaining.Replanner._solved
+
+    def solved(self, rest, t, state, belief, **how):
+        beliefs.append(belief)
+        return solve(self, rest, t, state, belief, **how)
+
+    monkeypatch.setattr(remaining.Replanner, "_solved", solved)
+    lasting = "mission.duration=4.0"
+    flight = replanned(Knowledge.ESTIMATED, lasting, plant=("vehicle.payload=0.1", *STEADY))
     assert has_arrived(flight)
     # To a twentieth of what was not known.
     assert beliefs[-1].mass == pytest.approx(1.4, abs=0.1 / 20)
@@ -108,7 +110,8 @@ def test_the_last_plan_goes_on_while_a_solve_is_late():
 
 
 def test_where_every_solve_fails_the_first_plan_is_flown_under_feedback(monkeypatch):
-    monkeypatch.setattr(replanning, "_OPTIONS", SolverOptions(max_iterations=0))
+    monkeypatch.setattr(remaining, "_OPTIONS", SolverOptions(max_iterations=0))
+    monkeypatch.setattr(remaining.Replanner, "is_off", lambda *_: False)
     flight = replanned(Knowledge.UNTOLD, *STEADY)
     assert not any(solve.is_converged for solve in flight.resolves)
     # As a controller that flies all the way; forgetful from part to part, it spent 12 % more.
@@ -142,7 +145,7 @@ def test_own_models_are_not_planned_again():
     scenario = flights.scenario("paper_calm", *SHORT)
     planner = Planner(lambda _scenario: None)
     with pytest.raises(ScenarioError, match="re-planning knows the declared model only"):
-        replanning.Replanner(scenario, Knowledge.TOLD, planner)
+        remaining.Replanner(scenario, Knowledge.TOLD, planner)
 
 
 def test_waypoints_without_times_are_not_planned_again():
@@ -166,7 +169,7 @@ def test_the_rest_of_a_way_is_optimal_before_and_behind_its_waypoints():
     """Bellman, over a hold and what is left there: both parts add up to the optimum."""
     plan = flights.plan("paper_calm", *WAY)
     held, mission = plan.trajectories, plan.mission_flown
-    replanner = replanning.Replanner(mission, Knowledge.TOLD, flights.PLANNER)
+    replanner = remaining.Replanner(mission, Knowledge.TOLD, flights.PLANNER)
     reached, passed = plan.passing_times_s
     for begin, ahead in ((0.5 * reached, 2), (reached + 1.0, 1), (0.5 * (passed + 11.0), 0)):
         inside = held.states_at(np.array([begin]))[0]

@@ -1,23 +1,33 @@
 """Plans with a stated risk: probabilities against simulation, and margins against flights."""
 
+import re
+from contextlib import nullcontext
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.special import ndtri
 
-from pyomo_quad.flight import Plan, risk
+from pyomo_quad.cli.endings import ExitCode
+from pyomo_quad.cli.solving import complain_about, exit_code_of
+from pyomo_quad.flight import Plan, PlanStatus, risk
 from pyomo_quad.flight.breaching import Approach, Miss, _crossing
+from pyomo_quad.flight.deadline import TimeIsUpError
 from pyomo_quad.flight.margins import (
     DURATION,
     HOLD,
     RADIUS,
     SPEED,
+    RiskTaken,
     greatest_margin,
     passing_times,
     tightened,
 )
 from pyomo_quad.flight.risk import plan_at_risk, risk_asked
+from pyomo_quad.model import build_model
 from tests.declared_model import scenario
 from tests.flights import PLANNER
 
@@ -147,6 +157,97 @@ def test_the_excess_of_a_miss_is_what_must_be_nearer_for_its_probability():
     assert Miss(words="", field="", off=off, within=9.0).excess(0.02) == 0.0
 
 
+def taken(**found):
+    known = {"asked": 0.01, "predicted": 0.2, "failed": 31, "flown": 200, "is_had": False}
+    return RiskTaken(**known | {"paper_energy_J": 400.0} | found)
+
+
+def test_a_risk_that_cannot_be_had_says_how_much_limits_it_and_what_would_help():
+    said = taken(limiting=("speed at the end", "floor"), advice="weaker turbulence").words(410.0)
+    assert said == (
+        "A risk of 0.01 cannot be had: by the plan of the least risk found 31 of 200 flights that "
+        "had no part in the plan broke a limit, most often speed at the end; what would help: "
+        "weaker turbulence; the margins cost 10 J (2.5 %) beside the paper plan."
+    )
+
+
+def test_a_search_that_was_stopped_does_not_say_that_the_risk_cannot_be_had():
+    said = taken(stopped="the search was stopped").words(410.0)
+    assert said.startswith("A risk of 0.01 is not reached: the search was stopped; 31 of 200")
+    said = taken(flown=0, failed=0, stopped="given up after solver.time_limit = 9 s").words(400.0)
+    assert said.startswith("No flight confirms a risk of 0.01: given up after solver.time_limit")
+
+
+@pytest.mark.parametrize("status", [PlanStatus.VERIFIED, PlanStatus.USABLE])
+def test_a_plan_without_the_risk_asked_for_has_a_status_of_its_own(status, capsys, tmp_path):
+    plan = SimpleNamespace(
+        scenario=mission(risk=0.01),
+        status=status,
+        is_verified=status is PlanStatus.VERIFIED,
+        is_flyable=True,
+        failure=None,
+        message="stopped",
+        risk=taken(advice="weaker turbulence"),
+        risk_words="A risk of 0.01 cannot be had",
+    )
+    assert exit_code_of(plan) == ExitCode.RISK_NOT_HAD
+    complain_about(plan, tmp_path, ())
+    assert "A risk of 0.01 cannot be had" in capsys.readouterr().err
+    plan.risk = taken(is_had=True)
+    assert exit_code_of(plan) == ExitCode.VERIFIED
+
+
+@cache
+def paper_plan():
+    return PLANNER.solve(mission(risk=0.01))
+
+
+def planner_of(builder=build_model, is_stopped=False):
+    return SimpleNamespace(
+        builder=builder,
+        solve=lambda *_, **__: replace(paper_plan(), status=PlanStatus.USABLE),
+        until_stopped=lambda: nullcontext(lambda: is_stopped),
+    )
+
+
+def test_a_usable_plan_without_time_for_margins_says_so(monkeypatch):
+    """Time ends while the first plan's flight without gusts is flown."""
+
+    def give_up(*_):
+        raise TimeIsUpError("given up after solver.time_limit = 9 s; allow more time.")
+
+    monkeypatch.setattr(risk, "spread_along", give_up)
+    plan = plan_at_risk(mission(risk=0.01), planner_of())
+    assert plan.status is PlanStatus.USABLE
+    assert not plan.risk.is_had
+    assert "No flight confirms a risk of 0.01: given up after" in plan.risk_words
+
+
+def test_no_risk_is_looked_for_once_the_user_has_stopped_nor_in_a_model_of_ones_own():
+    told, own = mission(risk=0.01), planner_of(lambda _: None)
+    assert "No flight confirms a risk of 0.01: margins are" in plan_at_risk(told, own).risk_words
+    assert plan_at_risk(mission(duration="free"), own).risk is None
+    stopped = plan_at_risk(told, planner_of(is_stopped=True))
+    assert stopped.risk.stopped == "the search was stopped"
+
+
+@pytest.mark.parametrize("coupling", ["drag", "acceleration"])
+def test_the_weaker_turbulence_advised_is_that_in_which_the_goal_is_met(coupling):
+    """Of a normal distribution in one direction: quantiles tell by how much it must shrink."""
+    told = mission(risk=0.1).with_values({"wind.coupling": coupling})
+    off = np.abs(np.random.default_rng(3).standard_normal((1, 200_000)))
+    within = 0.1
+    missed = (Miss(words="speed at the end", field="", off=off, within=within),)
+    search = risk._Search(SimpleNamespace(scenario=told), PLANNER)
+    said = search._weaker(SimpleNamespace(missed=missed))
+    # Three tenths of the risk are left to the goal.
+    shrunk = within / ndtri(1 - 0.03 / 2)
+    strength = told.wind.turbulence.strength
+    found = float(re.search(r"of about (\S+) m/s instead of", said)[1])
+    assert found == pytest.approx(shrunk * strength, rel=0.05)
+    assert ("wind.coupling" in said) is (coupling == "acceleration")
+
+
 @pytest.mark.slow
 def test_a_free_duration_takes_the_reserve_that_its_flights_need_to_arrive():
     told = mission(duration="free", risk=0.05).with_values({"airspace.keep_out": ()})
@@ -176,7 +277,7 @@ def _few_flights(monkeypatch):
 def test_a_plan_with_a_risk_leaves_the_margin_that_its_flights_need(tmp_path):
     paper, held = plans()
     assert paper.risk is None
-    assert "paper plan" in paper.risk_words
+    assert "No margins" in paper.risk_words
     assert held.is_verified
     taken = held.risk
     assert taken.is_had
@@ -206,9 +307,12 @@ def test_flights_of_the_paper_plan_break_the_limit_that_it_flies_at():
     assert shares[1] < 0.15
 
 
-def test_a_mission_that_states_no_risk_asks_for_none():
+def test_a_free_duration_asks_for_a_risk_unless_it_is_the_papers():
     assert risk_asked(mission()) == 1.0
-    assert risk_asked(mission(duration="free")) == 1.0
+    free = mission(duration="free")
+    assert risk_asked(free) == 0.01
+    assert risk_asked(free.with_values({"mission.risk": 1.0})) == 1.0
+    assert risk_asked(free.with_values({"vehicle.attitude": "paper"})) == 1.0
     assert risk_asked(mission(risk=0.2)) == 0.2
 
 

@@ -8,13 +8,8 @@ import pytest
 
 from pyomo_quad.cli import main
 from pyomo_quad.identification.fitting import identify
-from pyomo_quad.identification.motion import vehicle_scenario
-from pyomo_quad.identification.steady import (
-    USED_SHARE,
-    computed_power,
-    identify_steady,
-    read_steady,
-)
+from pyomo_quad.identification.motion import LoggedMotion, vehicle_scenario
+from pyomo_quad.identification.steady import USED_SHARE, as_flights, identify_steady, read_steady
 from pyomo_quad.scenario import ScenarioError
 from tests.agreement import plain_quadrotor as plain
 from tests.unit.identification import recorded
@@ -64,7 +59,8 @@ def test_a_polar_gives_back_what_was_planted(folder, scenario):
     assert values["drag_quadratic"] == pytest.approx(recorded.DRAG[1], rel=2e-2)
     assert found.error_percent < 1e-2
     assert found.unseen_error_percent < 1.0
-    assert computed_power(found.scenario, points) == pytest.approx(found.power, rel=1e-9)
+    computed = LoggedMotion(found.scenario, as_flights(points, found.scenario)).power()[::2]
+    assert computed == pytest.approx(found.power, rel=1e-9)
 
 
 def test_hover_alone_fixes_one_number_and_names_what_goes_with_it(folder, scenario):

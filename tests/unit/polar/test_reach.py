@@ -102,7 +102,7 @@ def test_the_command_writes_the_boundary(tmp_path, capsys):
     command = ["reach", str(PARCEL), "--return", "--figures", "none", "--out", str(out)]
     assert main(command) == ExitCode.VERIFIED
     told = capsys.readouterr().out
-    assert "km from the start and back, by the course" in told
+    assert "km from the start and back, depending on the direction" in told
     assert "no GeoJSON: give mission.origin" in told
     summary = json.loads((out / "summary.json").read_text())
     frame = pd.read_csv(out / "reach.csv")

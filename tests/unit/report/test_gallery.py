@@ -3,6 +3,7 @@
 import hashlib
 import os
 import re
+from itertools import combinations
 from pathlib import Path
 
 import pytest
@@ -11,8 +12,9 @@ from matplotlib.figure import Figure
 from pyomo_quad.report import Figures, gallery
 from pyomo_quad.report.document import Drawing, save_drawings
 from pyomo_quad.report.gallery import plan_drawings
+from pyomo_quad.report.labels import Label, write_labels
 from pyomo_quad.report.report import write_run_report, write_solve_report
-from pyomo_quad.report.style import styled_flights
+from pyomo_quad.report.style import flight_styles, styled_flights
 from pyomo_quad.study import processes
 from tests.synthetic_run import synthetic_run
 
@@ -106,3 +108,28 @@ def test_a_solve_shows_the_figures_that_there_are(figures, tmp_path):
     text = (tmp_path / "report.md").read_text(encoding="utf-8")
     assert set(LINK.findall(text)) == files
     assert bool(files) == (figures is Figures.PNG)
+
+
+def test_labels_at_one_place_do_not_cover_each_other():
+    """Start and first waypoint lie close together, as in an inspection round a building."""
+    figure = Figure(figsize=(7.2, 3.1))
+    axes = figure.add_subplot()
+    axes.plot([0.0, 10.0, 20.0], [0.0, 5.0, 0.0])
+    axes.set(xlim=(-1.0, 21.0), ylim=(-5.0, 6.0))
+    named = [
+        Label(text="start and goal", x=0.0, y=0.0),
+        Label(text="8: 24.6 s", x=1.0, y=0.0),
+        Label(text="church", x=10.0, y=0.0, is_centred=True),
+    ]
+    write_labels(axes, named)
+    figure.draw_without_rendering()
+    boxes = [text.get_window_extent() for text in axes.texts]
+    assert [text.get_text() for text in axes.texts] == [label.text for label in named]
+    assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
+    assert all(axes.bbox.x0 <= box.x0 and box.x1 <= axes.bbox.x1 for box in boxes)
+
+
+def test_five_speeds_of_an_autopilot_have_styles_of_their_own():
+    names = ("optimal", *(f"adaptive/cruise {speed} m/s" for speed in (2, 4, 6, 10)))
+    styles = flight_styles(names)
+    assert len({style.color for style in styles.values()}) == len(names)

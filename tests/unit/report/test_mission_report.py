@@ -58,7 +58,7 @@ def run():
 
 
 def test_energies_stand_beside_their_bars_and_not_on_them(run):
-    """Below the hover floor the bar is that of hovering, of which the number lay on the end."""
+    """A flight may take less than hovering: then the bar of hovering reaches beyond its own."""
     flights = styled_flights(run.flights)
     hover = 1.2 * flights[0].energy_J
     whole = draw_energy_split(flights, hover).axes[0]
@@ -112,7 +112,7 @@ def test_a_flight_that_missed_the_goal_has_no_bar_and_the_caption_says_so(run):
     drawn = comparison_drawings(flights, HOVER_ENERGY_J, run.comparison, run.scenario)
     split = drawn[-1]
     assert [label.get_text() for label in split.draw().axes[0].get_yticklabels()] == ["optimal"]
-    assert split.caption.endswith("missed the goal or broke a limit: adaptive/step.")
+    assert split.caption.endswith("they missed the goal or broke a limit: adaptive/step.")
 
 
 def test_the_map_shows_zones_wind_and_the_flight_that_the_saving_is_against():

@@ -2,13 +2,13 @@
 
 import re
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from pyomo_quad.flight import PlanStatus
+from pyomo_quad.flight.margins import RiskTaken
 from pyomo_quad.flight.planning import solve_scenario
 from pyomo_quad.report import Figures
 from pyomo_quad.report.report import climb_of, write_run_report, write_solve_report
@@ -50,22 +50,19 @@ def test_a_run_opens_with_what_was_asked_found_and_meant(run, report):
         "Found:",
         "It means:",
     ]
-    assert "from (0, 0, 0) m, yaw 0° to (6, 7, 8) m, yaw 0°, hover to hover in 10 s" in said
-    assert f"one that spends {run.plan.energy:.2f} J" in said
+    assert "from (0, 0, 0) m, yaw 0° to (6, 7, 8) m, yaw 0°, from hover to hover in 10 s" in said
+    assert f"a flight of {run.plan.energy:.2f} J" in said
     gap = 100 * (run.plan.energy - LOWER_BOUND_J) / run.plan.energy
-    assert f"could save more than {gap:.2f} % of that (the gap)" in said
+    assert f"can save more than {gap:.2f} % of this energy (the gap to the lower bound)" in said
     floor = 100 * run.plan.hover_energy_J / run.plan.energy
-    said_floor = f"and {floor:.1f} % of that is the energy of hovering for the same time"
-    assert f"{said_floor} (the hover floor)" in said
+    assert f"hovering for the same time takes {floor:.1f} % of it." in said
 
 
 def test_a_flight_that_takes_less_than_hovering_is_told_so(tmp_path):
     run = synthetic_run("scenarios/paper_calm.toml")
     run.plan.hover_energy_J = 1.25 * run.plan.energy
     write_run_report(tmp_path, run, Figures.NONE)
-    assert "and hovering for the same time would take 25.0 % more (the hover floor" in opening(
-        tmp_path
-    )
+    assert "hovering for the same time takes 25.0 % more, because rotors" in opening(tmp_path)
 
 
 def test_a_charge_is_told_in_minutes_and_metres(run, report):
@@ -74,7 +71,7 @@ def test_a_charge_is_told_in_minutes_and_metres(run, report):
     minutes, metres = 100 / used * 10 / 60, 100 / used * np.sqrt(6**2 + 7**2 + 8**2)
     said = opening(report)
     assert f"{used:.2f} % of the battery" in said
-    assert f"a charge is good for {minutes:.1f} minutes and {metres:.0f} m" in said
+    assert f"a full charge lasts {minutes:.1f} minutes or {metres:.0f} m" in said
 
 
 def test_energies_stand_beside_battery_hovering_and_range(run, report):
@@ -97,20 +94,25 @@ def test_energies_stand_beside_battery_hovering_and_range(run, report):
 
 def test_terms_are_told_before_they_head_a_column(report):
     text = (report / "report.md").read_text(encoding="utf-8")
-    for term, column in (("hover floor", "Hover floor (J)"), ("gap", "Gap to the bound (%)")):
+    terms = (
+        ("To complete", "To complete (J)"),
+        ("Hovering", "Hovering (J)"),
+        ("gap", "Gap to the bound (%)"),
+    )
+    for term, column in terms:
         assert text.index(f"**{term}** is") < text.index(column)
-    told = text[text.index("## Certificate of global optimality") :].split("\n\n")[1]
-    assert told.startswith("A solver finds a flight that no small change improves")
+    told = text[text.index("## Lower bound: the least that any flight can take") :]
+    assert told.split("\n\n")[1].startswith("The plan comes from a local search")
 
 
 @pytest.mark.parametrize(
     ("status", "said"),
     [
-        (PlanStatus.INFEASIBLE, "**Found:** none that keeps to the vehicle's limits."),
-        (PlanStatus.NOT_CONVERGED, "**Found:** none, and no proof that there is none."),
-        (PlanStatus.INTERRUPTED, "**Found:** none, and no proof that there is none."),
+        (PlanStatus.INFEASIBLE, "**Found:** no flight within the limits of the vehicle."),
+        (PlanStatus.NOT_CONVERGED, "**Found:** no flight, and no proof that there is none."),
+        (PlanStatus.INTERRUPTED, "**Found:** no flight, and no proof that there is none."),
         (PlanStatus.SOLVED, "**It means:** do not fly it"),
-        (PlanStatus.VERIFIED, "no small change of this flight would save energy"),
+        (PlanStatus.VERIFIED, "no small change of this flight saves energy"),
     ],
 )
 def test_a_solve_opens_with_its_outcome_in_plain_words(run, status, said, tmp_path):
@@ -140,7 +142,7 @@ def test_a_solve_whose_time_ran_out_says_what_happened_and_what_it_reached(tmp_p
 
 def test_a_wind_that_was_not_told_is_said_at_once(tmp_path):
     write_run_report(tmp_path, synthetic_run("scenarios/wind_untold.toml"), Figures.NONE)
-    assert "this holds in the forecast that the plan was made for; the tables show" in (
+    assert "these numbers apply to the forecast wind; the tables below show the flights" in (
         opening(tmp_path)
     )
 
@@ -148,18 +150,20 @@ def test_a_wind_that_was_not_told_is_said_at_once(tmp_path):
 def climb_said(folder, run):
     write_run_report(folder, run, Figures.NONE)
     text = (folder / "report.md").read_text(encoding="utf-8")
-    return next((part for part in text.split("\n\n") if "Climbing is free" in part), None)
+    return next((part for part in text.split("\n\n") if "Climbing costs too little" in part), None)
 
 
 def test_a_climb_that_the_power_model_gives_away_is_said_beside_the_numbers(run, report):
     text = (report / "report.md").read_text(encoding="utf-8")
-    said = next(part for part in text.split("\n\n") if "Climbing is free" in part)
+    said = next(part for part in text.split("\n\n") if "Climbing costs too little" in part)
     vehicle, climb_m = run.scenario.vehicle, 8.0
     potential = vehicle.total_mass * run.scenario.gravity * climb_m
-    assert said.startswith("**Climbing is free in this power model.** The mission climbs 8 m, ")
+    assert said.startswith(
+        "**Climbing costs too little in this power model.** The mission climbs 8 m, "
+    )
     assert f"adds {potential:.1f} J of potential energy" in said
     spent = run.plan.energy - run.plan.hover_energy_J
-    assert f"the optimum takes {spent:.2f} J more than hovering" in said
+    assert f"the plan takes only {spent:.2f} J more than hovering" in said
 
 
 @pytest.mark.parametrize(
@@ -184,10 +188,10 @@ def test_the_saving_is_over_the_tuned_autopilot_with_its_settings(tmp_path):
     headline = next(part for part in text.split("\n\n") if part.startswith("> "))
     rival = run.tuning.flight.energy_J
     saved = 100 * (1 - run.plan.energy / rival)
-    assert headline.endswith(
-        "An autopilot tuned for least energy, at 8.38 m/s, 4.7 m/s² and 32.1 m/s³, takes "
-        f"{rival:.2f} J and 10 s: the plan saves {saved:.2f} %. "
-        "No flights in turbulence were flown."
+    assert headline.splitlines()[0].endswith(
+        f" and 10 s: {saved:.2f} % less energy than an autopilot tuned for least energy "
+        f"({rival:.2f} J, 10 s, at most 8.38 m/s, 4.7 m/s² and 32.1 m/s³). "
+        "Flights in gusts were not simulated."
     )
     tried = pd.read_csv(tmp_path / "autopilot.csv")
     assert tried.speed_m_per_s.tolist() == [6.0, 8.38]
@@ -197,9 +201,14 @@ def test_the_saving_is_over_the_tuned_autopilot_with_its_settings(tmp_path):
 
 def test_the_share_of_flights_that_hold_stands_in_the_headline():
     run = synthetic_run("scenarios/paper_calm.toml")
-    run.plan.risk = SimpleNamespace(failed=10, flown=400)
+    paper = run.plan.energy / 1.02
+    run.plan.risk = RiskTaken(
+        asked=0.05, predicted=0.03, failed=10, flown=400, is_had=True, paper_energy_J=paper
+    )
     said = headline_of(run).words
-    assert said.endswith("Of 400 flights in turbulence 390 arrive and keep every limit (97.5 %).")
+    assert "In turbulence, 390 of 400 simulated flights arrive and keep every limit" in said
+    more = run.plan.energy - paper
+    assert said.endswith(f"The margins for a risk of 0.05 cost {more:.3g} J (2 %).")
 
 
 RESULTS = " ".join(Path("docs/evidence/results.md").read_text(encoding="utf-8").split())

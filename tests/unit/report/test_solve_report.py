@@ -59,9 +59,9 @@ def test_every_figure_is_drawn_and_linked(report):
 
 def test_report_says_what_the_plan_says(report, run):
     text = (report / "report.md").read_text()
-    assert "> **Verified.** Accuracy: proof asked for, proof reached. The optimal flight" in text
+    assert "> **Verified in simulation.** The optimal flight" in text
     assert f"spends {run.plan.energy:.2f} J" in text
-    assert "| Miss of the goal (m) |  | 3e-07 | 0.0001 |" in text
+    assert "| Distance from the goal at the end (m) |  | 3e-07 | 0.0001 |" in text
     assert "- the wind is strong" in text
     assert "| 3 | 19 | 88 | 19 | 711.7000 | 3.1e-07 |" in text
 
@@ -103,7 +103,7 @@ def test_failure_is_never_called_a_success(run, tmp_path, status, heading):
     text = (tmp_path / "report.md").read_text()
     assert text.startswith(heading)
     assert "## What went wrong\n\nPoint of local infeasibility \\| see below" in text
-    assert "Verified." not in text
+    assert "Verified in" not in text
     if status is not PlanStatus.SOLVED:
         assert "optimal" not in text
         assert set(pd.read_csv(tmp_path / "plan.csv")["status"]) == {status.value}
@@ -153,7 +153,7 @@ def test_paths_too_near_to_the_optimum_are_named_and_not_drawn():
     flights = styled_flights(run.flights)
     assert [flight.name for flight in distinct_paths(flights)] == ["optimal", "adaptive/quintic"]
     path = plan_drawings(run.plan, flights)[0]
-    assert path.caption.endswith("Too close to optimal to be distinguished: open_loop/plan.")
+    assert path.caption.endswith("because they follow the path of optimal: open_loop/plan.")
 
 
 def test_a_wind_is_told_with_its_profile_and_its_updraft():

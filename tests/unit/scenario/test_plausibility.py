@@ -118,7 +118,9 @@ def test_check_and_headline_say_what_cannot_exist(tmp_path, capsys):
     headline = capsys.readouterr().out.splitlines()[1]
     assert headline.startswith(f"hop: no such vehicle can exist: {found}")
     report = (tmp_path / "out" / REPORT_NAME).read_text(encoding="utf-8")
-    (verdict,) = [line for line in report.splitlines() if line.startswith("> **Verified.**")]
+    (verdict,) = [
+        line for line in report.splitlines() if line.startswith("> **Verified in simulation.**")
+    ]
     assert f"**No such vehicle can exist:** {found}" in verdict
 
 

@@ -97,10 +97,10 @@ def test_the_words_of_many_flights_give_share_interval_limit_and_saving():
     rival = SimpleNamespace(name="adaptive/cruise 6 m/s")
     saving = SimpleNamespace(rival=rival, percent=(1.0, 4.5, 8.0))
     words = InTurbulence(flown=flown, savings=(saving,)).words
-    assert "Of 100 flights in turbulence 98 arrive" in words
+    assert "In turbulence, 98 of 100 simulated flights arrive" in words
     assert str(Share(98, 100)) in words
-    assert "2 break the limit floor" in words
-    assert "4.5 % in the median (1.0 to 8.0 %" in words
+    assert "the limit broken most often: floor" in words
+    assert "saves 4.5 % against adaptive/cruise 6 m/s (median; 1.0 to 8.0 %" in words
 
 
 def test_a_margin_is_drawn_at_its_distance_beside_the_path():

@@ -338,6 +338,18 @@ def test_a_free_end_stretches_the_declared_times(m):
     assert solution.objective == pytest.approx(2 / math.sqrt(5), rel=1e-10)
 
 
+def test_a_rule_is_called_once_for_all_times_that_are_the_same_to_it():
+    calls = []
+
+    def say(t):
+        calls.append(t)
+        return schedules.Statement(parts=(switch(t),))
+
+    read = schedules.Schedule("p", say, (0.0, 0.5, 1.0), lambda t: 0.25 if t < 0.5 else 0.75)
+    assert [read.row(t)[-1] for t in (0.1, 0.2, 0.6, 0.9)] == [1.0, 1.0, 2.0, 2.0]
+    assert sorted(set(calls)) == [0.25, 0.75]
+
+
 @pytest.mark.parametrize(
     "m",
     [

@@ -19,7 +19,7 @@ below the ground, where no flight reads it, it is only a smooth continuation.
 Smith, R. B., "Linear theory of stratified hydrostatic flow past an isolated mountain", Tellus 32
 (1980), 348-364, doi:10.3402/tellusa.v32i4.10590.
 
-Run `python scenarios/ridge_data.py` to write `ridge_terrain.nc` and `ridge_wind.nc` beside it.
+Run `python scenarios/ridge/make_data.py` to write `terrain.nc` and `wind.nc` beside it.
 """
 
 from pathlib import Path
@@ -86,4 +86,4 @@ if __name__ == "__main__":
     folder = Path(__file__).parent
     for name, data in (("terrain", terrain_file()), ("wind", wind_file())):
         small = {held: {"dtype": "float32", "zlib": True} for held in data.data_vars}
-        data.to_netcdf(folder / f"ridge_{name}.nc", encoding=small)
+        data.to_netcdf(folder / f"{name}.nc", encoding=small)

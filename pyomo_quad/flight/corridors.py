@@ -1,0 +1,391 @@
+"""Corridors through a wind field: cheap routes that lie apart, from a search on a grid.
+
+Places on a grid around start, goal and zones are joined to 16 neighbours each, where the straight
+line between is free and the wind along it known.  A line costs what steady flight over it costs in
+the wind of its ends and its middle: (P(a) + price of time) / g per metre, at the ground speed g of
+least cost.  The power P at airspeed a is tabulated once.  A field that changes with time is read
+when a flight at even speed would be there.
+
+Two searches by Dijkstra's method, from the start and from the goal, give the cheapest route through
+every place.  The cheapest of all is the first corridor; then the cheapest through any place that is
+farther than a separation from those before, as long as it costs little more [1]_.  Such a route may
+lead through the place for nothing else than to be different: it is drawn tight first, by straight
+lines that cost no more, and discarded where this leads it back.
+
+The price of time is that of the mission or, where the duration is fixed, the one at which the
+cheapest route takes as long.
+
+.. [1] Abraham, Delling, Goldberg and Werneck, "Alternative routes in road networks",
+   ACM Journal of Experimental Algorithmics 18 (2013): routes through one place.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import pairwise, product
+from math import inf
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from pyomo_quad.collocation import SolveError
+from pyomo_quad.flight.routes import Journey, Route
+from pyomo_quad.flight.steady import SteadyFlight
+from pyomo_quad.flight.zones import MARGIN_M, are_blocked
+from pyomo_quad.scenario import Scenario
+from pyomo_quad.scenario.wind import Beyond, WindCoupling
+
+FloatArray = NDArray[np.float64]
+
+# Largest number of corridors, their largest cost relative to the cheapest (a route of straight
+# legs in steady flight is misjudged by a few per cent), and their separation relative to the way.
+_MOST_CORRIDORS = 4
+_DEARER = 0.03
+_SEPARATION = 0.08
+# Places along the longer side of the grid, and its margin round start and goal relative to the way.
+_PLACES = 60
+_MARGIN = 0.4
+# m/s: airspeeds of the table, and ground speeds that are compared.
+_AIRSPEEDS = np.linspace(0.0, 24.0, 17)
+_GROUND_SPEEDS = np.linspace(0.5, 30.0, 60)
+_HALVINGS = 12
+_NEIGHBOURS = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 1), (1, 2), (2, -1), (1, -2))
+# Shares of a line at which its wind is read.
+_SHARES = (0.0, 0.5, 1.0)
+
+
+def steady_power(steady: SteadyFlight) -> Callable[[FloatArray], FloatArray]:
+    """Return the power [W] of level flight over airspeed in still air, infinite if impossible."""
+    speeds, powers = [], []
+    near = None
+    for speed in _AIRSPEEDS.tolist():
+        try:
+            near = steady.trim((speed, 0.0, 0.0), near)
+        except SolveError:
+            break
+        speeds.append(speed)
+        powers.append(near.power_W)
+    fastest = speeds[-1] if speeds else -inf
+    return lambda airspeed: np.where(airspeed <= fastest, np.interp(airspeed, speeds, powers), inf)
+
+
+class WindMap:
+    """The wind of a field at places and times, linear between the points of its grid."""
+
+    def __init__(self, told: Scenario) -> None:
+        wind, grid = told.wind, told.wind.grid
+        if grid is None:
+            raise ValueError(f"{told.name} has no wind.field")
+        self._grid, self._is_held = grid, wind.beyond is Beyond.HOLD
+        self._scale, self._offset = wind.field_scale, wind.time_offset
+        values = np.moveaxis(grid.components[:2], 0, -1)
+        from scipy.interpolate import RegularGridInterpolator  # noqa: PLC0415  for fields alone
+
+        self._read = RegularGridInterpolator(
+            grid.axes, np.where(np.isfinite(values), values, 0.0), bounds_error=False
+        )
+
+    def at(self, places: FloatArray, times: FloatArray) -> FloatArray:
+        """Return the horizontal wind at places, shape (n, 3), not a number where it is unknown."""
+        grid, when = self._grid, times + self._offset
+        columns = [*places[:, :2].T]
+        columns += [places[:, 2]] if grid.z else []
+        columns += [when] if grid.times else []
+        held = [np.clip(c, axis[0], axis[-1]) for c, axis in zip(columns, grid.axes, strict=True)]
+        wind = self._scale * self._read(np.column_stack(held))
+        if not self._is_held:
+            wind[~grid.is_known(places, when)] = np.nan
+        return np.asarray(wind)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LineCosts:
+    """What straight lines cost in steady flight through a field.
+
+    Attributes
+    ----------
+    duration : float
+        Duration of the mission, or its guess [s], for the time at which a place is passed.
+    fastest : float
+        Limit on the ground speed, m/s.
+    """
+
+    told: Scenario
+    wind: WindMap
+    power: Callable[[FloatArray], FloatArray]
+    ends: FloatArray
+    duration: float
+    fastest: float
+
+    def of(
+        self, starts: FloatArray, stops: FloatArray, price: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return cost [J] and time [s] of lines, shape (n, 3) each; infinite where not allowed."""
+        way = stops - starts
+        lengths = np.linalg.norm(way, axis=1)
+        course = way[:, :2] / np.where(lengths > 0.0, lengths, 1.0)[:, None]
+        speeds = _GROUND_SPEEDS[max(self.fastest, _GROUND_SPEEDS[0]) >= _GROUND_SPEEDS]
+        costs, times = np.zeros(len(way)), np.zeros(len(way))
+        for share in _SHARES:
+            places = starts + share * way
+            wind = self.wind.at(places, self._passed(places))
+            air = course[:, None] * speeds[:, None] - wind[:, None]
+            per_metre = (self.power(np.linalg.norm(air, axis=2)) + price) / speeds
+            per_metre = np.where(np.isnan(per_metre), inf, per_metre)
+            best = np.argmin(per_metre, axis=1)
+            costs += np.min(per_metre, axis=1) * lengths / len(_SHARES)
+            times += lengths / speeds[best] / len(_SHARES)
+        costs[lengths == 0.0] = 0.0
+        costs[self._is_blocked(starts, stops)] = inf
+        return costs, times
+
+    def _passed(self, places: FloatArray) -> FloatArray:
+        """Return when a flight at even speed is beside a place."""
+        way = self.ends[1] - self.ends[0]
+        share = (places - self.ends[0]) @ way / max(way @ way, 1.0)
+        return self.duration * np.clip(share, 0.0, 1.0)
+
+    def _is_blocked(self, starts: FloatArray, stops: FloatArray) -> NDArray[np.bool_]:
+        airspace = self.told.airspace
+        blocked = np.zeros(len(starts), dtype=bool)
+        for zone in airspace.keep_out:
+            blocked |= are_blocked(zone, starts, stops, airspace.clearance + MARGIN_M)
+        if airspace.keep_in is not None:
+            blocked |= np.minimum(airspace.keep_in.room(starts), airspace.keep_in.room(stops)) < 0.0
+        return blocked
+
+
+def has_corridors(told: Scenario) -> bool:
+    """Return whether the cost of steady flight differs from place to place at one height.
+
+    It does in a wind field that changes over the ground and acts by the airspeed, on which the
+    table of powers depends.
+    """
+    if told.wind.grid is None or told.wind.coupling is not WindCoupling.DRAG:
+        return False
+    values = told.wind.grid.components
+    return bool(np.any(values != values[:, :1, :1]))
+
+
+def estimate_of(journey: Journey) -> float | None:
+    """Return the energy of steady flight along a journey [J], None where it is not known."""
+    known = [route.estimate_J for route in journey if route.estimate_J is not None]
+    return sum(known) if len(known) == len(journey) else None
+
+
+def corridor_journeys(
+    told: Scenario, steady: SteadyFlight, shortest: Journey
+) -> tuple[Journey, ...]:
+    """Return journeys through the corridors of each leg, the cheapest first, then the shortest.
+
+    Parameters
+    ----------
+    steady : SteadyFlight
+        In still air.
+    shortest : tuple of Route
+        The shortest journey, whose corridors a grid may be too coarse to see.
+    """
+    power = steady_power(steady)
+    shares = np.array([max(route.length, 1e-9) for route in shortest])
+    durations = told.nominal_duration * shares / shares.sum()
+    found: list[list[Route]] = []
+    straight = []
+    for route, duration in zip(shortest, durations.tolist(), strict=True):
+        corridors = Corridors(told, power, route.places[[0, -1]], duration)
+        found.append(corridors.routes() or [route])
+        straight.append(replace(route, estimate_J=corridors.energy_of(route.places)))
+    journeys = sorted(product(*found), key=lambda j: estimate_of(j) or inf)[:_MOST_CORRIDORS]
+    return (*journeys, tuple(straight))
+
+
+class Corridors:
+    """The corridors of one leg.
+
+    Parameters
+    ----------
+    power : callable
+        Of level flight in still air over airspeed.
+    ends : ndarray, shape (2, 3)
+        Start and goal of the leg.
+    duration : float
+        Duration of the leg, or its guess, s.
+    """
+
+    def __init__(
+        self,
+        told: Scenario,
+        power: Callable[[FloatArray], FloatArray],
+        ends: FloatArray,
+        duration: float,
+    ) -> None:
+        self._way = float(np.linalg.norm(ends[1] - ends[0]))
+        self._costs = LineCosts(
+            told=told,
+            wind=WindMap(told),
+            power=power,
+            ends=ends,
+            duration=duration,
+            fastest=told.limits.speed_max or inf,
+        )
+        grid = _grid(told, ends)
+        price = told.mission.price_of_time
+        if not told.mission.is_free:
+            price = _price_of(self._costs, *grid, duration)
+        self._price = price
+        self._search = _Search(self._costs, *grid, price)
+
+    def routes(self) -> list[Route]:
+        """Return cheap routes that lie apart, the cheapest first; none if the grid has no way."""
+        return [
+            Route(
+                places=places,
+                sides=(),
+                label=f"corridor {number}",
+                estimate_J=self.energy_of(places),
+            )
+            for number, places in enumerate(self._search.corridors(_SEPARATION * self._way), 1)
+        ]
+
+    def energy_of(self, places: FloatArray) -> float | None:
+        """Return the energy of steady flight along straight lines [J], None where it is unknown."""
+        pieces = [
+            np.linspace(a, b, 2 + int(np.linalg.norm(b - a) / self._way * _PLACES))[:-1]
+            for a, b in pairwise(places)
+        ]
+        fine = np.vstack([*pieces, places[-1:]])
+        costs, times = self._costs.of(fine[:-1], fine[1:], self._price)
+        energy = float(np.sum(costs) - self._price * np.sum(times))
+        return energy if np.isfinite(energy) else None
+
+
+def _grid(
+    told: Scenario, ends: FloatArray
+) -> tuple[FloatArray, NDArray[np.intp], NDArray[np.intp]]:
+    """Return places, start and goal first, and the pairs of places that are joined."""
+    margin = _MARGIN * float(np.linalg.norm(ends[1] - ends[0]))
+    low, high = ends[:, :2].min(axis=0) - margin, ends[:, :2].max(axis=0) + margin
+    grid = told.wind.grid
+    if grid is not None and told.wind.beyond is not Beyond.HOLD:
+        low = np.maximum(low, [grid.x[0], grid.y[0]])
+        high = np.minimum(high, [grid.x[-1], grid.y[-1]])
+    step = float((high - low).max()) / (_PLACES - 1)
+    counts = [int((h - b) / step) + 1 for b, h in zip(low, high, strict=True)]
+    axes = [b + step * np.arange(n) for b, n in zip(low, counts, strict=True)]
+    flat = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    way = ends[1] - ends[0]
+    share = (flat - ends[0, :2]) @ way[:2] / max(float(way[:2] @ way[:2]), 1e-9)
+    heights = ends[0, 2] + np.clip(share, 0.0, 1.0) * way[2]
+    places = np.vstack([ends, np.column_stack([flat, heights])])
+    numbers = 2 + np.arange(len(flat)).reshape(counts)
+    pairs = []
+    for dx, dy in _NEIGHBOURS:
+        down = slice(max(dy, 0), counts[1] + min(dy, 0))
+        back = slice(max(-dy, 0), counts[1] + min(-dy, 0))
+        pairs.append((numbers[: counts[0] - dx, back].ravel(), numbers[dx:, down].ravel()))
+    for end in (0, 1):
+        near = 2 + np.flatnonzero(np.linalg.norm(flat - ends[end, :2], axis=1) <= 3.0 * step)
+        pairs.append((np.full(len(near), end), near))
+    first, last = (np.concatenate(part) for part in zip(*pairs, strict=True))
+    # Both ways: a wind along costs less than one against.
+    return places, np.concatenate([first, last]), np.concatenate([last, first])
+
+
+def _price_of(
+    costs: LineCosts,
+    places: FloatArray,
+    first: NDArray[np.intp],
+    last: NDArray[np.intp],
+    duration: float,
+) -> float:
+    """Return the price of time [W] at which the cheapest route takes a duration."""
+    hover = float(costs.power(np.zeros(1))[0])
+    low, high = -0.95 * hover, 20.0 * hover
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        search = _Search(costs, places, first, last, middle)
+        low, high = (middle, high) if search.time_of_cheapest() > duration else (low, middle)
+    return (low + high) / 2
+
+
+class _Search:
+    """The cheapest routes through every place of a grid, at one price of time."""
+
+    def __init__(
+        self,
+        costs: LineCosts,
+        places: FloatArray,
+        first: NDArray[np.intp],
+        last: NDArray[np.intp],
+        price: float,
+    ) -> None:
+        self._costs, self._places, self._price = costs, places, price
+        lines, times = costs.of(places[first], places[last], price)
+        is_open = np.isfinite(lines)
+        shape = (len(places),) * 2
+        lines = np.maximum(lines, np.finfo(float).tiny)
+        graph = csr_array((lines[is_open], (first[is_open], last[is_open])), shape=shape)
+        self._times = csr_array((times[is_open], (first[is_open], last[is_open])), shape=shape)
+        self._ahead, self._before = dijkstra(graph, indices=0, return_predecessors=True)
+        self._back, self._after = dijkstra(graph.T.tocsr(), indices=1, return_predecessors=True)
+
+    def time_of_cheapest(self) -> float:
+        """Return how long the cheapest route takes [s], infinite if there is none."""
+        nodes = self._through(1)
+        return sum(float(self._times[a, b]) for a, b in pairwise(nodes)) or inf
+
+    def corridors(self, separation: float) -> list[FloatArray]:
+        """Return the cheapest routes that lie apart by a separation [m]."""
+        through = self._ahead + self._back
+        most = (1.0 + _DEARER) * through[1]
+        found: list[tuple[float, FloatArray]] = []
+        is_near = ~np.isfinite(through)
+        while len(found) < _MOST_CORRIDORS:
+            open_costs = np.where(is_near, inf, through)
+            node = int(np.argmin(open_costs))
+            if not open_costs[node] <= most:
+                break
+            raw = self._places[self._through(node)]
+            is_near |= _distance(self._places, raw) < separation
+            drawn = self._drawn_tight(raw)
+            if all(_distance(drawn, other).max() >= separation for _, other in found):
+                found.append((self._cost(drawn), drawn))
+                is_near |= _distance(self._places, drawn) < separation
+        found.sort(key=lambda route: route[0])
+        return [places for _, places in found]
+
+    def _through(self, node: int) -> list[int]:
+        """Return the places of the cheapest route through a place; none if there is none."""
+        if not np.isfinite(self._ahead[node] + self._back[node]):
+            return []
+        nodes = [node]
+        while nodes[0] != 0:
+            nodes.insert(0, int(self._before[nodes[0]]))
+        while nodes[-1] != 1:
+            nodes.append(int(self._after[nodes[-1]]))
+        return nodes
+
+    def _cost(self, places: FloatArray) -> float:
+        return float(self._costs.of(places[:-1], places[1:], self._price)[0].sum())
+
+    def _drawn_tight(self, places: FloatArray) -> FloatArray:
+        """Return a route without the corners that a straight line avoids at no cost."""
+        kept = [0]
+        while kept[-1] < len(places) - 1:
+            here = kept[-1]
+            for there in range(len(places) - 1, here, -1):
+                along = self._cost(places[here : there + 1])
+                line = np.linspace(places[here], places[there], there - here + 1)
+                if there == here + 1 or self._cost(line) <= along:
+                    kept.append(there)
+                    break
+        return np.asarray(places[kept])
+
+
+def _distance(places: FloatArray, route: FloatArray) -> FloatArray:
+    """Return the distance of places from a route, shape (n,) [m]."""
+    starts, way = route[:-1], np.diff(route, axis=0)
+    lengths = np.maximum(np.sum(way**2, axis=1), np.finfo(float).tiny)
+    away = places[:, None] - starts
+    share = np.clip(np.einsum("nki,ki->nk", away, way) / lengths, 0.0, 1.0)
+    return np.asarray(np.linalg.norm(away - share[..., None] * way, axis=2).min(axis=1))

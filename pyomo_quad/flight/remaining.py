@@ -1,0 +1,428 @@
+"""The remaining mission in flight, and its re-plans with soft limits.
+
+A re-plan leads to its goal, or into the next hold: the vehicle hovers there, whatever follows.  Its
+limits are soft (`model.soft_limits`), with the margins of the plan's risk (`flight.margins`).  Its
+mesh is fine beside the present, where a disturbance is corrected, and beside passages, and coarse
+between.  Zones are kept clear of by three centimetres more, for the error of a coarse mesh.
+
+The mission after each waypoint has its own equations; it is compiled and solved once before
+take-off.  The price of a breach, and the state that a re-plan begins from: see
+docs/theory/soft_limits.md, eqs. (1) and (2).
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from itertools import accumulate, pairwise
+from math import ceil
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pyomo_quad.collocation import (
+    Mesh,
+    Problem,
+    Solution,
+    SolveError,
+    SolverOptions,
+    Timeline,
+    compile,
+)
+from pyomo_quad.flight.baselines import (
+    path_of,
+)
+from pyomo_quad.flight.caches import REMAINING
+from pyomo_quad.flight.controller import (
+    rotor_columns,
+)
+from pyomo_quad.flight.flight import (
+    ARRIVAL_DISTANCE_M,
+    HELD_BREACH,
+    POSITION_STATES,
+    VELOCITY_STATES,
+)
+from pyomo_quad.flight.margins import tightened, used_up
+from pyomo_quad.flight.plan import Trajectories, trajectories_of
+from pyomo_quad.flight.planning import Planner
+from pyomo_quad.flight.references import SampledPath
+from pyomo_quad.model import build_model, build_remaining, parameter_values, structure_key
+from pyomo_quad.model.mission import free_times, measured_start
+from pyomo_quad.model.soft_limits import BREACHES, PRICE, usual_price
+from pyomo_quad.model.wind import still_air
+from pyomo_quad.scenario import Scenario, ScenarioError
+from pyomo_quad.scenario.tables import Knowledge
+
+FloatArray = NDArray[np.float64]
+Numbers = dict[str, float | Callable[[float], float]]
+
+_HORIZONTAL = "xy"
+# The first plan's mesh where none is given, and the degree of every mesh.
+_ELEMENT_S, _FEWEST, _MOST, _DEGREE = 1.25, 8, 24, 4
+# s. Shortest and longest elements of a re-plan's mesh, and the ratio of neighbours.
+_SHORT_S, _LONG_S, _GROWTH = 0.3, 2.0, 1.35
+# Samples of a plan from which another is begun.
+_GUESSED = 200
+# By how much and how often the price of a breach rises where a breach above the last number, in
+# metres, radians, ..., is left that need not be.
+_RAISE, _RAISES, _MET = 10.0, 3, 1e-4
+# Plans reach the middle of a hold, or this far into it [s], and keep its limits for this share of
+# that time.
+_INTO_HOLD, _SETTLED = 1.0, 0.75
+# A re-solve keeps to one barrier parameter, as large as costs nothing that is seen: limits begin
+# and cease to hold at other points of each mesh, and beside a zone a thirtieth of it took fifteen
+# iterations in vain.  Linear steps are not refined.
+_BARRIER = (("mu_init", 3e-6), ("mu_target", 3e-6))
+_HASTE = (("fast_step_computation", "yes"),)
+_OPTIONS = SolverOptions(tolerance=1e-5, max_iterations=40, extra=(*_BARRIER, *_HASTE))
+# Before take-off there is time.
+_AT_LEISURE = SolverOptions(tolerance=1e-6, max_iterations=300)
+# Rest of the mission [s] that is flown under feedback instead of being planned again, and the
+# share of a short one.  Of five perturbed flights of ten seconds, planning to 0.6 s before the end
+# cost from 3 to 30 J more and ended from 1.2 to 1.7 times as far off.
+_LAST, _LAST_SHARE = 3.0, 0.3
+# The same ahead of a waypoint, of which only the place must be met, and the share ahead of a hold,
+# where it must be met at rest: in gusts it did not keep its limits under three tenths.
+_NEAR, _HOLD_SHARE = 1.0, 0.5
+_CLEARANCE = "airspace.clearance"
+# Planned beyond the clearance of zones, m: the mesh of a plan in flight lets it pass nearer between
+# its points, and what is flown is not quite what is planned; at 8 m/s, in `parcel`, by 9 mm with
+# the wind told and by 17 mm with the wind estimated.
+_SPARE_M = 0.03
+
+
+@dataclass(frozen=True, kw_only=True)
+class Belief:
+    """Estimates from the flight: the mass [kg], the horizontal acceleration by the air."""
+
+    mass: float
+    unexplained: tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Remainder:
+    """The remaining mission after some of its waypoints."""
+
+    problem: Problem
+    begin: float
+    """Time at which the last of these waypoints is left [s]."""
+    passages: tuple[float, ...]
+    """Times at which the waypoints of its plans are reached and left [s]."""
+    end: float
+    """End time of its plans [s]: in the next hold, or of the mission."""
+    is_holding: bool
+    """Whether the mission has a hold at the next waypoint."""
+    released: float
+    """Payload released so far [kg]."""
+    numbers: Mapping[str, float]
+
+    @property
+    def planned_until(self) -> float:
+        """Time until which re-planning continues [s]."""
+        if not self.passages:
+            return self.end - min(_LAST, _LAST_SHARE * (self.end - self.begin))
+        ahead = self.passages[0] - self.begin
+        near = (_LAST, _HOLD_SHARE) if self.is_holding else (_NEAR, _LAST_SHARE)
+        return self.passages[0] - min(near[0], near[1] * ahead)
+
+    def timeline(self, t: float) -> Timeline:
+        """Return the times of the remaining mission, from a given time."""
+        return Timeline(
+            fractions=np.array(self.problem.compiled.declared.clock.fractions),
+            times=np.array([t, *self.passages, self.end]),
+        )
+
+    def mesh(self, now: Timeline) -> Mesh:
+        """Return a mesh with short elements beside now, passages and the end, and long between."""
+        between = [t for start, stop in pairwise(now.times.tolist()) for t in _graded(start, stop)]
+        inner = now.fraction(np.array([*between, *now.times[1:-1]]))
+        return Mesh.uniform(1, _DEGREE).with_breakpoints(inner.tolist())
+
+    def guess(self, t: float, known: Trajectories) -> dict[str, FloatArray]:
+        """Return the part of a known plan from a time on, as samples of its states and controls."""
+        declared = self.problem.compiled.declared
+        times = np.linspace(t, self.end, _GUESSED)
+        states = zip(known.state_names, known.states_at(times).T, strict=True)
+        controls = zip(known.control_names, known.controls_at(times).T, strict=True)
+        slots = {slot.name for slot in (*declared.states, *declared.algebraics)}
+        named = {name: column for name, column in (*states, *controls) if name in slots}
+        return {"time": times, **named}
+
+
+def _graded(start: float, stop: float) -> list[float]:
+    """Return times between two others, close together near both and far apart in their middle."""
+    half, widths = (stop - start) / 2, [_SHORT_S]
+    if half < _SHORT_S:
+        return []
+    while sum(widths) < half:
+        widths.append(min(_GROWTH * widths[-1], _LONG_S))
+    ways = [way * half / sum(widths) for way in accumulate(widths)]
+    return [*(start + way for way in ways), *(stop - way for way in ways[-2::-1])]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Course:
+    """A plan in flight, with the estimates and the remaining mission that it was made for."""
+
+    plan: Trajectories
+    path: SampledPath
+    belief: Belief
+    estimate: FloatArray
+    """Unexplained acceleration that the belief accounts for [m/s^2]."""
+
+
+class Replanner:
+    """Solves the remaining mission with the present estimates of mass and wind.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission and the vehicle as believed.
+    knowledge : Knowledge
+        Information on the wind.
+    planner : Planner
+        Keeps the compiled equations.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        knowledge: Knowledge,
+        planner: Planner,
+        margins: Mapping[str, float] | None = None,
+    ) -> None:
+        if planner.builder is not build_model:
+            raise ScenarioError(
+                f"{scenario.name}: re-planning knows the declared model only; leave out "
+                "baseline.mpc or the own model."
+            )
+        for k, waypoint in enumerate(scenario.mission.waypoints):
+            if waypoint.at is None:
+                raise ScenarioError(
+                    f"{scenario.name}: re-planning passes waypoints at times that are given; solve "
+                    f"the mission first, or give mission.waypoints[{k}].at."
+                )
+        is_told = knowledge is Knowledge.TOLD
+        held = tightened(scenario, margins or {})
+        believed = held.as_it_blows() if is_told else held.as_forecast()
+        self._end = scenario.mission.fixed_duration
+        self._scenario = scenario
+        self.margins = margins or {}
+        self.belief = Belief(mass=scenario.vehicle.total_mass, unexplained=(0.0, 0.0))
+        self._whole, _ = planner.problem_for(believed)
+        is_untold = not is_told and scenario.wind.forecast is None
+        self._air: Numbers = {**still_air(self._whole.model)} if is_untold else {}
+        #: Whether a plan for the forecast was made for the wind that is believed.
+        self.believes_forecast = not is_untold and not (is_told and scenario.wind.forecast)
+        self.remainders = _remainders(believed)
+        self._numbers: Numbers = {**parameter_values(believed), **self._air}
+        self.dynamics = self._whole.dynamics(parameters=self._numbers, horizon=(0.0, self._end))
+        self._price = usual_price(scenario)
+        self._tube = max(ARRIVAL_DISTANCE_M, self.margins.get(_CLEARANCE, 0.0))
+        self._last: dict[Remainder, Solution] = {}
+
+    def released(self, t: float) -> float:
+        """Return the payload released until a time [kg]."""
+        return max((rest.released for rest in self.remainders if rest.begin < t), default=0.0)
+
+    def at(self, t: float) -> Remainder:
+        """Return the remaining mission at a time."""
+        return next(rest for rest in self.remainders[::-1] if rest.begin <= t)
+
+    def first(self) -> Trajectories:
+        """Return a plan of the whole mission, made before take-off.
+
+        Raises
+        ------
+        SolveError
+            If none is found.
+        """
+        elements = min(max(ceil(self._end / _ELEMENT_S), _FEWEST), _MOST)
+        found = self._whole.solve(
+            mesh=Mesh.uniform(elements, _DEGREE),
+            parameters=self._numbers,
+            horizon=(0.0, self._end),
+            options=_AT_LEISURE,
+        )
+        if not found.is_converged:
+            raise SolveError(f"re-planning: no plan before take-off: {found.message}")
+        return trajectories_of(found)
+
+    def prepare(self, plan: Trajectories) -> None:
+        """Solve what remains at take-off and after each waypoint, from the states of a first plan.
+
+        The price of a breach rises until a plan from the first plan's own states breaks no limit,
+        where it can: above the norm of the multipliers the penalty is exact.
+        """
+        for rest in self.remainders:
+            state = plan.states_at(np.array([rest.begin]))[0]
+            for _ in range(_RAISES):
+                guess = rest.guess(rest.begin, plan)
+                found = self._solved(rest, rest.begin, state, self.belief, guess=guess)
+                if not found.is_converged or breach_of(found) <= _MET:
+                    break
+                self._price *= _RAISE
+
+    def solve(
+        self, t: float, state: FloatArray, belief: Belief, *, is_patient: bool = False
+    ) -> Solution:
+        """Return the solution of the remaining mission from a time and a state on.
+
+        A patient solve takes as many iterations as it needs.
+        """
+        rest = self.at(t)
+        last = self._last.get(rest)
+        return self._solved(rest, t, state, belief, last=last, is_patient=is_patient)
+
+    def _solved(
+        self,
+        rest: Remainder,
+        t: float,
+        state: FloatArray,
+        belief: Belief,
+        *,
+        guess: Mapping[str, FloatArray] | None = None,
+        last: Solution | None = None,
+        is_patient: bool = False,
+    ) -> Solution:
+        limits = self._scenario.limits
+        held = dict(zip(self.dynamics.state_names, state.tolist(), strict=True))
+        # Rotors that run a little beyond their limit leave no flight within it to be found.
+        held |= {
+            name: min(max(held[name], limits.rotor_speed_min), limits.rotor_speed_max)
+            for name in (self.dynamics.state_names[k] for k in rotor_columns(self.dynamics))
+        }
+        now = rest.timeline(t)
+        mesh = rest.mesh(now)
+        warm = None if last is None else last.warm_start.continued(mesh, last.timeline, now)
+        solution = rest.problem.solve(
+            mesh=mesh,
+            parameters=self._with(belief, rest) | measured_start(held),
+            horizon=(t, rest.end),
+            guess=guess,
+            warm_start=warm,
+            options=_OPTIONS if warm is not None and not is_patient else _AT_LEISURE,
+        )
+        if solution.is_converged:
+            self._last[rest] = solution
+        return solution
+
+    def _with(self, belief: Belief, rest: Remainder) -> Numbers:
+        air = dict(zip(_HORIZONTAL, belief.unexplained, strict=True))
+        learnt = {f"aerodynamics.unexplained[{axis}]": value for axis, value in air.items()}
+        numbers = {**rest.numbers, PRICE: self._price}
+        if _CLEARANCE in numbers:
+            numbers[_CLEARANCE] += _SPARE_M
+        return numbers | self._air | learnt | {"vehicle.mass": belief.mass - rest.released}
+
+    def course(self, solution: Solution, belief: Belief, estimate: FloatArray) -> Course:
+        """Return a re-plan with the path that the controller is to follow."""
+        plan, rest = trajectories_of(solution), self.at(solution.horizon[0])
+        flow = rest.problem.dynamics(parameters=self._with(belief, rest), horizon=plan.horizon)
+        vehicle = with_mass(self._scenario, belief, rest.released).vehicle
+        path = path_of(plan, flow, vehicle)
+        return Course(plan=plan, path=path, belief=belief, estimate=estimate)
+
+    def first_course(self, plan: Trajectories) -> Course:
+        """Return the plan of the whole mission that was made before take-off."""
+        path = path_of(plan, self.dynamics, self._scenario.vehicle)
+        return Course(plan=plan, path=path, belief=self.belief, estimate=np.zeros(3))
+
+    def is_off(self, course: Course, t: float, state: FloatArray) -> bool:
+        """Return whether a flight has left a plan by more than the margins of the limits."""
+        now, limits = np.array([t]), self.dynamics.control_limits(HELD_BREACH)
+        names = list(course.plan.state_names)
+        planned = course.plan.states_at(now)[:, [names.index(n) for n in self.dynamics.state_names]]
+        controls = course.plan.controls_at(now, limits)
+        seen = [
+            self.dynamics.limits_of(self.dynamics.solved(now, states, controls))
+            for states in (planned, state[None])
+        ]
+        return any(
+            lost > self.margins.get(field, 0.0)
+            for before, after in zip(*seen, strict=True)
+            for field, lost in used_up(before, after)
+        )
+
+    def begun(
+        self, course: Course, start: float, end: float, state: FloatArray, unexplained: FloatArray
+    ) -> FloatArray:
+        """Return the state at a time to come from which a re-plan is to begin.
+
+        A flight near its plan goes on from the plan's own state: the controller corrects what it is
+        off, and a re-plan from where it is would follow each of its lags.  A flight farther off
+        goes on from its own place and velocity, as predicted; its attitude follows the plan's.
+        """
+        names = list(course.plan.state_names)
+        columns = [names.index(name) for name in self.dynamics.state_names]
+        planned, later = course.plan.states_at(np.array([start, end]))[:, columns]
+        places = [self.dynamics.state_names.index(name) for name in POSITION_STATES]
+        if np.linalg.norm((state - planned)[places]) <= self._tube:
+            return later
+        speeds = [self.dynamics.state_names.index(name) for name in VELOCITY_STATES]
+        velocity = state[speeds] + (end - start) * unexplained
+        later[places] += (state - planned)[places] + (end - start) * (velocity - planned[speeds])
+        later[speeds] += velocity - planned[speeds]
+        return later
+
+
+def breach_of(solution: Solution) -> float:
+    """Return the largest breach of a soft limit, in the unit of the limit."""
+    declared, held = solution.problem.compiled.declared, solution.trajectory.statics.tolist()
+    named = zip(declared.statics, held, strict=True)
+    return max(number for slot, number in named if slot.component in BREACHES)
+
+
+def _remainders(believed: Scenario) -> tuple[Remainder, ...]:
+    """Return the remaining missions after none, one, ... all of the waypoints."""
+    mission, times = believed.mission, believed.nominal_times
+    ahead = [_ahead(believed, k) for k in range(len(mission.waypoints) + 1)]
+    key = structure_key(believed)
+    problems = REMAINING.get(key) or REMAINING.store(key, tuple(map(_compiled, ahead)))
+    released = [0.0, *accumulate(waypoint.release for waypoint in mission.waypoints)]
+    remainders = []
+    for k, (problem, left) in enumerate(zip(problems, ahead, strict=True)):
+        *passages, end = left.nominal_times
+        remainders.append(
+            Remainder(
+                problem=problem,
+                begin=times[2 * k - 1] if k else 0.0,
+                # One that does not hold is reached and left at once.
+                passages=tuple(dict.fromkeys(passages)),
+                end=end,
+                is_holding=any(waypoint.hold > 0.0 for waypoint in left.mission.waypoints[:1]),
+                released=released[k],
+                numbers=parameter_values(left),
+            )
+        )
+    return tuple(remainders)
+
+
+def _ahead(believed: Scenario, k: int) -> Scenario:
+    """Return the mission after k waypoints, to its goal or to hovering in the next hold.
+
+    A hold separates what is before it from what is behind: the vehicle hovers, whatever follows.
+    """
+    mission = believed.mission
+    left = mission.waypoints[k:]
+    values: dict[str, object] = {"waypoints": left}
+    holding = next((n for n, waypoint in enumerate(left) if waypoint.hold > 0.0), None)
+    if holding is not None:
+        place = left[holding]
+        at = believed.nominal_times[2 * (k + holding)]
+        lasting = min(place.hold / 2, _INTO_HOLD)
+        kept = place.model_copy(update={"hold": _SETTLED * lasting, "release": 0.0})
+        yaw = mission.goal.yaw if place.yaw is None else place.yaw
+        goal = mission.goal.model_copy(update={"position": place.position, "yaw": yaw})
+        values = {"waypoints": (*left[:holding], kept), "goal": goal, "duration": at + lasting}
+    return believed.model_copy(update={"mission": mission.model_copy(update=values)})
+
+
+def _compiled(left: Scenario) -> Problem:
+    model = build_remaining(left)
+    return compile(model, times=free_times(model, left))
+
+
+def with_mass(scenario: Scenario, belief: Belief, released: float) -> Scenario:
+    """Return the controller's vehicle, with the estimated mass less the released payload."""
+    vehicle = scenario.vehicle
+    learnt = vehicle.model_copy(update={"mass": belief.mass - released - vehicle.payload})
+    return scenario.model_copy(update={"vehicle": learnt})

@@ -1,0 +1,37 @@
+"""Tables of a study: their columns, declared with what stands in them."""
+
+from collections.abc import Callable, Iterable, Sequence
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any, Self
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+class TableColumn(StrEnum):
+    """Base of the columns of a table, in order; a member is a column's name.
+
+    A table with one row for each of some objects also gives each column a function that reads its
+    value from an object.
+    """
+
+    read: Callable[[Any], object]
+
+    def __new__(cls, name: str, read: Callable[[Any], object] = str) -> Self:
+        """Return a column; `read` takes the object of a row."""
+        column = str.__new__(cls, name)
+        column._value_ = name
+        column.read = read
+        return column
+
+    @classmethod
+    def of_rows(cls, rows: Sequence[Any]) -> "pd.DataFrame":
+        """Return a table of rows: values in order, or by column."""
+        import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
+
+        return pd.DataFrame(rows, columns=[column.value for column in cls])
+
+    @classmethod
+    def of_objects(cls, objects: Iterable[object]) -> "pd.DataFrame":
+        """Return a table with a row for each object."""
+        return cls.of_rows([[column.read(one) for column in cls] for one in objects])

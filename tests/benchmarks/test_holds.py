@@ -1,0 +1,57 @@
+"""The missions of the benchmark are scenarios of all kinds promised, and its shares are counted."""
+
+from pyomo_quad.scenario import load_scenario
+from tests.benchmarks.holds import (
+    FLIGHTS,
+    HAD,
+    MISSIONS,
+    NO_PLAN,
+    NOT_HAD,
+    RISK,
+    SEEDS,
+    Outcome,
+    missions,
+    tables,
+)
+from tests.benchmarks.strangers import BASES, LIBRARY
+
+
+def test_equal_seeds_draw_equal_missions():
+    assert list(missions(3, 7)) == list(missions(3, 7)) != list(missions(3, 8))
+
+
+def test_missions_are_of_all_kinds():
+    told = [" ".join(settings) for settings in missions(MISSIONS, SEEDS[0])]
+    for kind in ("dji_phantom_2", "dji_matrice_100", "radius=", "hold=", "release=", "cylinder",
+                 "'free'", "floor", "'light'", "'moderate'"):  # fmt: skip
+        assert any(kind in settings for settings in told), kind
+        assert kind in ("floor", "cylinder") or not all(kind in settings for settings in told)
+
+
+def test_a_mission_errs_as_promised():
+    *_, settings = missions(2, SEEDS[0])
+    scenario = load_scenario(BASES / LIBRARY, settings)
+    assert scenario.mission.risk == RISK
+    assert (scenario.wind.speed_deviation, scenario.wind.turbulence.strength > 0) == (1.0, True)
+    share = scenario.vehicle.mass_deviation / scenario.vehicle.total_mass
+    assert abs(share - 0.03) < 1e-4
+
+
+def test_shares_are_counted_over_all_flights_that_had_a_plan():
+    settings = next(missions(1, SEEDS[0]))
+
+    def outcome(number, verdict, held):
+        return Outcome(
+            SEEDS[0], number, settings, verdict, "", 9.0, 20.0, 102.0, 100.0, 0, held, FLIGHTS,
+            {"floor": FLIGHTS - held},
+        )  # fmt: skip
+
+    lost = Outcome(SEEDS[0], 2, settings, NO_PLAN, "infeasible", 3.0)
+    shares, limits, each = tables([outcome(0, HAD, 199), outcome(1, NOT_HAD, 101), lost])
+    rows = {row[0]: row for row in shares.rows}
+    assert rows["all"][1:4] == [2, 400, "75.00 %"]
+    assert rows[HAD][3] == "99.50 %"
+    # 101 of 200 contradict a risk of a hundredth, 199 do not.
+    assert (rows["all"][5], rows["all"][6]) == (1, "2.00")
+    assert limits.rows == [["floor", 100, "25.000"]]
+    assert len(each.rows) == 3

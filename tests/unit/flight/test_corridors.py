@@ -1,0 +1,96 @@
+"""Corridors through a wind field: closed forms of their cost, and where they lie."""
+
+import numpy as np
+import pytest
+import xarray as xr
+from scipy.optimize import minimize_scalar
+
+from pyomo_quad.flight.corridors import Corridors, has_corridors
+from pyomo_quad.scenario import load_scenario
+
+X, Y = np.linspace(0, 200, 41), np.linspace(0, 120, 25)
+ENDS = np.array([[20.0, 60.0, 10.0], [180.0, 60.0, 10.0]])
+
+
+def power(airspeed):
+    return np.where(airspeed <= 24.0, 300.0 + 0.05 * np.asarray(airspeed) ** 3, np.inf)
+
+
+def mission_in(folder, wind, **airspace):
+    east, north = np.meshgrid(X, Y, indexing="ij")
+    u, v = (np.broadcast_to(part, east.shape) for part in wind(east, north))
+    held = {n: (("x", "y"), part, {"units": "m s-1"}) for n, part in (("u", u), ("v", v))}
+    xr.Dataset(held, {"x": X, "y": Y}).to_netcdf(folder / "field.nc")
+    return load_scenario(
+        {
+            "name": "corridors",
+            "vehicle": {"use": "dji_phantom_2", "drag_linear": 0.3},
+            "wind": {"field": str(folder / "field.nc")},
+            "airspace": airspace,
+            "mission": {
+                "start": {"position": ENDS[0].tolist()},
+                "goal": {"position": ENDS[1].tolist()},
+                "duration": "free",
+            },
+        }
+    )
+
+
+def corridors_in(folder, wind, **airspace):
+    told = mission_in(folder, wind, **airspace)
+    return Corridors(told, power, ENDS, told.nominal_duration)
+
+
+@pytest.mark.parametrize("wind", [(0.0, 0.0), (5.0, 0.0), (-4.0, 3.0)])
+def test_an_even_wind_has_one_corridor_which_is_straight_and_costs_the_closed_form(tmp_path, wind):
+    found = corridors_in(tmp_path, lambda _x, _y: wind)
+    (route,) = found.routes()
+    assert route.length == pytest.approx(160.0, rel=1e-9)
+
+    def per_metre(speed):
+        return power(np.hypot(speed - wind[0], wind[1])) / speed
+
+    best = minimize_scalar(per_metre, bounds=(0.5, 24.0), method="bounded", options={"xatol": 1e-9})
+    assert route.estimate_J == pytest.approx(160.0 * best.fun, rel=1e-3)
+
+
+def test_a_jet_beside_the_way_carries_the_cheapest_corridor(tmp_path):
+    found = corridors_in(tmp_path, lambda _x, y: (8.0 * np.exp(-(((y - 90.0) / 10.0) ** 2)), 0.0))
+    route = found.routes()[0]
+    assert 80.0 < route.places[:, 1].max() < 100.0
+    assert route.estimate_J < 0.95 * found.energy_of(ENDS)
+
+
+def test_a_contrary_wind_in_the_middle_has_a_corridor_on_either_side(tmp_path):
+    def contrary(x, y):
+        return -12.0 * np.exp(-(((x - 100.0) / 40.0) ** 2) - ((y - 60.0) / 15.0) ** 2), 0.0
+
+    routes = corridors_in(tmp_path, contrary).routes()
+    sides = [
+        float(np.interp(100.0, route.places[:, 0], route.places[:, 1])) for route in routes[:2]
+    ]
+    assert min(sides) < 45.0
+    assert max(sides) > 75.0
+    assert routes[0].estimate_J == pytest.approx(routes[1].estimate_J, rel=1e-2)
+
+
+def test_corridors_keep_out_of_zones_and_of_places_without_wind(tmp_path):
+    tower = {"name": "tower", "shape": "box", "low": [80, 50, 0], "high": [120, 120, 50]}
+
+    def lacking(x, y):
+        return np.where((x > 90) & (x < 110) & (y < 30), np.nan, 0.0), 0.0
+
+    found = corridors_in(tmp_path, lacking, keep_out=[tower], clearance=1.0)
+    for route in found.routes():
+        places = route.places_at(np.linspace(0, 1, 400))
+        inside = (places[:, 0] > 79) & (places[:, 0] < 121) & (places[:, 1] > 49)
+        assert not inside.any()
+        unknown = (places[:, 0] > 93) & (places[:, 0] < 107) & (places[:, 1] < 27)
+        assert not unknown.any()
+    assert found.routes()
+    assert found.energy_of(ENDS) is None
+
+
+def test_only_a_field_that_changes_over_the_ground_is_searched(tmp_path):
+    assert not has_corridors(mission_in(tmp_path, lambda _x, _y: (5.0, 1.0)))
+    assert has_corridors(mission_in(tmp_path, lambda _x, y: (0.01 * y, 0.0)))
