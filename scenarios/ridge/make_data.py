@@ -1,4 +1,4 @@
-"""Write the terrain and the wind of scenarios/ridge.toml: a ridge of three hills, and air over it.
+"""Make the terrain and the wind of scenarios/ridge.toml: a ridge of three hills, and air over it.
 
 Each hill is a bell (Smith 1980, eq. (29)), and their sum is the ridge:
 
