@@ -17,6 +17,12 @@ GROUND_COLOR = "#8a7a5c"
 _FILL: dict[str, Any] = {"color": GROUND_COLOR, "alpha": 0.35, "linewidth": 0.0, "zorder": 0.5}
 _CONTOURS = 8
 _LIMIT_LINE: dict[str, Any] = {"color": ZONE_COLOR, "linewidth": 1.0, "linestyle": (0, (4, 2))}
+_BELOW_END: dict[str, Any] = {
+    "xytext": (0, -9),
+    "textcoords": "offset points",
+    "fontsize": 7,
+    "zorder": 5,
+}
 _BELOW = 0.08  # of the range of heights, drawn below the lowest ground
 # Lines of heights above the ground: name, field of the airspace, and side of its surface.
 _LIMITS = (("floor", 1), ("ceiling", -1))
@@ -53,7 +59,8 @@ def draw_heights(flights: Sequence[StyledFlight], airspace: Airspace) -> Figure:
         if height is not None:
             surface = places[:, 2] - airspace.height_above_ground(places, side)
             axes.plot(way, surface + height, **_LIMIT_LINE)
-            axes.annotate(name, (way[0], surface[0] + height), color=ZONE_COLOR, va="bottom")
+            end = way[-1], surface[-1] + height
+            axes.annotate(name, end, color=ZONE_COLOR, ha="right", **_BELOW_END)
     for flight in flights:
         height = POSITION[2].of(flight.frame)
         axes.plot(way_flown(flight.frame), height, label=flight.name, **flight.style.line)
