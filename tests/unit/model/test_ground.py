@@ -9,6 +9,7 @@ from pyomo.environ import value
 from pyomo_quad.flight import Planner
 from pyomo_quad.model import build_model
 from pyomo_quad.model.build import parameter_values, structure_key
+from pyomo_quad.model.screening import screen_model
 from pyomo_quad.scenario import load_scenario
 
 NAMES = ("rigid_body.x", "rigid_body.y", "rigid_body.z")
@@ -81,6 +82,12 @@ def test_a_wind_by_height_takes_the_height_above_the_ground(terrain):
     over = float(told.airspace.height_above_ground([20.0, 3.0, 25.0]))
     assert over < 14.0
     assert value(model.wind.velocity_x[time]) == pytest.approx(5.0 * (over / 10) ** 0.2, rel=1e-9)
+
+
+def test_edges_of_terrain_beyond_a_fence_are_no_fault_of_the_mission(terrain):
+    fence = {"corners": [[-5.0, -10.0], [45.0, -10.0], [45.0, 10.0], [-5.0, 10.0]]}
+    told = mission(terrain).replace({"airspace.keep_in": fence})
+    assert screen_model(build_model(told)) == ()
 
 
 def test_models_over_other_ground_are_not_shared(terrain, tmp_path):
