@@ -18,6 +18,7 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D  # type: ignore[import-untyped]
 
 from pyomo_quad.flight.columns import Column
 from pyomo_quad.report.labels import Label, write_labels
+from pyomo_quad.report.relief import draw_relief
 from pyomo_quad.report.signals import (
     ATTITUDE,
     BATTERY,
@@ -281,6 +282,8 @@ def _with_airspace(limits: np.ndarray, airspace: Airspace) -> np.ndarray:
     beyond = _MARGIN * room
     ends = ((airspace.floor, -beyond), (airspace.ceiling, beyond))
     heights = [(_UP, height + margin) for height, margin in ends if height is not None]
+    if airspace.ground is not None:
+        heights = []  # heights above the ground
     # Leave out a floor or ceiling beyond this distance.
     sides += [side for side in heights if furthest[_UP, 0] <= side[1] <= furthest[_UP, 1]]
     for axis, place in sides:
@@ -291,11 +294,12 @@ def _with_airspace(limits: np.ndarray, airspace: Airspace) -> np.ndarray:
 
 
 def draw_mission(axes: Axes, mission: Scenario, directions: tuple[int, int]) -> list[Label]:
-    """Draw zones, floor, ceiling and waypoints as seen along an axis; return their labels.
+    """Draw terrain, zones, limits of height and waypoints along an axis; return their labels.
 
     The labels of waypoints come first, then, from above, the names of zones.
     """
     airspace = mission.airspace
+    draw_relief(axes, airspace.ground, directions)
     names = []
     if airspace.keep_in is not None and set(directions) == {0, 1}:
         fence = [(c[directions[0]], c[directions[1]]) for c in airspace.keep_in.corners]
@@ -312,7 +316,7 @@ def draw_mission(axes: Axes, mission: Scenario, directions: tuple[int, int]) -> 
             x, y, _ = box_around(zone).mean(axis=0).tolist()
             names.append(Label(text=zone.name, x=x, y=y, color=ZONE_COLOR, is_centred=True))
     for name, height in (("floor", airspace.floor), ("ceiling", airspace.ceiling)):
-        if height is not None and directions[1] == _UP:
+        if height is not None and directions[1] == _UP and airspace.ground is None:
             axes.axhline(height, color=ZONE_COLOR, linewidth=1.0)
             axes.annotate(name, (0.0, height), xycoords=_AT_LEFT, color=ZONE_COLOR, **_BESIDE)
     passed: dict[tuple[float, float], list[str]] = {}

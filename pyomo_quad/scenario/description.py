@@ -127,7 +127,7 @@ def _fields(table: BaseModel, prefix: FieldPath = ()) -> Iterator[tuple[FieldPat
 # Keys that `quantity` adds to a field for messages; editors do not know them.
 _NOTES = ("unit", "allowed", "example", "other_names", "sound", "is_late", "unit_keys")
 # Read from a named file, never written by hand.
-_DERIVED = ("series", "grid")
+_DERIVED = ("series", "grid", "ground")
 _LIMITS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
 
 
@@ -318,8 +318,10 @@ def shipped_scenarios() -> Mapping[str, Path]:
 def files_beside(template: str) -> dict[str, Path]:
     """Return the files that a shipped scenario names, by their names in it."""
     file = shipped_scenarios()[template]
-    named = tomllib.loads(file.read_text(encoding="utf-8")).get("wind", {}).get("field")
-    return {} if named is None else {named: file.parent / named}
+    tables = tomllib.loads(file.read_text(encoding="utf-8"))
+    fields = (("wind", "field"), ("airspace", "terrain"))
+    named = (tables.get(table, {}).get(field) for table, field in fields)
+    return {name: file.parent / name for name in named if name is not None}
 
 
 def refuse_no_name(text: str) -> None:

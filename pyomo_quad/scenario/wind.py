@@ -4,11 +4,9 @@ The wind is a formula of time, or a measured series. The air density follows fro
 temperature, and the aerodynamic coefficients of the vehicle are proportional to it.
 """
 
-from base64 import b64decode, b64encode
 from collections.abc import Iterator, Mapping
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Self
-from zlib import compress, decompress
 
 from pydantic import ValidationError, model_validator
 
@@ -31,6 +29,7 @@ from pyomo_quad.scenario.fields import (
     title_field,
 )
 from pyomo_quad.scenario.messages import shown
+from pyomo_quad.scenario.packed_arrays import unpacked
 
 if TYPE_CHECKING:
     from numpy import bool_, float64
@@ -215,15 +214,7 @@ class WindGrid(Part):
     @property
     def components(self) -> "FloatArray":
         """Wind toward +x, +y and, if known, +z, with an array axis for each argument behind."""
-        import numpy as np  # noqa: PLC0415  reading a scenario does without it
-
-        held = np.frombuffer(decompress(b64decode(self.speeds)), dtype="<f8")
-        return held.reshape((-1, *map(len, self.axes)))
-
-    @staticmethod
-    def packed(components: "FloatArray") -> str:
-        """Encode wind components as the text of `speeds`."""
-        return b64encode(compress(components.astype("<f8").tobytes(), level=1)).decode("ascii")
+        return unpacked(self.speeds).reshape((-1, *map(len, self.axes)))
 
     def is_known(self, places: "ArrayLike", times: "ArrayLike") -> "NDArray[bool_]":
         """Return whether the grid points nearest to places, at given wind times, have a wind."""
