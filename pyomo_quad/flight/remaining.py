@@ -191,6 +191,8 @@ class Replanner:
         Information on the wind.
     planner : Planner
         Keeps the compiled equations.
+    margins : mapping, optional
+        Field of the scenario -> by how much plans tighten it.
     """
 
     def __init__(
@@ -264,13 +266,15 @@ class Replanner:
         where it can: above the norm of the multipliers the penalty is exact.
         """
         for rest in self.remainders:
-            state = plan.states_at(np.array([rest.begin]))[0]
+            (state,), usual = self._states(plan, rest.begin), self._price
             for _ in range(_RAISES):
                 guess = rest.guess(rest.begin, plan)
                 found = self._solved(rest, rest.begin, state, self.belief, guess=guess)
                 if not found.is_converged or breach_of(found) <= _MET:
                     break
                 self._price *= _RAISE
+            else:
+                self._price = usual  # no price helps: no flight keeps every limit
 
     def solve(
         self, t: float, state: FloatArray, belief: Belief, *, is_patient: bool = False
@@ -344,8 +348,7 @@ class Replanner:
     def is_off(self, course: Course, t: float, state: FloatArray) -> bool:
         """Return whether a flight has left a plan by more than the margins of the limits."""
         now, limits = np.array([t]), self.dynamics.control_limits(HELD_BREACH)
-        names = list(course.plan.state_names)
-        planned = course.plan.states_at(now)[:, [names.index(n) for n in self.dynamics.state_names]]
+        planned = self._states(course.plan, t)
         controls = course.plan.controls_at(now, limits)
         seen = [
             self.dynamics.limits_of(self.dynamics.solved(now, states, controls))
@@ -366,9 +369,7 @@ class Replanner:
         off, and a re-plan from where it is would follow each of its lags.  A flight farther off
         goes on from its own place and velocity, as predicted; its attitude follows the plan's.
         """
-        names = list(course.plan.state_names)
-        columns = [names.index(name) for name in self.dynamics.state_names]
-        planned, later = course.plan.states_at(np.array([start, end]))[:, columns]
+        planned, later = self._states(course.plan, start, end)
         places = [self.dynamics.state_names.index(name) for name in POSITION_STATES]
         if np.linalg.norm((state - planned)[places]) <= self._tube:
             return later
@@ -377,6 +378,12 @@ class Replanner:
         later[places] += (state - planned)[places] + (end - start) * (velocity - planned[speeds])
         later[speeds] += velocity - planned[speeds]
         return later
+
+    def _states(self, plan: Trajectories, *times: float) -> FloatArray:
+        """Return a plan's states at times, in the order of the dynamics."""
+        names = list(plan.state_names)
+        columns = [names.index(name) for name in self.dynamics.state_names]
+        return plan.states_at(np.array(times))[:, columns]
 
 
 def breach_of(solution: Solution) -> float:
