@@ -55,10 +55,11 @@ FloatArray = NDArray[np.float64]
 Numbers = dict[str, float | Callable[[float], float]]
 
 _HORIZONTAL = "xy"
-# The first plan's mesh where none is given, and the degree of every mesh.
-_ELEMENT_S, _FEWEST, _MOST, _DEGREE = 1.25, 8, 24, 4
-# s. Shortest and longest elements of a re-plan's mesh, and the ratio of neighbours.
-_SHORT_S, _LONG_S, _GROWTH = 0.3, 2.0, 1.35
+# The mesh of the first plan where none is given, and its degree.
+_ELEMENT_S, _FEWEST, _MOST, _FIRST_DEGREE = 1.25, 8, 24, 4
+# s. Shortest and longest elements of a re-plan's mesh, the ratio of neighbours, and the degree: of
+# half the points of elements of 0.3 to 2 s of degree 4, and 1 J of 15 kJ farther off.
+_SHORT_S, _LONG_S, _GROWTH, _DEGREE = 0.4, 2.5, 1.5, 3
 # Share of the time left until which a mesh is kept.
 _KEPT = 0.8
 # Samples of a plan from which another is begun.
@@ -71,9 +72,10 @@ _RAISE, _RAISES, _MET = 10.0, 3, 1e-4
 _INTO_HOLD, _SETTLED = 1.0, 0.75
 # A re-solve keeps to one barrier parameter, as large as costs nothing that is seen: limits begin
 # and cease to hold at other points of each mesh, and beside a zone a thirtieth of it took fifteen
-# iterations in vain.  Linear steps are not refined.
+# iterations in vain.  Linear steps are not refined, and take smaller pivots: fewer digits are
+# enough for a plan that is flown for a fifth of a second.
 _BARRIER = (("mu_init", 3e-6), ("mu_target", 3e-6))
-_HASTE = (("fast_step_computation", "yes"),)
+_HASTE = (("fast_step_computation", "yes"), ("mumps_pivtol", 1e-6), ("mumps_scaling", 0))
 _OPTIONS = SolverOptions(tolerance=1e-5, max_iterations=40, extra=(*_BARRIER, *_HASTE))
 # Before take-off there is time.
 _AT_LEISURE = SolverOptions(tolerance=1e-6, max_iterations=300)
@@ -250,7 +252,7 @@ class Replanner:
         """
         elements = min(max(ceil(self._end / _ELEMENT_S), _FEWEST), _MOST)
         found = self._whole.solve(
-            mesh=Mesh.uniform(elements, _DEGREE),
+            mesh=Mesh.uniform(elements, _FIRST_DEGREE),
             parameters=self._numbers,
             horizon=(0.0, self._end),
             options=_AT_LEISURE,
