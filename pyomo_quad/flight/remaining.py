@@ -1,4 +1,4 @@
-"""The remaining mission in flight, and its re-plans with soft limits.
+"""Remaining mission in flight, and its re-plans with soft limits.
 
 A re-plan leads to its goal, or into the next hold: the vehicle hovers there, whatever follows.  Its
 limits are soft (`model.soft_limits`), with the margins of the plan's risk (`flight.margins`).  Its
@@ -95,7 +95,7 @@ _SPARE_M = 0.03
 
 @dataclass(frozen=True, kw_only=True)
 class Belief:
-    """Estimates from the flight: the mass [kg], the horizontal acceleration by the air."""
+    """Estimated mass [kg] and horizontal acceleration by the air [m/s^2]."""
 
     mass: float
     unexplained: tuple[float, float]
@@ -103,7 +103,7 @@ class Belief:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Remainder:
-    """The remaining mission after some of its waypoints."""
+    """Part of the mission that remains after some of its waypoints."""
 
     problem: Problem
     begin: float
@@ -120,7 +120,7 @@ class Remainder:
 
     @property
     def planned_until(self) -> float:
-        """Time until which re-planning continues [s]."""
+        """Time after which re-planning ends [s]."""
         if not self.passages:
             return self.end - min(_LAST, _LAST_SHARE * (self.end - self.begin))
         ahead = self.passages[0] - self.begin
@@ -128,7 +128,7 @@ class Remainder:
         return self.passages[0] - min(near[0], near[1] * ahead)
 
     def timeline(self, t: float) -> Timeline:
-        """Return the times of the remaining mission, from a given time."""
+        """Return the passing times of the remaining mission, counted from a given time."""
         return Timeline(
             fractions=np.array(self.problem.compiled.declared.clock.fractions),
             times=np.array([t, *self.passages, self.end]),
@@ -150,7 +150,7 @@ class Remainder:
         return Mesh.uniform(1, _DEGREE).with_breakpoints(fractions.tolist())
 
     def guess(self, t: float, known: Trajectories) -> dict[str, FloatArray]:
-        """Return the part of a known plan from a time on, as samples of its states and controls."""
+        """Return samples of the rest of a known plan, as an initial guess."""
         declared = self.problem.compiled.declared
         times = np.linspace(t, self.end, _GUESSED)
         states = zip(known.state_names, known.states_at(times).T, strict=True)
@@ -161,7 +161,7 @@ class Remainder:
 
 
 def _graded(start: float, stop: float) -> list[float]:
-    """Return times between two others, close together near both and far apart in their middle."""
+    """Return times between two ends, dense near both ends and sparse in the middle."""
     half, widths = (stop - start) / 2, [_SHORT_S]
     if half < _SHORT_S:
         return []
@@ -173,7 +173,7 @@ def _graded(start: float, stop: float) -> list[float]:
 
 @dataclass(frozen=True, kw_only=True)
 class Course:
-    """A plan in flight, with the estimates and the remaining mission that it was made for."""
+    """Plan that is being flown, with the estimates and the remaining mission behind it."""
 
     plan: Trajectories
     path: SampledPath
@@ -183,7 +183,7 @@ class Course:
 
 
 class Replanner:
-    """Solves the remaining mission with the present estimates of mass and wind.
+    """Solver of the remaining mission with the present estimates of mass and wind.
 
     Parameters
     ----------
@@ -235,7 +235,7 @@ class Replanner:
         self._last: dict[Remainder, Solution] = {}
 
     def released(self, t: float) -> float:
-        """Return the payload released until a time [kg]."""
+        """Return the mass of the payload released until a time [kg]."""
         return max((rest.released for rest in self.remainders if rest.begin < t), default=0.0)
 
     def at(self, t: float) -> Remainder:
@@ -243,7 +243,7 @@ class Replanner:
         return next(rest for rest in self.remainders[::-1] if rest.begin <= t)
 
     def first(self) -> Trajectories:
-        """Return a plan of the whole mission, made before take-off.
+        """Return the plan of the whole mission from before take-off.
 
         Raises
         ------
@@ -262,7 +262,7 @@ class Replanner:
         return trajectories_of(found)
 
     def prepare(self, plan: Trajectories) -> None:
-        """Solve what remains at take-off and after each waypoint, from the states of a first plan.
+        """Solve the remaining mission at take-off and after each waypoint, for later warm starts.
 
         The price of a breach rises until a plan from the first plan's own states breaks no limit,
         where it can: above the norm of the multipliers the penalty is exact.
@@ -281,7 +281,7 @@ class Replanner:
     def solve(
         self, t: float, state: FloatArray, belief: Belief, *, is_patient: bool = False
     ) -> Solution:
-        """Return the solution of the remaining mission from a time and a state on.
+        """Solve the remaining mission from a state at a time.
 
         A patient solve takes as many iterations as it needs.
         """
@@ -335,7 +335,7 @@ class Replanner:
         return numbers | self._air | learnt | {"vehicle.mass": belief.mass - rest.released}
 
     def course(self, solution: Solution, belief: Belief, estimate: FloatArray) -> Course:
-        """Return a re-plan with the path that the controller is to follow."""
+        """Return a re-plan with its path for the controller."""
         plan, rest = trajectories_of(solution), self.at(solution.horizon[0])
         flow = rest.problem.dynamics(parameters=self._with(belief, rest), horizon=plan.horizon)
         vehicle = with_mass(self._scenario, belief, rest.released).vehicle
@@ -343,12 +343,12 @@ class Replanner:
         return Course(plan=plan, path=path, belief=belief, estimate=estimate)
 
     def first_course(self, plan: Trajectories) -> Course:
-        """Return the plan of the whole mission that was made before take-off."""
+        """Return the course of the plan from before take-off."""
         path = path_of(plan, self.dynamics, self._scenario.vehicle)
         return Course(plan=plan, path=path, belief=self.belief, estimate=np.zeros(3))
 
     def is_off(self, course: Course, t: float, state: FloatArray) -> bool:
-        """Return whether a flight has left a plan by more than the margins of the limits."""
+        """Return whether a flight is farther from its plan than the margins of the limits."""
         now, limits = np.array([t]), self.dynamics.control_limits(HELD_BREACH)
         planned = self._states(course.plan, t)
         controls = course.plan.controls_at(now, limits)
@@ -365,7 +365,7 @@ class Replanner:
     def begun(
         self, course: Course, start: float, end: float, state: FloatArray, unexplained: FloatArray
     ) -> FloatArray:
-        """Return the state at a time to come from which a re-plan is to begin.
+        """Return the future state from which the next re-plan begins.
 
         A flight near its plan goes on from the plan's own state: the controller corrects what it is
         off, and a re-plan from where it is would follow each of its lags.  A flight farther off
@@ -389,14 +389,14 @@ class Replanner:
 
 
 def breach_of(solution: Solution) -> float:
-    """Return the largest breach of a soft limit, in the unit of the limit."""
+    """Return the largest violation of a soft limit, in the unit of the limit."""
     declared, held = solution.problem.compiled.declared, solution.trajectory.statics.tolist()
     named = zip(declared.statics, held, strict=True)
     return max(number for slot, number in named if slot.component in BREACHES)
 
 
 def _remainders(believed: Scenario) -> tuple[Remainder, ...]:
-    """Return the remaining missions after none, one, ... all of the waypoints."""
+    """Return the remaining missions after each number of passed waypoints."""
     mission, times = believed.mission, believed.nominal_times
     ahead = [_ahead(believed, k) for k in range(len(mission.waypoints) + 1)]
     key = structure_key(believed)
@@ -421,7 +421,7 @@ def _remainders(believed: Scenario) -> tuple[Remainder, ...]:
 
 
 def _ahead(believed: Scenario, k: int) -> Scenario:
-    """Return the mission after k waypoints, to its goal or to hovering in the next hold.
+    """Return the mission after k waypoints, up to its goal or the next hold.
 
     A hold separates what is before it from what is behind: the vehicle hovers, whatever follows.
     """
@@ -446,7 +446,7 @@ def _compiled(left: Scenario) -> Problem:
 
 
 def with_mass(scenario: Scenario, belief: Belief, released: float) -> Scenario:
-    """Return the controller's vehicle, with the estimated mass less the released payload."""
+    """Return the controller's vehicle with the estimated mass, less the released payload."""
     vehicle = scenario.vehicle
     learnt = vehicle.model_copy(update={"mass": belief.mass - released - vehicle.payload})
     return scenario.model_copy(update={"vehicle": learnt})
