@@ -251,6 +251,7 @@ def with_tuned_autopilot(run, flight="adaptive/minimum_snap"):
     run.comparison.loc[run.comparison["flight"] == flight, "flight"] = TUNED_CRUISE
     tried = TriedCruise(
         settings=settings,
+        reached=settings,
         duration_s=flown.duration_s,
         energy_J=flown.energy_J,
         arrived=True,
@@ -260,6 +261,7 @@ def with_tuned_autopilot(run, flight="adaptive/minimum_snap"):
     first = replace(
         tried,
         settings=CruiseSettings(speed=6.0, acceleration=3.0, jerk=4.0),
+        reached=CruiseSettings(speed=5.2, acceleration=3.0, jerk=4.0),
         energy_J=1.1 * flown.energy_J,
         broken=("tilt",),
     )

@@ -75,6 +75,9 @@ class TriedCruise:
     """Settings that the tuning tried, with their flight at reduced accuracy."""
 
     settings: CruiseSettings
+    """Settings asked for."""
+    reached: CruiseSettings
+    """Largest speed and acceleration of the flight: legs may be too short for the settings."""
     duration_s: float
     energy_J: float
     """With the energy that the end state owes; infinite if the flight is out of control."""
@@ -158,8 +161,7 @@ def tune_cruise(scenario: Scenario, plan: Plan | None, planner: Planner) -> Tuni
         is_good = is_comparable(flight) if plan is not None else not flight.broken_limits
         if is_good and has_arrived(flight):
             named = replace(flight, name=TUNED_CRUISE)
-            settings = reached(scenario.cruising(one.settings))
-            return Tuning(flight=named, settings=settings, tried=tried)
+            return Tuning(flight=named, settings=one.reached, tried=tried)
     broken = [limit for one in tried for limit in one.broken]
     raise ScenarioError(
         f"{scenario.name}: none of {len(tried)} settings of the autopilot arrives within the "
@@ -202,6 +204,7 @@ def _tried(
     scenario: Scenario, settings: CruiseSettings, *, plan: Plan | None, planner: Planner
 ) -> TriedCruise:
     longest, dynamics = _longest(scenario, settings, planner)
+    within = reached(scenario.cruising(settings))
     try:
         flown = fly_reference(
             longest,
@@ -213,6 +216,7 @@ def _tried(
     except EngineError:
         return TriedCruise(
             settings=settings,
+            reached=within,
             duration_s=longest.mission.fixed_duration,
             energy_J=inf,
             arrived=False,
@@ -238,6 +242,7 @@ def _tried(
     penalty += _PENALTY_OF_BREACH * max(broken.values(), default=0.0)
     return TriedCruise(
         settings=settings,
+        reached=within,
         duration_s=end,
         energy_J=energy,
         arrived=arrived,
@@ -249,8 +254,10 @@ def _tried(
 class TuningColumn(TableColumn):
     """Columns of the table of tried settings, in order."""
 
-    SPEED = "speed_m_per_s", lambda one: one.settings.speed
-    ACCELERATION = "acceleration_m_per_s2", lambda one: one.settings.acceleration
+    SPEED = "speed_asked_m_per_s", lambda one: one.settings.speed
+    SPEED_REACHED = "speed_reached_m_per_s", lambda one: one.reached.speed
+    ACCELERATION = "acceleration_asked_m_per_s2", lambda one: one.settings.acceleration
+    ACCELERATION_REACHED = "acceleration_reached_m_per_s2", lambda one: one.reached.acceleration
     JERK = "jerk_m_per_s3", lambda one: one.settings.jerk
     DURATION = "duration_s", lambda one: one.duration_s
     ENERGY = "energy_J", lambda one: one.energy_J

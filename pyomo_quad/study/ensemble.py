@@ -4,6 +4,7 @@ A seed determines the winds, so that flights along another reference, such as an
 meet the same winds.
 """
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -266,6 +267,11 @@ class Saving:
         return cls(rival=rival, percent=(low, middle, high), both_held=both)
 
 
+def _short(name: str) -> str:
+    """Return the name of a cruise with two decimals of its speed."""
+    return re.sub(r"(\.\d\d)\d+", r"\1", name)
+
+
 @dataclass(frozen=True, kw_only=True)
 class InTurbulence:
     """Flights of a run in turbulence: along its plan, and of an autopilot in the same winds."""
@@ -286,7 +292,8 @@ class InTurbulence:
             low, middle, high = saving.percent
             found += (
                 f" In the same turbulence the plan saves {middle:.1f} % against "
-                f"{saving.rival.name} (median; {low:.1f} to {high:.1f} % in 90 % of the flights)."
+                f"{_short(saving.rival.name)} (median; {low:.1f} to {high:.1f} % in 90 % of the "
+                "flights)."
             )
         return found
 

@@ -202,6 +202,7 @@ def test_settings_that_break_a_limit_cost_more_than_their_energy():
     assert any("hold place 1" in limit for limit in fast.broken)
     assert fast.cost_J > 1.5 * fast.energy_J
     assert slow.broken == ()
+    assert all(one.reached.speed <= one.settings.speed for one in (slow, fast))
     assert slow.cost_J == slow.energy_J
 
 
@@ -209,6 +210,7 @@ def test_an_autopilot_without_any_flight_within_the_limits_says_so(monkeypatch):
     settings = CruiseSettings(speed=6.0, acceleration=3.0, jerk=4.0)
     lost = TriedCruise(
         settings=settings,
+        reached=settings,
         duration_s=9.0,
         energy_J=700.0,
         arrived=True,

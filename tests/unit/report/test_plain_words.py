@@ -195,9 +195,10 @@ def test_the_saving_is_over_the_tuned_autopilot_with_its_settings(tmp_path):
         "Flights in gusts were not simulated."
     )
     tried = pd.read_csv(tmp_path / "autopilot.csv")
-    assert tried.speed_m_per_s.tolist() == [6.0, 8.38]
+    assert tried.speed_asked_m_per_s.tolist() == [6.0, 8.38]
+    assert tried.speed_reached_m_per_s.tolist() == [5.2, 8.38]
     assert tried.broken_limits.tolist() == ["tilt", "none"]
-    assert "| 6.00 | 3.00 | 4.00 | 10.00 |" in text
+    assert "| 6.00 | 5.20 | 3.00 | 3.00 | 4.00 | 10.00 |" in text
 
 
 def test_the_share_of_flights_that_hold_stands_in_the_headline():

@@ -94,13 +94,13 @@ def test_an_autopilot_waits_until_it_has_arrived():
 
 def test_the_words_of_many_flights_give_share_interval_limit_and_saving():
     flown = SimpleNamespace(held=Share(98, 100), broken={"floor": Share(2, 100)})
-    rival = SimpleNamespace(name="adaptive/cruise 6 m/s")
+    rival = SimpleNamespace(name="adaptive/cruise 6.01234 m/s")
     saving = SimpleNamespace(rival=rival, percent=(1.0, 4.5, 8.0))
     words = InTurbulence(flown=flown, savings=(saving,)).words
     assert "In turbulence, 98 of 100 simulated flights arrive" in words
     assert str(Share(98, 100)) in words
     assert "the limit broken most often: floor" in words
-    assert "saves 4.5 % against adaptive/cruise 6 m/s (median; 1.0 to 8.0 %" in words
+    assert "saves 4.5 % against adaptive/cruise 6.01 m/s (median; 1.0 to 8.0 %" in words
 
 
 def test_a_margin_is_drawn_at_its_distance_beside_the_path():
