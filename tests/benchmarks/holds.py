@@ -233,7 +233,7 @@ def tables(outcomes):
         Table(
             name="holds",
             title=f"Flights that hold; {len(outcomes) - len(planned)} missions have no plan",
-            header=["missions", "number", "flights", "held", "95 % interval",
+            header=["of these", "missions", "flights", "held", "95 % interval",
                     "missions in whose interval the risk lies", "median price (%)"],
             rows=[_row(kind, chosen) for kind, chosen in kinds.items() if chosen],
         ),
