@@ -58,7 +58,7 @@ register_presenter(_presenter)
 def solve(
     scenario: "Scenario | str | Path | Mapping[str, Any]", *, allow_code: bool = False
 ) -> "Plan":
-    """Solve a scenario, with the margins that its risk asks for, and verify the plan by flying it.
+    """Solve a scenario with the margins that its risk requires, and verify the plan by simulation.
 
     Parameters
     ----------

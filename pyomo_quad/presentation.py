@@ -1,4 +1,4 @@
-"""Figures and reports of plans and runs, for methods of classes that stand below the reports.
+"""Protocols by which plans and runs find the functions that draw and report them.
 
 The lower floors import nothing that draws. The package tells this module, when it is imported, how
 to find the functions that do; a plan or a run asks for them when it is drawn.
@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 
 class Picture(Protocol):
-    """A drawn figure, which a notebook shows."""
+    """Drawn figure that notebooks show."""
 
     @property
     def name(self) -> str:

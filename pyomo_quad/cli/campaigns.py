@@ -1,4 +1,4 @@
-"""`pyomo-quad campaign`: missions in a row until the pack is at its limit."""
+"""`pyomo-quad campaign`: repeated missions on one battery charge until it is at its limit."""
 
 from pathlib import Path
 from typing import Annotated
@@ -39,7 +39,7 @@ def campaign(
     as_json: AsJson = False,
     allow_code: AllowCode = False,
 ) -> int:
-    """Fly missions in a row until the pack is at its limit: how often per charge."""
+    """Plan missions one after the other on a battery charge, until it is at its limit."""
     missions = [load_scenario(file, overrides or ()) for file in scenarios]
     folder = out or Path("reports") / f"{'+'.join(one.name for one in missions)}-campaign"
     refuse_output_folder(folder)

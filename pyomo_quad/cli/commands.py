@@ -58,7 +58,7 @@ if TYPE_CHECKING:
 
 
 class Controller(StrEnum):
-    """Source of the rotor commands of a flight."""
+    """Controller of a simulated flight."""
 
     ADAPTIVE = "adaptive"
     OPEN_LOOP = "open_loop"
@@ -67,7 +67,7 @@ class Controller(StrEnum):
 
 
 class Plant(StrEnum):
-    """Vehicle model in flight: the declared equations, or RotorPy's."""
+    """Simulated vehicle: the declared equations, or RotorPy."""
 
     DECLARED = "declared"
     ROTORPY = "rotorpy"
@@ -135,7 +135,7 @@ def fly(
     as_json: AsJson = False,
     allow_code: AllowCode = False,
 ) -> int:
-    """Fly a scenario under feedback, its plan in open loop, re-planned, or many times in wind."""
+    """Simulate a flight: under feedback, in open loop, re-planned, or many times in random wind."""
     if flights is not None or is_plan(scenario):
         _refuse_other_flights(scenario, flights, controller, plant, reference)
         import_scipy_alone()
@@ -179,7 +179,7 @@ def fly(
 
 
 def is_plan(path: Path) -> bool:
-    """Return whether a path names a plan instead of a scenario."""
+    """Return whether a path names a plan, not a scenario."""
     return path.is_dir() or path.suffix == ".npz"
 
 
@@ -275,7 +275,7 @@ def run(
     as_json: AsJson = False,
     allow_code: AllowCode = False,
 ) -> int:
-    """Solve, verify, fly every baseline, compare, certify and report."""
+    """Plan a scenario, compare the plan with simulated flights, bound the energy, and report."""
     watch = Stopwatch()
     resolved = load_scenario(scenario, overrides or ())
     folder = folder_of(resolved, out)
@@ -312,7 +312,7 @@ def compare(
     as_json: AsJson = False,
     allow_code: AllowCode = False,
 ) -> int:
-    """Compare the flights of many scenarios in one table, with a figure and a page.
+    """Compare the flights of several scenarios in one table, with a figure and a page.
 
     A finished run of the same scenario is read from its folder.
     """
@@ -384,7 +384,7 @@ def solve(
     as_json: AsJson = False,
     allow_code: AllowCode = False,
 ) -> int:
-    """Solve a scenario, verify the plan by flying it, and write the report."""
+    """Solve a scenario, verify the plan by simulation, and write the report."""
     watch = Stopwatch()
     if (scenario is None) is (run is None):
         raise typer.BadParameter("give a SCENARIO, or --continue RUN.")
@@ -500,7 +500,7 @@ _NO_MEMORY = ("std::bad_alloc", "Cannot allocate memory")
 
 
 def _lacks_memory(error: BaseException | None) -> bool:
-    """Return whether an error, or any error in its chain of causes, is a lack of memory."""
+    """Return whether an error or one of its causes is a lack of memory."""
     while error is not None:
         if isinstance(error, MemoryError) or any(said in str(error) for said in _NO_MEMORY):
             return True

@@ -34,11 +34,11 @@ _is_told = False
 
 
 class Stopped(Exception):  # noqa: N818  a stop by the user is not an error
-    """The user stopped a command, and no message has been printed yet."""
+    """Exception: the user stopped a command, and no message was printed yet."""
 
 
 class SolveStopped(Stopped):
-    """The user stopped a solve; `plan` holds its best iterate."""
+    """Exception: the user stopped a solve; ``plan`` holds its best iterate."""
 
     def __init__(self, plan: Any) -> None:  # noqa: ANN401  its type would import the engine
         super().__init__("interrupted")
@@ -56,7 +56,7 @@ class Interruption:
         self.has_result = False
 
     def request(self, _signal: int, _frame: FrameType | None) -> None:
-        """Record the first signal; raise at the second where no timer ends the process.
+        """Record the first signal; raise at the second if no timer ends the process.
 
         Raises
         ------
@@ -77,7 +77,7 @@ def end_on_signals() -> None:
 
 
 def _heeded() -> list[signal.Signals]:
-    """Return the signals that end a command; under nohup SIGHUP is ignored."""
+    """Return the signals that end a command; under nohup without SIGHUP."""
     is_deaf = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
     return [number for number in _SIGNALS if number != signal.SIGHUP or not is_deaf]
 
@@ -91,19 +91,19 @@ def leave(status: int) -> int:
 
 
 def has_told() -> None:
-    """Record that a command has printed its message, so that a later timer prints no second."""
+    """Record that the command printed its message, so that a timer prints no second message."""
     global _is_told  # noqa: PLW0603  a fact about the process
     _is_told = True
 
 
 def before_the_end(act: Callable[[], object]) -> None:
-    """Register a function, which must be quick, to call before a signal ends the process."""
+    """Register a quick function to be called before a signal ends the process."""
     _last_acts.append(act)
 
 
 @contextmanager
 def stop_on_interrupt() -> Iterator[Interruption]:
-    """Record a signal as a request to stop; the process ends soon after in any case."""
+    """Context that records a signal as a request to stop, and ends the process soon after."""
     interruption = Interruption()
     with _handled_by(interruption.request):
         yield interruption
@@ -111,7 +111,7 @@ def stop_on_interrupt() -> Iterator[Interruption]:
 
 @contextmanager
 def raise_on_interrupt() -> Iterator[None]:
-    """Raise `KeyboardInterrupt` at the first signal; end the process `_PATIENCE_S` later."""
+    """Context that raises `KeyboardInterrupt` at the first signal."""
     is_asked = False
 
     def once(_signal: int, _frame: FrameType | None) -> None:

@@ -1,4 +1,4 @@
-"""`pyomo-quad fly --flights`: fly one plan many times, write the files and print the verdict."""
+"""`pyomo-quad fly --flights`: simulate one plan many times, and report."""
 
 from collections.abc import Iterator, Sequence
 from functools import partial
@@ -34,7 +34,7 @@ def fly_many(
     as_json: bool,
     is_code_allowed: bool,
 ) -> ExitCode:
-    """Fly a plan, from a file, a report or a scenario to be solved, many times."""
+    """Simulate a plan many times; the plan comes from a file, a report or a scenario."""
     plan, planner = _plan_of(
         path, overrides, is_quiet=is_quiet or as_json, is_code_allowed=is_code_allowed
     )

@@ -1,4 +1,4 @@
-"""Flights of `pyomo-quad fly`, their files and their verdict."""
+"""`pyomo-quad fly`: flights, their files, and the printed result."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -32,7 +32,7 @@ from pyomo_quad.study.comparison import has_arrived
 
 
 def make_plan(planner: Planner, scenario: Scenario) -> Plan:
-    """Solve the plan that a flight follows, or print the failure and exit."""
+    """Solve the plan for a flight; on failure print the reason and exit."""
     plan = plan_at_risk(scenario, planner)
     if plan.is_flyable:
         return plan
@@ -45,7 +45,7 @@ _Outcome = TypeVar("_Outcome")
 
 
 def make_flight(scenario: Scenario, fly: Callable[[], _Outcome]) -> _Outcome:
-    """Fly, once or many times, or print why the flight is impossible and exit."""
+    """Simulate flights; if they are impossible print the reason and exit."""
     try:
         return fly()
     except SolveError as error:
@@ -56,7 +56,7 @@ def make_flight(scenario: Scenario, fly: Callable[[], _Outcome]) -> _Outcome:
 def fly_declared(
     planner: Planner, scenario: Scenario, reference: Reference | None, plan: Plan | None
 ) -> Flight:
-    """Fly the adaptive controller along a reference, or the plan in open loop if None.
+    """Simulate the adaptive controller along a reference, or the plan in open loop.
 
     A cruise has the speed of the scenario, or the tuned settings where it has none.
     """
@@ -72,13 +72,13 @@ def fly_declared(
 
 
 def fly_mpc(planner: Planner, scenario: Scenario, knowledge: Knowledge) -> Flight:
-    """Fly under model predictive control, which re-plans the rest of the mission in flight."""
+    """Simulate model-predictive control, which re-plans the rest of the mission in flight."""
     dynamics = vehicle_flown(planner, scenario)
     return fly_replanned(scenario, knowledge, dynamics=dynamics, planner=planner)
 
 
 def refuse_outside(scenario: Scenario) -> None:
-    """Refuse a scenario that RotorPy cannot fly, before a plan is solved."""
+    """Raise an error for a scenario that RotorPy cannot fly."""
     rotorpy_module(MULTIROTOR)
     refuse_pushing_wind(scenario)
 
@@ -86,7 +86,7 @@ def refuse_outside(scenario: Scenario) -> None:
 def fly_rotorpy(
     planner: Planner, scenario: Scenario, pilot: str, followed: Reference, plan: Plan | None
 ) -> Flight:
-    """Fly the scenario's vehicle in RotorPy."""
+    """Simulate the scenario's vehicle in RotorPy."""
     plant = OutsidePlant(scenario, planner.dynamics(scenario))
     return fly_outside(plant, Pilot(pilot), followed, plan)
 

@@ -237,7 +237,7 @@ def init(
 
 
 def write_new(file: Path, text: str) -> None:
-    """Write a file that is not there yet.
+    """Write a new file; raise an error if it exists.
 
     Raises
     ------

@@ -87,7 +87,7 @@ def vehicle(
 
 
 def is_asked(*, is_quiet: bool) -> bool:
-    """Return whether someone sits at a terminal who can answer."""
+    """Return whether a user at a terminal can answer questions."""
     return not is_quiet and sys.stdin is not None and sys.stdin.isatty() and sys.stdout.isatty()
 
 
@@ -210,7 +210,7 @@ def vehicles(
     figures: FigureChoice = Figures.SVG,
     quiet: Quiet = False,
 ) -> int:
-    """Compare every library vehicle and six data sheets with measured powers: a page for each."""
+    """Compare library vehicles and six data sheets with measured powers, one page each."""
     refuse_output_folder(out)
     from pyomo_quad.flight import Planner  # noqa: PLC0415  takes a second
     from pyomo_quad.vehicles.holding import held_vehicles  # noqa: PLC0415

@@ -1,4 +1,4 @@
-"""Common parts of the commands that solve; importing them imports the engine, which is slow."""
+"""Shared parts of the commands that solve; importing this module imports the slow engine."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
@@ -55,7 +55,7 @@ _EXIT_CODES = {
 
 
 class _CommandPlanner(Planner):
-    """A planner that shows progress, stops at a signal and reports model errors as bad input."""
+    """Planner that shows progress, stops at a signal and reports model errors as bad input."""
 
     def __init__(self, builder: Builder, *, is_quiet: bool, keeps_usable: bool) -> None:
         super().__init__(builder)
@@ -131,7 +131,7 @@ def planner_for(
 
 @contextmanager
 def report_folder(folder: Path) -> Iterator[Path]:
-    """Yield a folder for a report; a solve that is stopped leaves the old report unchanged.
+    """Context with a new report folder; a stopped solve leaves the old report unchanged.
 
     Yields
     ------
@@ -153,7 +153,7 @@ def report_folder(folder: Path) -> Iterator[Path]:
 
 
 def _kept(plan: Plan, folder: Path) -> str:
-    """Save an iterate that nearly satisfies the equations; return a message with its place."""
+    """Save a nearly feasible iterate of a stopped solve; return a message with its place."""
     best = min((line.infeasibility for line in plan.iterations), default=1.0)
     if plan.solution is None or best > _WORTH_KEEPING:
         return "no report was written"
@@ -165,7 +165,7 @@ def _kept(plan: Plan, folder: Path) -> str:
 
 
 def plan_to_continue(run: Path, overrides: Sequence[str]) -> tuple[Plan, Scenario]:
-    """Return a stored plan, and its mission at the accuracy to continue to.
+    """Return a stored plan and its mission at the accuracy to reach next.
 
     The accuracy is `solver.accuracy` of the overrides; without it, the accuracy requested before if
     the plan did not reach it, otherwise the next higher accuracy.
@@ -198,13 +198,13 @@ def plan_to_continue(run: Path, overrides: Sequence[str]) -> tuple[Plan, Scenari
 
 
 def _lacks_risk(plan: Plan) -> bool:
-    """Say whether a plan does not keep the risk that its scenario states."""
+    """Return whether a plan misses the risk that its scenario states."""
     is_stated = plan.scenario.mission.risk is not None
     return is_stated and plan.is_flyable and plan.risk is not None and not plan.risk.is_had
 
 
 def exit_code_of(plan: Plan) -> ExitCode:
-    """Return the exit status for the status of a plan and for the risk asked of it."""
+    """Return the exit status for a plan's status and risk."""
     if _lacks_risk(plan):
         return ExitCode.RISK_NOT_HAD
     return _EXIT_CODES[plan.status]
@@ -240,7 +240,7 @@ _TEXTS = ("scenario", "flight")
 
 
 def verdict_lines(plan: Plan) -> Iterator[str]:
-    """Yield the lines on a plan: its energy, or the worst equations and limits of a failure."""
+    """Yield the printed lines on a plan, or on the causes of a failure."""
     if plan.is_flyable:
         beside = against_hovering(plan.energy - plan.hover_energy_J, digits=3)
         yield (
@@ -270,7 +270,7 @@ def verdict_lines(plan: Plan) -> Iterator[str]:
 
 
 def complain_about(plan: Plan, folder: Path, cautions: Sequence[str]) -> None:
-    """Write the causes of a failed plan and all cautions to standard error, one line each."""
+    """Write the causes of a failed plan and all cautions to standard error."""
     name = plan.scenario.name
     if not plan.is_verified:
         causes = () if plan.failure is None else tuple(plan.failure.causes())
@@ -346,7 +346,7 @@ def answer(
     is_quiet: bool,
     as_json: bool,
 ) -> None:
-    """Print the result of a command: as JSON, as lines, or not at all."""
+    """Print the result of a command as JSON or as lines, or nothing if quiet."""
     if as_json:
         print(summary_text(summary), end="")
     elif not is_quiet:

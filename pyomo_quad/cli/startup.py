@@ -17,7 +17,7 @@ _is_own = False
 
 
 def own_process() -> None:
-    """Set the number of threads and the pace of garbage collection for one command."""
+    """Set threads and garbage collection for a process that runs one command."""
     global _is_own  # noqa: PLW0603  a fact about the process
     _is_own = True
     # On small matrices, BLAS threads cost other flights more processor time than they save.
@@ -26,7 +26,7 @@ def own_process() -> None:
 
 
 def import_scipy_alone() -> None:
-    """Keep Pyomo from importing `scipy.stats` and `matplotlib.pyplot`, half a second each.
+    """Import SciPy without slow modules that Pyomo would pull in (half a second each).
 
     At the first import of SciPy and of matplotlib, Pyomo imports further modules that it may need
     later. This function removes these import hooks after that of NumPy has run; Pyomo still imports

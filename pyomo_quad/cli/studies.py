@@ -1,4 +1,4 @@
-"""Commands of studies with a report: paper, polar, RotorPy, and vehicles from measured flights."""
+"""Commands of studies with a report: paper, polar, reach, RotorPy, identification."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -60,7 +60,7 @@ def paper(
 
 @contextmanager
 def _report_folder(folder: Path, *, is_quiet: bool) -> Iterator[tuple[Path, list[str]]]:
-    """Yield a folder for a study's report; afterwards print the study's lines and the folder.
+    """Context with a report folder; prints the study's lines at the end.
 
     Yields
     ------
@@ -76,7 +76,7 @@ def _report_folder(folder: Path, *, is_quiet: bool) -> Iterator[tuple[Path, list
 
 @contextmanager
 def _follow(*, is_quiet: bool) -> Iterator[Callable[[str, int, int], None] | None]:
-    """Show the number of finished results while the block runs."""
+    """Context that shows the number of finished results."""
     console = error_console()
     if is_quiet or not console.is_terminal:
         yield None
@@ -100,7 +100,7 @@ def _follow(*, is_quiet: bool) -> Iterator[Callable[[str, int, int], None] | Non
 def _steady_study(
     file: Path, overrides: list[str] | None, out: Path | None, study: str
 ) -> tuple[Scenario, Path]:
-    """Return the scenario of a study of steady flight, and the folder of its report.
+    """Return the scenario and the report folder of a study of steady flight.
 
     Raises
     ------
@@ -334,7 +334,7 @@ def _parameter_lines(
     parameters: "Sequence[FittedParameter | IdentifiedParameter]",
     together: Sequence[tuple[str, str]],
 ) -> Iterator[str]:
-    """Yield a line for each fitted parameter, with the parameter that it is confounded with."""
+    """Yield a line per fitted parameter, naming parameters that it cannot be told from."""
     partners = dict(together)
     for one in parameters:
         edge = " (at the end of its range)" if one.is_at_bound and one.is_determined else ""
@@ -372,7 +372,7 @@ def predict(
 def _read(
     logs: list[Path], vehicle: str, flights: Path | None
 ) -> "tuple[Scenario, pd.DataFrame, pd.DataFrame]":
-    """Return the vehicle and the rows of its flights; their voltages, if all logs have them."""
+    """Return the vehicle, the rows of its flights, and their voltages if all logs have them."""
     import pandas as pd  # noqa: PLC0415
 
     from pyomo_quad.identification.logs import (  # noqa: PLC0415

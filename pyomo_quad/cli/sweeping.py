@@ -146,7 +146,7 @@ _SECONDS_OF_MEMORY = 60.0
 
 @contextmanager
 def follow_sweep(*, is_verbose: bool) -> Iterator["SweepListener"]:
-    """Show the progress of a sweep while the block runs: a bar on a terminal, else lines."""
+    """Context that shows the progress of a sweep, as a bar on a terminal, else as lines."""
     console = error_console()
     if not console.is_terminal:
         yield _Lines(console, is_verbose=is_verbose)
@@ -163,7 +163,7 @@ def follow_sweep(*, is_verbose: bool) -> Iterator["SweepListener"]:
 
 
 class _Listener:
-    """Counts the cases of a sweep and shows the counts, with a line for each case if asked."""
+    """Counter of the cases of a sweep, which prints the counts."""
 
     total = done = failed = _solved = 0
 

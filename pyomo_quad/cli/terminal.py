@@ -1,4 +1,4 @@
-"""Common parts of all commands: options, consoles, progress line and stopwatch."""
+"""Shared parts of all commands: options, consoles, progress line and stopwatch."""
 
 import errno
 import os
@@ -64,7 +64,7 @@ def claim_streams() -> bool:
 
 
 def gives_up_output(error: OSError) -> bool:
-    """Return whether standard output failed; if so, discard all further output."""
+    """Return whether an error comes from standard output, and discard further output."""
     if error.filename is not None or error.errno not in _LOST:
         return False
     _send_to_nowhere(1)  # Python itself flushes once more at the end
@@ -83,7 +83,7 @@ _SECONDS_BETWEEN_LINES = 10.0  # in a log file; a shorter solve writes no line
 
 @contextmanager
 def live_line(*, is_quiet: bool) -> Iterator[Callable[["State"], None] | None]:
-    """Show the progress of a search in one line on the terminal.
+    """Context that shows the progress of a search in one line on the terminal.
 
     If standard error is not a terminal, a plain line is written every few seconds instead.
 
@@ -121,7 +121,7 @@ def _plain_lines(started: float) -> Callable[["State"], None]:
 
 
 def _state_of(now: "State") -> str:
-    """Return the stage, the best energy so far, its uncertainty and the time used."""
+    """Return stage, best energy with uncertainty, and processor time of a search as a line."""
     best = "no energy yet"
     if isfinite(now.energy_J):
         known = f" ± {100.0 * now.uncertainty:.2g} %" if isfinite(now.uncertainty) else ""
@@ -199,7 +199,7 @@ def positive_count(text: str) -> int:
 
 
 class Stopwatch:
-    """Seconds spent in each named phase of a command."""
+    """Timer of the named phases of a command."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}

@@ -73,7 +73,7 @@ class Costates:
 
 @lru_cache(maxsize=64)
 def _roughness(degree: int) -> FloatArray:
-    """Return the matrix from nodal values to their residual after a fit of degree - 2."""
+    """Return the matrix that maps nodal values to residuals of a fit of degree - 2."""
     smooth = legendre.legvander(2.0 * radau_rule(degree).nodes - 1.0, max(degree - 2, 0))
     return np.asarray(np.eye(degree + 1) - smooth @ np.linalg.pinv(smooth))
 
@@ -146,7 +146,7 @@ def costates_of(
 def _products(
     program: Transcription, z: FloatArray, weights: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return weights times the row derivatives by rates and states, shape (n_points, n_states)."""
+    """Return weighted sums of row derivatives by rates and states, shape (n_points, n_states)."""
     n, rows = program.layout.n_states, np.arange(weights.shape[1])
     slopes = program.path_slopes(
         program.path_variables(z), program.data.at_points(), rows, np.arange(2 * n)
@@ -156,7 +156,7 @@ def _products(
 
 
 def _pull_of_bounds(program: Transcription, multipliers: Multipliers, bounds: Bounds) -> FloatArray:
-    """Return the multipliers of the states' bounds over time, shape (n_points, n_states)."""
+    """Return the multipliers of the bounds on states over time, shape (n_points, n_states)."""
     is_held = bounds.lower == bounds.upper
     for limit in limits_at_points(program):
         is_held[limit.columns] = True

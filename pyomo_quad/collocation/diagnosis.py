@@ -168,7 +168,7 @@ class Relaxation:
 
 @dataclass(frozen=True, kw_only=True)
 class Diagnosis:
-    """Why a solve failed.
+    """Reasons for the failure of a solve.
 
     Attributes
     ----------
@@ -202,7 +202,7 @@ def diagnose(
     families: frozenset[str] | None = None,
     progress: Progress | None = None,
 ) -> Diagnosis:
-    """Find out why a solve failed.
+    """Find the reasons for the failure of a solve.
 
     Parameters
     ----------

@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.limits import LimitValues, Violation
-from pyomo_quad.collocation.program.compiled import MappedFunction
+from pyomo_quad.collocation.program.compiled import MappedFunction, stacked
 from pyomo_quad.collocation.reading.schedules import BESIDE, Steps
 from pyomo_quad.collocation.reading.writer import symbol_names
 
@@ -93,7 +93,7 @@ class Dynamics:
         self._data = np.concatenate([np.zeros(1 + n_signals), instance.parameters])
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the arguments from which it is built."""
+        """Pickle the arguments of the constructor instead of CasADi objects."""
         return type(self), (self._formulation, self._instance, self._statics)
 
     def _compile(self, states: tuple[Slot, ...]) -> Any:
@@ -112,9 +112,9 @@ class Dynamics:
                 "algebraic variables; a simulation needs as many equations as unknowns."
             )
         inputs = [
-            _column([s.symbol for s in states]),
-            _column([s.symbol for s in self.controls]),
-            _column([s.symbol for s in declared.statics]),
+            stacked([s.symbol for s in states]),
+            stacked([s.symbol for s in self.controls]),
+            stacked([s.symbol for s in declared.statics]),
             casadi.vertcat(*declared.path_data),
         ]
         rest = casadi.vertcat(_objective_density(self._formulation), declared.clock.span)
@@ -133,7 +133,7 @@ class Dynamics:
         return casadi.Function("right_hand_side", symbols, list(core.known(found, stacked)))
 
     def without_iterations(self) -> Dynamics:
-        """Return the same vehicle with a fixed count of Newton steps, in CasADi's fast symbols.
+        """Return the vehicle with a fixed number of Newton steps, in CasADi's fast symbols.
 
         Where equations are implicit, their iteration costs ten times as much as all others.
         """
@@ -152,27 +152,27 @@ class Dynamics:
         return lower[chosen], upper[chosen]
 
     def just_after(self, t: float) -> float:
-        """Return a time just after t at which the equations have their values to the right of t.
+        """Return a time just after t, where equations with jumps have their right-hand values.
 
         Where they jump, t itself belongs to the left.
         """
         return t + 2.0 * BESIDE * float(self.timeline.spans.max()) if self._instance.jumps else t
 
     def steps_between(self, start: float, end: float) -> list[float]:
-        """Return when parameters given as `Steps` step between two times, rising."""
+        """Return the times at which parameters given as `Steps` jump, between two times."""
         given = [v for v in self._instance.overrides.values() if isinstance(v, Steps)]
         return sorted({edge for steps in given for edge in steps.edges(start, end)})
 
     @property
     def signal_names(self) -> tuple[str, ...]:
-        """Parameters over time, by full name, as they follow the share of the horizon in `moment`.
+        """Full names of the time-dependent parameters, in the order of `moment`.
 
         Signals of rules that branch on time follow them.
         """
         return tuple(slot.name for slot in self._formulation.compiled.declared.signals)
 
     def moment(self, t: float) -> list[float]:
-        """Return the time-dependent inputs of the equations: fraction and signals."""
+        """Return the time-dependent inputs of the equations: horizon fraction and signals."""
         fraction = float(self.timeline.fraction(t))
         return [fraction, *self._signals(fraction)]
 
@@ -182,12 +182,12 @@ class Dynamics:
         return (casadi.SX if is_explicit else casadi.MX).sym(name, size)
 
     def parameter_column(self, changed: Mapping[str, Any]) -> Any:
-        """Return all parameters as a column, some of them, by full name, replaced by symbols."""
+        """Return all parameters as a column, with some of them replaced by symbols."""
         pairs = zip(self.parameter_names, self._instance.parameters.tolist(), strict=True)
         return casadi.vertcat(*(changed.get(name, value) for name, value in pairs))
 
     def moment_column(self, moment: Any, changed: Mapping[str, Any]) -> Any:
-        """Return a moment with parameters over time, by full name, replaced by symbols."""
+        """Return time-dependent inputs with some parameters replaced by symbols."""
         own = casadi.vertsplit(moment)
         for k, name in enumerate(self.signal_names, start=1):
             own[k] = changed.get(name, own[k])
@@ -214,8 +214,8 @@ class Dynamics:
         declared, evaluator = self._formulation.compiled.declared, self._formulation.evaluator
         columns = [
             casadi.SX.zeros(evaluator.inputs[0].shape[0]),
-            _column([casadi.SX(values.get(name, 0.0)) for name in self.state_names]),
-            _column([casadi.SX(values.get(s.name, 0.0)) for s in declared.algebraics]),
+            stacked([casadi.SX(values.get(name, 0.0)) for name in self.state_names]),
+            stacked([casadi.SX(values.get(s.name, 0.0)) for s in declared.algebraics]),
             casadi.SX(casadi.DM(self._statics)),
             casadi.SX(casadi.DM(np.concatenate([self.moment(t), self._instance.parameters]))),
         ]
@@ -278,16 +278,12 @@ class Dynamics:
         return Instants(inputs=inputs, read=self._formulation.evaluator, numbers=self._with_numbers)
 
     def _with_numbers(self, data: FloatArray, numbers: Mapping[str, ArrayLike]) -> FloatArray:
-        """Return data, shape (n, n_data), with parameters given by name in their columns."""
+        """Return a table of data with the columns of some parameters replaced."""
         names = self.parameter_names
         changed = data.copy()
         for name, column in numbers.items():
             changed[:, data.shape[1] - len(names) + names.index(name)] = column
         return changed
-
-    def _inputs(self, t: FloatArray, states: FloatArray, controls: FloatArray) -> list[FloatArray]:
-        """Return the inputs of an `Evaluator` for n times at once."""
-        return self.solved(t, states, controls).inputs
 
     def _algebraics(self, determined: FloatArray, controls: FloatArray) -> FloatArray:
         """Return all algebraic variables in their declared order."""
@@ -339,7 +335,7 @@ class Dynamics:
 
     @property
     def states_used_up(self) -> tuple[str, ...]:
-        """States fixed at the start of the horizon and free at its end, for example a charge."""
+        """States fixed at the start and free at the end, such as a battery's charge."""
         declared = self._formulation.compiled.declared
         # An objective that reads the end of a state leaves it free.
         priced = symbol_names(declared.objective)
@@ -351,7 +347,7 @@ class Dynamics:
 
     @property
     def tables_read(self) -> tuple[str, ...]:
-        """Names under which the equations over time read tables."""
+        """Names of the interpolation tables that the equations over time read."""
         return tuple(use.name for use in self._formulation.compiled.tables.over_time)
 
     @property
@@ -387,7 +383,7 @@ class Dynamics:
         return found
 
     def violations_of(self, instants: Instants, t: FloatArray) -> list[tuple[Violation, ...]]:
-        """Return `violations` of flights at the same times t, one after the other in `instants`."""
+        """Return the `violations` of several flights that share the same times."""
         limits = self.limits_of(instants)
         flights = (slice(k, k + len(t)) for k in range(0, len(instants.inputs[0]), len(t)))
         return [
@@ -422,10 +418,6 @@ class Dynamics:
             for k, limit in enumerate(compiled.limits)
         ]
         return limits
-
-
-def _column(symbols: list[Any]) -> Any:
-    return casadi.vertcat(casadi.SX(0, 1), *symbols)
 
 
 def split_algebraics(formulation: Formulation) -> tuple[tuple[Slot, ...], tuple[Slot, ...]]:
@@ -498,14 +490,14 @@ def _solve_linear(matrix: Any, right: Any) -> Any:
 
 
 def _solved_for(rows: Any, unknowns: Any) -> Any:
-    """Return the unknowns of equations that are linear in them."""
+    """Solve equations for unknowns that enter them linearly."""
     offset = casadi.substitute(rows, unknowns, casadi.DM.zeros(unknowns.shape[0]))
     return _solve_linear(casadi.jacobian(rows, unknowns), -offset)
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Core:
-    """Implicit equations: the core that Newton's method solves, and all unknowns given the core's.
+    """Implicit equations, split into a nonlinear core for Newton's method and a linear rest.
 
     `inner` are its unknowns, `residual` takes them and all inputs as one column, and `known`
     returns all unknowns, the integrand and the span of the same.
@@ -539,7 +531,7 @@ class _Core:
 
 
 class _WithoutIterations(Dynamics):
-    """Implicit equations with `_NEWTON_STEPS` steps written out."""
+    """Implicit equations solved by `_NEWTON_STEPS` Newton steps, written out as expressions."""
 
     def _implicit_side(self, core: _Core, inputs: list[Any]) -> Any:
         stacked = casadi.vertcat(*inputs)
@@ -615,7 +607,7 @@ class Symbol(NDArrayOperatorsMixin):
         return Symbol(_OPERATIONS[function](*map(_expression, numbers)))
 
     def __bool__(self) -> bool:
-        """Refuse to be used as a condition."""
+        """Raise an error: a law must not branch on a symbol."""
         raise _refusal("a branch on a number known in flight only")
 
 
@@ -632,19 +624,19 @@ def _expression(number: Any) -> Any:
 
 
 class Law(Protocol):
-    """A control law, written with NumPy's functions of single numbers."""
+    """Feedback law written with NumPy functions of single numbers."""
 
     def __call__(
         self, command: Sequence[Any], x: Sequence[Any], own: Sequence[Any], /
     ) -> tuple[Sequence[Any], Sequence[Any]]:
-        """Return the controls and the rates of the law's own states.
+        """Return the controls and the time derivatives of the law's own states.
 
         Arguments: the command to follow, the vehicle's states, the law's own states.
         """
 
 
 def written_law(dynamics: Dynamics, law: Law, sizes: tuple[int, int, int]) -> Any:
-    """Return a law as a function (joint, command) -> controls, rates of its own states.
+    """Compile a law to a function (joint state, command) -> (controls, rates of its own states).
 
     Sizes are those of moment, joint state and command.
 
@@ -666,7 +658,7 @@ def written_law(dynamics: Dynamics, law: Law, sizes: tuple[int, int, int]) -> An
             f"control law: returns {found[0]} controls and {found[1]} rates of its own states; "
             f"the vehicle has {expected[0]} controls, and the law {expected[1]} states."
         )
-    columns = [casadi.vertcat(casadi.SX(0, 1), *map(_expression, result)) for result in results]
+    columns = [stacked(map(_expression, result)) for result in results]
     return casadi.Function("law", [joint, command], columns)
 
 
@@ -679,7 +671,7 @@ def joint_sizes(dynamics: Dynamics, n_command: int, n_own: int) -> tuple[int, in
 def closed(
     dynamics: Dynamics, law: Law, sizes: tuple[int, int, int], numbers: Mapping[str, Any]
 ) -> tuple[list[Any], Any, Any]:
-    """Return symbols of moment, joint state and command; rates of the joint state; controls.
+    """Return symbolic inputs, rates of the joint state, and controls of a closed loop.
 
     `numbers` replaces parameters, by full name, by symbols.
     """
@@ -698,7 +690,7 @@ def closed(
 
 
 class ClosedLoop:
-    """The right-hand side of a vehicle under a control law.
+    """Compiled closed loop of a vehicle and a feedback law.
 
     The joint state consists of the vehicle's states, the law's own states, and the integral of the
     objective's integrand.

@@ -95,7 +95,7 @@ def symbols(*names: str) -> list[Any]:
 
 
 class Enclosure:
-    """Enclosures of expressions, and of the slopes of the first, over boxes.
+    """Enclosures of expressions, and of the derivatives of the first expression, over boxes.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ class Enclosure:
         self._all = _Steps(casadi.Function("enclosed", list(columns), [values, slopes]))
 
     def over(self, low: FloatArray, high: FloatArray, numbers: ArrayLike) -> tuple[Interval, ...]:
-        """Return enclosures of the expressions and of the slopes of the first.
+        """Return enclosures of the expressions and of the derivatives of the first expression.
 
         Parameters
         ----------
@@ -137,7 +137,7 @@ class Enclosure:
 
 
 class _Steps:
-    """The elementary operations of a function, evaluated in order on intervals."""
+    """Elementary operations of a CasADi function, evaluated in order on intervals."""
 
     def __init__(self, function: Any) -> None:
         self._function = function

@@ -1,4 +1,4 @@
-"""The solve of a first mesh by further initial points, meshes and settings where it fails."""
+"""First solve of a problem: strategies that vary initial point, mesh and settings on failure."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _COARSE_MESH = Mesh.uniform(elements=4, degree=3)
 
 @dataclass(kw_only=True)
 class FirstSolve(Search[S], Generic[S]):
-    """The search for a solution from one start, on one horizon or several.
+    """Search for a first solution by strategies, on one horizon or several.
 
     Attributes
     ----------
@@ -61,18 +61,18 @@ class FirstSolve(Search[S], Generic[S]):
 
     @cached_property
     def judged(self) -> S:
-        """The solution as asked, which failed, with the verdict of its least violation."""
+        """Failed solution of the requested solve, with the verdict of its elastic program."""
         return self.judge(self.failed)
 
     @property
     def failed(self) -> S:
-        """The solution as asked, which failed."""
+        """Failed solution of the requested solve."""
         if self.first is None:
             raise LookupError("no solve has failed yet")
         return self.first
 
     def holds(self, fact: Fact) -> bool:
-        """Return whether a fact holds."""
+        """Return whether the condition of a strategy is met."""
         is_judged = self.first is not None and self.judged.status is not Status.INTERRUPTED
         if fact is Fact.POSSIBLE:
             return is_judged and self.judged.status is not Status.INFEASIBLE
@@ -92,12 +92,12 @@ class FirstSolve(Search[S], Generic[S]):
         return found
 
     def begun(self, first: First, own: Callable[..., S], mesh: Any) -> S | None:
-        """Solve from an initial point, None if there is none."""
+        """Solve from the kind of initial point that a strategy names, None if there is none."""
         del first
         return self.finish(own, mesh, self.start)
 
     def is_final(self, found: S) -> bool:
-        """Return whether no further strategy is to be tried after a result."""
+        """Return whether a result ends the search."""
         is_hasty = self.options.max_iterations < PATIENCE
         is_first = found is self.first
         return not found.status.has_failed or (
@@ -105,14 +105,14 @@ class FirstSolve(Search[S], Generic[S]):
         )
 
     def failure(self, last: S) -> S:
-        """Return the failed solution as asked, with its verdict."""
+        """Return the failed solution of the requested solve, with its verdict."""
         del last
         return self.judged
 
 
 @dataclass(kw_only=True)
 class FirstSolveOfOne(FirstSolve["Solution"]):
-    """The search on one horizon.
+    """Search for a first solution on one horizon.
 
     Attributes
     ----------
@@ -136,7 +136,7 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     is_mesh_free: bool
 
     def holds(self, fact: Fact) -> bool:
-        """Return whether a fact holds."""
+        """Return whether the condition of a strategy is met."""
         known = {
             Fact.ONE_HORIZON: True,
             Fact.OVERDETERMINED: self.is_overdetermined and self.first is None,
@@ -148,7 +148,7 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
         return known[fact] if fact in known else super().holds(fact)
 
     def begun(self, first: First, own: Callable[..., Solution], mesh: Any) -> Solution | None:
-        """Solve from an initial point, None if there is none."""
+        """Solve from the kind of initial point that a strategy names, None if there is none."""
         if first is First.GIVEN:
             return self._ended(self.finish(own, mesh, self.start))
         if first is First.REDUCED:

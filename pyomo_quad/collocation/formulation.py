@@ -1,4 +1,4 @@
-"""A Pyomo.DAE model read and compiled: its equations, its data, its programs on meshes.
+"""Compiled Pyomo.DAE model: its equations, its data, and its programs on meshes.
 
 The structural index tells how often the equations must be differentiated with respect to time.
 """
@@ -22,8 +22,10 @@ from pyomo_quad.collocation.program.compiled import (
     CompiledModel,
     MappedFunction,
     compile_declarations,
+    stacked,
 )
 from pyomo_quad.collocation.program.transcription import Data, Transcription
+from pyomo_quad.collocation.reading.clock import index_tuple
 from pyomo_quad.collocation.reading.model import read_declarations
 from pyomo_quad.collocation.reading.model_source import LiveModel, declared_magnitudes
 from pyomo_quad.collocation.reading.schedules import BESIDE
@@ -42,15 +44,8 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.reading.writer import TemplateWriter
 
 
-def index_tuple(index: Any) -> tuple[Any, ...]:
-    """Return a component's index without time as a tuple."""
-    if index is None:
-        return ()
-    return index if isinstance(index, tuple) else (index,)
-
-
 class WrittenComponents:
-    """A model's components over time, written before pickling, with the interface of a writer.
+    """Components over time as CasADi expressions, detached from the Pyomo model for pickling.
 
     Parameters
     ----------
@@ -76,7 +71,7 @@ class WrittenComponents:
 
 
 class Evaluator:
-    """Writes components of the model as CasADi functions of a point, each of them once.
+    """Compiler and evaluator of model components at points, with a cache of functions.
 
     The inputs of a function are the rates, states and algebraic variables (outputs after the
     states of the program), the static variables, and the data: fraction, signals, parameters.
@@ -94,16 +89,16 @@ class Evaluator:
         d = compiled.declared
         states = (*d.states, *d.outputs)
         inputs = (
-            _value_column([s.rate for s in states]),
-            _value_column([s.symbol for s in states]),
-            _value_column([s.symbol for s in d.algebraics]),
-            _value_column([s.symbol for s in d.statics]),
+            stacked([s.rate for s in states]),
+            stacked([s.symbol for s in states]),
+            stacked([s.symbol for s in d.algebraics]),
+            stacked([s.symbol for s in d.statics]),
             casadi.vertcat(*d.path_data),
         )
         return cls(inputs, writer)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the components as expressions, each of them once."""
+        """Pickle each component once, as an expression."""
         written: dict[tuple[str, tuple[Any, ...]], Any] = {}
         for name, index in self._writer.components_over_time():
             try:
@@ -113,7 +108,7 @@ class Evaluator:
         return _unpacked, (packed((self.inputs, written)),)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Evaluator:
-        """Return itself: it holds no number of the model."""
+        """Return the evaluator itself, which holds no data of the model."""
         return self
 
     def expression(self, component: Any, index: Any = None) -> Any:
@@ -180,10 +175,6 @@ def _unpacked(kept: Packed) -> Evaluator:
     return Evaluator(inputs, WrittenComponents(written))
 
 
-def _value_column(symbols: list[Any]) -> Any:
-    return casadi.vertcat(casadi.SX(0, 1), *symbols)
-
-
 _NEWTON_STEPS = 50
 _NEWTON_TOLERANCE = 1e-13
 
@@ -195,9 +186,9 @@ class OutputStates:
         declared = compiled.declared
         path_variables, path_data = compiled.symbols
         self._slots = declared.outputs
-        rates = casadi.vertcat(casadi.SX(0, 1), *[s.rate for s in self._slots])
-        states = casadi.vertcat(casadi.SX(0, 1), *[s.symbol for s in self._slots])
-        rows = casadi.vertcat(casadi.SX(0, 1), *[e.expression for e in declared.output_equations])
+        rates = stacked([s.rate for s in self._slots])
+        states = stacked([s.symbol for s in self._slots])
+        rows = stacked([e.expression for e in declared.output_equations])
         inputs = [rates, states, path_variables, path_data]
         self._residual = casadi.Function(
             "outputs",
@@ -216,7 +207,7 @@ class OutputStates:
     @staticmethod
     def _start_function(declared: Declarations) -> Any:
         """Return a function of the parameters: the start value of each output, or NaN."""
-        parameters = casadi.vertcat(casadi.SX(0, 1), *[s.symbol for s in declared.parameters])
+        parameters = stacked([s.symbol for s in declared.parameters])
         values = []
         for slot in declared.outputs:
             found = casadi.SX(np.nan)
@@ -227,9 +218,7 @@ class OutputStates:
                         offset = casadi.substitute(condition.expression, symbol, casadi.SX(0))
                         found = (condition.lower - offset) / slope
             values.append(found)
-        return casadi.Function(
-            "output_starts", [parameters], [casadi.vertcat(casadi.SX(0, 1), *values)]
-        )
+        return casadi.Function("output_starts", [parameters], [stacked(values)])
 
     def start(self, parameters: FloatArray, fixed: dict[tuple[str, float], float]) -> FloatArray:
         """Return the values at the start of the horizon, shape (n_outputs,)."""
@@ -292,7 +281,7 @@ class Formulation:
 
     @classmethod
     def of(cls, model: Any, declared: Declarations, reader: ModelReader) -> Self:
-        """Return the formulation of declarations that have been read already."""
+        """Compile declarations that were already read."""
         formulation = object.__new__(cls)
         formulation._hold(*_compiled(model, declared, reader))
         return formulation
@@ -308,7 +297,7 @@ class Formulation:
         self._programs: dict[Mesh | None, Transcription] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle equations and numbers, without the Pyomo model."""
+        """Pickle equations and data without the Pyomo model."""
         return _restored, (type(self), self.compiled, self.values.snapshot(), self.evaluator)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
@@ -318,7 +307,7 @@ class Formulation:
         return other
 
     def holding(self, model: Any) -> Self:
-        """Return the same equations with the numbers, first values and scales of another model.
+        """Return the compiled equations with data, guesses and scales of another model.
 
         Nothing is compiled. The other model must have the same declarations; the values of its
         parameters, its variables and its suffix `scaling_factor` may differ.
@@ -333,7 +322,7 @@ class Formulation:
 
     @property
     def model(self) -> Any:
-        """The Pyomo model.
+        """Pyomo model of the formulation.
 
         Raises
         ------
@@ -348,7 +337,7 @@ class Formulation:
         return self.compiled.declared.has_horizon
 
     def required_breakpoints(self, instance: Instance) -> tuple[float, ...]:
-        """Return fractions of the horizon at which an element must end: conditions and jumps."""
+        """Return the fractions of the horizon at which elements must end: conditions, jumps."""
         declared = self.compiled.declared
         fractions = {p.fraction for p in declared.point_symbols} | {f for _, f in declared.fixed}
         return tuple(sorted(f for f in fractions.union(instance.jumps) if 0.0 < f < 1.0))
@@ -356,7 +345,7 @@ class Formulation:
     def instance(
         self, parameters: Overrides | None = None, horizon: tuple[float, float] | None = None
     ) -> Instance:
-        """Read the numbers of one solve from the model and the caller."""
+        """Read the data of one solve from the model and the arguments."""
         if horizon is not None and not horizon[1] > horizon[0]:
             raise TranscriptionError(
                 f"horizon: end {horizon[1]:g} is not after start {horizon[0]:g}."
@@ -370,7 +359,7 @@ class Formulation:
         )
 
     def signals(self, instance: Instance, fractions: FloatArray) -> FloatArray:
-        """Return fraction and signals, one row per fraction."""
+        """Return the fraction and the time-dependent parameters, one row per fraction."""
         if not self.compiled.declared.has_signals:
             return fractions[:, None]
         at = self.values.signals(instance)
@@ -381,12 +370,12 @@ class Formulation:
         return Data(parameters=instance.parameters, signals=self.signals(instance, fractions))
 
     def data_at_starts(self, instance: Instance) -> FloatArray:
-        """Return the data of the equations at the start and just after each jump, row by row."""
+        """Return the data of the equations at the start and just after each jump."""
         after = np.array(instance.jumps) + 2.0 * BESIDE
         return self.data_of(instance, np.concatenate([np.zeros(1), after])).at_points()
 
     def program(self, mesh: Mesh | None, instance: Instance) -> Transcription:
-        """Return the program on a mesh; a mesh that was used before is cached."""
+        """Return the program on a mesh, from a cache if the mesh was used before."""
         data = self.data_of(instance, mesh.point_fractions if mesh else np.zeros(0))
         if mesh not in self._programs:
             if len(self._programs) >= _CACHED_MESHES:
@@ -404,26 +393,16 @@ class Formulation:
 
         Infinite where there is no limit, or where the limit varies with time.
         """
-        at_each = [self._limits_at(instance, fraction) for fraction in _LOOKED_AT]
-        lower, upper = (np.array(side) for side in zip(*at_each, strict=True))
-        return (
-            np.where(np.all(lower == lower[0], axis=0), lower[0], -np.inf),
-            np.where(np.all(upper == upper[0], axis=0), upper[0], np.inf),
-        )
+        compiled, first = self.compiled, len(self.compiled.declared.states)
+        data = self.data_of(instance, np.array(_LOOKED_AT)).at_points()
+        lower, upper = MappedFunction(compiled.limits_over_time, len(data))(data)
 
-    def _limits_at(self, instance: Instance, fraction: float) -> tuple[FloatArray, FloatArray]:
-        compiled = self.compiled
-        data = self.data_of(instance, np.array([fraction])).at_points()[0]
-        limits = (np.array(side).ravel() for side in compiled.limits_over_time(data))
-        count = len(compiled.declared.states) + len(compiled.declared.algebraics)
-        lower, upper = np.full(count, -np.inf), np.full(count, np.inf)
-        for both, side, tightest in zip(
-            (lower, upper), limits, (np.maximum, np.minimum), strict=True
-        ):
-            tightest.at(both, compiled.limited, side)
-        first = len(compiled.declared.states)
-        lower, upper = lower[first:], upper[first:]
-        return lower, upper
+        def constant(side: FloatArray, tightest: np.ufunc, none: float) -> FloatArray:
+            limits = np.full((first + len(compiled.declared.algebraics), len(data)), none)
+            tightest.at(limits, compiled.limited, side.T)
+            return np.where(np.all(limits[:, 0] == limits.T, axis=0), limits[:, 0], none)[first:]
+
+        return constant(lower, np.maximum, -np.inf), constant(upper, np.minimum, np.inf)
 
 
 def _compiled(
@@ -498,7 +477,7 @@ def structural_index(declared: Declarations) -> StructuralIndex:
 
 
 def refuse_high_index(declared: Declarations) -> None:
-    """Refuse a DAE whose index is above 2.
+    """Raise an error for a DAE of index above 2.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Initial points for Ipopt: the model's values, a function or frame, or a trajectory."""
+"""Initial points for Ipopt from the model's values, a function, a table or a trajectory."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.mesh import FloatArray
     from pyomo_quad.collocation.program.nonlinear import Bounds
     from pyomo_quad.collocation.program.transcription import Transcription
-    from pyomo_quad.collocation.reading.symbols import Slot
+    from pyomo_quad.collocation.reading.symbols import Declarations, Slot
     from pyomo_quad.collocation.reading.values import ModelValues
 
 TIME_COLUMN = "time"
@@ -47,7 +47,7 @@ def point_from_trajectory(program: Transcription, trajectory: Trajectory) -> Flo
 def initial_point(
     program: Transcription, bounds: Bounds, values: ModelValues, guess: Guess | None
 ) -> FloatArray:
-    """Return a first point: linear interpolation between known values, inside the bounds.
+    """Return an initial point interpolated between known values and moved inside the bounds.
 
     Known values come from a guess, from `initialize` rules at any time, from the model's variables,
     and from boundary conditions. Algebraic variables without a known value are computed from their
@@ -89,7 +89,7 @@ def first_point(
     guess: Guess | None,
     seed: int = 0,
 ) -> FloatArray:
-    """Return the initial point at which the equations are defined and equalities nearly hold.
+    """Return an initial point where all equations are defined and equalities nearly hold.
 
     A `seed` above 0 makes it random; see `scattered`.
     """
@@ -106,7 +106,7 @@ def _with_defined_algebraics(
     given: Mapping[str, Any] | pd.DataFrame,
     z: FloatArray,
 ) -> FloatArray:
-    """Return a point with algebraic variables that have no guess computed from their equations."""
+    """Compute algebraic variables without a guess from the equations that define them."""
     columns = program.layout.algebraic_columns
     unknown = [
         k
@@ -253,7 +253,7 @@ def _order_times(
     given: Mapping[str, Any] | pd.DataFrame,
     z: FloatArray,
 ) -> None:
-    """Start free times without a value at their declared times, and put all in increasing order."""
+    """Give free times without a value their declared times, and sort all times."""
     statics, clock = program.compiled.declared.statics, program.compiled.declared.clock
     slots = {slot.name: k for k, slot in enumerate(statics)}
     columns = program.layout.static_columns
@@ -294,7 +294,7 @@ def _given(
 
 
 def _inside(number: float, bounds: Bounds, column: int) -> float:
-    """Return a number moved inside its bounds; between two finite bounds, their middle."""
+    """Move a number inside its bounds; without a value, use the middle of two finite bounds."""
     lower, upper = bounds.lower[column], bounds.upper[column]
     if lower <= number <= upper:
         return number
@@ -303,10 +303,13 @@ def _inside(number: float, bounds: Bounds, column: int) -> float:
     return float(lower if np.isfinite(lower) else upper)
 
 
+def known_names(declared: Declarations) -> set[str]:
+    """Return the names that a guess may hold."""
+    return {TIME_COLUMN, *(slot.name for slot in (*declared.varying, *declared.statics))}
+
+
 def _refuse_unknown_names(program: Transcription, guess: Mapping[str, Any] | pd.DataFrame) -> None:
-    declared = program.compiled.declared
-    slots = (*declared.states, *declared.outputs, *declared.algebraics, *declared.statics)
-    known = {TIME_COLUMN, *(slot.name for slot in slots)}
+    known = known_names(program.compiled.declared)
     for name in guess:
         if name not in known:
             raise TranscriptionError(

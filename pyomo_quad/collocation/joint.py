@@ -1,4 +1,4 @@
-"""Several horizons in one problem: phases, experiments or scenarios, each with its own mesh."""
+"""Problems with several horizons: phases, experiments or scenarios, each with its own mesh."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from pyomo_quad.collocation.errors import TranscriptionError
 from pyomo_quad.collocation.first_solve import FirstSolve
 from pyomo_quad.collocation.formulation import Formulation
-from pyomo_quad.collocation.guess import TIME_COLUMN, first_point
+from pyomo_quad.collocation.guess import first_point, known_names
 from pyomo_quad.collocation.mesh import Mesh, Summarised
 from pyomo_quad.collocation.problem import Problem, load_values
 from pyomo_quad.collocation.program.bounds import (
@@ -58,7 +58,7 @@ _OWN = ("ipopt_code", "objective", "iterations", "wall_s")
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class JointSolution(Outcome):
-    """A solved (or failed) problem with several horizons; see `Outcome` for status and history.
+    """Solution of a problem with several horizons; see `Outcome` for status and history.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class JointSolution(Outcome):
 
     @cached_property
     def parts(self) -> tuple[Solution, ...]:
-        """The solutions on the horizons, with status, error and history of the joint solve."""
+        """Solutions on the horizons, with status, error and history of the joint solve."""
         shared = [f.name for f in fields(Outcome) if f.name not in _OWN]
         whole = {name: getattr(self, name) for name in shared}
         return tuple(part.updated(**whole) for part in self.horizons.values())
@@ -102,7 +102,7 @@ class JointSolution(Outcome):
 
     @property
     def warm_start(self) -> tuple[WarmStart, ...]:
-        """Warm starts for another solve: of each horizon, then of the coupling."""
+        """Warm start for another solve: one part per horizon, and one for the coupling."""
         return tuple(part.warm_start for part in (*self.horizons.values(), self.coupling))
 
     @property
@@ -112,7 +112,7 @@ class JointSolution(Outcome):
         return tuple(f"{name}: {line}" for name, line in found)
 
     def on(self, component: Any, index: Any = None) -> Solution:
-        """Return the solution on the horizon that indexes a component (or its full name).
+        """Return the solution on one horizon, named by a component over it or by its full name.
 
         Raises
         ------
@@ -180,7 +180,7 @@ class JointProblem(Summarised):
 
     @property
     def summary(self) -> dict[str, str]:
-        """The horizons, and the number of states of each."""
+        """Horizons of the problem, with their numbers of states."""
         counts = {n: len(p.compiled.declared.states) for n, p in self.horizons.items()}
         return {name: f"{count} states" for name, count in counts.items()}
 
@@ -291,7 +291,7 @@ class JointProblem(Summarised):
             If a name is neither a horizon nor a variable.
         """
         guess = {} if guess is None else guess
-        known = [_slot_names(part) for part in self._parts]
+        known = [known_names(part.compiled.declared) for part in self._parts]
         for name in guess:
             if name not in self.horizons and not any(name in names for names in known):
                 raise TranscriptionError(
@@ -447,7 +447,7 @@ class JointProblem(Summarised):
         return np.clip(z, bounds.lower, bounds.upper), None
 
     def _set_links(self, union: Union, program: Transcription, z: FloatArray, places: Any) -> None:
-        """Start the static variables that equal values of horizons at these values."""
+        """Initialise the static variables that stand for values of the horizons."""
         if program.mesh is None:
             return
         conditions = [c.name for c in program.compiled.declared.conditions]
@@ -470,14 +470,8 @@ class JointProblem(Summarised):
         load_values(*solution.horizons.values(), solution.coupling)
 
 
-def _slot_names(part: Formulation) -> set[str]:
-    declared = part.compiled.declared
-    slots = (*declared.states, *declared.outputs, *declared.algebraics, *declared.statics)
-    return {TIME_COLUMN, *(slot.name for slot in slots)}
-
-
 def compiled_of(model: Any, final_time: Any = None, times: FreeTimes | None = None) -> Any:
-    """Return a compiled model: a `Problem` or a `JointProblem`.
+    """Return the compiled model of a `Problem` or a `JointProblem`.
 
     Raises
     ------

@@ -36,7 +36,7 @@ class LimitValues:
     upper: FloatArray
 
     def worst(self, chosen: slice, t: FloatArray) -> Violation:
-        """Return the worst breach among some of the instants, which are at times t."""
+        """Return the worst violation among some of the instants."""
         values, lower, upper = self.values[chosen], self.lower[chosen], self.upper[chosen]
         below, above = lower - values, values - upper
         size = np.maximum(below, above)

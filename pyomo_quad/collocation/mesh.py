@@ -377,12 +377,12 @@ _HIGHEST_DEGREE = 100
 
 
 class Summarised(ABC):
-    """Base of classes that print a one-line summary, and a small table in a notebook."""
+    """Base class with a one-line summary as text and a small table in notebooks."""
 
     @property
     @abstractmethod
     def summary(self) -> dict[str, str]:
-        """The most important facts, as text by name."""
+        """Main properties of the object, as text by name."""
 
     def __repr__(self) -> str:
         """Return the summary in one line."""

@@ -1,4 +1,4 @@
-"""CasADi expressions inside other data as one text, for pickling in another process."""
+"""Pickling of data with CasADi expressions, by writing all expressions as one text."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def packed(data: Any) -> Packed:
 
 
 def _changed(data: Any, kind: type, change: Callable[[Any], Any]) -> Any:
-    """Return data with every instance of a type replaced."""
+    """Return data with every instance of a type replaced by a function's result."""
     if isinstance(data, kind):
         return change(data)
     if isinstance(data, tuple):

@@ -1,4 +1,4 @@
-"""A compiled problem, solved as often as wanted without being built again."""
+"""Compiled problem that can be solved repeatedly with new data."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ _SUBSTEPS, _LARGEST_STATE = 10, 1e12
 
 
 class Problem(Summarised, Formulation):
-    """A Pyomo.DAE model compiled for collocation.
+    """Pyomo.DAE model compiled for collocation.
 
     It can be pickled.  The restored problem solves and evaluates as before, with the numbers that
     the model held when it was pickled; the model itself is not included.
@@ -185,7 +185,7 @@ class Problem(Summarised, Formulation):
         starts: int,
         instance: Instance,
     ) -> Solution:
-        """Solve from a warm start or a cold one; see `solve`."""
+        """Solve once, from a warm start or from a guess; see `solve`."""
         if self.has_horizon and tolerance is not None:
             options = options.suiting(tolerance)
         first = mesh
@@ -262,7 +262,7 @@ class Problem(Summarised, Formulation):
 
     @staticmethod
     def _best_of(starts: int, solve: Callable[..., Solution], first: Start) -> Solution | None:
-        """Return the best optimum from a first point and random points, None without any."""
+        """Solve from a first point and from random points, and return the best optimum."""
         found = []
         for seed in range(starts):
             try:
@@ -333,7 +333,7 @@ class Problem(Summarised, Formulation):
             options = options.for_a_change(change * scaling.objective, kept.sides)
         if damping is not None and damping.gap and start.warm is not None:
             parameter = damping.gap * scaling.objective / kept.sides
-            options = options.on_the_path(parameter, is_near=damping.is_still)
+            options = options.on_the_path(parameter, damping.way)
         solve = partial(run_past_the_barrier, size=program.objective_size) if to_the_gap else run
         result = solve(
             changed, kept, scales, z, options=options, multipliers=multipliers, progress=progress
@@ -406,7 +406,7 @@ def _refined(
     tolerance: float,
     refinement: RefinementOptions,
 ) -> Solution:
-    """Refine from a mesh, with solves as of `Problem.solve_on_mesh`."""
+    """Refine the mesh, starting from a given mesh."""
 
     def on_meshes(
         meshes: tuple[Mesh, ...],
@@ -461,9 +461,8 @@ def load_values(*solutions: Solution) -> None:
             values.load(slot, None, float(number))
         for fraction in values.declared_fractions():
             time = float(solution.timeline.time(np.float64(fraction)))
-            slots = (*declared.states, *declared.outputs, *declared.algebraics)
             _, *row = solution.to_frame([time]).iloc[0]
-            for slot, number in zip(slots, row, strict=True):
+            for slot, number in zip(declared.varying, row, strict=True):
                 values.load(slot, fraction, float(number))
             values.load_rates(fraction, partial(solution.value, t=time))
         totals = solution.program.integrals(solution.unknowns).tolist()

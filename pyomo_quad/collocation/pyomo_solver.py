@@ -199,7 +199,7 @@ def _results(problem: Problem | JointProblem, solution: Solution | JointSolution
 
 
 def _printed(writers: list[Callable[[str], Any]]) -> Callable[[Iteration], None]:
-    """Return a progress callback that passes each line to every writer."""
+    """Return a progress callback that passes each line to all writers."""
 
     def write(line: Iteration) -> None:
         text = (

@@ -1,4 +1,4 @@
-"""The result of a solve: values, costates, Hamiltonian, errors and history."""
+"""Solution of a solve: values, costates, Hamiltonian, errors and history."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ import numpy as np
 from pyomo_quad.collocation.costates import Costates, costate_errors_of, costates_of
 from pyomo_quad.collocation.dynamics import Dynamics
 from pyomo_quad.collocation.errors import TranscriptionError
-from pyomo_quad.collocation.formulation import index_tuple
 from pyomo_quad.collocation.guess import TIME_COLUMN
 from pyomo_quad.collocation.mesh import (
     FloatArray,
@@ -26,6 +25,7 @@ from pyomo_quad.collocation.mesh import (
     radau_rule,
 )
 from pyomo_quad.collocation.program.ipopt import IpoptResult, Iteration, Status
+from pyomo_quad.collocation.reading.clock import index_tuple
 from pyomo_quad.collocation.reading.writer import symbol_names
 from pyomo_quad.collocation.starts import ColdStart, WarmStart, warm_start_of
 
@@ -48,7 +48,7 @@ _JUST_BEFORE = 1e-9
 
 
 def hamiltonian_warnings(solution: Solution) -> tuple[str, ...]:
-    """Return a warning if the Hamiltonian should be constant and is not.
+    """Return a warning if the Hamiltonian varies although the problem is autonomous.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def hamiltonian_warnings(solution: Solution) -> tuple[str, ...]:
 
 
 def _reads_time(compiled: CompiledModel) -> bool:
-    """Return whether an equation, integrand or limit depends on time, other than by its phase."""
+    """Return whether an equation, integrand or limit depends explicitly on time."""
     declared = compiled.declared
     parts = [part for e in declared.equations for part in (e.expression, e.lower, e.upper)]
     parts += [side for limit in compiled.limits for side in (limit.lower, limit.upper)]
@@ -101,7 +101,7 @@ _STEEPEST = 10.0
 
 @dataclass(frozen=True, kw_only=True)
 class MeshRecord:
-    """One mesh of a refinement: its size, its solve and its error."""
+    """Record of one mesh of a refinement: size, solve and error."""
 
     elements: int
     points: int
@@ -113,7 +113,7 @@ class MeshRecord:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Outcome(Summarised):
-    """How a solve ended, on one horizon or several.
+    """Outcome of a solve, on one horizon or several.
 
     Attributes
     ----------
@@ -162,7 +162,7 @@ class Outcome(Summarised):
     @property
     @abstractmethod
     def parts(self) -> tuple[Solution, ...]:
-        """The solution on each horizon, with the history of the joint solve."""
+        """Solutions on the horizons, with the history of the joint solve."""
 
     @property
     @abstractmethod
@@ -176,7 +176,7 @@ class Outcome(Summarised):
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Solution(Outcome):
-    """A solved (or failed) transcription; see `Outcome` for status, errors and history.
+    """Solution on one horizon, converged or not; see `Outcome` for status, errors and history.
 
     Attributes
     ----------
@@ -227,7 +227,7 @@ class Solution(Outcome):
         }
 
     def _errors_of_others(self) -> dict[str, str]:
-        """Return the estimated errors of states and costates, where available."""
+        """Return the estimated errors of states and costates, if they were estimated."""
         if not (np.isfinite(self.state_error) and self.problem.compiled.declared.states):
             return {}
         name, error = max(self.costate_errors.items(), key=lambda item: item[1])
@@ -238,7 +238,7 @@ class Solution(Outcome):
 
     @property
     def parts(self) -> tuple[Solution, ...]:
-        """The solution on each horizon: itself."""
+        """Solution on the only horizon, as a tuple."""
         return (self,)
 
     @property
@@ -248,7 +248,7 @@ class Solution(Outcome):
 
     @property
     def nominal_objective(self) -> float:
-        """Reference size for changes of the objective: its own size, or the unit of its scaling.
+        """Reference size for changes of the objective: its magnitude or its scale.
 
         A penalty may make the slopes at the first point, and therefore the unit of the scaling, far
         larger than any slope that matters. That unit is therefore capped at a multiple of the
@@ -264,13 +264,13 @@ class Solution(Outcome):
 
     @property
     def horizon(self) -> tuple[float, float]:
-        """Start and end in physical time, as solved for if they are free."""
+        """Start and end of the horizon in physical time, from the solution if they are free."""
         times = self.timeline.times
         return float(times[0]), float(times[-1])
 
     @cached_property
     def mesh_in_time(self) -> Mesh:
-        """The mesh with its boundaries as fractions of the horizon in physical time.
+        """Mesh with its boundaries as fractions of the physical horizon.
 
         The trajectory's values on it define the same polynomials. It differs from `mesh` only if
         interior times are free.
@@ -304,7 +304,7 @@ class Solution(Outcome):
 
     @property
     def dynamics(self) -> Dynamics:
-        """The right-hand side with the data of this solution."""
+        """Right-hand side of the equations with the data of the solution."""
         return Dynamics(self.problem, self.instance, self.trajectory.statics)
 
     @cached_property
@@ -452,6 +452,13 @@ class Solution(Outcome):
         """Constant lower and upper bounds of the algebraic variables."""
         return self.problem.algebraic_limits(self.instance)
 
+    @property
+    def algebraic_ranges(self) -> FloatArray:
+        """Width between the limits of each algebraic variable, or that of its values."""
+        lower, upper = self.algebraic_limits
+        own = np.ptp(self.trajectory.algebraics, axis=0)
+        return np.where(np.isfinite(upper - lower), upper - lower, own)
+
     def to_frame(self, times: Any = None) -> pd.DataFrame:
         """Return states, outputs and algebraic variables as columns over the nodes' times.
 
@@ -462,8 +469,7 @@ class Solution(Outcome):
 
         at = self.times if times is None else np.atleast_1d(np.asarray(times, dtype=float))
         _, states, algebraics, _, _ = self._inputs(self.fractions(at))
-        declared = self.problem.compiled.declared
-        slots = (*declared.states, *declared.outputs, *declared.algebraics)
+        slots = self.problem.compiled.declared.varying
         names = [f"{s.name} (variable)" if s.name == TIME_COLUMN else s.name for s in slots]
         columns = np.hstack([states, algebraics])
         frame = pd.DataFrame(columns, columns=names)
@@ -480,7 +486,7 @@ def solution_from(
     bounds: Bounds,
     scaling: Scaling,
 ) -> Solution:
-    """Return the solution that corresponds to Ipopt's result."""
+    """Make a solution from Ipopt's result."""
     z = result.z
     return Solution(
         problem=problem,

@@ -1,4 +1,4 @@
-"""A whole solve: the warm start's budget, the time limit, and the best of the finished meshes."""
+"""Complete solve: budget of the warm start, time limit, and the best finished mesh."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ S = TypeVar("S", bound=Outcome)
 
 @dataclass(kw_only=True)
 class _WholeSolve(Search[S], Generic[S]):
-    """The search from a warm start within the iterations of its cold start, else from the guess.
+    """Solve from a warm start, and from the guess if the warm start takes too many iterations.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class _WholeSolve(Search[S], Generic[S]):
     has_ended: bool = False
 
     def holds(self, fact: Fact) -> bool:
-        """Return whether a fact holds."""
+        """Return whether the condition of a strategy is met."""
         return (fact is Fact.WARM_START and self.start.warm is not None) or (
             fact is Fact.COLD_FAILED and self.warm is not None
         )
@@ -86,7 +86,7 @@ class _WholeSolve(Search[S], Generic[S]):
         return cold.updated(cold_start=took, message=message)
 
     def is_final(self, found: S) -> bool:
-        """Return whether the search ends: not after a warm start that exceeded its budget."""
+        """Return whether a result ends the search; a warm start over budget does not."""
         del found
         return self.has_ended
 
@@ -99,7 +99,7 @@ def within_budget(
     *,
     is_known: bool = True,
 ) -> S:
-    """Solve from a warm start within the iterations of its cold start, else from a cold start.
+    """Solve from a warm start within the iterations of the cold start, else from the guess.
 
     The first solve may take the iterations of the cold start's first mesh, and all solves together
     those of all its meshes, if they are known for the same tolerance; otherwise, and without
@@ -122,7 +122,7 @@ def carried_out(
     progress: Progress | None,
     is_known: bool = True,
 ) -> S:
-    """Solve, to a tolerance if one is given, within the time limit and the tables' ranges.
+    """Solve within the time limit and the ranges of the tables, refining if a tolerance is given.
 
     If a refinement is interrupted or fails, the most accurate finished mesh is returned.
 
@@ -156,7 +156,7 @@ def carried_out(
 
 
 def _finished_of(finished: list[S], ended: S) -> S:
-    """Return the most accurate finished mesh's solution in place of an unconverged iterate."""
+    """Replace an unconverged iterate by the solution on the most accurate finished mesh."""
     whole = [solution for solution in finished if not solution.parts[0].instance.left_out]
     if not whole or ended.status not in (Status.INTERRUPTED, Status.NOT_CONVERGED):
         return ended

@@ -1,4 +1,4 @@
-"""Starts of a solve: a guess, or the point and the multipliers of another solution."""
+"""Starting points of a solve: a guess, or point and multipliers of another solution."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _PARTS = ("states", "algebraics", "statics")
 
 @dataclass(frozen=True, kw_only=True)
 class ColdStart:
-    """Iterations of a cold start: a limit for a warm start of the same problem and tolerance.
+    """Iterations of a solve from the guess, as a budget for warm starts of the same problem.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class ColdStart:
 
     @classmethod
     def from_arrays(cls, held: Mapping[str, NDArray[Any]]) -> ColdStart | None:
-        """Return the record held in untrusted arrays, None if they hold none."""
+        """Read the record from untrusted arrays, None if they hold none."""
         if "cold_start" not in held:
             return None
         first, iterations, tolerance = real_array(held, "cold_start", (3,)).tolist()
@@ -56,7 +56,7 @@ class ColdStart:
 
 @dataclass(frozen=True, kw_only=True)
 class WarmStart:
-    """A point of a program with its multipliers, independent of the problem that it came from.
+    """Point and multipliers of a solution, independent of its problem.
 
     Attributes
     ----------
@@ -88,16 +88,16 @@ class WarmStart:
 
     @property
     def mesh(self) -> Mesh:
-        """The mesh on which it was found."""
+        """Mesh of the solution."""
         return self.trajectory.mesh
 
     @property
     def is_finite(self) -> bool:
-        """Whether all numbers are finite; a failed solve may yield others."""
+        """Whether all numbers are finite; those of a failed solve may not be."""
         return all(bool(np.all(np.isfinite(array))) for array in self._numbers().values())
 
     def fits(self, compiled: CompiledModel) -> bool:
-        """Return whether a compiled model has the equations that the multipliers belong to."""
+        """Return whether a compiled model has the same equations as the warm start."""
         held, declared = self.trajectory, compiled.declared
         return (
             self.model == compiled.fingerprint
@@ -163,7 +163,7 @@ class WarmStart:
 
     @classmethod
     def from_arrays(cls, held: Mapping[str, NDArray[Any]]) -> WarmStart:
-        """Return the warm start held in untrusted arrays.
+        """Read a warm start from untrusted arrays.
 
         Raises
         ------
@@ -207,7 +207,7 @@ def warm_start_of(
     multipliers: Multipliers,
     cold_start: ColdStart | None,
 ) -> WarmStart:
-    """Return the warm start of a program's point and multipliers."""
+    """Make a warm start from a program's point and multipliers."""
     first = program.first_condition_row
     return WarmStart(
         model=program.compiled.fingerprint,
@@ -223,7 +223,7 @@ def warm_start_of(
 
 
 def transfer(start: WarmStart, program: Transcription) -> tuple[FloatArray, Multipliers]:
-    """Return unknowns and multipliers of a warm start on the mesh of a program.
+    """Interpolate unknowns and multipliers of a warm start to the mesh of a program.
 
     Raises
     ------
@@ -247,7 +247,7 @@ def transfer(start: WarmStart, program: Transcription) -> tuple[FloatArray, Mult
 
 @dataclass(frozen=True, kw_only=True)
 class Start:
-    """Where a solve begins.
+    """Starting point of a solve, with an optional warm start.
 
     Attributes
     ----------
@@ -269,17 +269,17 @@ class Start:
 
     @classmethod
     def of(cls, given: Any, guess: Any = None) -> Start:
-        """Return the start at a warm start, or at anything that has one: a solution, a plan."""
+        """Make a start from a warm start or from an object that has one: a solution, a plan."""
         return cls(warm=getattr(given, "warm_start", given), guess=guess)
 
     @property
     def cold(self) -> Start:
-        """The same start without the warm start."""
+        """Starting point without the warm start."""
         return replace(self, warm=None)
 
     @property
     def cold_start(self) -> ColdStart | None:
-        """Iterations of the solve without the warm start, if known."""
+        """Iterations of the solve from the guess, if known."""
         first = self.warm[0] if isinstance(self.warm, tuple) else self.warm
         return first and first.cold_start
 

@@ -1,4 +1,4 @@
-"""Simulation of many vehicles under one law, with individual numbers, in steps of fixed length.
+"""Simulation of many vehicles under one law, each with its own parameters, in fixed steps.
 
 A step is the classical Runge-Kutta method of order 4, see docs/theory/flights.md, eq. (1); its four
 stages form one function, which is mapped over the vehicles. The individual numbers may change from
@@ -38,7 +38,7 @@ class SteppedFlights:
 
 
 class SteppedLoops:
-    """Many vehicles under a law, simulated together.
+    """Closed loops of many vehicles, simulated together.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class SteppedLoops:
         *,
         sampled: FloatArray,
     ) -> SteppedFlights:
-        """Fly from the first time to the last, each time the end of a step.
+        """Simulate from the first time to the last; every time ends a step.
 
         Parameters
         ----------
@@ -126,7 +126,7 @@ class SteppedLoops:
     def _around(
         self, begin: float, end: float, command: Callable[[float], Sequence[float]]
     ) -> list[FloatArray]:
-        """Return the inputs that all vehicles share in a step: its length, times and commands."""
+        """Return the inputs of a step that all vehicles share: length, times, commands."""
         middle = 0.5 * (begin + end)
         # If the equations jump, a step starts after the jump and the previous step ends before it.
         moments = map(self._dynamics.moment, (self._dynamics.just_after(begin), middle, end))

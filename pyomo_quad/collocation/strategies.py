@@ -1,4 +1,4 @@
-"""The strategies of a solve in the order in which they are tried, and the loop that tries them.
+"""Strategies of a solve: one ordered table, and the loop that tries them.
 
 A whole solve begins at a warm start or at the guess. From there the first mesh is solved, by the
 initial points, meshes and settings of the scope `FIRST`. A refinement solves each further mesh by
@@ -78,7 +78,7 @@ class First(Enum):
 
 @dataclass(frozen=True)
 class Strategy:
-    """A way to solve: its name, its condition, its action and its budget.
+    """Row of the table of strategies: name, condition, action and budget.
 
     Attributes
     ----------
@@ -115,7 +115,7 @@ class Strategy:
     times: int = 1
 
     def settings(self, options: SolverOptions) -> SolverOptions:
-        """Return the settings of Ipopt."""
+        """Return Ipopt's settings for the strategy."""
         if self.barrier is None:
             return options
         limited = options.at_most(self.iterations or inf)
@@ -169,7 +169,7 @@ class Search(ABC, Generic[S]):
 
     @abstractmethod
     def holds(self, fact: Fact) -> bool:
-        """Return whether a fact holds at this moment of the search."""
+        """Return whether the condition of a strategy is met at present."""
 
     @abstractmethod
     def attempt(self, strategy: Strategy) -> S | None:
@@ -180,7 +180,7 @@ class Search(ABC, Generic[S]):
         return not found.status.has_failed
 
     def failure(self, last: S) -> S:
-        """Return the result where no strategy led to a final one: by default the last."""
+        """Return the result of a search without a final result: by default the last result."""
         return last
 
 

@@ -1,4 +1,4 @@
-"""Pyomo's suffixes `dual`, `rc` and `costate`: the objective's derivatives by limits and states."""
+"""Pyomo's suffixes `dual`, `rc` and `costate`: objective derivatives by limits and states."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Sensitivities:
     once: dict[str, float] = field(default_factory=dict)
 
     def add(self, name: str, price: Callable[[float], float]) -> None:
-        """Add a sensitivity over time to others of the same name, as of both sides of a limit."""
+        """Add a sensitivity over time to others of the same name, as for both sides of a limit."""
         held = self.over_time.get(name)
         if held is None:
             self.over_time[name] = price

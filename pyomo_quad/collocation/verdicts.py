@@ -58,7 +58,7 @@ def violation_of(
 
 
 def verdict_on(failed: Solution, options: SolverOptions, progress: Progress | None) -> Solution:
-    """Return a failed solution with its verdict; interrupted if the search for it was."""
+    """Return a failed solution with its verdict; interrupted if the user stopped the search."""
     found = violation_of(failed, options, progress)
     if found is not None and found.result.status is Status.INTERRUPTED:
         return failed.updated(status=Status.INTERRUPTED)
@@ -87,14 +87,14 @@ def judged(failed: Solution, found: LeastViolation) -> Solution:
 
 
 def violation(failed: Solution, row: int, slack: float) -> tuple[str, str]:
-    """Return the name of an equation, and place and amount of its violation in its own unit."""
+    """Return an equation's name with place and amount of its violation in its own unit."""
     place = row_place(failed.program, row)
     missed, unit = slack / failed.scaling.rows[row], failed.problem.source.unit(place.name)
     return place.name, f"{place} by {missed:.3g} {unit}".rstrip()
 
 
 def verdict(violated: list[tuple[str, str]]) -> str:
-    """Return the message of a positive least violation: its violated equations, the worst first.
+    """Return the message on a positive least violation: the violated equations, the worst first.
 
     Each equation is named once.
     """
@@ -162,12 +162,12 @@ def outside_tables(solution: Solution) -> str:
 
 
 def doubted(solution: S) -> S:
-    """Return a solution with the doubts about it recorded in its status and message."""
+    """Record doubts about a solution in its status and message."""
     return _within_tables(_undoubted(_without_objective(solution)))
 
 
 def _without_objective(solution: S) -> S:
-    """Return a solution with a message if there is no objective."""
+    """Add a message to the solution of a problem without an objective."""
     declared = solution.parts[0].problem.compiled.declared
     if declared.objective_name or solution.status is not Status.CONVERGED:
         return solution
@@ -178,7 +178,7 @@ def _without_objective(solution: S) -> S:
 
 
 def _undoubted(solution: S) -> S:
-    """Return a solution that is not converged if multipliers and Hamiltonian contradict it."""
+    """Return a solution as not converged if multipliers or Hamiltonian contradict it."""
     for part in solution.parts if solution.status is Status.CONVERGED else ():
         names, warnings = diverging_multipliers(part), hamiltonian_warnings(part)
         if names and warnings:
@@ -192,7 +192,7 @@ def _undoubted(solution: S) -> S:
 
 
 def _within_tables(solution: S) -> S:
-    """Return a solution with a message if it reads a table beyond its range."""
+    """Add a message to a solution that reads a table beyond its range."""
     line = next(filter(None, map(outside_tables, solution.parts)), "")
     if not line:
         return solution

@@ -168,13 +168,13 @@ def _points(motion: Motion, t: FloatArray, make: dict[str, type]) -> list[object
 
 
 def sampled_deviation(motion: Motion, rate_hz: float) -> float:
-    """Return the largest distance from the plan between the points of an exact stream [m]."""
+    """Return the largest distance from the plan between the samples of a stream [m]."""
     t = motion.samples(rate_hz)
     return _between(motion, t, motion.position(t), motion.velocity(t))
 
 
 def _between(motion: Motion, t: FloatArray, place: FloatArray, velocity: FloatArray) -> float:
-    """Return the largest distance from the plan of a cubic Hermite spline through rows [m]."""
+    """Return the largest distance of a cubic Hermite spline through rows from the plan [m]."""
     between = np.unique(np.concatenate([t, t[:-1] + np.diff(t) / 2.0]))
     drawn = CubicHermiteSpline(t, place, velocity)(between)
     return float(np.linalg.norm(drawn - motion.position(between), axis=1).max())
@@ -186,7 +186,7 @@ def _north_east_down(values: FloatArray) -> FloatArray:
 
 
 def _wrapped(angle: FloatArray) -> FloatArray:
-    """Return angles from -pi to pi."""
+    """Wrap angles to the range from -pi to pi."""
     return np.asarray(np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi)
 
 
@@ -390,7 +390,7 @@ def _refuse_options(to: Format, writer: _Writer, given: list[str]) -> None:
 
 
 def _origin(motion: Motion, given: GeodeticOrigin | None, to: Format) -> GeodeticOrigin:
-    """Return where the plan's origin lies on earth: as given, or as its mission states."""
+    """Return the position of the plan's origin on earth, as given or from the mission."""
     origin = given or motion.mission.mission.origin
     if origin is None:
         raise ScenarioError(
@@ -401,7 +401,7 @@ def _origin(motion: Motion, given: GeodeticOrigin | None, to: Format) -> Geodeti
 
 
 def _refuse_source(path: Path, source: Path) -> None:
-    """Refuse an output path that contains the plan to export."""
+    """Raise an error for an output path that contains the plan to export."""
     read, written = final_folder(source), final_folder(path)
     if written == read or written in read.parents:
         raise ScenarioError(f"--out {path}: holds the plan that is exported; choose another --out.")
@@ -431,7 +431,7 @@ def _as_json(held: dict[str, Any]) -> str:
 
 
 def _deviation(legs: Legs, motion: Motion) -> float:
-    """Return the largest distance from the plan of a flight along the legs, at equal times [m]."""
+    """Return the largest distance between plan and straight legs at equal times [m]."""
     t = motion.samples(len(legs.times) / motion.duration * 100)
     return float(np.linalg.norm(legs.at(t) - motion.position(t), axis=1).max())
 

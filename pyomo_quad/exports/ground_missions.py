@@ -1,4 +1,4 @@
-"""Missions drawn in a ground station as scenarios: places, holds, headings, fence, rally points.
+"""Import of ground station missions as scenarios: places, holds, headings, fence, rally points.
 
 Speeds and the way between the places are left to the plan. The formats are those that
 `exports.ground_station` writes; Mission Planner's text has neither fence nor rally points.
@@ -49,7 +49,7 @@ _NAME_LENGTH = 64
 
 @dataclass(frozen=True, kw_only=True)
 class ImportedMission:
-    """A ground station's mission as a scenario.
+    """Mission of a ground station as a scenario, with notes on omitted parts.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class _Item:
     altitude: float | None = None
 
     def param(self, k: int) -> float:
-        """Return a number of the command; zero where it is not given."""
+        """Return a parameter of the command, zero if absent."""
         return self.params[k] or 0.0
 
 
@@ -95,7 +95,7 @@ class _File:
 
 @dataclass(kw_only=True)
 class _Place:
-    """Place on the globe with the conditions of passing it, in the notation of a scenario."""
+    """Place on the globe with its passing conditions, in scenario notation."""
 
     position: dict[str, float]
     hold: float = 0.0

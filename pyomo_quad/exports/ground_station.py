@@ -1,4 +1,4 @@
-"""Verified plans as missions of ground stations: a few geodetic waypoints with speeds.
+"""Export of verified plans as ground station missions: a few geodetic waypoints with speeds.
 
 Start, waypoints and goal are among them; those that only shape the path are marked, so that an
 exported mission is read again as the mission that was planned (`exports.ground_missions`). The
@@ -26,7 +26,7 @@ FloatArray = NDArray[np.float64]
 
 
 class Command(IntEnum):
-    """Commands of MAVLink that a mission's places and conditions follow from."""
+    """MAVLink commands for places and conditions of a mission."""
 
     WAYPOINT = 16
     LOITER_UNLIMITED = 17
@@ -46,7 +46,7 @@ class Command(IntEnum):
 
 
 class Frame(IntEnum):
-    """Frames of MAVLink: reference of an altitude, or none for an item without a place."""
+    """MAVLink frames: reference of an altitude, or none for an item without a place."""
 
     GLOBAL = 0
     MISSION = 2
@@ -74,7 +74,7 @@ WAYPOINT_FILE_HEADER = "QGC WPL 110"
 
 @dataclass(frozen=True, kw_only=True)
 class Legs:
-    """Straight legs at constant speed through places (n, 3) [m], reached at the times (n,) [s].
+    """Straight legs at constant speed through places (n, 3) [m] at times (n,) [s].
 
     ``is_of_mission`` (n,) says which places are start, waypoints and goal; all by default.
     """
@@ -88,12 +88,12 @@ class Legs:
         return np.column_stack([np.interp(t, self.times, axis) for axis in self.places.T])
 
     def shapes_path(self, number: int) -> bool:
-        """Return whether a place only shapes the path."""
+        """Return whether a place only shapes the path and is no waypoint of the mission."""
         return bool(self.is_of_mission.size) and not self.is_of_mission[number]
 
 
 def thin(motion: Motion, path_error_m: float) -> Legs:
-    """Approximate a plan by straight legs that deviate at no time by more than the path error.
+    """Approximate a plan by the fewest straight legs within the path error at all times.
 
     The plan is split at its waypoints, and then where it is farthest from the position, at the same
     time, of a flight at constant speed, until the deviation is small enough everywhere (the
@@ -129,7 +129,7 @@ def _passing_times(motion: Motion) -> list[float]:
 def mission(
     legs: Legs, origin: GeodeticOrigin, motion: Motion, path_error_m: float
 ) -> dict[str, Any]:
-    """Return a QGroundControl plan file: heights are over the origin, which is the home.
+    """Return a QGroundControl plan file, with heights above the origin (home).
 
     The fence and the rally points are those of the mission; zones of finite height are none of its
     fence, since the flight may pass above them.
@@ -170,7 +170,7 @@ def mission(
 
 
 def waypoint_file(mission_of_plan: Mapping[str, Any]) -> str:
-    """Return a plan file's mission as Mission Planner's text, its home in the first row.
+    """Return a plan file's mission in Mission Planner's format.
 
     Fence and rally points have files of their own there, and are left out.
     """
@@ -191,7 +191,7 @@ def _speeds(legs: Legs) -> FloatArray:
 
 
 def _releases(legs: Legs, scenario: Scenario) -> set[int]:
-    """Return the numbers of the places that are left without a part of the payload."""
+    """Return the numbers of the places at which a part of the payload is released."""
     passed = [(w.at, w.hold) for w in scenario.mission.waypoints if w.release and w.at is not None]
     return {int(np.abs(legs.times - (at + hold)).argmin()) for at, hold in passed}
 
@@ -235,13 +235,13 @@ def _item(command: Command, frame: Frame, params: list[Any]) -> dict[str, Any]:
 
 
 def _globe(places: Sequence[Sequence[float]], origin: GeodeticOrigin) -> list[list[float]]:
-    """Return latitude, longitude and height of places (n, 3)."""
+    """Return latitude, longitude and height of places, shape (n, 3)."""
     rows: list[list[float]] = origin.geodetic(np.reshape(places, (-1, 3))).tolist()
     return rows
 
 
 def _fence(scenario: Scenario, origin: GeodeticOrigin) -> dict[str, Any]:
-    """Return the fence: the polygon to stay inside of, and the zones that have no top."""
+    """Return the fence: inclusion polygon, and zones without a top as exclusions."""
     airspace = scenario.airspace
     rings = [] if airspace.keep_in is None else [(True, airspace.keep_in.corners)]
     endless = [zone for zone in airspace.keep_out if _is_endless(zone)]

@@ -38,7 +38,7 @@ _AGAIN = "solve the scenario again"
 
 @dataclass(frozen=True, kw_only=True)
 class ProvenPlan:
-    """A plan that its mission's own equations have confirmed, with that mission.
+    """Plan that simulation with the mission's own equations confirmed, with the mission.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class ProvenPlan:
 
 
 def read_proven(path: str | Path, *, is_code_allowed: bool = False) -> ProvenPlan:
-    """Read a plan from a file of `Plan.save` or from the report folder of a run, and fly it again.
+    """Read a plan file or a report folder, and verify the plan again.
 
     Raises
     ------
@@ -118,7 +118,7 @@ def _proven_report(folder: Path, *, is_code_allowed: bool) -> ProvenPlan:
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """The state polynomials of a verified plan; world axes x, y and z up, SI units.
+    """State polynomials of a verified plan in SI units; world axes x, y and z up.
 
     Attributes
     ----------
@@ -147,7 +147,7 @@ class Motion:
 
     @classmethod
     def of(cls, plan: Plan, *, is_code_allowed: bool = False) -> Self:
-        """Return the motion of a verified plan after flying it again.
+        """Verify a plan again and return its motion.
 
         Raises
         ------
@@ -158,7 +158,7 @@ class Motion:
 
     @classmethod
     def read(cls, path: str | Path, *, is_code_allowed: bool = False) -> Self:
-        """Read a plan's motion from a file of `Plan.save` or from the report folder of a run.
+        """Read a plan file or a report folder, verify the plan again, and return its motion.
 
         The plan is flown once more; a model builder named in its scenario is run only if allowed.
 
@@ -194,7 +194,7 @@ class Motion:
         return float(self.times[-1] - self.times[0])
 
     def require(self, needed: Sequence[str], reader: str) -> None:
-        """Refuse a plan that lacks states required by a format.
+        """Raise an error for a plan without the states that a format needs.
 
         Raises
         ------
@@ -347,7 +347,7 @@ class PolynomialTrajectory:
 def fit_pieces(
     motion: Motion, path_error_m: float, most_pieces: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Fit a plan by the fewest equal pieces that stay within the path error.
+    """Fit the fewest polynomial pieces of equal length within the path error.
 
     The pieces belong to a spline of degree 7 through the plan, with the plan's velocity,
     acceleration and jerk at both ends; all derivatives except the last are continuous.
@@ -374,7 +374,7 @@ def fit_pieces(
 def piece_deviation(
     motion: Motion, durations: FloatArray, coefficients: FloatArray
 ) -> tuple[float, float]:
-    """Return the largest deviation of pieces from a plan: position [m] and yaw [rad]."""
+    """Return the largest deviation of polynomial pieces from a plan: position [m], yaw [rad]."""
     t = np.linspace(
         0.0, motion.duration, min(_MOST_CHECKED, _CHECKED_PER_PIECE * len(motion.times))
     )
@@ -386,7 +386,7 @@ def piece_deviation(
 
 
 def _counts(most: int) -> Iterator[int]:
-    """Yield numbers of pieces to try, each slightly larger than the previous one."""
+    """Yield increasing numbers of pieces to try."""
     pieces = _FIRST_PIECES
     while pieces < most:
         yield pieces

@@ -1,4 +1,4 @@
-"""Flights to compare with an optimum: a reference under feedback, and the plan without feedback."""
+"""Simulated flights that are compared with a plan: references under feedback, and open loop."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -89,7 +89,7 @@ def start_state(scenario: Scenario, dynamics: Dynamics, plan: Plan | None = None
 
 
 def _filters_at_start(dynamics: Dynamics) -> dict[str, float]:
-    """Return the states of the turbulence at take-off, none where there is no turbulence."""
+    """Return the initial states of the turbulence filters, empty without turbulence."""
     if not set(FILTER_STATES) <= set(dynamics.state_names):
         return {}
     begun = dynamics.initial_states()
@@ -97,7 +97,7 @@ def _filters_at_start(dynamics: Dynamics) -> dict[str, float]:
 
 
 def declared_start(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
-    """Return the states that the mission gives at the start: hover, and those of the pack."""
+    """Return the initial states that the mission defines: hover, and the state of the battery."""
     known = _hovering(scenario, scenario.mission.start, dynamics)
     if CHARGE_STATE in dynamics.state_names and dynamics.has(_STATE_OF_CHARGE):
         known[CHARGE_STATE] = _charge_drawn(scenario, dynamics)
@@ -106,7 +106,7 @@ def declared_start(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
 
 
 def wanted_at_goal(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
-    """Return the final values required by the mission: hover at the goal."""
+    """Return the required final value of each state: hover at the goal."""
     lighter = sqrt(scenario.mass_at_goal / scenario.vehicle.total_mass)
     return _hovering(scenario, scenario.mission.goal, dynamics, lighter)
 
@@ -122,7 +122,7 @@ def _hovering(
 
 
 def _charge_drawn(scenario: Scenario, dynamics: Dynamics) -> float:
-    """Return the charge drawn at the initial state of charge, which is linear in it."""
+    """Return the charge already drawn from the full battery at the start of the flight."""
     states = np.zeros((2, len(dynamics.state_names)))
     states[1, dynamics.state_names.index(CHARGE_STATE)] = 1.0
     controls = np.zeros((2, len(dynamics.control_names)))
@@ -142,7 +142,7 @@ RATE_HZ = 100.0
 
 
 class TumblingGuard:
-    """Stops a flight that takes more evaluations than any controlled flight."""
+    """Guard that stops an integration with far more evaluations than a controlled flight needs."""
 
     def __init__(self, flight: str, duration: float) -> None:
         self.evaluations = 0
@@ -150,7 +150,7 @@ class TumblingGuard:
         self._most = _MOST_EVALUATIONS_PER_SECOND * max(1.0, duration)
 
     def evaluated(self, t: float) -> None:
-        """Count an evaluation of the right-hand side, and check the time limit."""
+        """Count an evaluation of the right-hand side; raise an error above the limit."""
         keep_time()
         self.evaluations += 1
         if self.evaluations > self._most:
@@ -161,7 +161,7 @@ class TumblingGuard:
 
 
 class Integrator(StrEnum):
-    """SciPy's integrators that share no code with each other."""
+    """Two integrators of SciPy that share no code, for independent checks."""
 
     RUNGE_KUTTA = "DOP853"
     MULTISTEP = "LSODA"
@@ -169,7 +169,7 @@ class Integrator(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class ClosedLoopFlight:
-    """A controlled flight at n times."""
+    """States of the vehicle and the controller, sampled over a controlled flight."""
 
     flown: Flown
     """The vehicle; its controls are the rotor accelerations applied."""
@@ -190,7 +190,7 @@ def fly(
     tolerance: float = _TOLERANCE,
     last: FloatArray | None = None,
 ) -> ClosedLoopFlight:
-    """Fly a reference under feedback; the control law is compiled together with the dynamics.
+    """Simulate a vehicle under the adaptive controller along a reference.
 
     Parameters
     ----------
@@ -232,7 +232,7 @@ def fly(
 
 
 class _Loop:
-    """The right-hand side; its state consists of vehicle, controller and energy, in this order."""
+    """Closed loop of vehicle and controller, with the spent energy as the last state."""
 
     def __init__(
         self,
@@ -253,18 +253,18 @@ class _Loop:
         self._guard = TumblingGuard("controlled flight", duration)
 
     def started(self, t: float, state: FloatArray, last: FloatArray | None) -> FloatArray:
-        """Return the joint state at the start."""
+        """Return the initial joint state of vehicle, controller and energy."""
         body, before = state[self._body].tolist(), None if last is None else last.tolist()
         own = self._controller.started(self._reference(t), body, before)
         return np.array([*state, *own, 0.0])
 
     def rates(self, t: float, joint: FloatArray) -> FloatArray:
-        """Return the derivative of the joint state."""
+        """Return the time derivative of the joint state."""
         self._guard.evaluated(t)
         return self._system.rates(t, joint, self._controller.command(self._reference, t))
 
     def flight(self, times: FloatArray, rows: FloatArray) -> ClosedLoopFlight:
-        """Return a flight from the joint states at some times."""
+        """Return a flight from joint states at given times."""
         commands = np.array([self._controller.command(self._reference, t) for t in times.tolist()])
         return ClosedLoopFlight(
             flown=Flown(
@@ -350,7 +350,7 @@ def fly_reference(
     rate_hz: float = RATE_HZ,
     tolerance: float = _TOLERANCE,
 ) -> ClosedLoopFlight:
-    """Fly once, and return the controller's states too; see `fly_baseline`.
+    """Simulate a mission under feedback and return the states of the controller too.
 
     Parameters
     ----------
@@ -375,7 +375,7 @@ def fly_reference(
 def reference_path(
     scenario: Scenario, reference: Reference, plan: Plan | None = None
 ) -> ReferencePath:
-    """Return a reference as a function of time.
+    """Return the path that a named reference prescribes, as a function of time.
 
     Returns
     -------
@@ -400,7 +400,7 @@ def reference_path(
 
 
 def fly_open_loop(scenario: Scenario, plan: Plan, dynamics: Dynamics) -> Flight:
-    """Fly the plan's own rotor accelerations without feedback."""
+    """Simulate the rotor accelerations of a plan without feedback."""
     began = perf_counter()
     held = plan.trajectories
     start = start_state(scenario, dynamics, plan)
@@ -419,7 +419,7 @@ def assembled_flight(
     plan: Plan | None,
     began: float,
 ) -> Flight:
-    """Return a flight assembled from parts, with the owed energy by the plan's costates if any.
+    """Join the simulated parts of a flight, verify them, and estimate the energy to complete it.
 
     It is verified if, for each part, two integrators agree that start from the same state, and if
     the battery can give the power.
@@ -461,7 +461,7 @@ _ALLOWED_UNDER_CONTROL = {
 def broken_under_control(
     scenario: Scenario, dynamics: Dynamics, flown: Flown, breaches: Sequence[Violation]
 ) -> dict[str, float]:
-    """Return the limits that a flight under control breaks, in words, and by how much.
+    """Return the limits that a flight under feedback violates, in words, with amounts.
 
     Each breach is relative to the larger of 1 and the limit; ``breaches`` are those of the declared
     limits, as `Dynamics.violations` returns them.
@@ -477,7 +477,7 @@ def broken_under_control(
 
 @dataclass(frozen=True, kw_only=True)
 class _Missed:
-    """A violated limit at a waypoint: its name, the relative violation, and a message."""
+    """Violation of a limit at a waypoint: name, relative amount and message."""
 
     limit: str
     relative: float
@@ -485,7 +485,7 @@ class _Missed:
 
 
 def _missed_waypoints(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> Iterator[_Missed]:
-    """Yield the violations of waypoints with given times."""
+    """Yield the violations of the limits at waypoints with given times."""
     states = [dynamics.state_names.index(name) for name in (*POSITION_STATES, *VELOCITY_STATES)]
     for k, waypoint in enumerate(scenario.mission.waypoints):
         if waypoint.at is None:
@@ -516,7 +516,7 @@ def _planned_path(plan: Plan) -> SampledPath:
 
 
 def path_of(held: Trajectories, dynamics: Dynamics, vehicle: Vehicle) -> SampledPath:
-    """Return a plan as a reference, with the accelerations and air forces of its equations."""
+    """Return a plan as a reference path, with accelerations and air forces from its equations."""
     times = even_times(*held.horizon, _PLAN_RATE_HZ)
     controls = held.controls_at(times, dynamics.control_limits(HELD_BREACH))
     flown = times, held.states_at(times), controls
@@ -539,7 +539,7 @@ def path_of(held: Trajectories, dynamics: Dynamics, vehicle: Vehicle) -> Sampled
 def _yaw_acceleration(
     dynamics: Dynamics, times: FloatArray, states: FloatArray, controls: FloatArray
 ) -> FloatArray:
-    """Return the derivative of the planned yaw rate [rad/s^2], which is not a state of the plan."""
+    """Return the time derivative of the planned yaw rate [rad/s^2]."""
     steps = _INSTANT * np.array(
         [dynamics.rates(t, x, u) for t, x, u in zip(times.tolist(), states, controls, strict=True)]
     )
@@ -551,7 +551,7 @@ def _yaw_acceleration(
 def _doubts(
     dynamics: Dynamics, flown_twice: Sequence[tuple[Flown, Flown]], flown: Flown
 ) -> Iterator[str]:
-    """Yield the reasons why two integrators, or the battery, do not confirm a flight."""
+    """Yield the reasons why a second integrator or the battery does not confirm a flight."""
     columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
     ends = np.array([[flown.states[-1, columns] for flown in pair] for pair in flown_twice])
     spent = np.array([[flown.energy[-1] for flown in pair] for pair in flown_twice])
@@ -586,7 +586,7 @@ def _doubts(
 
 
 def _joined(parts: Sequence[Flown]) -> Flown:
-    """Return the parts of a flight as one; where two parts meet, the end of the first is kept."""
+    """Join consecutive parts of a flight; a shared instant keeps the end of the first part."""
     spent = np.cumsum([0.0, *(part.energy[-1] for part in parts)])
     kept = [slice(0, None), *(slice(1, None) for _ in parts[1:])]
     return Flown(
@@ -600,7 +600,7 @@ def _joined(parts: Sequence[Flown]) -> Flown:
 
 
 def refuse_other_vehicles(scenario: Scenario, dynamics: Dynamics) -> None:
-    """Refuse a model without the states that the controller measures."""
+    """Raise an error for a model without the states that the controller measures."""
     missing = next((name for name in MEASURED_STATES if name not in dynamics.state_names), None)
     if missing is not None:
         raise ScenarioError(
@@ -610,5 +610,5 @@ def refuse_other_vehicles(scenario: Scenario, dynamics: Dynamics) -> None:
 
 
 def even_times(start: float, end: float, rate_hz: float) -> FloatArray:
-    """Return equally spaced times at a rate, both ends included."""
+    """Return equally spaced times at a sampling rate, with both ends."""
     return np.linspace(start, end, max(2, round((end - start) * rate_hz) + 1))

@@ -1,4 +1,4 @@
-"""Probability that a flight breaks a limit, of the spread of flights along a plan.
+"""Probabilities that flights in turbulence break limits, from the covariance along a plan.
 
 See docs/theory/risk.md, eqs. (7) to (9).
 """
@@ -40,7 +40,7 @@ THERE, AT_REST = "distance from the goal at the end", "speed at the end"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Approach:
-    """How near flights come to one end of a limit over time.
+    """Distance between flights and one end of a limit over time, as mean and standard deviation.
 
     Attributes
     ----------
@@ -67,11 +67,11 @@ class Approach:
 
     @property
     def present(self) -> float:
-        """Probability that a flight of the plan as it is breaks the limit at any time."""
+        """Probability that a flight of the present plan breaks the limit at any time."""
         return _crossing(self.room, self.deviation, self.correlation)
 
     def probability(self, held: float = 0.0, margin: float = 0.0) -> float:
-        """Return the probability that a flight of a plan to come breaks the limit at any time.
+        """Predict the probability that a flight breaks the limit if the plan keeps another margin.
 
         Parameters
         ----------
@@ -86,7 +86,7 @@ class Approach:
         return _crossing(self.room + (to_come - self.planned), self.deviation, self.correlation)
 
     def margin_for(self, share: float, held: float, most: float) -> float:
-        """Return the least margin, up to a greatest, whose probability is at most a share."""
+        """Return the smallest margin, up to ``most``, that limits the probability to ``share``."""
         if self.probability(held, 0.0) <= share:
             return 0.0
         low, high = 0.0, most
@@ -102,7 +102,7 @@ _HALVINGS = 30
 
 
 def _crossing(room: FloatArray, deviation: FloatArray, correlation: FloatArray) -> float:
-    """Return the probability of being beyond at first, and of crossing at each step after."""
+    """Return the probability that a flight starts beyond the limit or crosses it later."""
     beyond = room / np.maximum(deviation, _ROUNDING)
     # Where the mean comes nearer, more flights are beyond after a step than before it.
     outside = ndtr(-beyond)
@@ -114,7 +114,7 @@ def _crossing(room: FloatArray, deviation: FloatArray, correlation: FloatArray) 
 
 
 def approaches(spread: Spread, states: FloatArray, controls: FloatArray) -> Iterator[Approach]:
-    """Yield how near flights come to each limit over time that a field of the scenario sets.
+    """Yield an `Approach` for each end of a limit over time that a field of the scenario sets.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ def approaches(spread: Spread, states: FloatArray, controls: FloatArray) -> Iter
 
 
 def _gradients(spread: Spread) -> dict[str, FloatArray]:
-    """Return the derivative of every limit by the states, from differences over deviations."""
+    """Return the derivatives of all limits with respect to the states, by finite differences."""
     dynamics, n_states = spread.dynamics, spread.states.shape[1]
     last = len(spread.t) - 1
     chosen = np.unique([*range(0, last, _GRADIENT_STEPS), last])
@@ -174,7 +174,7 @@ def _gradients(spread: Spread) -> dict[str, FloatArray]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Miss:
-    """How far from a place, or how fast there, flights are at instants at which that is limited.
+    """Distance from a place, or speed there, of flights at the instants at which it is limited.
 
     Attributes
     ----------
@@ -195,21 +195,21 @@ class Miss:
 
     @property
     def probability(self) -> float:
-        """Probability that a flight misses; instants are judged as if they were independent."""
+        """Probability that a flight exceeds the limit at any instant, with independent instants."""
         return float(min((self.off > self.within).mean(axis=1).sum(), 1.0))
 
     def shrunk(self, share: float) -> "Miss":
-        """Return the miss where flights are off by only a share of it."""
+        """Return the miss with all deviations of the flights scaled by a factor."""
         return replace(self, off=share * self.off)
 
     def excess(self, share: float) -> float:
-        """Return by how much distance or speed must shrink for a probability of a share."""
+        """Return the reduction of distance or speed that lowers the probability to a share."""
         most = np.quantile(self.off, 1.0 - share / len(self.off), axis=1).max()
         return max(float(most) - self.within, 0.0)
 
 
 def missing(scenario: Scenario, spread: Spread) -> tuple[Miss, ...]:
-    """Return how flights miss their goal, a waypoint or a hold."""
+    """Return the misses of goal, waypoints and holds by the flights of a plan."""
     draws = np.random.default_rng(0).standard_normal((_SAMPLES, 3))
     mission, still = scenario.mission, np.zeros(3)
     end = np.array([mission.fixed_duration])

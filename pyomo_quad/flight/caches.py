@@ -1,4 +1,4 @@
-"""All caches of a process: compiled problems and steady flights, the most recent of each."""
+"""Caches of a process: the most recently compiled problems and steady flights."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Value = TypeVar("Value")
 
 
 class Recent(Generic[Value]):
-    """The most recently stored values, by key; the oldest is discarded when the cache is full.
+    """Cache of the most recently stored values; a full cache discards the oldest value.
 
     Parameters
     ----------
@@ -27,11 +27,11 @@ class Recent(Generic[Value]):
         self._held: dict[Hashable, Value] = {}
 
     def get(self, key: Hashable) -> Value | None:
-        """Return the value stored under a key, None if it was never stored or is discarded."""
+        """Return the value stored under a key, or None."""
         return self._held.get(key)
 
     def store(self, key: Hashable, value: Value) -> Value:
-        """Store a value as the newest, and return it."""
+        """Store a value under a key and return the value."""
         self._held.pop(key, None)
         self._held[key] = value
         while len(self._held) > self.most:

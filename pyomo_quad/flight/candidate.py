@@ -1,4 +1,4 @@
-"""A candidate plan of a mission, with the conditions and actions of the strategies that improve it.
+"""Candidate plan of a mission, with the conditions and actions of the planning strategies.
 
 Each action returns its outcome for the record of the search, or None where it led to nothing.
 """
@@ -45,7 +45,7 @@ _TIGHTER = 0.1
 
 @dataclass(frozen=True)
 class AlongShortest:
-    """The flight along the shortest route on one mesh; the best route may be another."""
+    """Starting point: a flight along the shortest route, solved on one mesh."""
 
     flight: Solution
 
@@ -55,7 +55,7 @@ Start = Plan | WarmStart | Solution | AlongShortest
 
 @dataclass(kw_only=True)
 class Candidate:
-    """The best solution of a mission so far, its plan, and the evidence on its failure.
+    """Best solution of a mission so far, with its plan and the diagnosis of failures.
 
     Attributes
     ----------
@@ -97,14 +97,14 @@ class Candidate:
 
     @property
     def found(self) -> Solution:
-        """The solution, once there is one."""
+        """Present solution; raises an error before any strategy has made one."""
         if self.solution is None:
             raise RuntimeError("no strategy has solved the mission yet")
         return self.solution
 
     @property
     def plan(self) -> Plan:
-        """The plan, also of a solution that nothing has flown."""
+        """Plan of the present solution, verified or not."""
         if self.flown is not None:
             return self.flown
         found = self.found
@@ -116,23 +116,23 @@ class Candidate:
     # First solutions
 
     def has_routes(self) -> bool:
-        """Return whether there are routes round zones to compare."""
+        """Return whether routes round zones are to be compared."""
         is_open = self.start is None or isinstance(self.start, AlongShortest)
         return is_open and self.mission.has_routes
 
     def fly_routes(self) -> str | None:
-        """Solve along the candidate routes, and keep the best flight."""
+        """Solve the mission along its candidate routes and keep the best flight."""
         known = self.start.flight if isinstance(self.start, AlongShortest) else None
         self.solution, self.routes = RouteFlights(self.mission, known).best()
         self.is_closed = not self.routes
         return self._outcome()
 
     def starts_at_flight(self) -> bool:
-        """Return whether a solution of a similar problem is given."""
+        """Return whether the caller gave the solution of a similar problem."""
         return isinstance(self.start, Solution)
 
     def from_flight(self) -> str | None:
-        """Solve from a solution of a similar problem, on its mesh."""
+        """Solve with the solution of a similar problem as the initial guess, on its mesh."""
         if not isinstance(self.start, Solution):
             return None
         path = self._held_by(self.mission, self.start)
@@ -141,7 +141,7 @@ class Candidate:
 
     @staticmethod
     def _held_by(mission: MissionProblem, similar: Solution) -> Trajectory:
-        """Return a similar problem's trajectory, with static variables in a mission's order."""
+        """Return a similar problem's trajectory with the static variables in a mission's order."""
         slots = similar.problem.compiled.declared.statics
         held = dict(zip((slot.name for slot in slots), similar.trajectory.statics, strict=True))
         statics = [held[slot.name] for slot in mission.problem.compiled.declared.statics]
@@ -153,12 +153,12 @@ class Candidate:
         return start if isinstance(start, WarmStart) else None
 
     def starts_warm(self) -> bool:
-        """Return whether a warm start of the same equations is given."""
+        """Return whether the caller gave a warm start of the same compiled problem."""
         start = self._warm_start
         return start is not None and start.fits(self.mission.problem.compiled)
 
     def from_warm_start(self) -> str | None:
-        """Solve from a warm start; under a kinked power a failure counts as no solution."""
+        """Solve from a warm start; with a kinked power, discard a solve that does not converge."""
         # Its mesh is the first, and the mission's own where the warm start is given up.
         solution = self.mission.solve(mesh=None, warm_start=self._warm_start)
         if self.mission.easier and solution.status is Status.NOT_CONVERGED:
@@ -167,23 +167,23 @@ class Candidate:
         return self._outcome()
 
     def starts_at_plan(self) -> bool:
-        """Return whether the trajectory of a given plan is still to be tried."""
+        """Return whether the caller gave a plan whose trajectory was not tried yet."""
         return self.solution is None and isinstance(self.start, Plan)
 
     def from_plan(self) -> str | None:
-        """Solve from the trajectory of a plan, on its mesh."""
+        """Solve with the trajectory of a plan as the initial guess, on its mesh."""
         if isinstance(self.start, Plan):
             self.solution = self.mission.solve_from(self.start.guess(), self.start.mesh)
         return self._outcome()
 
     def is_long(self) -> bool:
-        """Return whether the flight is long compared with a change of attitude."""
+        """Return whether the flight is long compared with the time to change attitude."""
         mission = self.mission
         is_simple = self.solution is None and mission.problems.is_declared and not mission.easier
         return is_simple and is_long(mission.told)
 
     def from_cruise(self) -> str | None:
-        """Solve from steady flight with short elements at both ends."""
+        """Solve with steady flight as the initial guess and short elements at both ends."""
         mission, told = self.mission, self.mission.told
         guess = guess_of(told, mission.steady)
         duration = (guess or {}).get("duration", told.nominal_duration)
@@ -201,31 +201,31 @@ class Candidate:
         return self._outcome()
 
     def is_unsolved(self) -> bool:
-        """Return whether nothing has been solved yet."""
+        """Return whether no strategy has made a solution yet."""
         return self.solution is None
 
     def from_nothing(self) -> str | None:
-        """Solve from the model's own guess."""
+        """Solve from the default initial guess of the model."""
         self.solution = self.mission.solve_from()
         return self._outcome()
 
     def _outcome(self) -> str | None:
-        """Return the status of a first solution that has failed; its success needs no record."""
+        """Return the status of the first solution for the record if it failed, None otherwise."""
         status = self.found.status
         return status.value if status.has_failed else None
 
     # Retries of a solution that failed
 
     def has_failed(self) -> bool:
-        """Return whether the solution failed, and routes are not the reason."""
+        """Return whether the solve failed although zones leave a route."""
         return self.found.status.has_failed and not self.is_closed
 
     def has_failed_at_waypoints(self) -> bool:
-        """Return whether the solution failed where passing the waypoints themselves is simpler."""
+        """Return whether the solve failed and exact passages of the waypoints are easier."""
         return self.has_failed() and self.mission.past_waypoints is not None
 
     def past_waypoints(self) -> str | None:
-        """Retry from a flight through the waypoints themselves."""
+        """Retry from a solution that flies exactly through the waypoints."""
         past = self.mission.past_waypoints
         plain = None if past is None else past.solve_roughly()
         if plain is None or not plain.status.is_solved:
@@ -233,18 +233,18 @@ class Candidate:
         return self._retried(plain.trajectory)
 
     def restore(self) -> str | None:
-        """Diagnose the failure, and retry from the elastic problem's point if it is feasible."""
+        """Diagnose the failure; retry from the point of the elastic problem if it is feasible."""
         self.diagnosis = diagnose(self.found, progress=self.search)
         feasible = self.diagnosis.feasible_point
         return None if feasible is None else self._retried(feasible)
 
     def may_be_slower(self) -> bool:
-        """Return whether a longer duration may help."""
+        """Return whether the mission failed without proof and its duration may be too short."""
         is_infeasible = self.diagnosis is not None and self.diagnosis.is_infeasible
         return self.has_failed() and not is_infeasible and not self.mission.told.mission.is_free
 
     def slow_down(self, by: float) -> str:
-        """Fly the mission in a longer duration, from the flight of a still longer one."""
+        """Solve in a longer duration, with a solution of a still longer duration as the guess."""
         longest = self.mission.told.mission.longest.value
         slow = self.mission.solve_roughly(horizon=(0.0, by * longest), guess=self.slower)
         if slow.status is Status.INTERRUPTED:
@@ -254,28 +254,28 @@ class Candidate:
         return slow.status.value
 
     def has_slower(self) -> bool:
-        """Return whether a flight of a longer duration was found for a failed mission."""
+        """Return whether a failed mission has a solution in a longer duration."""
         return self.has_failed() and self.slower is not None
 
     def speed_up(self) -> str | None:
-        """Retry from the flight of the longer duration."""
+        """Retry from the solution of the longer duration."""
         return None if self.slower is None else self._retried(self.slower)
 
     def find_shortest(self) -> str:
-        """Fly the mission in the least time."""
+        """Solve for the least duration of the mission."""
         mission = self.mission
         model = mission.problems.builder(mission.told)
         self.shortest = shortest_flight(model, mission.told, self.search)
         return "none found" if self.shortest is None else f"{self.shortest.objective:.4g} s"
 
     def has_shorter(self) -> bool:
-        """Return whether the least time shows that the duration is not too short."""
+        """Return whether the least duration proves that the mission's duration suffices."""
         longest = self.mission.told.mission.longest.value
         found = self.shortest
         return self.has_failed() and found is not None and found.objective <= longest
 
     def from_shortest(self) -> str | None:
-        """Retry from the flight of the least time."""
+        """Retry from the solution of least duration."""
         if self.shortest is None:
             return None
         held, statics = self.shortest.trajectory, self.found.trajectory.statics
@@ -286,7 +286,7 @@ class Candidate:
         return self._retried(path)
 
     def _retried(self, trajectory: Trajectory) -> str:
-        """Solve from a trajectory, keep the solution unless that fails, and return its status."""
+        """Solve from a trajectory, keep the solution if it succeeds, and return its status."""
         # A flight found on a finer mesh may be infeasible on the first mesh.
         solution = self.mission.solve_from(trajectory, trajectory.mesh)
         if not solution.status.has_failed:
@@ -294,7 +294,7 @@ class Candidate:
         return solution.status.value
 
     def judge(self) -> None:
-        """Say why the mission failed, infeasible where that is proven."""
+        """Record the cause of the failure; the status is infeasible only with a proof."""
         if self.diagnosis is None:
             return
         is_infeasible = self.diagnosis.is_infeasible
@@ -309,7 +309,7 @@ class Candidate:
         self.solution = replace(self.found, status=status)
 
     def _remedies(self, diagnosis: Diagnosis) -> tuple[Relaxation, ...]:
-        """Return single limits whose relaxation alone makes the mission possible."""
+        """Return the single limits whose relaxation alone makes the mission feasible."""
         candidates = [r.name for r in diagnosis.relaxations] + [a.name for a in diagnosis.active]
         limits = [name for name in dict.fromkeys(candidates) if name.startswith(_LIMITS)]
         found: list[Relaxation] = []
@@ -324,17 +324,17 @@ class Candidate:
     # Proof by a flight
 
     def is_solved(self) -> bool:
-        """Return whether there is a solution to fly."""
+        """Return whether there is a solution whose controls can be simulated."""
         return self.found.status.is_solved
 
     def fly(self) -> None:
-        """Fly the controls of the solution."""
+        """Verify the solution by simulating its controls."""
         self.flown = verified(self.plan, self.found)
         # The solve's own time is without that of the flight.
         self._began += self.flown.timings.get("verify", 0.0)
 
     def is_astray(self) -> bool:
-        """Return whether a converged solution failed its flight for want of a finer mesh."""
+        """Return whether a converged solution failed its verification for lack of a finer mesh."""
         plan = self.flown
         if plan is None or plan.is_verified or self.found.status is not Status.CONVERGED:
             return False
@@ -342,7 +342,7 @@ class Candidate:
         return plan.verification is None or plan.verification.is_fed
 
     def tighten(self) -> str | None:
-        """Solve to a smaller tolerance, on a mesh that is finer where the flight broke a limit.
+        """Solve to a smaller tolerance, on a mesh refined where the simulated flight broke a limit.
 
         A long flight adds up what the mesh's tolerance leaves to each element.
         """
@@ -356,7 +356,7 @@ class Candidate:
         return f"tolerance {self.tolerance:.0e}"
 
     def lacks_power(self) -> bool:
-        """Return whether the pack lacks power for the flight, and has enough for a gentler one."""
+        """Return whether the battery lacks power for the flight but not for a gentler flight."""
         plan, mission, limits = self.flown, self.mission, self.scenario.limits
         if not mission.problems.is_declared or limits.battery_power_share_max is not None:
             return False
@@ -371,7 +371,7 @@ class Candidate:
         return plan.energy <= GIVEN_SHARE * greatest * plan.duration_s
 
     def hold_pack(self, carry_out: Callable[[Candidate], None]) -> str:
-        """Find a plan within the pack's capability by strategies; keep it if it is verified."""
+        """Plan again within the capability of the battery, and keep a verified plan."""
         limits = self.scenario.limits.model_copy(update={"battery_power_share_max": GIVEN_SHARE})
         within = self.mission.told.model_copy(update={"limits": limits})
         gentler = replace(

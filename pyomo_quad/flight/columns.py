@@ -1,4 +1,4 @@
-"""Columns of a flight's table: name, model component, and formatting in tables and figures.
+"""Columns of a table of a flight: name, variable of the model, unit, words and symbol.
 
 An angle is stored in rad and printed in degrees: ``scale`` turns a stored value into the printed
 unit.
@@ -37,7 +37,7 @@ _STORED_UNITS = {"°": "rad", "°/s": "rad/s", "mN m": "N m"}
 
 @dataclass(frozen=True)
 class Column:
-    """One quantity of a table.
+    """Column of a table: a quantity of the model with its name, unit and symbol.
 
     Attributes
     ----------
@@ -63,33 +63,33 @@ class Column:
     index: int | None = None
 
     def of(self, frame: pd.DataFrame) -> FloatArray:
-        """Return the values of a flight in the printed unit, one per row."""
+        """Return the column of a table in its printed unit, one value per row."""
         return frame[self.name].to_numpy(dtype=float) * self.scale
 
     @property
     def variable(self) -> str:
-        """Name of the model's variable, with its index without time."""
+        """Name of the model's variable, with its index other than time."""
         return self.component if self.index is None else f"{self.component}[{self.index}]"
 
     @property
     def title(self) -> str:
-        """Symbol, name and unit, for the title of a panel."""
+        """Symbol, name and unit, as the title of a panel."""
         return f"${self.symbol}$, {self.words} ({self.unit})"
 
     @property
     def stored_unit(self) -> str:
-        """Unit of the values in the table."""
+        """Unit of the values in a table."""
         return _STORED_UNITS.get(self.unit, self.unit)
 
     @property
     def label(self) -> str:
-        """Name and unit, for the label of an axis."""
+        """Name and unit, as the label of an axis."""
         name = f"{self.words[:1].upper()}{self.words[1:]}"
         return f"{name} ({self.unit})" if self.unit else name
 
 
 def _of(block: str) -> Callable[..., Column]:
-    """Return a constructor of the columns that show a block of the model."""
+    """Return a function that makes columns for the variables of one block of the model."""
     return lambda name, shown, *printed: Column(name, f"{block}.{shown}", *printed)
 
 
@@ -146,7 +146,7 @@ def _per_rotor(patterns: Sequence[Column], rotors: Sequence[int]) -> tuple[Colum
 
 
 def columns_of(rotors: Sequence[int]) -> tuple[Column, ...]:
-    """Return every column after the time of a vehicle with these rotors, in order."""
+    """Return all columns other than time for a vehicle with the given rotors, in order."""
     return (
         *_OF_THE_BODY,
         *_per_rotor(_SPEEDS, rotors),
@@ -164,7 +164,7 @@ _COLUMN_OF = {shown.variable or shown.name: shown for shown in ALL_COLUMNS}
 
 
 def column_of(variable: str) -> Column:
-    """Return the column of a model's variable, or the column named ``variable``."""
+    """Return the column of a variable of the model, or of a column's name."""
     return _COLUMN_OF[variable]
 
 

@@ -1,4 +1,4 @@
-"""The adaptive controller that stands in for the one the paper cites.
+"""Adaptive backstepping controller, the stand-in for the controller that the paper cites.
 
 Law, Lyapunov proof and limits: see docs/theory/controller.md, eqs. (1) to (10).
 
@@ -28,47 +28,47 @@ Vector = Sequence[float]
 
 
 class AttitudeKinematics(Protocol):
-    """Rates and accelerations of roll, pitch and yaw, from those about the body's axes and back."""
+    """Relation between the angles roll, pitch, yaw and the body rates, with its derivative."""
 
     def angle_rates(self, attitude: Vector, body_rates: Vector, /) -> Vector:
-        """Return the rates of the angles, rad/s."""
+        """Return the rates of roll, pitch and yaw for given body rates, rad/s."""
 
     def angle_accelerations(
         self, attitude: Vector, body_rates: Vector, body_accelerations: Vector, /
     ) -> Vector:
-        """Return the accelerations of the angles, rad/s^2."""
+        """Return the accelerations of roll, pitch and yaw, rad/s^2."""
 
     def body_accelerations(
         self, attitude: Vector, body_rates: Vector, angle_accelerations: Vector, /
     ) -> Vector:
-        """Convert accelerations of the angles to accelerations about the body's axes."""
+        """Convert accelerations of roll, pitch and yaw to angular accelerations about body axes."""
 
 
 class EquatedRates:
-    """Eq. (9) of the paper: the rates of the angles equal the body rates."""
+    """Kinematics of the paper's eq. (9), which equates angle rates and body rates."""
 
     def angle_rates(self, _attitude: Vector, body_rates: Vector) -> Vector:
-        """Return the body rates."""
+        """Return the body rates unchanged."""
         return body_rates
 
     def angle_accelerations(
         self, _attitude: Vector, _body_rates: Vector, body_accelerations: Vector
     ) -> Vector:
-        """Return the body accelerations, which equal the accelerations of the angles here."""
+        """Return the body accelerations unchanged."""
         return body_accelerations
 
     def body_accelerations(
         self, _attitude: Vector, _body_rates: Vector, angle_accelerations: Vector
     ) -> Vector:
-        """Return the accelerations of the angles, which equal the body accelerations here."""
+        """Return the angle accelerations unchanged."""
         return angle_accelerations
 
 
 class EulerRates:
-    """Exact kinematics, Beard and McLain (2012), eq. (3.3), and their derivative by time."""
+    """Exact kinematics of Euler angles and their derivative, Beard and McLain (2012), eq. (3.3)."""
 
     def angle_rates(self, attitude: Vector, body_rates: Vector) -> Vector:
-        """Return the Euler rates; they grow beyond bounds towards a pitch of 90 degrees."""
+        """Return the Euler angle rates, which are singular at a pitch of 90 degrees."""
         roll, pitch, _ = attitude
         p, q, r = body_rates
         turning = q * np.sin(roll) + r * np.cos(roll)
@@ -81,7 +81,7 @@ class EulerRates:
     def angle_accelerations(
         self, attitude: Vector, body_rates: Vector, body_accelerations: Vector
     ) -> Vector:
-        """Return the angle accelerations from the body's accelerations and the turning axes."""
+        """Return the Euler angle accelerations for given body rates and body accelerations."""
         linear = self.angle_rates(attitude, body_accelerations)
         turning = self._turning(attitude, body_rates)
         return [a + b for a, b in zip(linear, turning, strict=True)]
@@ -89,7 +89,7 @@ class EulerRates:
     def body_accelerations(
         self, attitude: Vector, body_rates: Vector, angle_accelerations: Vector
     ) -> Vector:
-        """Return the accelerations about the body's axes; defined at every attitude."""
+        """Return the body accelerations for given angle accelerations, without singularity."""
         roll, pitch, _ = attitude
         turning = self._turning(attitude, body_rates)
         rolling, pitching, yawing = (
@@ -103,7 +103,7 @@ class EulerRates:
         )
 
     def _turning(self, attitude: Vector, body_rates: Vector) -> Vector:
-        """Return the accelerations of the angles at constant body rates."""
+        """Return the angle accelerations at constant body rates."""
         pitch = attitude[1]
         rolling, pitching, yawing = self.angle_rates(attitude, body_rates)
         return (
@@ -128,7 +128,7 @@ _MIXER_ROWS = (
 
 
 def rotor_columns(dynamics: Dynamics) -> list[int]:
-    """Return where the rotor speeds stand among the states, in the order of the controls.
+    """Return the indices of the rotor speeds among the states, in the order of the controls.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def rotor_columns(dynamics: Dynamics) -> list[int]:
 
 
 def mixer_matrix(dynamics: Dynamics) -> FloatArray:
-    """Read the mixer, eq. (7), off the declared equations.
+    """Return the matrix from squared rotor speeds to thrust and moments, eq. (7).
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ def mixer_matrix(dynamics: Dynamics) -> FloatArray:
 
 
 class Allocation:
-    """Rotor speeds that give a thrust and moments, as far as the limits allow.
+    """Rotor speeds for a commanded thrust and moments, within the limits of the rotors.
 
     When not everything fits, roll and pitch moment come first, then thrust, then yaw: a vehicle
     that keeps its attitude can recover the rest.
@@ -192,7 +192,7 @@ class Allocation:
         self._highest = limits.rotor_speed_max**2
 
     def rotor_speeds(self, thrust: float, moments: Sequence[float]) -> list[float]:
-        """Return the rotor speeds to command.
+        """Return the rotor speeds for a commanded thrust and moments.
 
         Parameters
         ----------
@@ -222,7 +222,7 @@ class Allocation:
         return [np.sqrt(_clipped(square, low, high)) for square in turned]
 
     def tilting_moment_at(self, thrust: float) -> tuple[float, float]:
-        """Return the largest roll and pitch moment that leave the thrust as it is.
+        """Return the largest roll and pitch moments at a thrust within the rotor speed limits.
 
         Parameters
         ----------
@@ -243,7 +243,7 @@ class Allocation:
 def _steps_within(
     values: Sequence[float], direction: Sequence[float], low: float, high: float
 ) -> tuple[float, float]:
-    """Return the allowed steps of values back and forth along a direction."""
+    """Return how far values may move along a direction, backward and forward, within limits."""
     ways = [(value, share) for value, share in zip(values, direction, strict=True) if share != 0.0]
     back = [((low if share > 0 else high) - value) / share for value, share in ways]
     forth = [((high if share > 0 else low) - value) / share for value, share in ways]
@@ -271,7 +271,7 @@ _PROJECTION_LAYER = 0.1
 
 
 def bend(magnitude: float, limit: float) -> float:
-    """Limit a number smoothly, leaving it untouched well below the limit.
+    """Limit a number smoothly; values well below the limit stay unchanged.
 
     Parameters
     ----------
@@ -293,7 +293,7 @@ def bend(magnitude: float, limit: float) -> float:
 
 
 def braking_rate(error: float, gain: float, acceleration_max: float) -> float:
-    """Return the rate at which to close an error so that it can still be braked.
+    """Return the largest rate of closing an error that limited acceleration can still stop.
 
     Parameters
     ----------
@@ -319,7 +319,7 @@ def braking_rate(error: float, gain: float, acceleration_max: float) -> float:
 
 
 def project(estimate: Sequence[float], rate: Sequence[float], bound: float) -> list[float]:
-    """Keep an estimate inside a ball by turning aside the outward part of its rate.
+    """Keep an estimate inside a ball by removing the outward part of its rate (projection).
 
     Smooth projection of Krstic, Kanellakopoulos and Kokotovic (1995): see
     docs/theory/controller.md, eq. (6).
@@ -353,7 +353,7 @@ STATES_PER_LOOP = 3 * _AXES
 
 @dataclass(frozen=True, kw_only=True)
 class BacksteppingLoop:
-    """Adaptive backstepping of three double integrators.
+    """Adaptive backstepping controller of three double integrators.
 
     Law and proof: see docs/theory/controller.md, eqs. (1) to (7).
 
@@ -381,7 +381,7 @@ class BacksteppingLoop:
         error_rate: Sequence[float],
         learnt: Sequence[float] = (0.0,) * _AXES,
     ) -> list[float]:
-        """Return the states to start with: compensated errors zero.
+        """Return the initial states of the loop: compensated errors of zero.
 
         Parameters
         ----------
@@ -409,7 +409,7 @@ class BacksteppingLoop:
         achieved_acceleration: Sequence[float],
         states: Sequence[float],
     ) -> tuple[list[float], list[float]]:
-        """Return the acceleration to ask for and the rates of the loop's own states.
+        """Return the commanded acceleration and the time derivatives of the loop's states.
 
         Parameters
         ----------
@@ -460,7 +460,7 @@ class BacksteppingLoop:
 
 
 def _shrink(vector: Sequence[float], reach: float) -> float:
-    """Return sigma(v) / v."""
+    """Return sigma(v) / v, the factor of a saturated vector."""
     a, b, c = vector
     return 1 / np.sqrt(1 + (a * a + b * b + c * c) / reach**2)
 
@@ -475,7 +475,7 @@ _LEAST_SUPPORT = 0.3
 
 
 def thrust_direction(roll: float, pitch: float, yaw: float) -> tuple[float, float, float]:
-    """Return the unit vector along the thrust, eq. (6) rows 1 to 3.
+    """Return the unit vector of the thrust in world axes, eq. (6) rows 1 to 3.
 
     Parameters
     ----------
@@ -496,7 +496,7 @@ def thrust_direction(roll: float, pitch: float, yaw: float) -> tuple[float, floa
 
 
 def tilt_toward(force: Sequence[float], yaw: float) -> tuple[float, float]:
-    """Return the roll and pitch that point the thrust along a force.
+    """Return the roll and pitch that align the thrust with a force.
 
     Parameters
     ----------
@@ -520,7 +520,7 @@ def _size(vector: Sequence[float]) -> float:
 
 
 def followed_tilt(believed: Scenario) -> float:
-    """Return the largest tilt [rad] that the controller asks for.
+    """Return the largest tilt that the controller commands [rad].
 
     Unless `baseline.gains.tilt_max` is less, both angles at their limits give it; no more, though,
     than leaves the thrust at its largest to carry the weight.
@@ -533,7 +533,7 @@ def followed_tilt(believed: Scenario) -> float:
 
 
 class ThrustEnvelope:
-    """Accelerations, without gravity, that thrust and tilt can give.
+    """Set of accelerations, gravity excluded, within the limits of thrust and tilt.
 
     Parameters
     ----------
@@ -551,7 +551,7 @@ class ThrustEnvelope:
         self._slope = tan(tilt_max)
 
     def limited(self, acceleration: Sequence[float]) -> tuple[float, float, float]:
-        """Shorten an acceleration, smoothly, to the limits of thrust and tilt.
+        """Shorten an acceleration smoothly into the envelope.
 
         Parameters
         ----------
@@ -569,7 +569,7 @@ class ThrustEnvelope:
         return share * ax, share * ay, share * az
 
     def _reach(self, along: float, upward: float) -> float:
-        """Return the largest acceleration along a unit vector, given by its two parts."""
+        """Return the largest acceleration along a direction, given by its two components."""
         rising = self._gravity * upward
         by_thrust = np.sqrt(rising**2 + self._reserve) - rising
         leaning = np.fmax(along - self._slope * upward, _NOUGHT)
@@ -613,7 +613,7 @@ _AHEAD = slice(12, COMMAND_SIZE)
 
 
 class AdaptiveController:
-    """Adaptive backstepping of a quadrotor: two loops, a command filter and an allocation.
+    """Adaptive controller of a quadrotor: position loop, command filter, attitude loop, allocation.
 
     The cascade: see docs/theory/controller.md.
 
@@ -698,7 +698,7 @@ class AdaptiveController:
         ]
 
     def command(self, reference: ReferencePath, t: float) -> list[float]:
-        """Return the command at time t, s: `COMMAND_SIZE` numbers."""
+        """Return the controller's command at time t [s]: `COMMAND_SIZE` numbers."""
         # Little ahead at the start, where the vehicle is level.
         lead = self._tilt_lag * (1 - exp(-t / self._tilt_lag))
         place, rate, acceleration = reference(t)
@@ -711,7 +711,7 @@ class AdaptiveController:
         omega: Sequence[float],
         states: Sequence[float],
     ) -> tuple[list[float], list[float]]:
-        """Return the rotor accelerations to apply and the rates of the controller's states.
+        """Return the commanded rotor accelerations and the rates of the controller's states.
 
         Parameters
         ----------
@@ -763,7 +763,7 @@ class AdaptiveController:
         return alpha, [*position_rates, *attitude_rates, *command_rates]
 
     def _most_rotor_acceleration(self, speed: float) -> float:
-        """Return the largest rotor acceleration, which a motor's lag makes smaller when fast."""
+        """Return the largest rotor acceleration, reduced at high speed by the lag of the motors."""
         most = self._rotor_acceleration_max
         if not self._motor_lag:
             return most
@@ -772,7 +772,7 @@ class AdaptiveController:
     def _filtered(
         self, force: Sequence[float], yaw: float, command: Sequence[float]
     ) -> tuple[list[float], list[float]]:
-        """Return the commanded tilt acceleration and the rates of the filter's states."""
+        """Return the filtered tilt acceleration and the rates of the command filter's states."""
         angles, angle_rates = command[:2], command[2:]
         targets = [
             _clipped(angle, -limit, limit)
@@ -794,7 +794,7 @@ class AdaptiveController:
         achieved: Sequence[float],
         states: Sequence[float],
     ) -> tuple[list[float], list[float]]:
-        """Return the moments to ask for and the rates of the attitude loop's states."""
+        """Return the commanded moments and the rates of the attitude loop's states."""
         command, attitude, body_rates = states[_COMMAND], body[6:9], body[9:12]
         turning = [
             moment / inertia for moment, inertia in zip(achieved, self._inertia, strict=True)
@@ -814,7 +814,7 @@ class AdaptiveController:
 
 
 def feedback_law(controller: AdaptiveController, dynamics: Dynamics) -> Law:
-    """Return the controller as a law of a vehicle's states, in their order."""
+    """Return the controller as a feedback law on the states of a vehicle."""
     body = [list(dynamics.state_names).index(name) for name in MEASURED_STATES]
     rotors = rotor_columns(dynamics)
 

@@ -101,7 +101,7 @@ class WindMap:
 
 @dataclass(frozen=True, kw_only=True)
 class LineCosts:
-    """What straight lines cost in steady flight through a field.
+    """Cost and time of steady flight along straight lines through a wind field.
 
     Attributes
     ----------
@@ -141,7 +141,7 @@ class LineCosts:
         return costs, times
 
     def _passed(self, places: FloatArray) -> FloatArray:
-        """Return when a flight at even speed is beside a place."""
+        """Return the time at which a flight at constant speed passes a place."""
         way = self.ends[1] - self.ends[0]
         share = (places - self.ends[0]) @ way / max(way @ way, 1.0)
         return self.duration * np.clip(share, 0.0, 1.0)
@@ -157,7 +157,7 @@ class LineCosts:
 
 
 def has_corridors(told: Scenario) -> bool:
-    """Return whether the cost of steady flight differs from place to place at one height.
+    """Return whether the cost of steady flight varies over the ground.
 
     It does in a wind field that changes over the ground and acts by the airspeed, on which the
     table of powers depends.
@@ -200,7 +200,7 @@ def corridor_journeys(
 
 
 class Corridors:
-    """The corridors of one leg.
+    """Search for the corridors of one leg.
 
     Parameters
     ----------
@@ -236,7 +236,7 @@ class Corridors:
         self._search = _Search(self._costs, *grid, price)
 
     def routes(self) -> list[Route]:
-        """Return cheap routes that lie apart, the cheapest first; none if the grid has no way."""
+        """Return cheap routes that lie apart, the cheapest first; empty if the grid has none."""
         return [
             Route(
                 places=places,
@@ -262,7 +262,7 @@ class Corridors:
 def _grid(
     told: Scenario, ends: FloatArray
 ) -> tuple[FloatArray, NDArray[np.intp], NDArray[np.intp]]:
-    """Return places, start and goal first, and the pairs of places that are joined."""
+    """Return the places of the search grid, start and goal first, and the pairs joined by lines."""
     margin = _MARGIN * float(np.linalg.norm(ends[1] - ends[0]))
     low, high = ends[:, :2].min(axis=0) - margin, ends[:, :2].max(axis=0) + margin
     grid = told.wind.grid
@@ -298,7 +298,7 @@ def _price_of(
     last: NDArray[np.intp],
     duration: float,
 ) -> float:
-    """Return the price of time [W] at which the cheapest route takes a duration."""
+    """Return the price of time [W] at which the cheapest route takes a given duration."""
     hover = float(costs.power(np.zeros(1))[0])
     low, high = -0.95 * hover, 20.0 * hover
     for _ in range(_HALVINGS):
@@ -309,7 +309,7 @@ def _price_of(
 
 
 class _Search:
-    """The cheapest routes through every place of a grid, at one price of time."""
+    """Cheapest routes through every place of a grid, at one price of time."""
 
     def __init__(
         self,
@@ -330,7 +330,7 @@ class _Search:
         self._back, self._after = dijkstra(graph.T.tocsr(), indices=1, return_predecessors=True)
 
     def time_of_cheapest(self) -> float:
-        """Return how long the cheapest route takes [s], infinite if there is none."""
+        """Return the duration of the cheapest route [s], infinite without a route."""
         nodes = self._through(1)
         return sum(float(self._times[a, b]) for a, b in pairwise(nodes)) or inf
 
@@ -355,7 +355,7 @@ class _Search:
         return [places for _, places in found]
 
     def _through(self, node: int) -> list[int]:
-        """Return the places of the cheapest route through a place; none if there is none."""
+        """Return the places of the cheapest route through a place, empty without a route."""
         if not np.isfinite(self._ahead[node] + self._back[node]):
             return []
         nodes = [node]
@@ -369,7 +369,7 @@ class _Search:
         return float(self._costs.of(places[:-1], places[1:], self._price)[0].sum())
 
     def _drawn_tight(self, places: FloatArray) -> FloatArray:
-        """Return a route without the corners that a straight line avoids at no cost."""
+        """Return a route without the corners that a straight line avoids at no extra cost."""
         kept = [0]
         while kept[-1] < len(places) - 1:
             here = kept[-1]
@@ -383,7 +383,7 @@ class _Search:
 
 
 def _distance(places: FloatArray, route: FloatArray) -> FloatArray:
-    """Return the distance of places from a route, shape (n,) [m]."""
+    """Return the distances of places from a route, shape (n,) [m]."""
     starts, way = route[:-1], np.diff(route, axis=0)
     lengths = np.maximum(np.sum(way**2, axis=1), np.finfo(float).tiny)
     away = places[:, None] - starts

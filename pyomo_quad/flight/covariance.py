@@ -1,4 +1,4 @@
-"""Covariance of a flight under feedback in turbulence, by linearising the closed loop.
+"""Covariance of flights under feedback in turbulence, by linearising the closed loop.
 
 Vehicle, adaptive controller and the filters of the turbulence form one system, linearised along the
 flight without gusts; see docs/theory/risk.md, eqs. (4) to (6). The errors of forecast, mass and
@@ -43,7 +43,7 @@ _OFF_NOUGHT = 1e-9
 
 @dataclass(frozen=True, kw_only=True)
 class Spread:
-    """Distribution of flights in turbulence over time: normal, about the flight without gusts.
+    """Normal distribution of the states of flights in turbulence over time.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class Spread:
     dynamics: Dynamics
 
     def of(self, *names: str) -> FloatArray:
-        """Return the covariance of some states over time, shape (n, n_names, n_names)."""
+        """Return the covariance matrices of some states over time, shape (n, n_names, n_names)."""
         chosen = [self.dynamics.state_names.index(name) for name in names]
         return self.covariance[:, chosen][:, :, chosen]
 
@@ -76,7 +76,7 @@ class Spread:
 
 
 def spread_along(scenario: Scenario, plan: Plan, planner: Planner) -> Spread:
-    """Return the distribution of flights under the adaptive controller about a plan.
+    """Compute the distribution of flights in turbulence along a plan under the adaptive controller.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def spread_along(scenario: Scenario, plan: Plan, planner: Planner) -> Spread:
 
 
 def discrete(A: FloatArray, B: FloatArray, step: float) -> tuple[FloatArray, FloatArray]:
-    """Return transition and input matrices over steps in which the input is constant.
+    """Discretise a linear system over steps with constant input: transition and input matrices.
 
     Van Loan (1978): both are blocks of the exponential of one matrix.
 
@@ -129,7 +129,7 @@ def discrete(A: FloatArray, B: FloatArray, step: float) -> tuple[FloatArray, Flo
 def propagated(
     start: FloatArray, transitions: FloatArray, noise: FloatArray, constants: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the covariance after each step, and the covariance of states before and after it.
+    """Propagate a covariance over steps; return it after each step, with the lag-one covariance.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def propagated(
 
 
 class _MeanFlight:
-    """The flight of a plan under feedback without gusts, and the closed loop along it."""
+    """Flight of a plan under feedback without gusts, with the linearised closed loop along it."""
 
     def __init__(self, scenario: Scenario, plan: Plan, planner: Planner) -> None:
         told = as_expected(scenario)
@@ -185,7 +185,7 @@ class _MeanFlight:
         )
 
     def flown(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return joint states and commands at some times, shapes (n, n_joint), (n, n_command)."""
+        """Return joint states and controller commands at given times."""
         flight = fly(
             dynamics=self.dynamics,
             controller=self._controller,
@@ -201,7 +201,7 @@ class _MeanFlight:
     def slopes(
         self, t: FloatArray, joint: FloatArray, commands: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the closed loop's derivatives by joint state, noise and uncertain parameters."""
+        """Return the closed loop's Jacobians by joint state, noise and uncertain parameters."""
         # Where an error is exactly zero, the derivative of its norm is not defined.
         by_moment, by_joint = self.loop.slopes(t, joint + _OFF_NOUGHT, commands)
         columns = [1 + self.dynamics.signal_names.index(name) for name in NOISE]
@@ -209,7 +209,7 @@ class _MeanFlight:
         return by_joint, np.concatenate([by_moment[:, :, columns], by_unknowns], axis=2)
 
     def _by_unknowns(self, t: FloatArray, joint: FloatArray, commands: FloatArray) -> FloatArray:
-        """Return central differences of the slopes, per standard deviation of each uncertainty."""
+        """Return derivatives by the uncertain parameters, by central differences."""
         n_states = len(self.dynamics.state_names)
         states, controls = joint[:, :n_states], self.loop.controls(t, joint, commands)
         found = np.zeros((*joint.shape, len(self._unknowns)))
@@ -226,7 +226,7 @@ class _MeanFlight:
         states: FloatArray,
         controls: FloatArray,
     ) -> FloatArray:
-        """Return the vehicle's slopes at n times with some parameters changed."""
+        """Return the time derivatives of the vehicle's states with some parameters changed."""
         changed = {name: self._numbers.get(name, 0.0) + side * by for name, by in change.items()}
         other = self._problem.dynamics(parameters=self._numbers | changed, horizon=self._horizon)
         rows = zip(t.tolist(), states, controls, strict=True)

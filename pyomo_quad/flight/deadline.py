@@ -1,4 +1,4 @@
-"""The time limit of a command, shared by its solves and its flights.
+"""Time limit of a command, shared by all its solves and simulated flights.
 
 It counts processor time, so that the load of the machine does not change any result.
 """
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
 
 
 class TimeIsUpError(SolveError):
-    """The time limit ended a flight."""
+    """Error that ends a simulated flight at the time limit."""
 
 
 @dataclass
 class _Watch:
-    """The end of the time limit, on the clock of the observing process."""
+    """End of the time limit on the clock of the process that checks it."""
 
     limit_s: float
     end: float
@@ -38,7 +38,7 @@ class _Watch:
         return cls(limit_s=limit_s, end=now + limit_s, seen=now, process=os.getpid())
 
     def look(self) -> bool:
-        """Return whether the time is over."""
+        """Return whether the time limit has passed."""
         now = time.thread_time()
         if os.getpid() != self.process:
             # In a copied process the clock starts anew, with the time that was left at the copy.
@@ -52,7 +52,7 @@ _CURRENT: ContextVar[_Watch | None] = ContextVar("time_limit", default=None)
 
 
 class Deadline:
-    """Stops a solve, and all other work in its block, at the scenario's time limit.
+    """Context that stops solves and simulations in its block at the scenario's time limit.
 
     A deadline inside the block of another one shares its limit, because a command has a single
     limit.
@@ -76,7 +76,7 @@ class Deadline:
         _CURRENT.reset(self._token)
 
     def __call__(self, iteration: Iteration) -> bool:
-        """Return False if the time is over, or if the caller's own callback returns False."""
+        """Return False after the time limit, or if the wrapped progress callback returns False."""
         if self._watch.look():
             return False
         return self._progress is None or self._progress(iteration) is not False
@@ -88,12 +88,12 @@ class Deadline:
 
     @property
     def is_over(self) -> bool:
-        """Whether the time was over at the last check."""
+        """Whether the time limit had passed at the last check."""
         return self._watch.is_over
 
 
 def keep_time() -> None:
-    """Check the time limit of the enclosing deadline, if any.
+    """Raise an error if the time limit of the enclosing `Deadline` has passed.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Ensembles of flights of one plan, each with its own wind and mass, integrated together.
+"""Simulation of many flights of one plan, each with its own random wind and mass.
 
 The control law and the declared equations are those of a single flight. Only the integration
 differs: Runge-Kutta steps of fixed length, mapped over the flights. A step is at most
@@ -66,7 +66,7 @@ NOT_FED = "power or charge of the pack"
 
 @dataclass(frozen=True, kw_only=True)
 class Draws:
-    """Random numbers of n flights, by full name of parameter or state.
+    """Random parameters and initial states of n flights, by full name.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class Draws:
     start: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def part(self, chosen: slice) -> "Draws":
-        """Return the draws of some of the flights."""
+        """Return the random numbers of a subset of the flights."""
         return Draws(
             count=len(range(self.count)[chosen]),
             numbers={name: values[chosen] for name, values in self.numbers.items()},
@@ -95,7 +95,7 @@ class Draws:
 
 @dataclass(frozen=True, kw_only=True)
 class Ending:
-    """Outcome of one flight.
+    """End of one flight: arrival, broken limits, energy and deviations.
 
     Attributes
     ----------
@@ -120,7 +120,7 @@ class Ending:
 
 @dataclass(frozen=True, kw_only=True)
 class FlownOften:
-    """Many flights at the same times, with the outcome of each.
+    """Tracks of many flights at common times, with the end of each flight.
 
     Attributes
     ----------
@@ -141,7 +141,7 @@ TRACKS = ("x_m", "y_m", "z_m", SPEED, TILT, ENERGY, OFF)
 
 
 class Squadron:
-    """Vehicles of one scenario under the adaptive controller along one reference.
+    """Vehicles of one scenario that follow one reference under the adaptive controller.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ class Squadron:
         self._times = _step_times(scenario, self._fastest_rate())
 
     def fly(self, draws: Draws) -> FlownOften:
-        """Fly once for each draw."""
+        """Simulate one flight for each set of random numbers."""
         keep_time()
         steps = np.floor(0.5 * (self._times[1:] + self._times[:-1]) / LONGEST_STEP_S).astype(int)
         held = {
@@ -197,7 +197,7 @@ class Squadron:
         return self._judged(flown, draws)
 
     def _fastest_rate(self) -> float:
-        """Return the rate of the fastest mode of the closed loop at take-off [1/s].
+        """Return the largest eigenvalue magnitude of the closed loop at take-off [1/s].
 
         Rotors that react on the body make the yaw loop several times faster than any gain.
         """
@@ -248,7 +248,7 @@ class Squadron:
     def _endings(
         self, flown: SteppedFlights, draws: Draws, off: FloatArray, tilt: FloatArray
     ) -> Iterator[Ending]:
-        """Yield the outcome of each flight, given its largest deviation `off` and tilt."""
+        """Yield the end of each flight, given its largest deviation and tilt."""
         count, samples = draws.count, len(flown.t)
         # One flight at a time, with all its samples.
         states, controls = (
@@ -290,7 +290,7 @@ class Squadron:
             )
 
     def _missed(self, state: FloatArray) -> tuple[float, float]:
-        """Return distance from the goal [m] and speed [m/s] at the end of a flight."""
+        """Return the distance from the goal [m] and the speed [m/s] at the end of a flight."""
         wanted = wanted_at_goal(self._scenario, self._dynamics)
         missed = {n: state[self._columns[n]] - value for n, value in wanted.items()}
         place, speed = (
@@ -301,7 +301,7 @@ class Squadron:
 
 
 def _step_times(scenario: Scenario, fastest_rate: float) -> FloatArray:
-    """Return the ends of all steps: the steps of the noise, their parts, and the mission's end."""
+    """Return the times of all integration steps, aligned with the steps of the noise."""
     gains, end = scenario.baseline.gains, scenario.mission.fixed_duration
     fastest = max(gains.rotor, gains.attitude_rate, gains.force_identification)
     parts = ceil(LONGEST_STEP_S * max(fastest / _SHARE_OF_LAG, fastest_rate / _STABLE))

@@ -1,4 +1,4 @@
-"""Departures of a plan from the range in which measured flights confirm its vehicle."""
+"""Checks whether a plan stays in the range in which measurements validate its vehicle."""
 
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
@@ -23,7 +23,7 @@ _SAMPLES = 2001
 
 
 def departures(plan: "Plan") -> tuple[str, ...]:
-    """Return the quantities in which a plan leaves the validated range, by how much and how long.
+    """Return the quantities in which a plan leaves the validated range, with amount and duration.
 
     Returns
     -------
@@ -38,7 +38,7 @@ def departures(plan: "Plan") -> tuple[str, ...]:
 
 
 def departures_of(scenario: Scenario, flown: Mapping[str, FloatArray]) -> Iterator[str]:
-    """Yield the `departures` of a flight, given by the columns of its table."""
+    """Yield the `departures` of a flight from the columns of its table."""
     validated, carried = scenario.vehicle.validated, scenario.vehicle.payload
     if validated.payload is not None and carried > validated.payload:
         yield f"payload {carried:g} kg, {validated.payload:g} kg confirmed"

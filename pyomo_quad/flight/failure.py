@@ -1,4 +1,4 @@
-"""Diagnosis of a solve that failed, in words of the mission."""
+"""Diagnosis of a failed solve in terms of the mission: causes and remedies."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Failure:
-    """The diagnosis of a solve that failed.
+    """Diagnosis of a failed solve.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Failure:
 
     @property
     def is_too_short(self) -> bool:
-        """Whether a longer duration would suffice."""
+        """Whether a longer duration makes the mission feasible."""
         return (
             self.shortest_duration_s is not None and self.shortest_duration_s > self.longest.value
         )

@@ -1,4 +1,4 @@
-"""A flown flight: its table, energy, end and broken limits."""
+"""Simulated flight: its table, energy, distance from the goal and broken limits."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ AIR_FORCE = tuple(f"aerodynamics.force_{axis}" for axis in "xyz")
 
 @dataclass(frozen=True, kw_only=True)
 class Flown:
-    """Samples of an integrated flight.
+    """Samples of a simulated flight: times, states, controls and energy.
 
     Shapes: t (n,), states (n, n_states), controls (n, n_controls), energy (n,).
     """
@@ -53,7 +53,7 @@ class Flown:
 
 @dataclass(frozen=True, kw_only=True)
 class Resolve:
-    """One solve of the remaining mission in flight, from the state measured at time t [s]."""
+    """Record of one re-planning solve in flight."""
 
     t: float
     arrived_at: float
@@ -67,7 +67,7 @@ class Resolve:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Flight(Summarised):
-    """One flight of a mission.
+    """Simulated flight of a mission, with its table and results.
 
     Attributes
     ----------
@@ -116,7 +116,7 @@ class Flight(Summarised):
 
     @property
     def summary(self) -> dict[str, str]:
-        """Name, energy, end and duration."""
+        """Name, energy, distance from the goal and duration."""
         return {
             "flight": self.name,
             "energy": f"{self.energy_J:.2f} J",
@@ -126,7 +126,7 @@ class Flight(Summarised):
         }
 
     def priced(self, end_prices: Mapping[str, float]) -> Flight:
-        """Return the flight with its owed energy by a plan's `end_prices`, NaN without any."""
+        """Return the flight with its energy to complete, estimated from a plan's costates."""
         owed = sum(price * self.terminal_miss.get(name, 0.0) for name, price in end_prices.items())
         return replace(self, owed_energy_J=owed if end_prices else nan)
 
@@ -174,7 +174,7 @@ class Flight(Summarised):
 def broken_limits(
     dynamics: Dynamics, breaches: Sequence[Violation], allowed: Mapping[str, float], breach: float
 ) -> tuple[str, ...]:
-    """Return the limits violated by more than a relative breach, and than allowed of their names.
+    """Return the limits that are violated by more than the tolerances, in words.
 
     As "roll angle by 0.2 rad".
     """
@@ -186,18 +186,18 @@ def broken_limits(
 
 
 def is_broken(found: Violation, allowed: Mapping[str, float], breach: float) -> bool:
-    """Return whether a limit is violated beyond a relative breach and its own allowance."""
+    """Return whether a limit is violated by more than the tolerances."""
     return found.relative > breach and found.size > allowed.get(found.name.partition("[")[0], 0.0)
 
 
 def terminal_miss_of(
     dynamics: Dynamics, state: FloatArray, wanted: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return final minus required value of each state with a required value."""
+    """Return final minus required value of each state that the mission prescribes at the end."""
     final = dict(zip(dynamics.state_names, state, strict=True))
     return {name: float(final[name] - value) for name, value in wanted.items()}
 
 
 def position_miss(miss: Mapping[str, float]) -> float:
-    """Return the distance [m] of a terminal miss."""
+    """Return the distance between final and required position [m]."""
     return float(np.linalg.norm([miss.get(name, 0.0) for name in POSITION_STATES]))

@@ -1,4 +1,4 @@
-"""Flights by SciPy's integrators, restarted wherever a parameter of the equations steps."""
+"""Integration by SciPy, restarted at each jump of a parameter."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ _SHORTEST = 1e-7
 
 @dataclass(frozen=True, kw_only=True)
 class Integrated:
-    """States at the requested times, shape (n_states, n_times), or why some are missing."""
+    """Integrated states, shape (n_states, n_times), or the reason why the integration stopped."""
 
     y: FloatArray
     message: str
@@ -36,7 +36,7 @@ def integrate(
     edges: Sequence[float],
     **options: Any,
 ) -> Integrated:
-    """Integrate rates over a span, from edge to edge.
+    """Integrate a right-hand side over a span, restarted at given edges.
 
     An integrator that steps over a jump of the rates repeats steps until they are as short as its
     tolerance requires: hundreds of evaluations per jump. A restart takes about twenty.
@@ -73,7 +73,7 @@ def integrate(
 
 
 def _within(rates: Rates, first: float, last: float) -> Rates:
-    """Return rates that use the equations of one piece at its ends too."""
+    """Return the right-hand side of one piece, extended to its ends."""
     margin = _INSIDE * (last - first)
 
     def inside(t: float, y: FloatArray) -> FloatArray:

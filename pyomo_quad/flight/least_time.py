@@ -1,4 +1,4 @@
-"""The least time of a mission, and flights of least energy that take hardly longer."""
+"""Least duration of a mission, and plans of least energy close to it."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _MOST_EFFORT = 3.0
 def shortest_flight(
     model: Any, scenario: Scenario, progress: Progress | None, *, is_exact: bool = False
 ) -> Solution | None:
-    """Fly the mission of a model in the least time.
+    """Solve for the least duration of a mission.
 
     A few meshes do unless the mission's duration is close to what they give: then they are
     refined to the mission's own tolerance, for a time that is asked for to `_TIME_TOLERANCE`.
@@ -89,7 +89,7 @@ def shortest_flight(
 
 
 def declared_free_times(model: Any, scenario: Scenario) -> dict[float, Any]:
-    """Return declared time -> the variable of a model that gives it.
+    """Return the variables of a model that hold its free times, by declared time.
 
     Raises
     ------
@@ -110,7 +110,7 @@ def declared_free_times(model: Any, scenario: Scenario) -> dict[float, Any]:
 
 @dataclass
 class Approach:
-    """Flights of least energy that come closer and closer to the least time of a mission.
+    """Sequence of plans whose durations decrease towards the least duration of a mission.
 
     Attributes
     ----------
@@ -131,17 +131,17 @@ class Approach:
 
     @property
     def durations(self) -> tuple[float, ...]:
-        """The durations to approach by, within the mission's limits [s]."""
+        """Durations of the sequence, within the mission's limits [s]."""
         least, greatest = self.scenario.mission.duration_limits
         above = ((1 + share) * self.shortest.objective for share in _ABOVE_LEAST)
         return tuple(dict.fromkeys(min(max(time, least), greatest) for time in above))
 
     def goes_on(self) -> bool:
-        """Return whether the last flight is verified, if there is any."""
+        """Return whether the last plan of the sequence is verified, or none was made yet."""
         return not self.plans or self.plans[-1].is_verified
 
     def fly(self, lasting: float) -> str:
-        """Solve the mission in a duration, from the last flight and with a limited effort."""
+        """Solve the mission in a duration, starting from the last plan, with limited effort."""
         start = self.plans[-1].solution if self.plans else self.shortest
         self.search.begin_effort(self._most)
         self.plans.append(self.solve(self.scenario.lasting(lasting), start, self.search))
@@ -151,7 +151,7 @@ class Approach:
 
     @property
     def closest(self) -> Plan:
-        """The last plan that is verified, else the first."""
+        """Verified plan of the shortest duration, or the first plan without any."""
         best = next((plan for plan in reversed(self.plans) if plan.is_verified), self.plans[0])
         message = (
             f"{best.message} It takes {best.duration_s:.6g} s, where the least time is "

@@ -1,4 +1,4 @@
-"""Names of the declared model's limits for users, with amounts in familiar units.
+"""Names of limits in users' words, with amounts in familiar units.
 
 Limits of a user's own model keep the names and units that the user gave them.
 """
@@ -49,7 +49,7 @@ _ROOTS = {"m**2": "m", "m**2/s**2": "m/s"}
 
 
 def limit_words(name: str) -> str:
-    """Return a limit's name for users: "speed at hold place 1" for ``mission.hold_speed[0]``."""
+    """Return a limit's name in words: "speed at hold place 1" for ``mission.hold_speed[0]``."""
     declared, _, index = name.partition("[")
     index = index.removesuffix("]")
     if declared.startswith(_COUNTED_FROM_0) and index.isdecimal():
@@ -58,7 +58,7 @@ def limit_words(name: str) -> str:
 
 
 def limit_amount(name: str, size: float, unit: str) -> tuple[float, str]:
-    """Return an amount of a limit and its unit for users: m/s for m**2/s**2."""
+    """Return the amount of a limit in a familiar unit, such as m/s instead of m**2/s**2."""
     if name.partition("[")[0] not in WORDS:
         return size, unit
     return (sqrt(size), _ROOTS[unit]) if unit in _ROOTS else (size, _UNITS.get(unit, unit))

@@ -1,4 +1,4 @@
-"""Initial guess and meshes of a long flight: accelerate, cruise, brake.
+"""Initial guess and meshes for a long flight: accelerate, cruise, brake.
 
 A vehicle changes its attitude within a second, whatever the duration of the flight.  If equal
 elements would be longer than that, the mesh has short elements at both ends that grow towards the
@@ -43,24 +43,23 @@ _SAMPLES = 400
 
 
 def is_long(scenario: Scenario) -> bool:
-    """Return whether a flight straight to its goal is long beside a change of attitude."""
-    airspace = scenario.airspace
-    is_straight = not (scenario.mission.waypoints or airspace.keep_out)
+    """Return whether a straight flight to the goal is long compared with a change of attitude."""
+    is_straight = not scenario.mission.waypoints and not scenario.airspace.keep_out
     return is_straight and scenario.nominal_duration > _LONGEST_S * scenario.solver.elements
 
 
 def rough_mesh(duration: float) -> Mesh:
-    """Return a mesh of a flight [s] on which to find it."""
+    """Return a coarse first mesh for a flight of given duration [s]."""
     return _graded(duration, *_ROUGH)
 
 
 def fine_mesh(duration: float, degree: int) -> Mesh:
-    """Return a mesh of a flight [s] that its ends hardly need finer."""
+    """Return a mesh for a flight of given duration [s], with fine elements at both ends."""
     return _graded(duration, *_FINE, degree)
 
 
 def _graded(duration: float, shortest: float, growth: float, degree: int) -> Mesh:
-    """Return a mesh with short elements [s] at both ends, each next one longer by a factor."""
+    """Return a mesh whose elements grow by a constant factor from both ends towards the middle."""
     widths = [shortest]
     while 2 * sum(widths) < duration:
         widths.append(growth * widths[-1])
@@ -71,7 +70,7 @@ def _graded(duration: float, shortest: float, growth: float, degree: int) -> Mes
 
 
 def guess_of(scenario: Scenario, steady: SteadyFlight) -> dict[str, Any] | None:
-    """Return an initial guess, None without a steady flight along the path.
+    """Return a flight that accelerates, cruises and brakes, None without steady flight on the path.
 
     Parameters
     ----------
@@ -139,7 +138,7 @@ def _columns(
 
 
 def _speed_for(distance: float, duration: float) -> float:
-    """Return the speed of a cruise that lasts as long, or nearly where that is too short."""
+    """Return the cruise speed that fills a duration, or the largest for a shorter one."""
     # Gathering speed and braking together cost speed / acceleration and what their bends take.
     left = duration - _ACCELERATION / _JERK
     room = left**2 - 4 * distance / _ACCELERATION
@@ -147,7 +146,7 @@ def _speed_for(distance: float, duration: float) -> float:
 
 
 def best_speed(steady: SteadyFlight, course: FloatArray, price_of_time: float) -> float:
-    """Return about the speed over ground at which a metre of the course costs least [m/s]."""
+    """Return the approximate ground speed of least energy per metre along a course [m/s]."""
 
     def cost(speed: float) -> float:
         try:

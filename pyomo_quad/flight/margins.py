@@ -1,4 +1,4 @@
-"""Margins that a plan leaves to the controller: by how much each of its limits is tightened.
+"""Margins of a plan: amounts by which its limits are tightened for the controller to use.
 
 A margin is an amount of a field of the scenario.  Fields are parameters of the compiled problem, so
 that a plan with other margins is a re-solve.
@@ -61,7 +61,7 @@ PAPER_PLAN = (
 
 @dataclass(frozen=True, kw_only=True)
 class RiskTaken:
-    """The risk that a plan was made for, and what that took.
+    """Risk for which a plan was made, with its margins and test flights.
 
     Attributes
     ----------
@@ -97,14 +97,14 @@ class RiskTaken:
     stopped: str = ""
 
     def price(self, energy: float) -> tuple[float, float]:
-        """Return what a plan of this energy costs more than the paper plan [J], [%]."""
+        """Return the energy that the margins cost, in J and in % of the plan without margins."""
         more = energy - self.paper_energy_J
         return more, 100.0 * more / self.paper_energy_J
 
     def words(self, energy: float) -> str:
-        """Return the risk and its price for a plan of this energy, in one or two sentences."""
+        """Return risk, test flights and cost of the margins in one or two sentences."""
         joules, percent = self.price(energy)
-        price = f"the margins cost {joules:.3g} J ({percent:.2g} %) beside the paper plan"
+        price = f"the margins cost {joules:.3g} J ({percent:.2g} %)"
         seen = f"{self.failed} of {self.flown} flights that had no part in the plan broke a limit"
         most = f", most often {self.limiting[0]}" if self.limiting else ""
         if self.is_had:
@@ -122,7 +122,7 @@ class RiskTaken:
 
 
 def tightened(scenario: Scenario, margins: Mapping[str, float]) -> Scenario:
-    """Return the scenario that a plan with margins is made of."""
+    """Return the scenario with its limits tightened by margins."""
     told = scenario.mission
     mission: dict[str, Any] = {
         "waypoints": tuple(_narrowed(waypoint, margins) for waypoint in told.waypoints)
@@ -154,7 +154,7 @@ def used_up(planned: LimitValues, flown: LimitValues) -> Iterator[tuple[str, flo
 
 
 def _narrowed(waypoint: Waypoint, margins: Mapping[str, float]) -> Waypoint:
-    """Return a waypoint that is passed nearer and slower, and held at from earlier on."""
+    """Return a waypoint with a smaller radius, a lower speed limit and an earlier hold."""
     changed: dict[str, float] = {}
     if waypoint.radius:
         least = min(waypoint.radius, _LEFT_OF_ROOM)
@@ -171,7 +171,7 @@ def _narrowed(waypoint: Waypoint, margins: Mapping[str, float]) -> Waypoint:
 
 
 def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> tuple[float, ...]:
-    """Return when flights pass the waypoints, of a plan that is early at its holds."""
+    """Return the times at which flights pass the waypoints of a plan with early holds."""
     return tuple(
         at + (lead if waypoint.hold else 0.0)
         for waypoint, at in zip(scenario.mission.waypoints, planned, strict=True)
@@ -179,7 +179,7 @@ def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> 
 
 
 def greatest_margin(scenario: Scenario, name: str) -> float:
-    """Return the greatest margin of a field that leaves the mission a flight to look for."""
+    """Return the largest margin of a field that can leave the mission feasible."""
     told, limits, mission = scenario.airspace, scenario.limits, scenario.mission
     if name == "airspace.floor" and told.floor is not None:
         heights = told.height_above_ground(mission.positions)

@@ -1,4 +1,4 @@
-"""A mission as an optimisation problem: all solves of its own numbers, and of easier ones."""
+"""Compiled problem of a mission, and its solves with the mission's or easier parameters."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _ESTIMATED = 0.5
 
 
 class MissionProblem:
-    """Solves of one mission by its compiled problem.
+    """Solver of one mission, based on its compiled problem.
 
     Parameters
     ----------
@@ -69,12 +69,12 @@ class MissionProblem:
 
     @property
     def has_routes(self) -> bool:
-        """Whether there are routes round zones to choose from."""
+        """Whether zones leave several routes to compare."""
         return self.problems.has_routes(self.told)
 
     @cached_property
     def arguments(self) -> dict[str, Any]:
-        """Arguments of `Problem.solve` for the mission's own numbers, mesh and accuracy."""
+        """Arguments of `Problem.solve` for the mission: parameters, mesh and accuracy."""
         told, settings = self.told, self.told.solver
         figures = FIGURES[settings.accuracy]
         options = SolverOptions(max_iterations=settings.max_iterations)
@@ -101,7 +101,7 @@ class MissionProblem:
         }
 
     def solve(self, numbers: dict[str, float] | None = None, **chosen: Any) -> Solution:
-        """Solve the mission once; `chosen` replaces arguments of `Problem.solve`.
+        """Solve the mission once; ``chosen`` replaces arguments of `Problem.solve`.
 
         With other numbers than the mission's own, no usable plan is kept.
         """
@@ -112,11 +112,11 @@ class MissionProblem:
         return self.problem.solve(**arguments)
 
     def solve_roughly(self, **chosen: Any) -> Solution:
-        """Solve the mission on one mesh, under its easiest numbers."""
+        """Solve the mission on one mesh with its easiest parameters."""
         return self.solve(next(iter(self.easier), None), **{"tolerance": None} | chosen)
 
     def solve_from(self, guess: Any = None, mesh: Mesh | None = None) -> Solution:
-        """Solve from a guess by way of easier numbers, each from the solution under the last.
+        """Solve from a guess by way of easier parameters, each solve starting at the last solution.
 
         A finer mesh on which that fails is begun anew, from the solution under the easiest.
         """
@@ -138,7 +138,7 @@ class MissionProblem:
         mesh: Mesh,
         reached: Solution | None = None,
     ) -> tuple[Solution, Solution | None]:
-        """Return the solution, and the first intermediate solution."""
+        """Return the final solution and the first intermediate solution of the sequence."""
         first = reached
         for numbers in easier:
             if reached is None:
@@ -155,29 +155,29 @@ class MissionProblem:
         return self.solve(mesh=reached.mesh, warm_start=reached), first
 
     def _as_far_as(self, stopped: Solution) -> Solution:
-        """Return a solve that was stopped under easier numbers, read under the mission's own."""
+        """Reinterpret a stopped solve with easier parameters as a solve of the mission itself."""
         read = self.unsolved(mesh=stopped.mesh, warm_start=stopped)
         return replace(read, status=stopped.status, message=stopped.message)
 
     def unsolved(self, **chosen: Any) -> Solution:
-        """Return the initial point of a solve as a solution."""
+        """Return the initial point of a solve as a solution that is not converged."""
         options = SolverOptions(max_iterations=0)
         return self.solve(**{"tolerance": None, "options": options, "progress": None} | chosen)
 
     @cached_property
     def past_waypoints(self) -> MissionProblem | None:
-        """The mission through the waypoints themselves, None where it leads through them anyway."""
+        """Mission with exact passages of the waypoints, None if its passages are exact already."""
         plain = with_plain_passages(self.told)
         return None if plain is None else MissionProblem(self.problems, plain, self.search)
 
     @cached_property
     def steady(self) -> SteadyFlight:
-        """Steady flight in the air of the mission."""
+        """Steady flight of the vehicle in the wind of the mission."""
         flown = {name: self.arguments[name] for name in ("parameters", "horizon")}
         return SteadyFlight(self.told, self.problem.dynamics(**flown))
 
     def hover_energy(self, solution: Solution) -> float:
-        """Return the energy of hovering through the mission, NaN if the vehicle cannot hover."""
+        """Return the energy of hovering for the whole mission, NaN if the vehicle cannot hover."""
         held = trajectories_of(solution)
         known = dict(zip(held.state_names, held.states[0].tolist(), strict=True))
         try:
@@ -188,7 +188,7 @@ class MissionProblem:
         return power * (end - start)
 
     def keep_usable(self, finished: Solution) -> None:
-        """Keep the usable plan, if any, of a mesh that a solve has finished."""
+        """Offer the solution of a finished mesh to the search as a usable plan."""
         search = self.search
         if search is None:
             return

@@ -33,7 +33,7 @@ _ROUNDING = 1e-12
 
 @dataclass(frozen=True, kw_only=True)
 class OrderSearch:
-    """Result of the search for the order of a plan's waypoints.
+    """Result of the search for the order of the waypoints.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class OrderSearch:
 
     @property
     def name(self) -> str:
-        """The waypoints in their order."""
+        """Waypoint numbers in the chosen order."""
         return f"waypoints in order {', '.join(str(k) for k in self.order)}"
 
     @property
@@ -102,7 +102,7 @@ def cost_of(costs: FloatArray, order: _Order) -> float:
 
 
 def exact_orders(costs: FloatArray, count: int) -> list[_Order]:
-    """Return the cheapest orders by dynamic programming.
+    """Return the cheapest orders by dynamic programming (Held and Karp).
 
     The states are the set of places passed and the last of them [1]_; the `count` best orders of
     each state are kept.
@@ -143,7 +143,7 @@ def _traced_back(came_from: NDArray[np.int32], passed: int, row: int, count: int
 
 
 def search_orders(costs: FloatArray, count: int) -> list[_Order]:
-    """Return the cheapest orders that an iterated local search finds.
+    """Return the cheapest orders found by iterated local search.
 
     Each step takes the best of all exchanges of two neighbouring blocks, which keep every direction
     of flight, and of all reversals of a block [1]_. Descents are repeated from disturbed copies of
@@ -169,14 +169,14 @@ def search_orders(costs: FloatArray, count: int) -> list[_Order]:
 
 
 def _without_infinities(costs: FloatArray) -> FloatArray:
-    """Return costs with infinite entries replaced by numbers above any finite order's cost."""
+    """Return costs with infinite entries replaced by a finite number above any finite tour."""
     finite = costs[np.isfinite(costs)]
     large = 1.0 + len(costs) * float(np.max(np.abs(finite), initial=0.0))
     return np.where(np.isfinite(costs), costs, large)
 
 
 def _neighbours(n: int) -> IntArray:
-    """Return the orders that differ by one step from the order 0, 1, ... n - 1, in rows."""
+    """Return all orders that differ from 0, 1, ... n - 1 by one local change, in rows."""
     every = np.arange(n)
     rows = [
         np.concatenate([every[:i], every[j:k], every[i:j], every[k:]])
@@ -195,13 +195,13 @@ def _named(order: IntArray) -> _Order:
 
 
 def _cost(costs: FloatArray, orders: IntArray) -> FloatArray:
-    """Return the cost of each order, a row of the indices of the table."""
+    """Return the cost of each order, given as a row of indices."""
     between = costs[orders[:, :-1], orders[:, 1:]].sum(axis=1)
     return np.asarray(costs[0, orders[:, 0]] + between + costs[orders[:, -1], -1])
 
 
 def nearest_first(costs: FloatArray) -> IntArray:
-    """Return the order that always continues to the remaining place of least leg cost."""
+    """Return the greedy order: always to the nearest remaining place."""
     order, left = [0], list(range(1, len(costs) - 1))
     while left:
         order.append(left.pop(int(np.argmin(costs[order[-1], left]))))
@@ -209,7 +209,7 @@ def nearest_first(costs: FloatArray) -> IntArray:
 
 
 def _descended(costs: FloatArray, neighbours: IntArray, order: IntArray) -> IntArray:
-    """Return the local optimum reached by steepest descent from an order."""
+    """Return the local optimum that steepest descent reaches from an order."""
     cost = _cost(costs, order[None])[0]
     while True:
         beside = order[neighbours]
@@ -246,7 +246,7 @@ def least_cost(costs: FloatArray, reached: float) -> float:
 
 
 def _made_symmetric(costs: FloatArray, finite: FloatArray) -> FloatArray:
-    """Return the cheaper direction of each leg, after subtracting potentials.
+    """Return the costs of the cheaper direction of each leg, after subtracting potentials.
 
     The cost of an order does not depend on potentials, eq. (3). Climbs, and head wind against tail
     wind, are differences of potentials; a leg allowed in one direction only gives no information on
@@ -265,7 +265,7 @@ def _made_symmetric(costs: FloatArray, finite: FloatArray) -> FloatArray:
 
 
 def _tree_bound(costs: FloatArray, reached: float) -> float:
-    """Return the largest cost found of a minimum tree under prices of the places, eq. (5)."""
+    """Return the largest minimum spanning tree cost over prices of the places, eq. (5)."""
     degrees = np.full(len(costs), 2.0)
     degrees[[0, -1]] = 1.0
     prices, best, eager, idle = np.zeros(len(costs)), -inf, 1.0, 0

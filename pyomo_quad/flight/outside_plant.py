@@ -1,4 +1,4 @@
-"""The vehicle in the simulator RotorPy [1]_, under the package's controller and RotorPy's own.
+"""Flights in the simulator RotorPy [1]_, under the package's controller and RotorPy's own.
 
 here | RotorPy
 mass, inertias, thrust and drag torque over rotor speed squared | mass, Ixx.., k_eta, k_m
@@ -86,7 +86,7 @@ _SIZE = 20
 
 
 class Pilot(StrEnum):
-    """Controllers of the outside plant: adaptive, RotorPy's SE3, or the plan's own controls."""
+    """Controller of a flight in RotorPy: adaptive, SE3, or open loop."""
 
     ADAPTIVE = "adaptive"
     SE3 = "se3"
@@ -95,7 +95,7 @@ class Pilot(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class BodyFrame:
-    """Orientation of RotorPy's body axes in the declared ones, and the order of its rotors."""
+    """Rotation from RotorPy's body axes to the declared axes, and the order of the rotors."""
 
     turn: float = 0.0
     """Angle from our body x to theirs [rad]."""
@@ -105,7 +105,7 @@ class BodyFrame:
 
 @dataclass(frozen=True, kw_only=True)
 class Habits:
-    """Deviations of RotorPy's own simulation from the declared equations, by default none."""
+    """Switches for the deviations of RotorPy's simulation from the declared equations."""
 
     gravity: float | None = None
     """Gravity [m/s^2] in place of the scenario's."""
@@ -142,7 +142,7 @@ def rotorpy_module(name: str) -> ModuleType:
 
 
 def quad_parameters(scenario: Scenario, dynamics: Dynamics) -> dict[str, Any]:
-    """Return the vehicle of a scenario as RotorPy's parameters."""
+    """Return the vehicle of a scenario as RotorPy's parameter dictionary."""
     vehicle, limits = scenario.vehicle, scenario.limits
     thrust, roll, pitch, yaw = mixer_matrix(dynamics)
     places = np.column_stack([-pitch / thrust, roll / thrust, np.zeros(len(thrust))])
@@ -173,7 +173,7 @@ def quad_parameters(scenario: Scenario, dynamics: Dynamics) -> dict[str, Any]:
 
 
 class OutsidePlant:
-    """RotorPy's multirotor, with the states of the declared model.
+    """RotorPy's multirotor behind the interface of the declared model.
 
     Its joint state is RotorPy's vector, the declared states that RotorPy lacks (the charge drawn
     from the pack), the states of a law, and the energy.
@@ -232,7 +232,7 @@ class OutsidePlant:
         self._wind = _wind_of(scenario, dynamics)
 
     def started(self, x: FloatArray, own: Sequence[float]) -> FloatArray:
-        """Return the joint state of declared states and the states of a law."""
+        """Return the initial joint state of vehicle and controller."""
         s = np.zeros(_SIZE)
         s[:6] = x[self._place]
         attitude = Rotation.from_euler("ZYX", x[self._angles][::-1]) * self._turn
@@ -242,7 +242,7 @@ class OutsidePlant:
         return np.array([*s, *x[self._others], *own, 0.0])
 
     def read(self, joint: FloatArray) -> FloatArray:
-        """Return the declared states of a joint state."""
+        """Return the declared states in a joint state."""
         x = np.empty(len(self.dynamics.state_names))
         x[self._place] = joint[:6]
         attitude = Rotation.from_quat(joint[_QUATERNION]) * self._turn.inv()
@@ -258,7 +258,7 @@ class OutsidePlant:
         return np.asarray(self._turn.apply(vector))
 
     def seen(self, x: FloatArray) -> dict[str, FloatArray]:
-        """Return declared states in the form of RotorPy's controllers."""
+        """Return declared states in the format of RotorPy's controllers."""
         s = self.started(x, ())
         return {
             "x": s[_POSITION],
@@ -269,17 +269,17 @@ class OutsidePlant:
         }
 
     def ours(self, theirs: FloatArray) -> FloatArray:
-        """Return a number per rotor, in the order of the declared rotors."""
+        """Return values per rotor, reordered for the declared rotors."""
         ordered = np.empty_like(theirs)
         ordered[self._order] = theirs
         return ordered
 
     def own(self, joint: FloatArray) -> list[float]:
-        """Return the states of the law in a joint state."""
+        """Return the controller's states in a joint state."""
         return joint[_SIZE + len(self._others) : -1].tolist()
 
     def rates(self, t: float, joint: FloatArray, law: OutsideLaw) -> FloatArray:
-        """Return the derivative of the joint state under a law."""
+        """Return the time derivative of the joint state under a feedback law."""
         x = self.read(joint)
         alpha, own_rates = law(t, x, self.own(joint))
         declared, power = self.dynamics.rates_and_integrand(t, x, np.asarray(alpha, dtype=float))
@@ -294,7 +294,7 @@ class OutsidePlant:
         return np.array([*slope, *declared[self._others], *own_rates, power])
 
     def _of_rotors(self, s: FloatArray, alpha: FloatArray) -> FloatArray:
-        """Return the moment of the rotors on the body, minus the rate of their momentum [N m]."""
+        """Return the rotors' moment on the body, less the rate of their momentum [N m]."""
         directions = self._vehicle.rotor_dir
         spin, gathering = directions @ s[_SPEEDS], directions @ alpha
         p, q, _ = s[_BODY_RATES]
@@ -311,7 +311,7 @@ class OutsidePlant:
         integrator: str,
         tolerance: float,
     ) -> Flown:
-        """Fly under a law that is smooth between borders [s].
+        """Simulate a flight under a law that is smooth between given times [s].
 
         Raises
         ------
@@ -355,7 +355,7 @@ class OutsidePlant:
     def _slope(
         self, law: OutsideLaw, inside: float, last: float
     ) -> Callable[[float, FloatArray], FloatArray]:
-        """Return the derivative of the joint state in a part of a flight, stopping a tumble."""
+        """Return the derivative of the joint state; raise an error if the vehicle tumbles."""
         guard = TumblingGuard("RotorPy", last - inside)
 
         def slope(t: float, joint: FloatArray) -> FloatArray:
@@ -365,7 +365,7 @@ class OutsidePlant:
         return slope
 
     def _held(self, law: OutsideLaw, t: float, joint: FloatArray) -> OutsideLaw:
-        """Return a law that holds the present command; the motors follow it with their lag."""
+        """Return a law that holds the present command; the motors follow with their lag."""
         x, lag = self.read(joint), self.parameters["tau_m"]
         command = x[self._rotors] + lag * np.asarray(law(t, x, self.own(joint))[0], dtype=float)
 
@@ -414,14 +414,14 @@ def _blows(axis: WindAxis) -> bool:
 
 
 def outside_name(pilot: Pilot, followed: Reference) -> str:
-    """Return the name of a flight of the outside plant."""
+    """Return the name of a flight in RotorPy."""
     return f"{PLANT}/{pilot.value}/{followed.value}"
 
 
 def fly_outside(
     plant: OutsidePlant, pilot: Pilot, reference: Reference, plan: Plan | None = None
 ) -> Flight:
-    """Fly RotorPy's vehicle along a reference, or under the plan's own controls.
+    """Simulate RotorPy's vehicle along a reference, or with the plan's controls in open loop.
 
     Like every controlled flight it is verified by a second integrator.
 
@@ -455,7 +455,7 @@ def fly_under(
     own: Sequence[float] = (),
     borders: Sequence[float] | None = None,
 ) -> Flight:
-    """Fly RotorPy's vehicle under a law.
+    """Simulate RotorPy's vehicle under a feedback law.
 
     `borders`, s, separate the smooth parts of a law without feedback.
     """
@@ -492,7 +492,7 @@ def _adaptive(
 
 
 def se3_law(plant: OutsidePlant, path: ReferencePath, *, stiffness: float = 1.0) -> OutsideLaw:
-    """Return RotorPy's own controller, with its position gains multiplied by `stiffness`.
+    """Return RotorPy's SE3 controller with scaled position gains.
 
     Its commands are clipped to the limits of the rotors.
     """
@@ -521,7 +521,7 @@ def se3_law(plant: OutsidePlant, path: ReferencePath, *, stiffness: float = 1.0)
 
 
 def _open_loop(plan: Plan, plant: OutsidePlant) -> tuple[OutsideLaw, list[float]]:
-    """Return the plan's own controls and the borders of its elements.
+    """Return the plan's controls as a law, with the element boundaries of its mesh.
 
     A held command is the planned rotor speed, independent of the actual speed.
     """

@@ -1,4 +1,4 @@
-"""A plan, the optimal flight of a scenario, and its file."""
+"""Plan of a scenario: the flight of least energy, and the file that stores it."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ FLIGHT_SAMPLES = 1001
 
 @dataclass(frozen=True, kw_only=True)
 class Trajectories:
-    """Named values on a mesh.
+    """States, controls and energy on a mesh, by name.
 
     Shapes: states (n_points + 1, n_states), controls (n_points, n_controls), energy
     (n_points + 1,), costates (n_points, n_costates), hamiltonian (n_points,).
@@ -72,23 +72,23 @@ class Trajectories:
     hamiltonian: FloatArray
 
     def fractions(self, t: FloatArray) -> FloatArray:
-        """Return times as fractions of the horizon, clipped to it."""
+        """Return times as fractions of the flight's horizon, clipped to 0 and 1."""
         start, end = self.horizon
         return np.clip((np.asarray(t, dtype=float) - start) / (end - start), 0.0, 1.0)
 
     def states_at(self, t: FloatArray) -> FloatArray:
-        """Return the state polynomials at times, shape (n, n_states)."""
+        """Evaluate the state polynomials at given times, shape (n, n_states)."""
         return interpolate(self.mesh, self.states, self.fractions(t), with_start=True)
 
     def controls_at(
         self, t: FloatArray, limits: tuple[FloatArray, FloatArray] | None = None
     ) -> FloatArray:
-        """Return the control polynomials at times, clipped to limits, shape (n, n_controls)."""
+        """Evaluate the control polynomials, clipped to limits, shape (n, n_controls)."""
         controls = interpolate(self.mesh, self.controls, self.fractions(t), with_start=False)
         return controls if limits is None else np.clip(controls, *limits)
 
     def energy_at(self, t: FloatArray) -> FloatArray:
-        """Return the energy spent until times, shape (n,)."""
+        """Return the energy spent until given times, shape (n,)."""
         held = interpolate(self.mesh, self.energy[:, None], self.fractions(t), with_start=True)
         return held[:, 0]
 
@@ -134,7 +134,7 @@ _WARM_START = "warm_start."
 
 
 class PlanStatus(StrEnum):
-    """Outcome of a plan.
+    """Outcome of planning, from verified to failed.
 
     A flight proves `VERIFIED` to be as accurate as was asked for.  It proves of `USABLE` that it
     arrives, keeps all limits and spends the energy stated, to the figures `USABLE`;
@@ -158,7 +158,7 @@ _Error = Annotated[float, AllowInfNan()]
 
 
 class PlanRecord(Part):
-    """The data of a plan's file other than its arrays."""
+    """Contents of a plan file other than its arrays."""
 
     status: PlanStatus
     message: str
@@ -176,7 +176,7 @@ class PlanRecord(Part):
 
 
 class _About(Part):
-    """The JSON of a plan's file."""
+    """JSON schema of the description in a plan file."""
 
     model_config = ConfigDict(ser_json_inf_nan="constants")
 
@@ -196,7 +196,7 @@ def write_plan_file(
     trajectories: Trajectories,
     warm_start: WarmStart | None,
 ) -> None:
-    """Write a plan's description and arrays; the warm start is written only if it is finite."""
+    """Write a plan's description and arrays; a warm start with infinite numbers is left out."""
     about = _About(
         format=_FORMAT,
         scenario=scenario.model_dump(mode="json"),
@@ -350,7 +350,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Plan(Summarised):
-    """The minimum-energy flight of a scenario, or the best iterate of a solve that failed.
+    """Flight of least energy for a scenario, or the best iterate of a failed solve.
 
     Attributes
     ----------
@@ -420,12 +420,12 @@ class Plan(Summarised):
 
     @property
     def cost(self) -> float:
-        """Energy plus the price of the flight's time [J]."""
+        """Objective of the plan: energy plus the price of time [J]."""
         return self.energy + self.scenario.mission.price_of_time * self.duration_s
 
     @property
     def mission_flown(self) -> Scenario:
-        """The scenario with the plan's duration and passing times."""
+        """Scenario with the plan's duration and passing times filled in."""
         told = self.scenario
         if not told.mission.is_free and not told.mission.waypoints:
             return told
@@ -433,7 +433,7 @@ class Plan(Summarised):
 
     @property
     def risk_words(self) -> str:
-        """The risk that the plan was made for and its price, or that it is a paper plan."""
+        """Risk and cost of the plan's margins in words, or a warning that it has no margins."""
         return PAPER_PLAN if self.risk is None else self.risk.words(self.energy)
 
     @property
@@ -450,28 +450,28 @@ class Plan(Summarised):
 
     @property
     def mesh(self) -> Mesh:
-        """The last mesh."""
+        """Last mesh of the refinement."""
         return self.trajectories.mesh
 
     @property
     def is_verified(self) -> bool:
-        """Whether a flight of the controls confirmed the plan as accurate as was asked for."""
+        """Whether simulation confirmed the plan to the requested accuracy."""
         return self.status is PlanStatus.VERIFIED
 
     @property
     def is_flyable(self) -> bool:
-        """Whether a flight of the controls confirmed the plan: it is verified or usable."""
+        """Whether simulation confirmed the plan, fully (verified) or at lower accuracy (usable)."""
         return self.status in FLYABLE
 
     @property
     def figures_checked(self) -> Figures:
-        """Largest errors allowed in the verification of the plan."""
+        """Tolerances of the plan's verification."""
         usable = self.status is PlanStatus.USABLE
         return USABLE if usable else FIGURES[self.scenario.solver.accuracy]
 
     @property
     def accuracy_reached(self) -> Accuracy | None:
-        """The highest accuracy, up to the one asked for, that flight and error estimate confirm."""
+        """Highest accuracy, at most as requested, that simulation and error estimate confirm."""
         if self.is_verified:
             return self.scenario.solver.accuracy
         flown = None if self.verification is None else self.verification.reached
@@ -481,7 +481,7 @@ class Plan(Summarised):
 
     @property
     def energy_uncertainty(self) -> float:
-        """Share of the energy by which another flight nearby may spend less, as far as is known.
+        """Estimated share of the energy that a better flight nearby may save.
 
         The error estimate of a plan that is verified, and is its energy's among others; else by how
         much the last mesh changed the energy, infinite where there was one mesh: that two meshes
@@ -497,12 +497,12 @@ class Plan(Summarised):
 
     @property
     def iteration_count(self) -> int:
-        """Ipopt iterations over all meshes."""
+        """Number of Ipopt iterations on all meshes."""
         return sum(record.iterations for record in self.history)
 
     @property
     def reached(self) -> str:
-        """Progress of a search that ended early, in one sentence."""
+        """Progress of a search that ended early, as a sentence."""
         asked = self.scenario.solver.tolerance
         parts = [
             f"mesh {max(len(self.history), 1)} with {self.mesh.points} points",
@@ -517,7 +517,7 @@ class Plan(Summarised):
 
     @cached_property
     def dynamics(self) -> Dynamics:
-        """The declared equations of the plan, ready to fly."""
+        """Compiled equations of the plan, for simulations."""
         if self.solution is None:
             raise ScenarioError(
                 f"{self.scenario.name}: this plan was loaded from a file and holds no equations; "
@@ -526,7 +526,7 @@ class Plan(Summarised):
         return self.solution.dynamics
 
     def owed_energy(self, final: Mapping[str, float]) -> float:
-        """Return the energy needed to complete the mission from another end state [J].
+        """Estimate the energy to complete the mission from another end state [J].
 
         The costate is the decrease of the least energy per unit by which the end state is further
         on. Its product with the distance from the planned end is therefore the missing energy, to
@@ -549,12 +549,12 @@ class Plan(Summarised):
 
     @property
     def end_prices(self) -> dict[str, float]:
-        """State name -> costate at the end: the energy saved per unit of that state."""
+        """Costates at the end, by state: energy saved per unit of the state."""
         held = self.trajectories
         return dict(zip(held.costate_names, held.costates[-1].tolist(), strict=True))
 
     def to_frame(self, rate_hz: float | None = None) -> pd.DataFrame:
-        """Return the plan as a table: at the mesh's nodes, or at an even rate.
+        """Return the plan as a table at the nodes of the mesh, or at a constant rate.
 
         Parameters
         ----------
@@ -609,7 +609,7 @@ class Plan(Summarised):
         return flight_columns(*self._sampled(times))
 
     def times(self, rate_hz: float | None = None) -> FloatArray:
-        """Return the times of the rows of `to_frame` [s]."""
+        """Return the row times of `to_frame` [s]."""
         if rate_hz is None:
             return self.trajectories.node_times
         if not 0.0 < rate_hz <= 1e5:
@@ -619,13 +619,13 @@ class Plan(Summarised):
 
     @property
     def passages(self) -> list[Passage]:
-        """The places that the flight should pass, with times."""
+        """Places with times that the flight must pass."""
         pairs = zip(self.scenario.mission.waypoints, self.passing_times_s, strict=True)
         return [Passage(time_s=at, position=w.position, radius=w.radius) for w, at in pairs]
 
     @property
     def mesh_where_broken(self) -> Mesh:
-        """The mesh, refined where the flight violated a limit."""
+        """Mesh refined in the elements where the simulated flight broke a limit."""
         held = self.trajectories
         if self.flown is None:
             return held.mesh
@@ -666,7 +666,7 @@ class Plan(Summarised):
         return frame.iloc[0] if np.ndim(t) == 0 else frame
 
     def flight(self, name: str = "optimal", samples: int = FLIGHT_SAMPLES) -> Flight:
-        """Return the plan as a flight, with the verdict of its verification."""
+        """Return the plan as a `Flight`, with the result of its verification."""
         verification = self.verification
         return Flight(
             name=name,
@@ -694,7 +694,7 @@ class Plan(Summarised):
         return frame
 
     def guess(self) -> pd.DataFrame:
-        """Return states and controls at the nodes as an initial guess for another solve."""
+        """Return states and controls at the nodes, as an initial guess for another solve."""
         import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
         held, times = self.trajectories, self.trajectories.node_times
@@ -769,7 +769,7 @@ class Plan(Summarised):
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Read a plan that `save` wrote; it has no equations and cannot be flown again.
+        """Read a plan file; the plan lacks the compiled equations and cannot be simulated.
 
         Another solve can start from it as from the original plan.
 

@@ -1,4 +1,4 @@
-"""From a scenario to a plan: compile its problem, carry out strategies, keep usable plans."""
+"""Planner: compiles a scenario's problem, applies the planning strategies, verifies the plan."""
 
 import time
 from collections.abc import Callable
@@ -25,10 +25,10 @@ Solve = Callable[[Scenario, Start | None, Search], Plan]
 
 
 class Planner(Problems):
-    """Solves scenarios, and verifies their plans by flying them."""
+    """Solver of scenarios: compiles, solves and verifies, with cached problems."""
 
     def until_stopped(self) -> AbstractContextManager[Callable[[], bool]]:
-        """Return a context for several solves; its function says whether the user stopped them."""
+        """Return a context for several solves that tells whether the user stopped them."""
         return nullcontext(lambda: False)
 
     def solve(
@@ -75,7 +75,7 @@ class Planner(Problems):
             return search.ended(replace(plan, timings=timings))
 
     def _solve_in_best_order(self, scenario: Scenario, solve: Solve, search: Search) -> Plan:
-        """Return the plan of the order of waypoints that costs least."""
+        """Solve a mission whose waypoints may be visited in any order."""
         orders = BestOrder(self, scenario, search)
         table = [
             Strategy(found.name, ROUTES, BestOrder.has_time, partial(BestOrder.fly, found=found))
@@ -85,7 +85,7 @@ class Planner(Problems):
         return orders.finish(solve)
 
     def _solve_quickest(self, scenario: Scenario, start: Start | None, search: Search) -> Plan:
-        """Return the flight of least energy among those of nearly the least time.
+        """Solve for the flight of least energy in nearly the least duration.
 
         The last to be verified of flights that come closer and closer to it, each begun from the
         last.
@@ -119,7 +119,7 @@ def solve_scenario(
     warm_start: Plan | WarmStart | None = None,
     progress: Progress | None = None,
 ) -> Plan:
-    """Solve one scenario with a planner of its own; see `Planner.solve`.
+    """Solve one scenario with a new planner; see `Planner.solve`.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Compiled problems of scenarios, and the vehicle that flies by them."""
+"""Compiled problems of scenarios, and the simulated vehicles made from them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _WIND = ("wind.velocity_x", "wind.velocity_y")
 
 
 class Problems:
-    """Compiles the problem of a scenario, only where none that is kept fits.
+    """Compiler of scenarios that reuses a cached problem of the same structure.
 
     Those of the declared model are kept in `caches.PROBLEMS` for all.  Guess and scales are those
     of the scenario at hand: no answer depends on what was solved before.
@@ -55,16 +55,16 @@ class Problems:
 
     @property
     def is_declared(self) -> bool:
-        """Whether the equations belong to the declared model and not to a user's own."""
+        """Whether the scenarios use the package's model and not a user's own."""
         return self._builder is build_model
 
     def has_routes(self, scenario: Scenario) -> bool:
-        """Return whether a mission has routes to choose from, round zones or through a field."""
+        """Return whether zones or a wind field leave a mission several routes to compare."""
         has_choice = bool(scenario.airspace.keep_out) or has_corridors(scenario)
         return self.is_declared and has_choice
 
     def problem_for(self, scenario: Scenario) -> tuple[Problem, dict[str, float]]:
-        """Return a compiled problem for a scenario, and the seconds that took."""
+        """Return the compiled problem of a scenario and the compile time [s]."""
         key = self._key(scenario)
         built_for, problem = self._problems.get(key) or (scenario, None)
         if problem is not None and guess_key(built_for) == guess_key(scenario):
@@ -83,7 +83,7 @@ class Problems:
         return structure_key(scenario) if self.is_declared else scenario
 
     def model(self, scenario: Scenario) -> Any:
-        """Return the Pyomo model of a scenario, with the scenario's own numbers in it."""
+        """Return the Pyomo model of a scenario, with the scenario's parameter values."""
         built_for, problem = self._problems.get(self._key(scenario)) or (None, None)
         if problem is None or built_for != scenario:
             return self._builder(scenario)
@@ -92,7 +92,7 @@ class Problems:
     def steady_flight(
         self, scenario: Scenario, known: Mapping[str, float] | None = None
     ) -> SteadyFlight:
-        """Return the steady flight of a scenario's vehicle in still air, solved for once.
+        """Return the cached steady flight of a scenario's vehicle in still air.
 
         `known` gives states at the start that only a plan knows.
         """
@@ -105,11 +105,11 @@ class Problems:
         return steady
 
     def parameters(self, scenario: Scenario) -> dict[str, float] | None:
-        """Return the numbers a compiled problem is solved with."""
+        """Return the parameter values of a scenario for its compiled problem."""
         return parameter_values(scenario) if self.is_declared else None
 
     def dynamics(self, scenario: Scenario) -> Dynamics:
-        """Return the vehicle of a scenario in the scenario's own wind, ready to fly.
+        """Return the equations of a scenario's vehicle in its wind, for simulations.
 
         Its limits are those of the controller, which has what plans leave as a reserve.
         """
@@ -117,7 +117,7 @@ class Problems:
         return problem.dynamics(parameters=without_reserve(numbers), horizon=horizon_of(scenario))
 
     def winds_at(self, scenario: Scenario, places: ArrayLike) -> FloatArray:
-        """Return the wind along world x and y at places (n, 3) as the mission begins [m/s]."""
+        """Return the wind along world x and y at places (n, 3) as the mission starts [m/s]."""
         dynamics, held = self.dynamics(scenario), np.atleast_2d(places)
         names = list(dynamics.state_names)
         start = dynamics.initial_states() | declared_start(scenario, dynamics)

@@ -1,4 +1,4 @@
-"""Verification of a plan that was read from a file, whose own claims are not trusted.
+"""Verification of a plan read from a file, without trust in the numbers that the file states.
 
 Ends and horizon must be those of the mission. The controls, flown by SciPy through the scenario's
 own equations, must reproduce the states of the file.
@@ -38,7 +38,7 @@ _AGAIN = "solve the scenario again."
 
 @dataclass(frozen=True, kw_only=True)
 class Allowed:
-    """Tolerances on the difference between a flight and its file.
+    """Tolerances between a simulated flight and the plan in a file.
 
     `miss` applies to any state at any time and to the waypoints: metres, metres per second,
     radians, or relative if a value is larger than 1. `violation` of limits and `energy` are
@@ -51,7 +51,7 @@ class Allowed:
 
 
 def exactly(figures: Figures) -> Allowed:
-    """Return the tolerances for a file with every number of a plan, at the plan's accuracy."""
+    """Return the tolerances for a file that stores a plan without loss."""
     return Allowed(miss=figures.miss, violation=figures.breach, energy=figures.energy_flown)
 
 
@@ -71,7 +71,7 @@ def refuse_unproven(
     *,
     is_code_allowed: bool = False,
 ) -> None:
-    """Refuse a plan that the equations of its mission do not confirm.
+    """Raise an error for a plan that simulation with the mission's equations does not confirm.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def refuse_unproven(
 def _refuse_failed(
     scenario: Scenario, verification: Verification, energy: float, allowed: Allowed
 ) -> None:
-    """Refuse a plan whose flight violates limits or whose energy differs from the stated energy."""
+    """Raise an error if the simulated flight breaks limits or takes another energy."""
     share = abs(verification.energy_difference_J) / max(1.0, abs(energy))
     passed = max(verification.passing_misses_m, default=0.0)
     failings = (
@@ -174,7 +174,7 @@ def _refuse_other_times(
 
 
 def in_order(scenario: Scenario, held: Trajectories, dynamics: Dynamics) -> Trajectories:
-    """Return a plan in the order of the dynamics; states that are known at the start only are NaN.
+    """Return a plan with states in the order of the dynamics; states without a trajectory are NaN.
 
     Raises
     ------
@@ -211,7 +211,7 @@ def in_order(scenario: Scenario, held: Trajectories, dynamics: Dynamics) -> Traj
 def _refuse_other_ends(
     scenario: Scenario, dynamics: Dynamics, states: FloatArray, allowed: Allowed
 ) -> None:
-    """Refuse a plan whose initial or final state differs from the mission's."""
+    """Raise an error if the initial or final state of a plan differs from the mission's."""
     for end, wanted, found in (
         ("start", declared_start(scenario, dynamics), states[0]),
         ("end", wanted_at_goal(scenario, dynamics), states[-1]),
@@ -234,7 +234,7 @@ def _refuse_other_ends(
 def _refuse_astray(
     scenario: Scenario, held: Trajectories, dynamics: Dynamics, flown: Flown, allowed: Allowed
 ) -> None:
-    """Refuse a plan whose states are not reproduced by flying its controls."""
+    """Raise an error if simulating the controls does not reproduce the states of a plan."""
     planned = held.states_at(flown.t)
     worst, when, which = 0.0, 0.0, ""
     for k, name in enumerate(held.state_names):

@@ -1,4 +1,4 @@
-"""References: the desired motion of the vehicle as a function of time.
+"""Reference paths: position and yaw as functions of time for the controller to follow.
 
 reference | path | meets at both ends
 step | the goal from the start | nothing: the path depends on the controller
@@ -39,7 +39,7 @@ _STEP = Polynomial((1,))
 
 
 class Setpoint(NamedTuple):
-    """Desired motion of the vehicle at one time, for (x, y, z, yaw)."""
+    """Reference at one time: x, y, z and yaw with their derivatives."""
 
     place: Sequence[float]
     """Position in world axes, m, and yaw, rad."""
@@ -56,7 +56,7 @@ _AT_REST = (0.0, 0.0, 0.0, 0.0)
 
 
 class StraightPath:
-    """A straight line from start to goal, traversed by a polynomial of time.
+    """Straight line from start to goal with a polynomial progress over time.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ class StraightPath:
         )
 
     def __call__(self, t: float) -> Setpoint:
-        """Return the setpoint at time t, s; held before the start and after the end."""
+        """Return the setpoint at time t [s], constant before the start and after the end."""
         duration = self._duration
         elapsed = min(max(t / duration, 0.0), 1.0)
         done = _horner(self._progress, elapsed)
@@ -90,7 +90,7 @@ class StraightPath:
 
 
 def quintic_progress(elapsed: FloatArray) -> FloatArray:
-    """Return the fraction of the way at fractions of the duration, from rest to rest."""
+    """Return the progress of a rest-to-rest motion of degree 5 at fractions of its duration."""
     return np.asarray(_QUINTIC(elapsed))
 
 
@@ -102,7 +102,7 @@ def _horner(falling_coefficients: Sequence[float], x: float) -> float:
 
 
 class WaypointPath:
-    """Splines through the waypoints at their times, at rest at both ends and at holds.
+    """Splines through timed waypoints, at rest at the ends and during holds.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ class WaypointPath:
             self._splines.append((left, times[last], [spline.derivative(n) for n in range(3)]))
 
     def __call__(self, t: float) -> Setpoint:
-        """Return the setpoint at time t, s; held before the start, at holds and after the end."""
+        """Return the setpoint at time t [s], constant outside the flight and in holds."""
         began = [spline for spline in self._splines if spline[0] <= t] or self._splines[:1]
         left, reached, derivatives = began[-1]
         held = min(max(t, left), reached)
@@ -138,7 +138,7 @@ class WaypointPath:
 
 
 class _Steps:
-    """A step to each waypoint, until its time; then to the next one, and to the goal."""
+    """Reference that jumps to each waypoint, and from its passing time to the next."""
 
     def __init__(self, mission: Mission) -> None:
         self._places, self._times = stops_of(mission)
@@ -151,7 +151,7 @@ class _Steps:
 
 
 def stops_of(mission: Mission) -> tuple[list[list[float]], list[float]]:
-    """Return (x, y, z, yaw) of start, waypoints and goal, and the time of each.
+    """Return position and yaw of start, waypoints and goal, with their times.
 
     Raises
     ------
@@ -176,22 +176,22 @@ def stops_of(mission: Mission) -> tuple[list[list[float]], list[float]]:
 
 
 def step(mission: Mission) -> ReferencePath:
-    """Return a step to the goal."""
+    """Return the reference that jumps to the waypoints and the goal."""
     return _Steps(mission) if mission.waypoints else StraightPath(mission, _STEP)
 
 
 def quintic(mission: Mission) -> ReferencePath:
-    """Return a path from rest to rest with the least squared jerk, of degree 5 in time."""
+    """Return the rest-to-rest path of least squared jerk (degree 5 in time)."""
     return WaypointPath(mission, 2) if mission.waypoints else StraightPath(mission, _QUINTIC)
 
 
 def minimum_snap(mission: Mission) -> ReferencePath:
-    """Return a path from rest to rest with the least squared snap, of degree 7 in time."""
+    """Return the rest-to-rest path of least squared snap (degree 7 in time)."""
     return WaypointPath(mission, 3) if mission.waypoints else StraightPath(mission, _MINIMUM_SNAP)
 
 
 class SampledPath:
-    """A path given by samples, with a polynomial of degree 5 between each pair of samples.
+    """Path through samples, interpolated by polynomials of degree 5.
 
     Position, velocity and acceleration are continuous, and exact at the samples. A disturbance that
     the path accounts for is a cubic spline.

@@ -1,4 +1,4 @@
-"""The remaining mission in flight, and its re-plans with soft limits.
+"""Remaining mission in flight, and its re-plans with soft limits.
 
 A re-plan leads to its goal, or into the next hold: the vehicle hovers there, whatever follows.  Its
 limits are soft (`model.soft_limits`), with the margins of the plan's risk (`flight.margins`).  Its
@@ -11,9 +11,9 @@ docs/theory/soft_limits.md, eqs. (1) and (2).
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
-from math import ceil
+from math import ceil, floor, log
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +59,8 @@ _HORIZONTAL = "xy"
 _ELEMENT_S, _FEWEST, _MOST, _DEGREE = 1.25, 8, 24, 4
 # s. Shortest and longest elements of a re-plan's mesh, and the ratio of neighbours.
 _SHORT_S, _LONG_S, _GROWTH = 0.3, 2.0, 1.35
+# Share of the time left until which a mesh is kept.
+_KEPT = 0.8
 # Samples of a plan from which another is begun.
 _GUESSED = 200
 # By how much and how often the price of a breach rises where a breach above the last number, in
@@ -91,7 +93,7 @@ _SPARE_M = 0.03
 
 @dataclass(frozen=True, kw_only=True)
 class Belief:
-    """Estimates from the flight: the mass [kg], the horizontal acceleration by the air."""
+    """Estimated mass [kg] and horizontal acceleration by the air [m/s^2]."""
 
     mass: float
     unexplained: tuple[float, float]
@@ -99,7 +101,7 @@ class Belief:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Remainder:
-    """The remaining mission after some of its waypoints."""
+    """Part of the mission that remains after some of its waypoints."""
 
     problem: Problem
     begin: float
@@ -116,7 +118,7 @@ class Remainder:
 
     @property
     def planned_until(self) -> float:
-        """Time until which re-planning continues [s]."""
+        """Time after which re-planning ends [s]."""
         if not self.passages:
             return self.end - min(_LAST, _LAST_SHARE * (self.end - self.begin))
         ahead = self.passages[0] - self.begin
@@ -124,20 +126,29 @@ class Remainder:
         return self.passages[0] - min(near[0], near[1] * ahead)
 
     def timeline(self, t: float) -> Timeline:
-        """Return the times of the remaining mission, from a given time."""
+        """Return the passing times of the remaining mission, counted from a given time."""
         return Timeline(
             fractions=np.array(self.problem.compiled.declared.clock.fractions),
             times=np.array([t, *self.passages, self.end]),
         )
 
-    def mesh(self, now: Timeline) -> Mesh:
-        """Return a mesh with short elements beside now, passages and the end, and long between."""
-        between = [t for start, stop in pairwise(now.times.tolist()) for t in _graded(start, stop)]
-        inner = now.fraction(np.array([*between, *now.times[1:-1]]))
-        return Mesh.uniform(1, _DEGREE).with_breakpoints(inner.tolist())
+    def mesh(self, t: float) -> Mesh:
+        """Return a mesh with short elements beside now, passages and the end, and long between.
+
+        It shrinks with the time that is left, until a fifth is gone: a solve on a known mesh need
+        not find the structure of its equations.
+        """
+        first = self.passages[0] if self.passages else self.end
+        whole = first - self.begin
+        shrunk = floor(log((first - t) / whole) / log(_KEPT)) if t > self.begin else 0
+        then = self.timeline(first - whole * _KEPT**shrunk)
+        pairs = pairwise(then.times.tolist())
+        between = [inner for start, stop in pairs for inner in _graded(start, stop)]
+        fractions = then.fraction(np.array([*between, *then.times[1:-1]]))
+        return Mesh.uniform(1, _DEGREE).with_breakpoints(fractions.tolist())
 
     def guess(self, t: float, known: Trajectories) -> dict[str, FloatArray]:
-        """Return the part of a known plan from a time on, as samples of its states and controls."""
+        """Return samples of the rest of a known plan, as an initial guess."""
         declared = self.problem.compiled.declared
         times = np.linspace(t, self.end, _GUESSED)
         states = zip(known.state_names, known.states_at(times).T, strict=True)
@@ -148,7 +159,7 @@ class Remainder:
 
 
 def _graded(start: float, stop: float) -> list[float]:
-    """Return times between two others, close together near both and far apart in their middle."""
+    """Return times between two ends, dense near both ends and sparse in the middle."""
     half, widths = (stop - start) / 2, [_SHORT_S]
     if half < _SHORT_S:
         return []
@@ -160,7 +171,7 @@ def _graded(start: float, stop: float) -> list[float]:
 
 @dataclass(frozen=True, kw_only=True)
 class Course:
-    """A plan in flight, with the estimates and the remaining mission that it was made for."""
+    """Plan that is being flown, with the estimates and the remaining mission behind it."""
 
     plan: Trajectories
     path: SampledPath
@@ -170,7 +181,7 @@ class Course:
 
 
 class Replanner:
-    """Solves the remaining mission with the present estimates of mass and wind.
+    """Solver of the remaining mission with the present estimates of mass and wind.
 
     Parameters
     ----------
@@ -220,7 +231,7 @@ class Replanner:
         self._last: dict[Remainder, Solution] = {}
 
     def released(self, t: float) -> float:
-        """Return the payload released until a time [kg]."""
+        """Return the mass of the payload released until a time [kg]."""
         return max((rest.released for rest in self.remainders if rest.begin < t), default=0.0)
 
     def at(self, t: float) -> Remainder:
@@ -228,7 +239,7 @@ class Replanner:
         return next(rest for rest in self.remainders[::-1] if rest.begin <= t)
 
     def first(self) -> Trajectories:
-        """Return a plan of the whole mission, made before take-off.
+        """Return the plan of the whole mission from before take-off.
 
         Raises
         ------
@@ -247,7 +258,7 @@ class Replanner:
         return trajectories_of(found)
 
     def prepare(self, plan: Trajectories) -> None:
-        """Solve what remains at take-off and after each waypoint, from the states of a first plan.
+        """Solve the remaining mission at take-off and after each waypoint, for later warm starts.
 
         The price of a breach rises until a plan from the first plan's own states breaks no limit,
         where it can: above the norm of the multipliers the penalty is exact.
@@ -264,7 +275,7 @@ class Replanner:
     def solve(
         self, t: float, state: FloatArray, belief: Belief, *, is_patient: bool = False
     ) -> Solution:
-        """Return the solution of the remaining mission from a time and a state on.
+        """Solve the remaining mission from a state at a time.
 
         A patient solve takes as many iterations as it needs.
         """
@@ -291,8 +302,12 @@ class Replanner:
             for name in (self.dynamics.state_names[k] for k in rotor_columns(self.dynamics))
         }
         now = rest.timeline(t)
-        mesh = rest.mesh(now)
-        warm = None if last is None else last.warm_start.continued(mesh, last.timeline, now)
+        mesh = rest.mesh(t)
+        warm = None
+        if last is not None:
+            # Without the iterations of a cold start, after which it would be begun anew.
+            warm = replace(last.warm_start, cold_start=None)
+            warm = warm.continued(mesh, last.timeline, now)
         solution = rest.problem.solve(
             mesh=mesh,
             parameters=self._with(belief, rest) | measured_start(held),
@@ -314,7 +329,7 @@ class Replanner:
         return numbers | self._air | learnt | {"vehicle.mass": belief.mass - rest.released}
 
     def course(self, solution: Solution, belief: Belief, estimate: FloatArray) -> Course:
-        """Return a re-plan with the path that the controller is to follow."""
+        """Return a re-plan with its path for the controller."""
         plan, rest = trajectories_of(solution), self.at(solution.horizon[0])
         flow = rest.problem.dynamics(parameters=self._with(belief, rest), horizon=plan.horizon)
         vehicle = with_mass(self._scenario, belief, rest.released).vehicle
@@ -322,12 +337,12 @@ class Replanner:
         return Course(plan=plan, path=path, belief=belief, estimate=estimate)
 
     def first_course(self, plan: Trajectories) -> Course:
-        """Return the plan of the whole mission that was made before take-off."""
+        """Return the course of the plan from before take-off."""
         path = path_of(plan, self.dynamics, self._scenario.vehicle)
         return Course(plan=plan, path=path, belief=self.belief, estimate=np.zeros(3))
 
     def is_off(self, course: Course, t: float, state: FloatArray) -> bool:
-        """Return whether a flight has left a plan by more than the margins of the limits."""
+        """Return whether a flight is farther from its plan than the margins of the limits."""
         now, limits = np.array([t]), self.dynamics.control_limits(HELD_BREACH)
         names = list(course.plan.state_names)
         planned = course.plan.states_at(now)[:, [names.index(n) for n in self.dynamics.state_names]]
@@ -345,7 +360,7 @@ class Replanner:
     def begun(
         self, course: Course, start: float, end: float, state: FloatArray, unexplained: FloatArray
     ) -> FloatArray:
-        """Return the state at a time to come from which a re-plan is to begin.
+        """Return the future state from which the next re-plan begins.
 
         A flight near its plan goes on from the plan's own state: the controller corrects what it is
         off, and a re-plan from where it is would follow each of its lags.  A flight farther off
@@ -365,14 +380,14 @@ class Replanner:
 
 
 def breach_of(solution: Solution) -> float:
-    """Return the largest breach of a soft limit, in the unit of the limit."""
+    """Return the largest violation of a soft limit, in the unit of the limit."""
     declared, held = solution.problem.compiled.declared, solution.trajectory.statics.tolist()
     named = zip(declared.statics, held, strict=True)
     return max(number for slot, number in named if slot.component in BREACHES)
 
 
 def _remainders(believed: Scenario) -> tuple[Remainder, ...]:
-    """Return the remaining missions after none, one, ... all of the waypoints."""
+    """Return the remaining missions after each number of passed waypoints."""
     mission, times = believed.mission, believed.nominal_times
     ahead = [_ahead(believed, k) for k in range(len(mission.waypoints) + 1)]
     key = structure_key(believed)
@@ -397,7 +412,7 @@ def _remainders(believed: Scenario) -> tuple[Remainder, ...]:
 
 
 def _ahead(believed: Scenario, k: int) -> Scenario:
-    """Return the mission after k waypoints, to its goal or to hovering in the next hold.
+    """Return the mission after k waypoints, up to its goal or the next hold.
 
     A hold separates what is before it from what is behind: the vehicle hovers, whatever follows.
     """
@@ -422,7 +437,7 @@ def _compiled(left: Scenario) -> Problem:
 
 
 def with_mass(scenario: Scenario, belief: Belief, released: float) -> Scenario:
-    """Return the controller's vehicle, with the estimated mass less the released payload."""
+    """Return the controller's vehicle with the estimated mass, less the released payload."""
     vehicle = scenario.vehicle
     learnt = vehicle.model_copy(update={"mass": belief.mass - released - vehicle.payload})
     return scenario.model_copy(update={"vehicle": learnt})

@@ -1,4 +1,4 @@
-"""Re-planning in flight (model-predictive control): repeated solves of the remaining mission.
+"""Re-planning in flight (model-predictive control) by repeated solves of the remaining mission.
 
 Every interval the flight of the rest of the mission with the least energy is solved for, from where
 the vehicle is to be once the solve is done, warm-started from the last such plan (see
@@ -80,13 +80,13 @@ _TOLERANCE = 1e-6
 
 
 def replanned_name(knowledge: Knowledge) -> str:
-    """Return the name of a flight that is re-planned."""
+    """Return the name of a re-planned flight by its knowledge of the wind."""
     return f"mpc/{knowledge.value}"
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Leg:
-    """A part of the flight: a plan under feedback."""
+    """Part of a re-planned flight, along one plan under feedback."""
 
     course: Course
     start: float
@@ -98,7 +98,7 @@ class _Leg:
 
 
 class _Observer:
-    """The identifier of the adaptive law: estimates the acceleration not in the equations."""
+    """Estimator of the acceleration that the equations do not explain (adaptive law)."""
 
     def __init__(self, scenario: Scenario, replanner: Replanner, velocity: FloatArray) -> None:
         gains = scenario.baseline.gains
@@ -120,7 +120,7 @@ class _Observer:
 
     @property
     def estimate(self) -> FloatArray:
-        """Acceleration that the equations do not explain, shape (3,), [m/s^2]."""
+        """Estimated acceleration that the equations do not explain, shape (3,) [m/s^2]."""
         return self._states[-3:].copy()
 
     def belief(self, flown: Flown) -> Belief:
@@ -141,7 +141,7 @@ class _Observer:
         )
 
     def watch(self, flown: Flown) -> None:
-        """Learn from a part of the flight."""
+        """Update the estimate with a part of the flight."""
         explained = self._dynamics.table(_SLOPES, flown.t, flown.states, flown.controls)
         seen = np.hstack([flown.states[:, self._columns], explained])
 
@@ -155,7 +155,7 @@ class _Observer:
 
 
 class _Aircraft:
-    """The vehicle that really flies, under plans."""
+    """Simulated vehicle in the actual wind that flies the plans."""
 
     def __init__(self, scenario: Scenario, replanner: Replanner, dynamics: Dynamics) -> None:
         self.dynamics = dynamics
@@ -165,15 +165,15 @@ class _Aircraft:
         self._measured = [dynamics.state_names.index(n) for n in replanner.dynamics.state_names]
 
     def measured(self, state: FloatArray) -> FloatArray:
-        """Return the states that a planner knows, without the states of the turbulence."""
+        """Return the measured states, without the states of the turbulence."""
         return state[self._measured]
 
     def seen(self, flown: Flown) -> Flown:
-        """Return a part of the flight in the states that a planner knows of."""
+        """Return a part of the flight with the measured states only."""
         return replace(flown, states=flown.states[:, self._measured])
 
     def fly(self, leg: _Leg, state: FloatArray, integrator: Integrator) -> ClosedLoopFlight:
-        """Return a part of the flight."""
+        """Simulate a part of the flight."""
         released = self._replanner.released(leg.end)
         believed = with_mass(self._scenario, leg.course.belief, released)
         return fly(
@@ -188,7 +188,7 @@ class _Aircraft:
 
 
 class _ReplannedFlight:
-    """One flight: its parts so far, the plan in flight, and the observations."""
+    """Re-planned flight in progress: its parts, the present plan and the observer."""
 
     def __init__(
         self,
@@ -219,7 +219,7 @@ class _ReplannedFlight:
         self.resolves: list[Resolve] = []
 
     def fly(self) -> None:
-        """Fly the whole mission."""
+        """Simulate the whole mission."""
         measured_at = self._settings.interval
         hovering_at = inf
         for rest in self._replanner.remainders:
@@ -235,7 +235,7 @@ class _ReplannedFlight:
         self._advance(self._end)
 
     def _replan(self, measured_at: float) -> float:
-        """Solve from a measurement, fly on meanwhile, and return when the plan came."""
+        """Solve from a measurement while the flight goes on; return the time of the new plan."""
         meant_for = measured_at + self._settings.solve_time
         estimate, belief = np.zeros(3), self._replanner.belief
         if self._is_observing:
@@ -270,7 +270,7 @@ class _ReplannedFlight:
     def _solved(
         self, t: float, state: FloatArray, belief: Belief, *, is_patient: bool = False
     ) -> Solution | None:
-        """Return the rest of the mission; None where it is not found, or none starts out there."""
+        """Return the solution of the remaining mission, None if the solve fails."""
         try:
             solution = self._replanner.solve(t, state, belief, is_patient=is_patient)
         except TranscriptionError:
@@ -278,7 +278,7 @@ class _ReplannedFlight:
         return solution if solution.is_converged else None
 
     def _advance(self, end: float) -> None:
-        """Fly the plan at hand until a time."""
+        """Simulate the flight along the present plan until a time."""
         if end - self._t > _SHORTEST * self._end:
             along, aside, upwards = (self._observer.estimate - self._course.estimate).tolist()
             leg = _Leg(
@@ -297,7 +297,7 @@ class _ReplannedFlight:
         self._t = end
 
     def flown_twice(self) -> list[tuple[Flown, Flown]]:
-        """Fly each part again, by the other integrator, from the state that it was flown from.
+        """Simulate each part again with the other integrator, from the same initial state.
 
         That is where it was measured and planned from: flown again all the way, by plans that
         answered other roundings, a flight leaves them within seconds as any without feedback does.
@@ -326,7 +326,7 @@ def fly_replanned(
     plan: Plan | None = None,
     computer: Computer | None = None,
 ) -> Flight:
-    """Fly a mission with the rest of it planned again and again.
+    """Simulate a mission with repeated re-planning.
 
     It is verified as a controlled flight is, from one solve to the next: the plan at hand, applied
     by another integrator from the same state, ends at the same place and spends the same energy.

@@ -1,4 +1,4 @@
-"""The steady flight by which a vehicle returns: its airspeed and its current.
+"""Steady return flight of a vehicle: airspeed and battery current.
 
 The airspeed is that of least charge per metre over the ground against the wind at the start; the
 current is the pack's at that airspeed and at the charge in which the return may end, where it is
@@ -24,7 +24,7 @@ _SECONDS_PER_HOUR = 3600.0
 
 
 def with_return_flight(problems: "Problems", scenario: Scenario) -> Scenario:
-    """Return the scenario with airspeed and current of its return, where they are not given.
+    """Return the scenario with airspeed and current of the return flight filled in.
 
     Raises
     ------
@@ -45,7 +45,7 @@ def with_return_flight(problems: "Problems", scenario: Scenario) -> Scenario:
 
 
 def _cheapest(scenario: Scenario, steady: SteadyFlight, wind: float) -> float:
-    """Return the airspeed of least charge per metre against a wind [m/s]."""
+    """Return the airspeed of least charge per metre over ground against a wind [m/s]."""
 
     def cost(airspeed: float) -> float:
         try:
@@ -66,7 +66,7 @@ def _cheapest(scenario: Scenario, steady: SteadyFlight, wind: float) -> float:
 
 
 def _current(scenario: Scenario, steady: SteadyFlight, airspeed: float) -> float:
-    """Return the pack's current in steady flight at the least charge of a return [A]."""
+    """Return the battery current of steady return flight at low charge [A]."""
     drawn = (1.0 - scenario.limits.least_charge) * steady.pack_capacity
     rate, reserve = steady.charge_rates(steady.trim([airspeed, 0.0, 0.0]), np.array([drawn]))
     if reserve[0] < 0.0:

@@ -1,4 +1,4 @@
-"""Plans with a stated risk: margins for what turbulence and unknowns do, found by planning again.
+"""Plans with a stated risk: iterated margins for turbulence and uncertain parameters.
 
 A plan is made with margins, the spread of flights along it gives the margins that the risk needs,
 and so on until they agree.  These plans are re-solves of one compiled problem on one mesh.  Then
@@ -83,7 +83,7 @@ _OWN_MODEL = "margins are found for the declared equations only, not for a model
 
 
 def risk_asked(scenario: Scenario) -> float:
-    """Return the risk that a scenario asks for, 1 where it asks for none.
+    """Return the largest probability of a broken limit that a scenario allows, 1 without a limit.
 
     A plan that chooses its duration uses all that the rotors give, and no controller can follow it:
     without a word of the scenario it is asked for a risk, except of the paper's equations.
@@ -98,7 +98,7 @@ def risk_asked(scenario: Scenario) -> float:
 def plan_at_risk(
     scenario: Scenario, planner: Planner, *, progress: Progress | None = None, **solve: Any
 ) -> Plan:
-    """Return the plan of a scenario that keeps the risk which the scenario asks for.
+    """Solve a scenario with margins that keep its stated risk.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def plan_at_risk(
 def _again(
     planner: Planner, plan: Plan, held: Scenario, progress: Progress | None, *, is_rough: bool
 ) -> Plan:
-    """Solve the problem of a plan with the limits of another scenario, begun from that plan.
+    """Solve a plan's problem again with other limits, warm-started from the plan.
 
     A rough plan is on the mesh of the other, and no flight has verified it.
     """
@@ -153,7 +153,7 @@ def _again(
 
 @dataclass(frozen=True, kw_only=True)
 class _Tried:
-    """A plan with margins, and what is known of its flights."""
+    """Plan with margins and the statistics of its flights."""
 
     plan: Plan
     margins: Mapping[str, float]
@@ -163,25 +163,25 @@ class _Tried:
 
     @property
     def predicted(self) -> float:
-        """Probability that a flight breaks any limit, by Boole's inequality."""
+        """Probability that a flight breaks any limit, bounded by Boole's inequality."""
         by_limits = sum(approach.present for approach in self.near)
         return float(min(by_limits + sum(miss.probability for miss in self.missed), 1.0))
 
     @property
     def missing_places(self) -> float:
-        """Probability that a flight misses a place which only a reserve of the rotors helps to."""
+        """Probability that a flight misses a place for lack of rotor reserve."""
         return sum(miss.probability for miss in self.missed if not miss.field)
 
     @property
     def astray(self) -> float:
-        """How far from its plan the flight without gusts ends [m]."""
+        """Distance from the plan at the end of the flight without gusts [m]."""
         columns = [self.spread.dynamics.state_names.index(name) for name in POSITION_STATES]
         goal = np.array(self.plan.scenario.mission.goal.position)
         return float(np.linalg.norm(self.spread.states[-1, columns] - goal))
 
 
 class _Search:
-    """The search for the margins of one scenario, begun from its paper plan."""
+    """Iterative search for the margins of one scenario, starting from its plan without margins."""
 
     def __init__(
         self,
@@ -203,7 +203,7 @@ class _Search:
             self._told = self._told.model_copy(update={"wind": wind})
 
     def best(self) -> Plan:
-        """Return the plan that keeps the risk, or that of the least risk found."""
+        """Return the plan that keeps the risk, or the plan of least risk."""
         tried = self._verified(self._settled(self._followed(self._tried(self._paper, {}))))
         found: list[tuple[Counter[str], int, _Tried]] = []
         # Where no reserve leads flights to the goal, no margin does.
@@ -222,7 +222,7 @@ class _Search:
         return self._stated(tried, counts, failed)
 
     def unfinished(self, why: str) -> Plan:
-        """Return the last plan that can be flown; no flights have judged it."""
+        """Return the last flyable plan, which no test flights have judged."""
         plan, margins = self._last
         taken = RiskTaken(
             asked=self._risk,
@@ -237,7 +237,7 @@ class _Search:
         return replace(plan, risk=taken)
 
     def _stated(self, tried: _Tried, counts: Counter[str], failed: int) -> Plan:
-        """Return the plan with its risk stated."""
+        """Return the plan with a record of its risk."""
         is_had = failed <= self._risk * _FLIGHTS
         limiting = tuple(word for word, _ in counts.most_common(3))
         taken = RiskTaken(
@@ -255,7 +255,7 @@ class _Search:
         return replace(tried.plan, risk=taken)
 
     def _verified(self, tried: _Tried) -> _Tried:
-        """Return a plan with margins refined, so that it keeps them between the points as well."""
+        """Return a plan with margins, refined so that the margins also hold between points."""
         if not tried.margins:
             return tried
         held = tightened(self._scenario, tried.margins)
@@ -268,7 +268,7 @@ class _Search:
         return self._tried(owned, tried.margins)
 
     def _owned(self, plan: Plan, margins: Mapping[str, float]) -> Plan:
-        """Return a plan with margins as a plan of the scenario as stated."""
+        """Return a plan with margins as a plan of the original scenario."""
         times = passing_times(self._scenario, plan.passing_times_s, margins.get(HOLD, 0.0))
         return replace(plan, scenario=self._scenario, passing_times_s=times)
 
@@ -281,7 +281,7 @@ class _Search:
         )
 
     def _planned(self, last: _Tried, margins: Mapping[str, float]) -> _Tried | None:
-        """Return a plan with margins, begun from another; None where there is none."""
+        """Solve with margins, warm-started from another plan; None if the solve fails."""
         held = tightened(self._scenario, margins)
         if self._scenario.mission.aim is Aim.TIME:
             # Its problem has the least duration without margins.
@@ -293,7 +293,7 @@ class _Search:
         return self._tried(self._owned(plan, margins), margins)
 
     def _followed(self, tried: _Tried) -> _Tried:
-        """Return a plan that flights follow to its goal, with the least reserve that does it.
+        """Return a plan that the controller follows to its goal, with the least rotor reserve.
 
         Where no reserve does, that whose flights miss least.
         """
@@ -319,7 +319,7 @@ class _Search:
         return is_there and tried.astray <= _ASTRAY_M
 
     def _reserve(self, share: float) -> dict[str, float]:
-        """Return the margins that leave a share of rotors and tilt, and of a free duration."""
+        """Return the margins that reserve a share of rotor limits, tilt and free duration."""
         margins = {name: share * greatest_margin(self._scenario, name) for name in AUTHORITY}
         for name, more in self._steeper_than_the_controller().items():
             margins[name] = max(margins[name], more)
@@ -331,7 +331,7 @@ class _Search:
         return margins
 
     def _steeper_than_the_controller(self) -> dict[str, float]:
-        """Return how much more plans may tilt than a controller with a limit of its own."""
+        """Return by how much plans may tilt beyond the controller's own limit."""
         limits, most = self._scenario.limits, self._scenario.baseline.gains.tilt_max
         if most is None:
             return {}
@@ -341,7 +341,7 @@ class _Search:
         }
 
     def _settled(self, tried: _Tried) -> _Tried:
-        """Return a plan with the margins that the covariance along it asks for."""
+        """Iterate plan and margins until the margins match the covariance along the plan."""
         for _ in range(_PLANS):
             wanted = self._margins(tried)
             if self._is_stopped() or self._agree(tried.margins, wanted):
@@ -353,7 +353,7 @@ class _Search:
         return tried
 
     def _margins(self, tried: _Tried) -> dict[str, float]:
-        """Return the margins that the risk needs: equal shares for the limits that need any.
+        """Return the margins for the risk, shared equally among the limits that need them.
 
         What limits far from the plan take of the risk, and the goal, is left out of the shares.
         """
@@ -383,7 +383,7 @@ class _Search:
         return margins
 
     def _agree(self, held: Mapping[str, float], wanted: Mapping[str, float]) -> bool:
-        """Say whether the margins of a plan are those that its flights need."""
+        """Return whether a plan's margins are the margins that its covariance requires."""
         for name in {*held, *wanted}:
             one, other = held.get(name, 0.0), wanted.get(name, 0.0)
             table, _, key = name.partition(".")
@@ -395,7 +395,7 @@ class _Search:
         return True
 
     def _flown(self, tried: _Tried, seed: int) -> list[tuple[str, ...]]:
-        """Return the limits that each of many flights breaks, in words."""
+        """Simulate many flights and return the limits that each of them breaks, in words."""
         expected = as_expected(replace(tried.plan, scenario=self._told).mission_flown)
         dynamics, draws = draw(self._planner, expected, _FLIGHTS, seed)
         path = reference_path(expected, Reference.PLAN, tried.plan)
@@ -403,7 +403,7 @@ class _Search:
         return [tuple(ending.broken) for ending in squadron.fly(draws).endings]
 
     def _grown(self, tried: _Tried, counts: Mapping[str, int]) -> dict[str, float]:
-        """Return margins that are larger for the limits that flights break more than they may.
+        """Return larger margins for the limits that test flights break too often.
 
         A flight that misses a place lacks the authority to correct what a gust did to it.
         """
@@ -432,7 +432,7 @@ class _Search:
         return margins
 
     def _advice(self, tried: _Tried, limiting: tuple[str, ...]) -> str:
-        """Return what would help against the limit that is broken most."""
+        """Return advice against the limit that is broken most often."""
         first = limiting[0] if limiting else ""
         if first.startswith(("keep-out", "floor", "ceiling")):
             return "start, waypoints and goal farther from it, or a lower limits.speed_max"
@@ -442,7 +442,7 @@ class _Search:
         return f"{longer}{self._weaker(tried)}"
 
     def _weaker(self, tried: _Tried) -> str:
-        """Return in what wind the flights would arrive, by the spread along the plan."""
+        """Return the strength of turbulence in which flights would keep the risk."""
         allowed = _SHARE_OF_GOAL * self._risk
         places = [miss for miss in tried.missed if not miss.field]
         low, high = 0.0, 1.0
@@ -479,7 +479,7 @@ def _missed_least(tried: _Tried) -> tuple[float, float]:
 
 
 def _planned_at(plan: Plan, spread: Spread) -> tuple[FloatArray, FloatArray]:
-    """Return states and controls of a plan at the times of a spread, in its order."""
+    """Return states and controls of a plan at given times, in the order of the covariance."""
     held, dynamics = plan.trajectories, spread.dynamics
     names = list(held.state_names)
     known = held.states_at(spread.t)

@@ -1,4 +1,4 @@
-"""Flights along candidate routes: an estimate of each, a coarse solve, and refinement of the best.
+"""Solves along candidate routes: cost estimate, coarse solve, refinement of the best.
 
 Steady flight estimates the cost of each journey; journeys that are much dearer are left out.  All
 others are solved on one mesh, the best of these on the next, and the best of these to the
@@ -44,7 +44,7 @@ _ALIKE = 0.5
 
 
 class RouteFlights:
-    """The flights of a mission along its candidate routes.
+    """Solver of a mission along its candidate routes.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class RouteFlights:
             self._near_on_first *= _ALIKE
 
     def best(self, most: int | None = None) -> tuple[Solution, tuple[TriedRoute, ...]]:
-        """Solve along a number of the shortest routes; return the best flight and all results.
+        """Solve along the shortest routes; return the best flight and all results.
 
         Without any route there is no flight: the solution is infeasible, its message says why, and
         there are no results.
@@ -77,7 +77,7 @@ class RouteFlights:
         return self.compared(journeys)
 
     def compared(self, journeys: Sequence[Journey]) -> tuple[Solution, tuple[TriedRoute, ...]]:
-        """Solve all journeys on one mesh, refine the best, and return it with all results.
+        """Solve all journeys on one mesh, refine the best; return it and all results.
 
         If the solutions of two journeys coincide on this mesh or the next, as for the journeys over
         and beside a sphere, the longer journey is left out.
@@ -107,7 +107,7 @@ class RouteFlights:
         )
 
     def _near(self, known: dict[int, Solution]) -> list[int]:
-        """Return the flights to refine; flights on the next mesh replace the first ones."""
+        """Return the flights near the least energy, solved again on the next mesh."""
         near = _nearest(known, self._near_on_first, _MOST_ON_NEXT)
         if len(near) < 2:
             return near
@@ -119,7 +119,7 @@ class RouteFlights:
         return _nearest({k: s for k, s in known.items() if k in near}, _NEAR_ON_NEXT, _MOST_REFINED)
 
     def _refined(self, known: Mapping[int, Solution], near: list[int]) -> dict[int, Solution]:
-        """Return the nearest flights refined to the tolerance, else the first that can be."""
+        """Return the best flights refined to the tolerance, or the first that can be."""
         refined: dict[int, Solution] = {}
         others = [k for k in _cheapest(known) if k not in near and known[k].status.is_solved]
         for k in [*near, *others]:
@@ -135,12 +135,12 @@ class RouteFlights:
         return energy_of(self._told, solution)
 
     def as_flown(self, journey: Journey, solution: Solution) -> Journey:
-        """Return a journey with the sides on which its flight, if there is one, passes zones."""
+        """Return a journey with the sides of zones on which its solved flight passes."""
         is_flown = solution.status.is_solved
         return journey_as_flown(self._told, journey, solution) if is_flown else journey
 
     def _journeys(self, most: int | None) -> tuple[Journey, ...]:
-        """Return the journeys to fly, the shortest first; for a proof all of them."""
+        """Return the candidate journeys, the shortest first; for `proof` all of them."""
         told = self._told
         journeys = find_journeys(told.airspace, told.mission.positions)[:most]
         if has_corridors(told) and most is None:
@@ -151,7 +151,7 @@ class RouteFlights:
         return promising(journeys, self._cost_per_metre(journeys[0]))
 
     def _cost_per_metre(self, shortest: Journey) -> Callable[[FloatArray], float]:
-        """Return the cost of a metre of steady flight along a direction, at a common speed."""
+        """Return the energy per metre of steady flight along a direction at a common speed."""
         told, steady = self._told, self._mission.steady
         mission = told.mission
         speed = length_of(shortest) / told.nominal_duration
@@ -171,7 +171,7 @@ class RouteFlights:
         return cost
 
     def fly(self, journey: Journey) -> Solution:
-        """Solve along a journey on one mesh, if that fails by way of the waypoints themselves.
+        """Solve along a journey on one mesh; retry by way of exact waypoint passages.
 
         A difficulty of one journey is a difficulty of all: the others are flown that way at once.
         """
@@ -191,7 +191,7 @@ class RouteFlights:
         return self.fly(journey)
 
     def refine(self, flown: Solution, meshes: int | None) -> Solution:
-        """Refine a flight on a number of meshes, or to the mission's tolerance."""
+        """Refine a flight on some more meshes, or to the mission's tolerance."""
         mission = self._mission
         if self._told.solver.max_refinements == 0 and not mission.easier:
             return flown
@@ -214,7 +214,7 @@ _DEARER = 0.01
 def promising(
     journeys: Sequence[Journey], cost_per_metre: Callable[[FloatArray], float]
 ) -> tuple[Journey, ...]:
-    """Return the journeys whose estimated cost is near the least, in their order.
+    """Return the journeys whose estimated cost is near the least.
 
     Parameters
     ----------
@@ -247,7 +247,7 @@ _DIGITS = 6
 def guess_along(
     journey: Journey, times: Sequence[float], *, is_open: bool = False
 ) -> dict[str, FloatArray]:
-    """Return places and velocities along a journey as an initial guess.
+    """Return positions and velocities along a journey, as an initial guess.
 
     Parameters
     ----------
@@ -273,7 +273,7 @@ def guess_along(
 
 
 def journey_as_flown(told: Scenario, journey: Journey, solution: Solution) -> Journey:
-    """Return a journey with the sides on which its flight passes the zones.
+    """Return a journey with the sides of zones on which a flight passes.
 
     A solve may end on another side of a zone than it started.
     """
@@ -309,7 +309,7 @@ def _is_same(one: Solution, other: Solution) -> bool:
 
 
 def _nearest(known: Mapping[int, Solution], share: float, most: int) -> list[int]:
-    """Return the flights whose cost is within a fraction of the least, the cheapest first."""
+    """Return the flights within a fraction of the least cost, the cheapest first."""
     costs = {k: _cost(s) for k, s in known.items() if s.status.is_solved}
     least = min(costs.values(), default=inf)
     order = sorted(costs, key=lambda k: costs[k])
@@ -321,5 +321,5 @@ def _cost(solution: Solution) -> float:
 
 
 def _cheapest(known: Mapping[int, Solution]) -> list[int]:
-    """Return the flights, the cheapest first."""
+    """Sort flights by cost, the cheapest first."""
     return sorted(known, key=lambda k: _cost(known[k]))

@@ -1,4 +1,4 @@
-"""Routes round the zones of an airspace and over its terrain, and cruise along a route.
+"""Shortest routes round zones, one per homotopy class, over terrain, and cruise along a route.
 
 Places beside every obstructing zone are joined where the straight line between them is free;
 Dijkstra's algorithm finds the shortest path through them.  A zone between start and goal is passed
@@ -60,7 +60,7 @@ _LONGEST = 2.0
 
 @dataclass(frozen=True, kw_only=True)
 class Route:
-    """A route from a start to a goal.
+    """Polygonal route from a start to a goal.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class Route:
 
     @property
     def name(self) -> str:
-        """Description of the sides."""
+        """Sides on which the route passes the zones, in words."""
         words = (
             f"{side.value} of {zone}" if side in _BESIDE else f"{side.value} {zone}"
             for zone, side in self.sides
@@ -94,7 +94,7 @@ class Route:
         return self.label or ", ".join(words) or "straight"
 
     def places_at(self, shares: FloatArray) -> FloatArray:
-        """Return the places at fractions of the length, shape (n, 3)."""
+        """Return the points at fractions of the length, shape (n, 3)."""
         steps = np.linalg.norm(np.diff(self.places, axis=0), axis=1)
         reached = np.concatenate([[0.0], np.cumsum(steps)])
         at = np.asarray(shares) * reached[-1]
@@ -107,7 +107,7 @@ _BESIDE = (Side.LEFT, Side.RIGHT)
 def find_routes(
     airspace: Airspace, start: Place, goal: Place, most: int = MOST_ROUTES
 ) -> tuple[Route, ...]:
-    """Return the shortest route of each class, the shortest first, at most `most` of them.
+    """Return the shortest route of each class, at most ``most``, the shortest first.
 
     Returns
     -------
@@ -134,7 +134,7 @@ def find_routes(
 
 
 def zones_that_block(airspace: Airspace, start: Place, goal: Place) -> tuple[str, ...]:
-    """Return the zones that each block all routes on their own or, without any, all zones."""
+    """Return the zones that alone block every route, or all zones without such a zone."""
     zones = airspace.keep_out
 
     def has_route(kept: Sequence[KeepOut]) -> bool:
@@ -153,7 +153,7 @@ def zones_that_block(airspace: Airspace, start: Place, goal: Place) -> tuple[str
 
 
 def no_way(airspace: Airspace, start: Place, goal: Place) -> str:
-    """Return a one-line message that names the zones that block every route to a goal."""
+    """Return a message that names the zones that block every route to a goal."""
     names = zones_that_block(airspace, start, goal)
     told = [name for name in ("floor", "ceiling") if getattr(airspace, name) is not None]
     rooms = "".join(f", or move airspace.{name}" for name in told)
@@ -175,7 +175,7 @@ Journey = tuple[Route, ...]
 
 
 def find_journeys(airspace: Airspace, stops: Sequence[Place]) -> tuple[Journey, ...]:
-    """Return the shortest journeys through all stops, at most `MOST_ROUTES`, shortest first.
+    """Return the shortest journeys through all stops, at most `MOST_ROUTES`.
 
     Raises
     ------
@@ -198,11 +198,11 @@ def length_of(journey: Journey) -> float:
 
 
 class NoRouteError(Exception):
-    """Zones block every route from a stop to the next."""
+    """Error: zones block every route from one stop to the next."""
 
 
 def with_plain_passages(told: Scenario) -> Scenario | None:
-    """Return a mission that passes waypoints exactly, at any speed; None if it is the same.
+    """Return the mission with exact waypoint passages at any speed, None if it has no others.
 
     At the centre of a ball, or at another speed, the slopes of these limits are uninformative.
     """
@@ -215,7 +215,7 @@ def with_plain_passages(told: Scenario) -> Scenario | None:
 
 
 class _Graph:
-    """Places beside the zones, and the free straight lines between them.
+    """Visibility graph: points beside the zones, and the free straight lines between them.
 
     Parameters
     ----------
@@ -280,7 +280,7 @@ class _Graph:
                     kept[number] = frozenset({side})
 
     def _shortest(self, allowed: tuple[frozenset[int], ...]) -> tuple[float, list[int]] | None:
-        """Return length and nodes of the shortest path that crosses planes on allowed sides."""
+        """Return length and nodes of the shortest path that passes zones on allowed sides."""
         is_open = np.ones(len(self._first), dtype=bool)
         for crossings, sides in zip(self._crossings, allowed, strict=True):
             is_open &= np.isin(crossings, [-1, *sides])
@@ -296,7 +296,7 @@ class _Graph:
         return float(lengths[1]), nodes[::-1]
 
     def _sides_of(self, nodes: list[int]) -> list[int]:
-        """Return the side on which a path passes each zone, -1 for a plane it does not cross."""
+        """Return the side on which a path passes each zone, -1 for a zone that it does not pass."""
         number = {pair: k for k, pair in enumerate(zip(self._first, self._last, strict=True))}
         lines = [number[min(pair), max(pair)] for pair in pairwise(nodes)]
         sides = []
@@ -308,7 +308,7 @@ class _Graph:
 
 @dataclass(frozen=True, kw_only=True)
 class TriedRoute:
-    """Result of trying a route.
+    """Result of the solve along one route.
 
     Attributes
     ----------
@@ -341,7 +341,7 @@ _INSTANT = 1e-9
 
 
 class SpeedProfile(NamedTuple):
-    """Ends of phases of constant jerk; each array has shape (n,)."""
+    """Speed profiles with phases of constant jerk; arrays of shape (n,), one entry per leg."""
 
     times: FloatArray
     """Times from the start, s."""
@@ -354,7 +354,7 @@ class SpeedProfile(NamedTuple):
 
 
 def speed_profile(distance: float, speed: float, acceleration: float, jerk: float) -> SpeedProfile:
-    """Return the fastest profile from rest to rest over a distance within three limits.
+    """Return the fastest rest-to-rest profile over a distance within three limits.
 
     Parameters
     ----------
@@ -391,7 +391,7 @@ def speed_profile(distance: float, speed: float, acceleration: float, jerk: floa
 
 
 def _peak_speed(distance: float, acceleration: float, jerk: float) -> float:
-    """Return the peak speed if only the distance limits it."""
+    """Return the peak speed of a profile that only the distance limits."""
     unbent = acceleration / jerk
     reached = acceleration / 2 * (sqrt(unbent**2 + 4 * distance / acceleration) - unbent)
     if reached >= acceleration * unbent:
@@ -405,7 +405,7 @@ def cruise_at(
     settling_s: float = 0.0,
     least_s: float = 0.0,
 ) -> Scenario:
-    """Return a mission with the times of a cruise at a speed [m/s], by default its own.
+    """Return the mission with the passing times of a cruise at a speed [m/s].
 
     The vehicle hovers at the goal for `settling_s`, and longer where the flight would last less
     than `least_s`.
@@ -427,7 +427,7 @@ def cruise_at(
 
 
 def cruise(scenario: Scenario) -> SampledPath:
-    """Return the path of a mission with the times of `cruise_at`."""
+    """Return the reference path of an autopilot's cruise."""
     stops, times = stops_of(scenario.mission)
     holds = (0.0, *(waypoint.hold for waypoint in scenario.mission.waypoints))
     knots: list[float] = []
@@ -455,7 +455,7 @@ def cruise(scenario: Scenario) -> SampledPath:
 
 
 def _legs(scenario: Scenario) -> list[list[tuple[FloatArray, SpeedProfile]]]:
-    """Return the straight pieces of each leg: displacement in m and speed profile."""
+    """Return displacement [m] and speed profile of the straight pieces of each leg."""
     airspace, settings = scenario.airspace, own_cruise(scenario)
     limits = settings.speed, settings.acceleration, settings.jerk
     legs = []
@@ -481,7 +481,7 @@ def _legs(scenario: Scenario) -> list[list[tuple[FloatArray, SpeedProfile]]]:
 
 
 def reached(scenario: Scenario) -> CruiseSettings:
-    """Return the largest speed and acceleration of a cruise, and its jerk.
+    """Return the largest speed and acceleration that a cruise reaches, and its jerk.
 
     With these settings the flight is the same: legs may be too short for the scenario's own.
     """
@@ -494,7 +494,7 @@ def reached(scenario: Scenario) -> CruiseSettings:
 
 
 def own_cruise(scenario: Scenario) -> CruiseSettings:
-    """Return the settings of a scenario with a single cruise speed.
+    """Return the cruise settings of a scenario with a single cruise speed.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""One search for a plan: its stage, its clock, and the best usable plan that it has come by."""
+"""Progress of a search for a plan: stage, processor time and best usable plan so far."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _MOST_SEARCHES = 2
 
 
 class Stage(StrEnum):
-    """What a search is doing."""
+    """Stage of a search."""
 
     ROUTES = "routes"
     COARSE = "coarse solves"
@@ -47,7 +47,7 @@ class Stage(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class State:
-    """Where a search stands.
+    """Snapshot of a search's progress.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class State:
 
 
 class Search:
-    """A progress callback that stops a search in time, and keeps the best usable plan so far.
+    """Progress callback that ends a search in time and keeps the best usable plan.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ class Search:
 
     @property
     def spent_s(self) -> float:
-        """Processor time since the search began [s]."""
+        """Processor time since the start of the search [s]."""
         return time.thread_time() - self._began
 
     @property
@@ -114,15 +114,15 @@ class Search:
         return time.thread_time() - self._patient_from
 
     def restart_patience(self) -> None:
-        """Count from now the wait before a flyable plan is sought."""
+        """Restart the waiting time before a usable plan is sought."""
         self._patient_from = time.thread_time()
 
     def begin_effort(self, most: float) -> None:
-        """Count the effort anew, and stop solves that exceed a largest effort."""
+        """Reset the effort counter and set the largest effort of the next solves."""
         self.effort, self._most_effort = 0, most
 
     def __call__(self, iteration: Iteration) -> bool:
-        """Return False once the search is to stop."""
+        """Return False when the search must stop."""
         self.effort += iteration.mesh_points
         if self._show is not None:
             self._show(
@@ -145,7 +145,7 @@ class Search:
         flown: Callable[[Solution], Plan],
         flyable: Callable[[Solution], Iterator[Plan]],
     ) -> None:
-        """Fly the controls of a finished mesh if they promise a usable plan, and keep it.
+        """Simulate the controls of a finished mesh if promising, and keep a usable plan.
 
         From a mesh that is too coarse for that, what can be flown is found first where the search
         lasts long, if need be in the middle of a solve, unless there is a usable plan already.  A
@@ -170,7 +170,7 @@ class Search:
                 self.keep(flown(solution))
 
     def _seek_usable(self) -> None:
-        """Find a usable plan near the last coarse solution, in a search that lasts long."""
+        """In a long search, make a usable plan from the last coarse solution."""
         patience = min(_LONG * _PATIENCE_S, _SHARE_OF_LIMIT * self.deadline.limit_s)
         is_time = self._waited_s >= patience and not self.deadline.is_over
         is_wanted = self.usable is None and self.stage is not Stage.USABLE
@@ -187,7 +187,7 @@ class Search:
 
     @contextmanager
     def _flying(self) -> Iterator[None]:
-        """Count the time of flights; refinement follows."""
+        """Context that assigns processor time to simulated flights."""
         began = time.thread_time()
         yield
         self._flights_s += time.thread_time() - began
@@ -199,7 +199,7 @@ class Search:
         self._energy = energy_J
 
     def keep(self, plan: Plan) -> None:
-        """Keep a plan if its flight confirms it and none before is known better."""
+        """Keep a plan that simulation confirms if it is the best so far."""
         found = as_usable(plan)
         if not found.is_flyable:
             return
@@ -207,7 +207,7 @@ class Search:
             self.usable = found
 
     def ended(self, plan: Plan) -> Plan:
-        """Return the plan with which a search ends: the last one, or the best that was kept."""
+        """Return the final plan of the search: the last one, or the best usable one."""
         plan = as_usable(self._given_up(replace(plan, attempts=tuple(self.record))))
         if plan.is_flyable or plan.status is PlanStatus.INFEASIBLE or self.usable is None:
             return plan
@@ -228,7 +228,7 @@ class Search:
         )
 
     def _given_up(self, plan: Plan) -> Plan:
-        """Return a plan, not converged where the time limit left neither a flight nor a proof."""
+        """Return the plan as not converged if the time limit left neither flight nor proof."""
         if not self.deadline.is_over or plan.is_flyable or plan.status is PlanStatus.INFEASIBLE:
             return plan
         message = (
@@ -241,7 +241,7 @@ class Search:
 
 
 def as_usable(plan: Plan) -> Plan:
-    """Return a plan, usable where its flight confirms as much and no more."""
+    """Return a plan with status usable if simulation confirms it at lower accuracy."""
     if plan.is_flyable or plan.status is PlanStatus.INFEASIBLE:
         return plan
     found = plan.verification
@@ -254,7 +254,7 @@ def as_usable(plan: Plan) -> Plan:
 
 
 def _proven(plan: Plan) -> str:
-    """Return what is proven of a usable plan, in one sentence."""
+    """Return the confirmed accuracy of a usable plan, as a sentence."""
     found = plan.verification
     if found is None:
         return ""

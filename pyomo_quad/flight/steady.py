@@ -1,4 +1,4 @@
-"""Steady flight from the compiled equations: hover, trim, and the load on the battery.
+"""Steady flight from the compiled equations: hover, trim and battery load.
 
 This file has no formula of the vehicle. A trim consists of the states and controls with which the
 compiled equations keep all states constant except the position, which moves at a given velocity. A
@@ -52,7 +52,7 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, kw_only=True)
 class Trim:
-    """Steady flight at a velocity: states and controls in the order of the dynamics."""
+    """Steady flight at a velocity, with states and controls in the order of the dynamics."""
 
     states: FloatArray
     controls: FloatArray
@@ -61,7 +61,7 @@ class Trim:
 
 @dataclass(frozen=True, kw_only=True)
 class HoverState:
-    """Hover in still air at the start of the mission: its speeds and power."""
+    """Hover in still air at the start of the mission: rotor speeds and power."""
 
     rotor_speed_rad_per_s: float
     thrust_N: float
@@ -73,7 +73,7 @@ class HoverState:
 
 
 class SteadyFlight:
-    """Steady flight of a vehicle, computed from its compiled equations.
+    """Calculator of a vehicle's steady flight from its compiled equations.
 
     Parameters
     ----------
@@ -157,13 +157,13 @@ class SteadyFlight:
         return Trim(states=states, controls=controls, power_W=float(power))
 
     def reading(self, names: tuple[str, ...], trim: Trim) -> FloatArray:
-        """Return quantities without an index besides time, by full name, in a steady flight."""
+        """Return scalar quantities of the model in a steady flight, by full name."""
         return self._rows(tuple((n, None) for n in names), trim.states[None], trim.controls[None])[
             0
         ]
 
     def held_in(self, trim: Trim) -> dict[str, float]:
-        """Return a trim's states by name, except position and velocity, with v_i if declared."""
+        """Return the states of a trim by name, without position and velocity."""
         moved = {*self._dynamics.states_used_up, *POSITION_STATES, *VELOCITY_STATES}
         named = dict(zip(self._dynamics.state_names, trim.states.tolist(), strict=True))
         held = {name: value for name, value in named.items() if name not in moved}
@@ -172,13 +172,13 @@ class SteadyFlight:
         return held
 
     def rotor_speeds(self, trim: Trim) -> FloatArray:
-        """Return the speed of each rotor in a steady flight, rad/s."""
+        """Return the speed of each rotor in a steady flight [rad/s]."""
         return trim.states[self._rotors]
 
     def charge_rates(
         self, trim: Trim, drawn: FloatArray, circuit: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return charge per second [A h/s] and power left [W] in steady flight, at charges drawn.
+        """Return charge per second [A h/s] and remaining power [W] over the charge drawn.
 
         Parameters
         ----------
@@ -197,7 +197,7 @@ class SteadyFlight:
         return rate, reserve
 
     def endurance(self, trim: Trim, depth: float, samples: int) -> float:
-        """Return the time [s] that the full pack sustains a steady flight, to a depth of 0 to 1.
+        """Return the time of steady flight on the full battery to a depth of discharge [s].
 
         Infinite if it draws no power, and zero if the pack cannot give the power.
         """
@@ -209,11 +209,11 @@ class SteadyFlight:
 
     @property
     def _circuit(self) -> list[int]:
-        """Places of slow drop and temperature among the states, where the pack has them."""
+        """Indices of relaxation voltage and temperature among the states, if declared."""
         return [k for k, n in enumerate(self._dynamics.state_names) if n in CIRCUIT_STATES]
 
     def _circuit_under_load(self, trim: Trim, drawn: FloatArray) -> FloatArray | None:
-        """Return slow drop and temperature as a steady load leaves them, over the charge drawn.
+        """Return relaxation voltage and temperature under a steady load, by charge drawn.
 
         Rows are those of the last charge that the pack can give, beyond it. None without a circuit.
         """
@@ -238,17 +238,17 @@ class SteadyFlight:
 
     @property
     def hover_power(self) -> float:
-        """Power of hover in still air, W."""
+        """Power of hover in still air [W]."""
         return self._hovering.power_W
 
     @property
     def hover_speed(self) -> float:
-        """Rotor speed of hover, rad/s."""
+        """Rotor speed of hover [rad/s]."""
         return float(np.mean(self._hovering.states[self._rotors]))
 
     @cached_property
     def hover(self) -> HoverState:
-        """Hover of a quadrotor with the battery in its initial state."""
+        """Hover state of a quadrotor with the battery in its initial state."""
         names = (
             *("rotors.total_thrust", "battery.current", "battery.voltage"),
             "battery.greatest_power",
@@ -265,22 +265,22 @@ class SteadyFlight:
         )
 
     def thrust(self, speed: ArrayLike) -> FloatArray:
-        """Return the total thrust [N] with all rotors at each of several speeds [rad/s]."""
+        """Return the total thrust [N] for equal rotor speeds [rad/s]."""
         return self._over_speeds("rotors.total_thrust", speed)
 
     def power(self, speed: ArrayLike) -> FloatArray:
-        """Return the power [W] with all rotors at each of several constant speeds [rad/s]."""
+        """Return the power [W] for equal, constant rotor speeds [rad/s]."""
         return self._over_speeds("power.total", speed)
 
     def uncredited_power(self, speed: ArrayLike) -> FloatArray:
-        """Return the power [W] without the floor on the power of braking; see `model.power`."""
+        """Return the power [W] without the lower limit on braking power; see `model.power`."""
         rotors = range(_FIRST_ROTOR, _FIRST_ROTOR + len(self._rotors))
         if not self._dynamics.has(_UNCREDITED):
             return self.power(speed)
         return np.sum([self._over_speeds(_UNCREDITED, speed, index=j) for j in rotors], axis=0)
 
     def power_of_accelerating(self, speed: ArrayLike) -> FloatArray:
-        """Return the power of all rotors per unit of acceleration at some speeds [J s/rad].
+        """Return the power per unit of rotor acceleration, all rotors together [J s/rad].
 
         This part of the power is linear in the acceleration, therefore stored and not spent. The
         remaining cost of an acceleration, which does not depend on its sign, is excluded.
@@ -296,7 +296,7 @@ class SteadyFlight:
         return float(self.power(self._speed_where(self.thrust, thrust)))
 
     def rotor_value(self, name: str, speed: ArrayLike, acceleration: ArrayLike = 0.0) -> FloatArray:
-        """Return a quantity of one rotor, in its own unit, at speeds and accelerations.
+        """Return a quantity of one rotor at given speeds and accelerations.
 
         `name` is that of an expression over rotors and time, as ``"rotors.motor_torque"``.
         """
@@ -306,13 +306,13 @@ class SteadyFlight:
         return self._over_speeds(name, speeds, accelerations, index=_FIRST_ROTOR)
 
     def yaw_moment(self, odd_speed: float, even_speed: float) -> float:
-        """Return the yaw moment [N m] with rotors 1 and 3 at one speed, 2 and 4 at another."""
+        """Return the yaw moment [N m] for one speed of rotors 1 and 3, another of 2 and 4."""
         states = self._start.copy()
         states[self._rotors[::2]], states[self._rotors[1::2]] = odd_speed, even_speed
         return float(self._read(("rotors.yaw_moment",), states)[0])
 
     def pack_under(self, power: float) -> tuple[float, float, float]:
-        """Return current [A], voltage [V] and charge per second [A h/s] of the pack under a load.
+        """Return current [A], voltage [V] and charge per second [A h/s] under a load.
 
         The load [W] is that of all rotors at one speed; the pack is in its initial state.
         """
@@ -323,11 +323,11 @@ class SteadyFlight:
 
     @property
     def greatest_pack_power(self) -> float:
-        """Greatest power of the pack at the start, W."""
+        """Greatest power of the battery at the start [W]."""
         return float(self._read(("battery.greatest_power",), self._start)[0])
 
     def stored_energy(self, depth: float, samples: int) -> float:
-        """Return the energy [J] of the full pack, without load, down to a depth of 0 to 1."""
+        """Return the energy of the full battery without load, to a depth of discharge [J]."""
         states = np.tile(self._start, (samples, 1))
         column = self._dynamics.state_names.index(CHARGE_STATE)
         drawn = states[:, column] = np.linspace(0.0, depth * self.pack_capacity, samples)
@@ -338,7 +338,7 @@ class SteadyFlight:
 
     @cached_property
     def pack_capacity(self) -> float:
-        """Charge of the full pack, A h."""
+        """Capacity of the battery [A h]."""
         states = np.tile(self._start, (2, 1))
         states[:, self._dynamics.state_names.index(CHARGE_STATE)] = 0.0, 1.0
         full, less = self._rows((("battery.state_of_charge", None),), states)[:, 0].tolist()
@@ -351,7 +351,7 @@ class SteadyFlight:
         return float(rates[self._dynamics.state_names.index(CHARGE_STATE)])
 
     def _speed_where(self, reading: object, wanted: float) -> float:
-        """Return the speed of all rotors at which a rising reading has a given value."""
+        """Return the common rotor speed at which a rising quantity reaches a value."""
 
         def excess(speed: float) -> float:
             return float(reading(speed)) - wanted  # type: ignore[operator]
@@ -391,7 +391,7 @@ class SteadyFlight:
 
 
 class MomentumDemand:
-    """The thrust vector required by the momentum balance.
+    """Thrust vector that the momentum balance requires for a motion.
 
     With the rotors stopped, the acceleration is that of weight and air alone; the thrust must
     supply the rest of a motion's acceleration, in any attitude. If the balance is linear in the
@@ -433,7 +433,7 @@ class MomentumDemand:
     def thrust(
         self, time: float, velocity: FloatArray = _STILL, acceleration: FloatArray = _STILL
     ) -> FloatArray:
-        """Return the thrust vector [N] that a motion, m/s and m/s^2 in world axes, needs."""
+        """Return the required thrust vector [N] for velocity and acceleration in world axes."""
         states = self._at_rest.copy()
         states[self._velocity] = velocity
         return np.asarray(self.mass * (acceleration - self._acceleration(time, states)))
@@ -442,7 +442,7 @@ class MomentumDemand:
         return np.asarray(self._dynamics.rates(time, states, self._controls)[self._velocity])
 
     def _mass(self, axis: int) -> float:
-        """Return thrust / acceleration along an axis, with the vehicle tilted towards it."""
+        """Return the apparent mass along an axis, with the vehicle tilted towards it."""
         names, start = self._dynamics.state_names, self._dynamics.start
         states = self._at_rest.copy()
         if axis == 0:
@@ -458,7 +458,7 @@ class MomentumDemand:
 
 
 def battery_shortfalls(scenario: Scenario, steady: SteadyFlight) -> tuple[str, ...]:
-    """Return the shortfalls of the pack for hovering through the mission, one line each."""
+    """Return the reasons why the battery cannot hover through the mission, one line each."""
     hover = steady.hover
     pack = scenario.battery
     cells = f"battery {pack.use}, {pack.cells_series} x {pack.cells_parallel} cells"

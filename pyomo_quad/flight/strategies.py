@@ -1,4 +1,4 @@
-"""The strategies by which a mission is planned: one table, carried out in order by one loop.
+"""Planning strategies: one ordered table, applied by one loop.
 
 Each strategy has a name, the stage of the search that it belongs to, the condition under which it
 applies, its action, and its budget: how often it may be repeated while it applies.  What each of
@@ -24,7 +24,7 @@ Subject = TypeVar("Subject")
 
 
 class Strategy(NamedTuple, Generic[Subject]):
-    """One row of a table of strategies.
+    """Row of a strategy table: name, condition, action and budget.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Strategy(NamedTuple, Generic[Subject]):
 
 
 def carry_out(table: Sequence[Strategy[Subject]], subject: Subject, search: Search) -> None:
-    """Carry out the strategies of a table that apply, in order, and record their outcomes."""
+    """Apply the strategies of a table whose conditions are met, and record the outcomes."""
     for strategy in table:
         for _ in range(strategy.most):
             if not strategy.applies(subject):
@@ -95,7 +95,7 @@ _WITHIN_PACK = f"pack held to {100.0 * GIVEN_SHARE:.0f} % of its greatest power"
 
 
 def _hold_pack(candidate: Candidate) -> str:
-    """Plan the mission within the pack's capability, without further retries."""
+    """Plan within the capability of the battery, without further retries."""
     return candidate.hold_pack(lambda gentler: carry_out((*FIRST, *PROOF), gentler, gentler.search))
 
 

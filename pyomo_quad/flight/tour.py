@@ -1,4 +1,4 @@
-"""Choice of the order of waypoints: leg energies, cheapest orders, solves of the best few.
+"""Order of waypoints: energies of legs, cheapest orders, whole solves of the best orders.
 
 Only legs between neighbours and legs of the cheapest orders are solved for.  The energies of all
 other legs are predicted from these, see docs/theory/orders.md, eq. (1).
@@ -71,7 +71,7 @@ def in_order(scenario: Scenario, order: Sequence[int]) -> Scenario:
 
 
 class LegTable:
-    """Energies of the legs between all places of a mission, from hover to hover.
+    """Energies of the hover-to-hover legs between all places of a mission.
 
     Parameters
     ----------
@@ -94,21 +94,21 @@ class LegTable:
 
     @property
     def legs(self) -> tuple[_Leg, ...]:
-        """Legs that an order may have and zones do not block; none if zones enclose a place."""
+        """Legs that an order may use and that zones leave open; empty if zones enclose a place."""
         return () if isinf(self._usual) else tuple(self._ways)
 
     @property
     def solved(self) -> int:
-        """Number of legs solved for."""
+        """Number of solved legs."""
         return len(self._known)
 
     @property
     def lengths(self) -> FloatArray:
-        """Length of each leg's shortest route [m], infinite if there is none."""
+        """Length of the shortest route of each leg [m], infinite without a route."""
         return self._table({leg: way.length for leg, way in self._ways.items()})
 
     def costs(self) -> FloatArray:
-        """Return the energy of each leg solved for [J], and a low prediction of all others.
+        """Return the energies of solved legs [J] and optimistic predictions for the others.
 
         Start, waypoints and goal are rows and columns; the price of time is included. The
         prediction is the regression of eq. (1) in docs/theory/orders.md, less twice its
@@ -138,7 +138,7 @@ class LegTable:
         return self._table(self._known | dict(zip(missing, predicted.tolist(), strict=True)))
 
     def solve_for(self, legs: Iterable[_Leg]) -> bool:
-        """Solve for those legs that were not tried yet; return whether there were any."""
+        """Solve the given legs that were not tried yet; return whether there were any."""
         missing = [leg for leg in dict.fromkeys(legs) if leg not in self._known]
         missing = [leg for leg in missing if leg not in self._failed]
         for leg in missing:
@@ -160,7 +160,7 @@ class LegTable:
         return self._solve(alone, _LEG_MESH, way if way.sides else None)
 
     def _features(self, leg: _Leg) -> list[float]:
-        """Return the terms in which the energy of a leg is linear, eq. (1)."""
+        """Return the regressors of a leg's energy, eq. (1)."""
         here, there = (np.array(self._scenario.mission.positions[k]) for k in leg)
         (dx, dy, dz), height = there - here, float(here[2] + there[2]) / 2.0
         length = self._ways[leg].length
@@ -179,7 +179,7 @@ class LegTable:
 def find_orders(
     scenario: Scenario, solve: LegSolver, count: int = BEST_FEW
 ) -> tuple[OrderSearch, ...]:
-    """Return the orders of waypoints that are cheapest by the energies of their legs.
+    """Search for the cheapest orders of waypoints by the energies of their legs.
 
     Exact up to `orders.MOST_EXACT` waypoints: no unsolved leg would lead to a cheaper order, even
     at its optimistic prediction.
@@ -221,7 +221,7 @@ def find_orders(
 
 
 def legs_expected(waypoints: int) -> int:
-    """Return the least number of legs that are solved to order a number of waypoints."""
+    """Return the least number of legs to solve for a number of waypoints."""
     every = waypoints * (waypoints + 1)
     first = _NEAREST * (waypoints + 1) + _OF_ALL_LENGTHS
     return every if every <= _FEW_LEGS else min(every, first)
@@ -232,7 +232,7 @@ def _legs_of(order: Sequence[int]) -> list[_Leg]:
 
 
 def _first_legs(lengths: FloatArray) -> list[_Leg]:
-    """Return the legs between nearest places, of the shortest order, and of all lengths."""
+    """Return the legs to solve first: of nearest places, of the shortest order, of all lengths."""
     near = [(k, int(j)) for k, row in enumerate(lengths) for j in np.argsort(row)[:_NEAREST]]
     (shortest,) = best_orders(lengths, 1)
     by_length = np.argsort(lengths, axis=None)[: np.isfinite(lengths).sum()]
@@ -242,7 +242,7 @@ def _first_legs(lengths: FloatArray) -> list[_Leg]:
 
 
 def _shortest_ways(scenario: Scenario) -> dict[_Leg, Route]:
-    """Return the shortest route of each leg that a tour may have and zones do not block."""
+    """Return the shortest route of each leg that a tour may use."""
     places, ways = scenario.mission.positions, {}
     last = len(places) - 1
     for here, there in permutations(range(len(places)), 2):
@@ -254,7 +254,7 @@ def _shortest_ways(scenario: Scenario) -> dict[_Leg, Route]:
 
 
 class BestOrder:
-    """The cheapest order of a mission's waypoints: the best by legs, solved whole on one mesh.
+    """Search for the cheapest order of a mission's waypoints.
 
     Parameters
     ----------
@@ -269,15 +269,15 @@ class BestOrder:
         self._flown: list[tuple[float, OrderSearch, Solution | None]] = []
 
     def candidates(self) -> tuple[OrderSearch, ...]:
-        """Return the orders that are cheapest by their legs."""
+        """Return the cheapest orders by the energies of their legs."""
         return find_orders(self._scenario.as_forecast(), self._leg)
 
     def has_time(self) -> bool:
-        """Return whether time is left to fly another order; at least one order is always flown."""
+        """Return whether time remains to solve another order, or none was solved yet."""
         return not self._flown or not self._search.deadline.is_over
 
     def fly(self, found: OrderSearch) -> str:
-        """Solve the mission in an order on one mesh, and return its cost in words."""
+        """Solve the mission in one order on a coarse mesh; return its cost in words."""
         solution = self._roughly(in_order(self._scenario, found.order))
         is_flown = solution.status.is_solved
         cost = solution.objective if is_flown else inf
@@ -285,7 +285,7 @@ class BestOrder:
         return f"{cost:.6g} J on a first mesh" if is_flown else solution.status.value
 
     def finish(self, solve: Callable[[Scenario, Start | None, Search], Plan]) -> Plan:
-        """Return the plan of the cheapest order flown."""
+        """Return the refined plan of the cheapest order."""
         _, best, begun = min(self._flown, key=lambda entry: entry[0])
         ordered = in_order(self._scenario, best.order)
         start: Start | None = begun if begun is None or self._is_plain else begun.warm_start
@@ -296,7 +296,7 @@ class BestOrder:
         return replace(plan, order_search=best if best.legs else None)
 
     def _leg(self, alone: Scenario, mesh: Mesh, way: Route | None) -> Solution:
-        """Solve a leg on one mesh, along its way round zones.
+        """Solve a leg on one mesh along its shortest route.
 
         From the flight of another leg it takes as many iterations as from the model's own guess.
         """
@@ -306,7 +306,7 @@ class BestOrder:
         return mission.solve(mesh=mesh, tolerance=None, guess=guess)
 
     def _roughly(self, ordered: Scenario) -> Solution:
-        """Solve the mission in an order on one mesh."""
+        """Solve the mission in one order on a coarse mesh."""
         told = ordered.as_forecast()
         once = {"solver": told.solver.model_copy(update={"max_refinements": 0})}
         mission = MissionProblem(self._problems, told.model_copy(update=once), self._search)

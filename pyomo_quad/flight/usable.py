@@ -1,4 +1,4 @@
-"""Refinement of a coarse plan until its controls, flown in open loop, reach the goal."""
+"""Refinement of a coarse plan until its controls reach the goal in open loop."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _CLEARANCE = "airspace.clearance"
 def flyable_from(
     problem: Problem, arguments: dict[str, Any], coarse: Solution, airspace: Airspace
 ) -> Iterator[Solution]:
-    """Yield trajectories near a coarse optimum that obey the equations on finer and finer meshes.
+    """Yield trajectories near a coarse optimum that satisfy the equations on ever finer meshes.
 
     Between the points of coarse elements a course cuts the corners of zones: by as much as the
     coarse one does, the clearance is widened.
@@ -78,7 +78,7 @@ def flyable_from(
 
 
 def _deepest_cut(solution: Solution, airspace: Airspace) -> float:
-    """Return the deepest intrusion of a solution's path into the clearance of a zone [m], or 0."""
+    """Return the deepest intrusion of a path into the clearance of a zone [m], or 0."""
     if not airspace.keep_out:
         return 0.0
     names = [slot.name for slot in solution.problem.compiled.declared.states]

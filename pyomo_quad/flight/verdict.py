@@ -1,4 +1,4 @@
-"""Plans made of solutions, and the verdict of flying their controls."""
+"""Plans made from solutions, and their verification by simulation."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def plan_of(
     timings: dict[str, float],
     hover_energy: float,
 ) -> Plan:
-    """Return the plan of a solution that nothing has flown yet."""
+    """Return an unverified plan made from a solution."""
     return Plan(
         scenario=scenario,
         status=_STATUS.get(solution.status, PlanStatus.SOLVED),
@@ -52,19 +52,19 @@ def plan_of(
 
 
 def horizon_of(scenario: Scenario) -> tuple[float, float] | None:
-    """Return start and end of a scenario's horizon [s], None where a variable holds the end."""
+    """Return the start and end time of a scenario [s], None for a free end time."""
     return None if scenario.mission.is_free else (0.0, scenario.mission.fixed_duration)
 
 
 def energy_of(scenario: Scenario, solution: Solution) -> float:
-    """Return the energy of a solution, without the price of its time or the pack's loss [J]."""
+    """Return the energy of a solution, without price of time and battery loss [J]."""
     if not scenario.mission.is_free and scenario.mission.aim is Aim.ENERGY:
         return solution.objective
     return float(solution.running_objective[-1])
 
 
 def verified(plan: Plan, solution: Solution, accuracy: Accuracy | None = None) -> Plan:
-    """Return the plan with the verdict of flying its controls, at its own accuracy by default."""
+    """Verify a plan by simulating its controls, at its own accuracy by default."""
     started = time.perf_counter()
     held = plan.trajectories
     try:

@@ -1,4 +1,4 @@
-"""Verification of a plan by an independent method: its controls, flown by SciPy."""
+"""Verification of plans: SciPy simulates the planned controls, independently of the solver."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def fly_controls(
     method: str = "DOP853",
     integration: float = _PROOF.integration,
 ) -> Flown:
-    """Fly piecewise polynomial controls open loop, clipped to their limits.
+    """Simulate piecewise polynomial controls in open loop, clipped to their limits.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def fly_controls(
 
 
 class OpenLoop:
-    """A vehicle under given controls, compiled to be flown over parts of a horizon."""
+    """Vehicle under given controls, compiled for simulation over parts of a horizon."""
 
     def __init__(self, dynamics: Dynamics) -> None:
         n_controls = len(dynamics.control_names)
@@ -114,7 +114,7 @@ class OpenLoop:
         method: str = "DOP853",
         integration: float = _PROOF.integration,
     ) -> Flown:
-        """Fly piecewise polynomial controls, over their horizon or a given part of it."""
+        """Simulate piecewise polynomial controls over their horizon or a part of it."""
         borders = horizon[0] + (horizon[1] - horizon[0]) * np.asarray(mesh.breakpoints)
         begin, end = horizon if part is None else part
         shares = samples_per_element
@@ -172,7 +172,7 @@ def _integrate(
     edges: Sequence[float],
     **options: float | str,
 ) -> FloatArray:
-    """Return states, with the energy last, at the times of one element except the first.
+    """Integrate one element; return states and energy at its times except the first.
 
     The element's equations apply from `inside` on.
     """
@@ -215,7 +215,7 @@ _STANDSTILL_V = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class Verification:
-    """Results of re-simulating a plan.
+    """Results of the simulation of a plan, compared with the plan.
 
     Attributes
     ----------
@@ -263,12 +263,12 @@ class Verification:
 
     @property
     def is_fed(self) -> bool:
-        """Whether the pack can give the power, the charge and the voltage of the flight."""
+        """Whether the battery can supply power, charge and voltage of the flight."""
         return max(self.battery_imbalance, self.voltage_lacking) <= BALANCE_TOLERANCE
 
     @property
     def shortfall(self) -> str:
-        """Shortfall of the pack and its remedy, in one line; empty if there is none."""
+        """Shortfall of the battery and its remedy in one line, empty without a shortfall."""
         if self.battery_imbalance > BALANCE_TOLERANCE:
             return (
                 f"battery: the pack lacks {100.0 * self.battery_imbalance:.3g} % of the power or "
@@ -284,7 +284,7 @@ class Verification:
 
 
 def voltage_lacking(dynamics: Dynamics, flown: Flown) -> float:
-    """Return the largest fraction of a motor's voltage that the pack cannot give.
+    """Return the largest share of a motor's voltage that the battery cannot supply.
 
     Negative if there is none missing. Both voltages are those at constant rotor speed; the limit on
     the rotors' acceleration stands for the additional voltage of changing the speed.
@@ -300,7 +300,7 @@ def voltage_lacking(dynamics: Dynamics, flown: Flown) -> float:
 
 
 def wind_lacking(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> str:
-    """Return a message on the place where a flight leaves its plan's wind field, empty if none.
+    """Return a message if a flight leaves the wind field of its plan, empty otherwise.
 
     Always empty for a model without positions.
     """
@@ -311,7 +311,7 @@ def wind_lacking(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> str:
 
 
 def shares_lacking(dynamics: Dynamics, flown: Flown) -> tuple[float, float]:
-    """Return the largest fractions of the power and of the charge that the pack cannot give.
+    """Return the largest shares of power and charge that the battery cannot supply.
 
     The declared equations stay finite beyond the pack's greatest power and beyond empty, but a real
     vehicle cannot fly there. A model without a battery lacks nothing.
@@ -322,12 +322,12 @@ def shares_lacking(dynamics: Dynamics, flown: Flown) -> tuple[float, float]:
 
 
 def has_balance(dynamics: Dynamics) -> bool:
-    """Return whether a model has a battery whose balance can be read."""
+    """Return whether the model has a battery with a power balance."""
     return all(dynamics.has(name) for name in _BALANCE)
 
 
 def balance_lacking(balance: FloatArray) -> tuple[float, float]:
-    """Return `shares_lacking` of the `BALANCE_KEYS` along a flight."""
+    """Return the `shares_lacking` along a flight."""
     power, voltage, current, charge = balance.T
     lacking = np.abs(power - voltage * current) / np.maximum(1.0, np.abs(power))
     return float(np.max(lacking)), float(-np.min(charge) / 100.0)
@@ -346,7 +346,7 @@ _PART_OF_CELL = 1 / 20
 def _samples_near_zones(
     airspace: Airspace, dynamics: Dynamics, mesh: Mesh, states: FloatArray, spacing: float
 ) -> list[FloatArray]:
-    """Return the shares of each element at which samples suffice to check keep-outs and ground.
+    """Return the sample times in each element, as shares, that suffice to check zones and ground.
 
     Between two nodes, samples are at most `spacing` [m] apart where a path as long as their
     distance may reach a zone, and a small part of a cell of the terrain where it may reach a limit
@@ -390,7 +390,7 @@ def split_at_breaches(
     horizon: tuple[float, float],
     accuracy: Accuracy = Accuracy.PROOF,
 ) -> Mesh:
-    """Return a mesh in which the elements with the worst violations of limits are split."""
+    """Return a mesh with the elements split in which limits are violated most."""
     breaches = dynamics.violations(flown.t, flown.states, flown.controls)
     times = [breach.time for breach in breaches if breach.relative > FIGURES[accuracy].breach]
     start, end = horizon
@@ -404,7 +404,7 @@ def split_at_breaches(
 
 @dataclass(frozen=True, kw_only=True)
 class Passage:
-    """A place to be passed within a distance [m] at a time [s]."""
+    """Place that a flight must pass within a distance [m] at a time [s]."""
 
     time_s: float
     position: tuple[float, float, float]
@@ -412,7 +412,7 @@ class Passage:
 
 
 def _passing_miss(dynamics: Dynamics, flown: Flown, passage: Passage) -> float:
-    """Return the excess of a flight's distance from a place over the allowed distance [m]."""
+    """Return by how much a flight's distance from a place exceeds the allowed distance [m]."""
     nearest = int(np.argmin(np.abs(flown.t - passage.time_s)))  # an element ends there
     columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
     off = np.linalg.norm(flown.states[nearest, columns] - passage.position)
@@ -430,7 +430,7 @@ def verify_controls(
     passages: Sequence[Passage] = (),
     accuracy: Accuracy = Accuracy.PROOF,
 ) -> tuple[Verification, Flown]:
-    """Fly a plan's controls and compare the result with the plan.
+    """Simulate a plan's controls and compare the flight with the plan.
 
     Parameters
     ----------
@@ -499,7 +499,7 @@ def verify_controls(
 
 @dataclass(frozen=True, kw_only=True)
 class _Found:
-    """Worst errors of a flight, as `Figures` and `BALANCE_TOLERANCE` limit them."""
+    """Largest errors of a simulated flight, for comparison with the tolerances."""
 
     miss: float
     breach: float
@@ -507,12 +507,12 @@ class _Found:
     lacking: float
 
     def reached(self, asked: Accuracy) -> Accuracy | None:
-        """Return the highest accuracy whose figures are met, at most the one asked for."""
+        """Return the highest accuracy, at most as requested, whose tolerances are met."""
         met = [a for a in Accuracy if asked.meets(a) and self.meets(FIGURES[a])]
         return met[-1] if met else None
 
     def meets(self, figures: Figures) -> bool:
-        """Return whether the errors are within figures."""
+        """Return whether the errors are within the tolerances of an accuracy."""
         return bool(
             self.miss <= figures.miss
             and self.breach <= figures.breach

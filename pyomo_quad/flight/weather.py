@@ -1,4 +1,4 @@
-"""The vehicle in the actual wind of its flights: turbulence, and errors of the forecast.
+"""Vehicle in the actual wind of its flights, with turbulence and forecast errors.
 
 A user knows the future wind, the mass and the hover power only approximately. Each of these errors
 is an independent normal number with the standard deviation stated in the scenario.
@@ -29,7 +29,7 @@ FloatArray = NDArray[np.float64]
 
 
 def vehicle_flown(planner: Planner, scenario: Scenario) -> Dynamics:
-    """Return the vehicle of `Planner.dynamics` in the turbulence of the scenario's wind.
+    """Return the simulated vehicle in the actual wind with its turbulence.
 
     Without turbulence the two are the same.
 
@@ -49,7 +49,7 @@ def vehicle_flown(planner: Planner, scenario: Scenario) -> Dynamics:
 
 
 def draw(planner: Planner, scenario: Scenario, count: int, seed: int) -> tuple[Dynamics, Draws]:
-    """Draw the winds, masses and powers of many flights.
+    """Draw random winds, masses and powers for many flights.
 
     Where the forecast states how far it errs, each flight has a wind of its own round it; else all
     flights have the wind that blows.
@@ -97,7 +97,7 @@ _OF_ERRORS = 1
 
 
 def problem_in_turbulence(scenario: Scenario) -> Problem:
-    """Return the compiled equations of a mission as it is flown in turbulence."""
+    """Return the compiled equations of a mission with its turbulence."""
     turbulence = scenario.wind.turbulence
     key = structure_key(scenario), guess_key(scenario), turbulence
     problem = IN_TURBULENCE.get(key)
@@ -107,14 +107,14 @@ def problem_in_turbulence(scenario: Scenario) -> Problem:
 
 
 def as_expected(scenario: Scenario) -> Scenario:
-    """Return the scenario in the wind that plans assume: the forecast, plus the turbulence."""
+    """Return the scenario with the wind that plans assume: forecast and turbulence."""
     told = scenario.as_forecast()
     turbulence = {"turbulence": scenario.wind.turbulence}
     return told.model_copy(update={"wind": told.wind.model_copy(update=turbulence)})
 
 
 def unknowns(planner: Planner, scenario: Scenario) -> tuple[dict[str, float], ...]:
-    """Return the uncertain quantities, each as the change of parameters by one standard deviation.
+    """Return the uncertain quantities, each as a change of parameters by one standard deviation.
 
     The parameters, by full name, are those of `problem_in_turbulence`; changes are added.
     """

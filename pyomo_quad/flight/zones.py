@@ -1,4 +1,4 @@
-"""Zones beside a leg: lines that cut them, sides on which they are passed, and places beside.
+"""Geometry of zones beside a leg: intersections, passing sides, and points beside a zone.
 
 The side is determined where the leg passes the zone: in the vertical plane across the course,
 through the middle of the part of the leg inside the zone, or else through the point of the leg
@@ -29,7 +29,7 @@ ROUNDING = 1e-9
 
 
 class Side(StrEnum):
-    """Side on which a route passes a zone, as seen in flight."""
+    """Side on which a route passes a zone, as seen in flight direction."""
 
     LEFT = "left"
     RIGHT = "right"
@@ -38,7 +38,7 @@ class Side(StrEnum):
 
 
 def zones_hit(zones: Sequence[KeepOut], places: FloatArray, clearance: float) -> list[KeepOut]:
-    """Return the zones that straight lines from place to place cut."""
+    """Return the zones that straight lines between places intersect."""
     return [
         zone
         for zone in zones
@@ -52,7 +52,7 @@ def zones_hit(zones: Sequence[KeepOut], places: FloatArray, clearance: float) ->
 def are_blocked(
     zone: KeepOut, starts: FloatArray, ends: FloatArray, clearance: float
 ) -> NDArray[np.bool_]:
-    """Return which straight lines, between pairs of places of shape (n, 3), cut a zone."""
+    """Return which straight lines between pairs of places, shape (n, 3), intersect a zone."""
     entered, left = _spans_inside(zone, starts, ends, clearance)
     return np.asarray(np.minimum(left, 1.0) - np.maximum(entered, 0.0) > ROUNDING)
 
@@ -60,7 +60,7 @@ def are_blocked(
 def _spans_inside(
     zone: KeepOut, starts: FloatArray, ends: FloatArray, clearance: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the fractions at which straight lines, extended, enter and leave a zone.
+    """Return the fractions at which extended straight lines enter and leave a zone.
 
     If a line misses the zone, the second fraction is smaller than the first.
     """
@@ -74,7 +74,7 @@ def _spans_inside(
 def _span_inside(
     ball: Ball, starts: FloatArray, ends: FloatArray, clearance: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the fractions at which straight lines, extended, enter and leave a ball, or (1, 0)."""
+    """Return the fractions at which extended straight lines enter and leave a ball, or (1, 0)."""
     away = ball.coordinates(starts) - ball.centre
     along = ball.coordinates(ends - starts)
     radius = ball.radius + clearance - ROUNDING
@@ -93,7 +93,7 @@ def _span_inside(
 def sides_passed(
     zone: KeepOut, ends: FloatArray, clearance: float, starts: FloatArray, stops: FloatArray
 ) -> NDArray[np.intp]:
-    """Return the number of the side on which each line passes a zone, -1 if it does not pass it."""
+    """Return the index of the side on which each line passes a zone, -1 if it does not pass it."""
     section = _section(zone, ends, clearance)
     if section is None:
         return np.full(len(starts), -1)
@@ -108,7 +108,7 @@ def sides_passed(
 
 
 class _Section(NamedTuple):
-    """Section of a zone in the plane where a leg passes it."""
+    """Cross-section of a zone in the plane where a leg passes it."""
 
     middle: FloatArray
     """m, shape (3,); so are the unit vectors along the course, to its left and up."""
@@ -122,7 +122,7 @@ class _Section(NamedTuple):
 
 
 def _section(zone: KeepOut, ends: FloatArray, clearance: float) -> _Section | None:
-    """Return the section of a zone where a leg passes it, None if that is at an end of the leg."""
+    """Return the cross-section of a zone where a leg passes it, None near the ends of the leg."""
     share, reach = _passage(zone, ends, clearance)
     if not ROUNDING < share < 1.0 - ROUNDING:
         return None
@@ -136,7 +136,7 @@ def _section(zone: KeepOut, ends: FloatArray, clearance: float) -> _Section | No
 
 
 def _passage(zone: KeepOut, ends: FloatArray, clearance: float) -> tuple[float, float]:
-    """Return the fraction of a leg where it passes a zone, and the clearance that reaches the leg.
+    """Return the fraction of a leg where it passes a zone, and the clearance that touches the leg.
 
     The fraction is the middle of the part of the leg within the zone and its clearance or, if there
     is none, within the least clearance that reaches the leg.
@@ -161,13 +161,13 @@ def _passage(zone: KeepOut, ends: FloatArray, clearance: float) -> tuple[float, 
 def _chord(
     zone: KeepOut, place: FloatArray, direction: FloatArray, reach: float
 ) -> tuple[FloatArray, float]:
-    """Return the middle and half the length of a straight line's part inside a zone."""
+    """Return the middle and half the length of a line's part inside a zone."""
     (first,), (last,) = _spans_inside(zone, place[None], (place + direction)[None], reach)
     return place + (first + last) / 2 * direction, float(last - first) / 2
 
 
 def _frame(ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return unit vectors along a leg's course, to its left and up.
+    """Return unit vectors along a leg, to its left and up.
 
     The course is horizontal unless the leg is vertical: a steep leg, too, passes a tall zone on the
     left or right.
@@ -182,7 +182,7 @@ def _frame(ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _places_along(zone: KeepOut, reach: float, near: FloatArray) -> FloatArray:
-    """Return places round a polygon at a distance from its edges: corners, and beside `near`."""
+    """Return points at a distance outside a polygon: at its corners and beside ``near``."""
     ring = zone.ring(reach)
     following = np.roll(ring, -1, axis=0)
     along = following - ring
@@ -193,7 +193,7 @@ def _places_along(zone: KeepOut, reach: float, near: FloatArray) -> FloatArray:
 
 
 def places_beside(zone: KeepOut, clearance: float, ends: FloatArray) -> FloatArray:
-    """Return places all around a zone, so that straight lines between neighbours miss it."""
+    """Return points around a zone such that lines between neighbours avoid it."""
     reach = clearance + MARGIN_M
     share, _ = _passage(zone, ends, clearance)
     passing = ends[0] + share * (ends[1] - ends[0])

@@ -1,4 +1,4 @@
-"""Logs of autopilots, PX4 `.ulg` and ArduPilot `.BIN`, in the form of the table of `logs`.
+"""Readers of autopilot logs, PX4 `.ulg` and ArduPilot `.BIN`, as tables of `logs`.
 
 Each log is one flight, named after its file. All airborne rows count as cruise, the payload is 0,
 and without a barometer the density is that at sea level.
@@ -40,7 +40,7 @@ _CURRENTS, _VOLTAGES = ("current_a", "current_average_a"), ("voltage_v", "voltag
 
 @contextmanager
 def _whole_log(autopilot: str, package: str) -> Iterator[None]:
-    """Refuse a log whose reader is not installed, or fails, while the block runs.
+    """Context that turns a missing or failing reader into an input error.
 
     The readers print the errors that they find, and raise exceptions of many types for damaged
     logs.
@@ -66,7 +66,7 @@ def _seconds_aloft(
     velocity: Sequence[FloatArray],
     wind: Sequence[FloatArray],
 ) -> pd.DataFrame:
-    """Return the mean of each second in flight, in the columns of `COLUMNS` but the flight's name.
+    """Return averages over each second in flight, in the columns of `COLUMNS`.
 
     ``velocity`` is north, east and up over ground, ``wind`` north and east.
     """
@@ -87,7 +87,7 @@ def _seconds_aloft(
 
 
 def read_ulog(file: Path) -> pd.DataFrame:
-    """Return a PX4 log as averages over one second, in the columns of `COLUMNS`.
+    """Read a PX4 log as averages over one second, in the columns of `COLUMNS`.
 
     The log is one flight, named after its file. All airborne rows count as cruise, the payload is
     0, and without a barometer the density is that at sea level. The wind is the autopilot's
@@ -155,7 +155,7 @@ _USUAL_CELSIUS = 15.0
 
 
 def read_ardupilot(file: Path) -> pd.DataFrame:
-    """Return an ArduPilot log as averages over one second, in the columns of `COLUMNS`.
+    """Read an ArduPilot log as averages over one second, in the columns of `COLUMNS`.
 
     Motion and wind are those of the first core of EKF3; if the filter does not estimate the wind,
     the air is calm.
@@ -226,7 +226,7 @@ def _ardupilot_by_second(messages: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
 
 
 def _is_flying(events: pd.DataFrame, times: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return whether the land detector reports airborne; always true if it is not logged."""
+    """Return whether the land detector reports flight; true without a detector."""
     if not {"TimeUS", "Id"} <= set(events):
         return np.ones(len(times), dtype=bool)
     told = events[events["Id"].isin((_LANDED_EVENT, _FLYING_EVENT))]

@@ -1,4 +1,4 @@
-"""Parameters of the declared equations by robust least squares, and their uncertainty.
+"""Fit of model parameters to flights by robust least squares, with their uncertainty.
 
 Method: see docs/theory/identification.md, eqs. (2) to (4).
 
@@ -72,7 +72,7 @@ _NEAR_BOUND, _AT_BOUND = 1e-6, 1e-5
 
 @dataclass(frozen=True, kw_only=True)
 class FittedParameter:
-    """Fitted value of a vehicle's field, its standard deviation, and the base's value."""
+    """Fitted field of a vehicle, with standard deviation and previous value."""
 
     name: str
     base: float
@@ -84,7 +84,7 @@ class FittedParameter:
 
 @dataclass(frozen=True, kw_only=True)
 class IdentifiedParameter:
-    """Identified value of a vehicle's field, with its uncertainty and the base's value.
+    """Identified field of a vehicle, with uncertainty and previous value.
 
     `deviation` is its bootstrap standard deviation over flights, 0 if the base's value was kept.
     `first_half` and `second_half` are fits to one half of the flights each. The halves have no
@@ -105,7 +105,7 @@ class IdentifiedParameter:
 
 @dataclass(frozen=True, kw_only=True)
 class Identification:
-    """A vehicle identified from flights, and the errors of its computed powers.
+    """Vehicle identified from flights, with the errors of its computed powers.
 
     `correlations` has the determined parameters as rows and columns; `cross_validated` is the power
     of each row by a fit without its flight. `together` pairs each parameter that is not determined
@@ -130,7 +130,7 @@ class Identification:
         return np.hypot(north, east) * self.scenario.vehicle.anemometer_factor
 
     def excess(self, slowest: float, fastest: float) -> float:
-        """Return the mean of measured less computed power in cruise between two airspeeds, W.
+        """Return the mean excess of measured over computed power in cruise, by airspeed [W].
 
         NaN if no row cruises in this range.
         """
@@ -142,7 +142,7 @@ class Identification:
 
 
 class Fit:
-    """Least squares of a vehicle's parameters over flights.
+    """Least-squares problem for parameters of a vehicle over flights.
 
     Parameters
     ----------
@@ -173,13 +173,13 @@ class Fit:
         return self._motion.power({component(name): value for name, value in named})
 
     def windows(self, power: FloatArray, rows: Rows) -> tuple[FloatArray, NDArray[np.int64]]:
-        """Return the mean power of the windows of the given rows, and the first row of each."""
+        """Return the mean power of each time window of some rows, and its first row."""
         _, first, inverse = np.unique(self._window[rows], return_index=True, return_inverse=True)
         mean = np.bincount(inverse, power[rows]) / np.bincount(inverse)
         return mean, np.flatnonzero(rows)[first]
 
     def over(self, rows: Rows, start: FloatArray | None = None) -> FloatArray:
-        """Return the values that fit the given rows best."""
+        """Fit the parameters to some rows."""
         if not self.names:
             return self.base
         measured, _ = self.windows(self._measured, rows)
@@ -190,7 +190,7 @@ class Fit:
         return _robust(residual, self.base if start is None else start, self.bounds)
 
     def slopes(self, values: FloatArray) -> FloatArray:
-        """Return the difference quotients of the windows' power by each parameter."""
+        """Return finite differences of the windows' power by each parameter."""
         at, _ = self.windows(self.power(values), self.everything)
         columns = []
         for k in range(len(self.names)):
@@ -201,7 +201,7 @@ class Fit:
         return np.column_stack(columns) if columns else np.zeros((len(at), 0))
 
     def drawn_anew(self, values: FloatArray) -> FloatArray:
-        """Return fits to flights drawn with replacement, shape (draws, n).
+        """Return bootstrap fits, to flights drawn with replacement, shape (draws, n).
 
         Each is a robust fit of the equations linearised about the fit to all flights, which is
         exact for parameters that enter linearly.
@@ -225,12 +225,12 @@ class Fit:
         return np.array(found)
 
     def applied(self, values: FloatArray) -> Scenario:
-        """Return the scenario with a vehicle of these values."""
+        """Return the scenario with fitted values."""
         named = zip(self.names, values.tolist(), strict=True)
         return self._scenario.with_values({f"vehicle.{name}": value for name, value in named})
 
     def parameter(self, name: str, values: FloatArray, deviations: FloatArray) -> FittedParameter:
-        """Return the result for a parameter, the base's value where it was not fitted."""
+        """Return the result for one parameter, or its previous value if not fitted."""
         value = base = float(getattr(self._scenario.vehicle, name))
         deviation, distance = 0.0, np.inf
         if name in self.names:
@@ -268,14 +268,14 @@ def _bounds(name: str) -> tuple[float, float]:
 
 
 def _most_drag(scenario: Scenario, frame: pd.DataFrame, power: int) -> float:
-    """Return the drag number that tilts level flight at the greatest airspeed by 45 degrees."""
+    """Return the drag coefficient that tilts level flight at the largest airspeed by 45 degrees."""
     north, east = (frame[name].to_numpy() for name in AIR_VELOCITY)
     fastest = float(np.hypot(north, east).max()) * scenario.vehicle.anemometer_factor
     return scenario.vehicle.mass * scenario.gravity / max(fastest, 1.0) ** power
 
 
 def _windows(frame: pd.DataFrame) -> NDArray[np.int64]:
-    """Return the number of each row's window; a window ends with its flight or phase."""
+    """Return the window number of each row; windows end with their flight or phase."""
     stretch = [frame[FLIGHT], frame[PHASE]]
     since = frame[TIME] - frame.groupby(stretch, sort=False)[TIME].transform("min")
     keys = [*stretch, np.floor(since / _WINDOW_S)]
@@ -283,7 +283,7 @@ def _windows(frame: pd.DataFrame) -> NDArray[np.int64]:
 
 
 def undetermined(fit: Fit) -> tuple[str, ...]:
-    """Return the parameters without an independent effect on the power of the flights."""
+    """Return the parameters without an independent effect on the flights' power."""
     slopes = fit.slopes(fit.base)
     slopes *= _SHARE * np.maximum(np.abs(fit.base), _size(fit))
     least = _LEAST_EFFECT * float(np.median(fit.frame[POWER]))
@@ -304,12 +304,12 @@ def undetermined(fit: Fit) -> tuple[str, ...]:
 
 
 def _size(fit: Fit) -> FloatArray:
-    """Return the size below which each parameter counts as small."""
+    """Return the size below which each parameter is negligible."""
     return np.array([_SMALL_DRAG if name in _OF_MOTION else _SHARE for name in fit.names])
 
 
 def confounded(fit: Fit, lost: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    """Return each undetermined parameter with the parameter that has the most similar effect.
+    """Return each undetermined parameter with the parameter of most similar effect.
 
     A parameter without an effect on the power is paired with the empty name.
     """
@@ -329,7 +329,7 @@ def confounded(fit: Fit, lost: Sequence[str]) -> tuple[tuple[str, str], ...]:
 def identify(
     scenario: Scenario, frame: pd.DataFrame, names: Sequence[str] = FITTED
 ) -> Identification:
-    """Fit a vehicle's parameters to flights and judge them.
+    """Fit a vehicle's parameters to flights and assess the fit.
 
     Parameters
     ----------
@@ -421,7 +421,7 @@ def _parameters(
 
 
 def _base_source(scenario: Scenario, field: str) -> str:
-    """Return the source of a number of the base, as named in the base's file."""
+    """Return the source that the base vehicle's file states for a number."""
     vehicle, kind = scenario.vehicle.use, "vehicles"
     if vehicle in library_names(kind):
         return library_entry(kind, vehicle).sources.get(field, "default")

@@ -1,4 +1,4 @@
-"""Logs of flights: required columns, and refusal of damaged or implausible logs.
+"""Logs of flights: required columns, and checks for damaged or implausible values.
 
 A log is a table, Parquet or CSV, with about one row per second, or the file of an autopilot. Its
 columns are those of `COLUMNS`; others are ignored. World axes here are north, east and up.
@@ -126,7 +126,7 @@ def read_voltages(file: Path, flown: pd.DataFrame) -> pd.DataFrame:
 
 
 def together(logs: Sequence[tuple[Path, pd.DataFrame]]) -> pd.DataFrame:
-    """Return the flights of several logs in one frame.
+    """Join the flights of several logs in one table.
 
     If two logs share a flight's name, each name is prefixed with that of its log.
 
@@ -155,7 +155,7 @@ def _names(frames: Sequence[pd.DataFrame]) -> "pd.Series[Any]":
 
 
 def once_each(frame: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, str]]:
-    """Return the flights without duplicates, and the original's name by the duplicate's name.
+    """Remove duplicate flights; return them with the names of their originals.
 
     Two flights are duplicates if their rows agree in single precision, with times counted from the
     first row; a copy in decimals may lack the last digits.
@@ -337,7 +337,7 @@ def _complaints(frame: pd.DataFrame) -> Iterator[str]:
 
 
 def _unit_complaints(frame: pd.DataFrame) -> Iterator[str]:
-    """Yield the flights with a quantity in thousandths of its unit."""
+    """Yield flights with a quantity that seems given in thousandths of its unit."""
     for flight, rows in frame.groupby(FLIGHT, sort=False):
         for name, (most, thousandths) in _MOST.items():
             usual = float(rows[name].median()) if name in frame else 0.0
@@ -349,7 +349,7 @@ def _unit_complaints(frame: pd.DataFrame) -> Iterator[str]:
 
 
 def _unsound(frame: pd.DataFrame) -> Iterator[str]:
-    """Yield the values outside the plausible ranges of vehicles and air."""
+    """Yield values outside the plausible ranges."""
     for name, sound in _SOUND.items():
         values = frame[name].to_numpy()
         is_beyond = (values < sound.low) | (values > sound.high)
@@ -390,7 +390,7 @@ def _time_complaints(flight: str, times: np.ndarray) -> Iterator[str]:
 
 
 def refuse_wrong_units(frame: pd.DataFrame, mass_kg: float, source: str) -> None:
-    """Refuse a flight whose power per mass, or payload, must be in another unit.
+    """Raise an error for a flight whose power or payload seems to have another unit.
 
     Raises
     ------

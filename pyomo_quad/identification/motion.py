@@ -1,4 +1,4 @@
-"""Attitude, thrust and power of a logged flight, by the declared equations.
+"""Attitude, thrust and power of a logged flight by the declared equations.
 
 Method: see docs/theory/identification.md, eq. (1).
 
@@ -47,7 +47,7 @@ _OTHER_VALUE, _FEW = 1.7, slice(0, 50)
 
 
 def vehicle_scenario(base: str, model: PowerModel = PowerModel.MOMENTUM) -> Scenario:
-    """Return a mission of a vehicle of the library or of a file, in air at rest.
+    """Return a mission of a library or file vehicle in calm air.
 
     Raises
     ------
@@ -67,7 +67,7 @@ def vehicle_scenario(base: str, model: PowerModel = PowerModel.MOMENTUM) -> Scen
 
 
 class LoggedMotion:
-    """A vehicle at the instants of a log.
+    """Motion of a vehicle at the instants of a log.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ class LoggedMotion:
         self._solved: dict[tuple[tuple[str, float], ...], Instants] = {}
 
     def power(self, numbers: Mapping[str, float] | None = None) -> FloatArray:
-        """Return the power of each row, W, with some parameters changed, by component name."""
+        """Compute the power of each row [W] with some parameters changed."""
         changed = dict(numbers or {})
         deciding = {name: value for name, value in changed.items() if name not in self._powerless}
         own = {name: value for name, value in changed.items() if name in self._powerless}
@@ -104,7 +104,7 @@ class LoggedMotion:
 
     @cached_property
     def _powerless(self) -> frozenset[str]:
-        """Parameters that affect the power but not the motion."""
+        """Parameters that affect the power only, not the motion."""
         self._instants({})
         states = self._states_found[_FEW]
 
@@ -139,7 +139,7 @@ class LoggedMotion:
         return self._dynamics.solved(times, states, controls, {_MASS: mass, **told, **own})
 
     def _trimmed(self, numbers: Mapping[str, float]) -> FloatArray:
-        """Return the states that give the accelerations of the log, by Newton's method."""
+        """Return the states that produce the logged accelerations, by Newton's method."""
         states = self._states.copy()
         open_rows = np.ones(len(states), dtype=bool)
         for _ in range(_MOST_ITERATIONS):
@@ -186,7 +186,7 @@ class LoggedMotion:
 
 
 def _accelerations(frame: pd.DataFrame) -> FloatArray:
-    """Return each row's derivative of the ground velocity, by differences within its flight."""
+    """Return each row's acceleration over ground, by differences within its flight."""
     found = np.zeros((len(frame), len(VELOCITY)))
     for rows in frame.groupby(FLIGHT, sort=False).indices.values():
         times = frame[TIME].to_numpy()[rows]

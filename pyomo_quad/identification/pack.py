@@ -1,4 +1,4 @@
-"""The circuit of a pack from the voltages of flights, and its errors on flights it has not seen.
+"""Fit of a battery's equivalent circuit to voltages of flights, cross-validated by flight.
 
 Method: see docs/theory/identification.md, eqs. (7) to (9).
 
@@ -68,7 +68,7 @@ _FASTEST_STEPS, _SLOWEST_S = 1.0, 1000.0
 
 @dataclass(frozen=True, kw_only=True)
 class PackParameter:
-    """Fitted value of a battery's field; `deviation` is by the jackknife over the folds."""
+    """Fitted field of a battery; `deviation` is a jackknife estimate over the folds."""
 
     name: str
     value: float
@@ -77,7 +77,7 @@ class PackParameter:
 
 @dataclass(frozen=True, kw_only=True)
 class PackIdentification:
-    """A pack identified from flights, and the errors of its voltages.
+    """Battery identified from flights, with the errors of its voltages.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ class PackIdentification:
 
 
 class _Flown(NamedTuple):
-    """Power and voltage of a cell of one flight, from just before its load.
+    """Power and voltage per cell of one flight, from just before its load.
 
     `rest` has voltage and power before the load; the first `aloft` rows are in flight.
     """
@@ -120,7 +120,7 @@ class _Flown(NamedTuple):
 
 
 class Record:
-    """Voltages and powers of flights on one grid of time, each from just before its load."""
+    """Voltages and powers of flights on a common time grid."""
 
     def __init__(self, frame: pd.DataFrame, cells: int) -> None:
         steps = frame.groupby(FLIGHT, sort=False)[TIME].diff()
@@ -139,7 +139,7 @@ class Record:
             self.is_logged[rows, k], self.is_aloft[: one.aloft, k] = True, True
 
     def _flight(self, rows: pd.DataFrame) -> _Flown | None:
-        """Return a flight on the record's grid; None if it has no load or is too short."""
+        """Resample a flight to the record's grid; None without load or if too short."""
         time = rows[TIME].to_numpy()
         even = np.arange(time[0], time[-1] + 0.5 * self.step, self.step)
         voltage = np.interp(even, time, rows[VOLTAGE].to_numpy()) / self.cells
@@ -162,12 +162,12 @@ class Record:
 
     @property
     def drawn(self) -> FloatArray:
-        """Charge drawn by each flight, A h."""
+        """Charge drawn by each flight [A h]."""
         current = self.power / np.where(self.is_logged, self.cells * self.voltage, np.inf)
         return np.asarray(current.sum(axis=0) * self.step / 3600.0)
 
     def part(self, chosen: NDArray[np.int64]) -> "Record":
-        """Return the record of some flights."""
+        """Return the record of some of the flights."""
         part = object.__new__(Record)
         part.step, part.reading, part.cells = self.step, self.reading, self.cells
         part.names = [self.names[k] for k in chosen]
@@ -177,12 +177,12 @@ class Record:
         return part
 
     def after_reading(self, rows: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return those of some rows that follow the reading of a flight's resistance."""
+        """Return the rows that come after the time in which the resistance is read."""
         return rows & (np.arange(len(self.power)) >= self.reading)[:, None]
 
 
 class Circuit:
-    """The declared pack under the loads of a record, with numbers of its own for each flight."""
+    """Declared battery under the loads of a record, with individual parameters per flight."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._dynamics = compile_model(build_pack(scenario)).dynamics()
@@ -210,7 +210,7 @@ class Circuit:
     def voltages(
         self, record: Record, values: FloatArray, factor: FloatArray, count: int
     ) -> tuple[FloatArray, FloatArray]:
-        """Return computed and open-circuit voltage of a cell, of the first `count` rows."""
+        """Return computed and open-circuit voltage per cell of the first ``count`` rows."""
         told = self.numbers(values, factor)
         start = np.tile(self._begun, (len(factor), 1))
         start[:, self._names.index(CHARGE_STATE)] = self.charge(record, values, factor)
@@ -232,11 +232,11 @@ class Circuit:
         return voltage, open_circuit
 
     def whole(self, record: Record, values: FloatArray, factor: FloatArray) -> FloatArray:
-        """Return the computed voltage of a cell in every row."""
+        """Return the computed voltage per cell of every row."""
         return self.voltages(record, values, factor, len(record.power))[0]
 
     def charge(self, record: Record, values: FloatArray, factor: FloatArray) -> FloatArray:
-        """Return the charge drawn from each pack before its flight, by its voltage."""
+        """Return the charge drawn before each flight, from the voltage at rest."""
         voltage, power = record.rest.T
         told = {name: number[:1] for name, number in self.numbers(values, factor).items()}
         states = np.tile(self._begun, (_CURVE, 1))
@@ -252,7 +252,7 @@ class Circuit:
         return np.interp(-at_rest, -curve, self._charges)
 
     def factors(self, record: Record, values: FloatArray) -> FloatArray:
-        """Return the factor on the resistance of each flight's pack, from its first load."""
+        """Return the resistance factor of each flight's battery, from its first load."""
         factor = np.ones(len(record.names))
         for _ in range(_READINGS):
             computed, open_circuit = self.voltages(record, values, factor, record.reading)
@@ -264,13 +264,13 @@ class Circuit:
         return factor
 
     def residuals(self, record: Record, values: FloatArray) -> FloatArray:
-        """Return computed less measured voltage of a cell after the reading, at rest again too."""
+        """Return computed less measured voltage per cell after the first load."""
         factor = self.factors(record, values)
         computed = self.whole(record, values, factor)
         return (computed - record.voltage)[record.after_reading(record.is_logged)]
 
     def fit(self, record: Record, start: FloatArray) -> FloatArray:
-        """Return the logarithms of the fitted fields, a middling pack having the factor 1."""
+        """Fit the logarithms of the fields; the median battery has the factor 1."""
         low, high = np.full(len(start), -np.inf), np.full(len(start), np.inf)
         place = list(FITTED).index("relaxation.time_constant")
         low[place], high[place] = np.log([_FASTEST_STEPS * record.step, _SLOWEST_S])
@@ -292,7 +292,7 @@ class Circuit:
 
 
 def identify_pack(scenario: Scenario, frame: pd.DataFrame) -> PackIdentification | None:
-    """Fit the circuit of a vehicle's pack to the voltages of flights, and judge it.
+    """Fit a battery's circuit to the voltages of flights, and assess the fit.
 
     Parameters
     ----------
@@ -359,14 +359,14 @@ def identify_pack(scenario: Scenario, frame: pd.DataFrame) -> PackIdentification
 
 
 def _resistance(values: FloatArray) -> float:
-    """Return the whole resistance of a cell, ohm, of the logarithms of the fitted fields."""
+    """Return the total resistance per cell from the logarithms of the fields [ohm]."""
     names = list(FITTED)
     parts = ("cell_resistance", "relaxation.resistance")
     return float(sum(np.exp(values[names.index(name)]) for name in parts))
 
 
 def with_circuit(scenario: Scenario) -> Scenario:
-    """Return a scenario whose pack has slow drop, temperature and health, at least as a guess."""
+    """Return the scenario with guesses for missing relaxation, temperature and health."""
     pack = scenario.battery
     tables: dict[str, Any] = {}
     if pack.relaxation is None:
@@ -387,7 +387,7 @@ def with_circuit(scenario: Scenario) -> Scenario:
 
 
 def _as_given(scenario: Scenario) -> list[float]:
-    """Return the fitted fields as the base has them, as good as nought where it lacks them."""
+    """Return the previous values of the fields, tiny numbers where the base has none."""
     pack = scenario.battery
     slow = (_NEARLY_NONE, 1.0)
     if pack.relaxation is not None:
@@ -411,7 +411,7 @@ def _error_per_cell(record: Record, computed: FloatArray, axis: int | None = Non
 
 
 def _rows(record: Record, computed: FloatArray) -> pd.DataFrame:
-    """Return time, measured and computed voltage of a cell in each row of each flight."""
+    """Return time, measured and computed voltage per cell of each row, flight by flight."""
     flights = np.broadcast_to(np.array(record.names, dtype=object), record.power.shape)
     times = np.broadcast_to(record.step * np.arange(len(computed))[:, None], record.power.shape)
     kept = record.is_logged.T

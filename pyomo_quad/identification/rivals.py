@@ -31,7 +31,7 @@ _OURS = "momentum theory, declared"
 
 
 def model_table(found: Identification) -> pd.DataFrame:
-    """Return numbers fitted and errors of each rival and, last, of the declared equations."""
+    """Return parameter counts and errors of the published models and the declared equations."""
     frame, measured = found.frame, found.frame[POWER].to_numpy()
     rows = []
     for name, columns in _regressors(frame, found.scenario.vehicle.mass).items():
@@ -47,7 +47,7 @@ def model_table(found: Identification) -> pd.DataFrame:
 
 
 def _regressors(frame: pd.DataFrame, mass: float) -> dict[str, FloatArray]:
-    """Return the regressors of each rival, shape (rows, numbers fitted)."""
+    """Return the regressors of each published model, shape (rows, parameters)."""
     hovering = ((mass + frame[PAYLOAD]) ** 1.5 / np.sqrt(frame[DENSITY])).to_numpy()[:, None]
     phases = (frame[[PHASE]].to_numpy() == FLYING).astype(float)
     return {
@@ -73,7 +73,7 @@ def _extrapolation(number: int) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Measure:
-    """An error of the declared equations, compared with that of the best rival."""
+    """Error of the declared equations compared with the best published model."""
 
     name: str
     unit: str
@@ -83,12 +83,12 @@ class Measure:
 
     @property
     def is_gain(self) -> bool:
-        """Whether the declared equations have a smaller error than every rival."""
+        """Whether the declared equations have the smallest error."""
         return self.own < self.best
 
 
 def measures(models: pd.DataFrame, tried: Sequence[Trial]) -> tuple[Measure, ...]:
-    """Return the errors by which the models are compared, from `model_table`."""
+    """Return the errors by which models are compared, from `model_table`."""
     *rivals, own = models.to_dict("records")
     columns = {
         "mean_absolute_error_percent": ("energy of a flight", "%"),

@@ -1,4 +1,4 @@
-"""Parameters of a vehicle from steady powers: a polar, hover alone, or a series of payloads.
+"""Fit of a vehicle to steady powers: a polar, hover alone, or a series of payloads.
 
 Method: see docs/theory/identification.md, "Steady points".
 
@@ -61,7 +61,7 @@ _STEP_S = 1.0
 
 @dataclass(frozen=True, kw_only=True)
 class SteadyFit:
-    """A vehicle fitted to steady points.
+    """Vehicle fitted to steady points.
 
     `points` has the columns of `STEADY_COLUMNS`, `power` is the computed power of each point, and
     `unseen` the power by a fit without the point, NaN if there are too few points. `together` names
@@ -78,12 +78,12 @@ class SteadyFit:
 
     @property
     def error_percent(self) -> float:
-        """Mean absolute error of the points, in per cent."""
+        """Mean absolute error over the points, in per cent."""
         return _mean_error(self.power, self.points)
 
     @property
     def unseen_error_percent(self) -> float:
-        """Mean absolute error of points in fits without them, NaN if there are too few points."""
+        """Mean absolute error of points left out of the fit, NaN with too few points."""
         return _mean_error(self.unseen, self.points)
 
 
@@ -121,7 +121,7 @@ def read_steady(file: Path, scenario: Scenario) -> pd.DataFrame:
 
 
 def filled_in(frame: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
-    """Return steady points with every column, an endurance turned into a power."""
+    """Complete steady points: all columns, with powers computed from endurances."""
     frame = frame.copy()
     if POWER not in frame:
         steady = Planner().steady_flight(scenario)
@@ -157,7 +157,7 @@ def _read_csv(file: Path) -> pd.DataFrame:
 
 
 def as_flights(points: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
-    """Return points in the form of logged flights: two equal rows each, without acceleration."""
+    """Return steady points in the format of logged flights, two equal rows each."""
     twice = points.loc[points.index.repeat(2)].reset_index(drop=True)
     read = twice[AIRSPEED] / scenario.vehicle.anemometer_factor
     return pd.DataFrame(
@@ -178,7 +178,7 @@ def as_flights(points: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
 
 
 def level_powers(scenario: Scenario, airspeeds: Sequence[float], planner: Planner) -> FloatArray:
-    """Return the power of level flight at rising airspeeds, W; NaN above the greatest airspeed."""
+    """Return the power of level flight at rising airspeeds [W], NaN above the largest."""
     steady = planner.steady_flight(scenario)
     powers = np.full(len(airspeeds), np.nan)
     trim = None
@@ -194,7 +194,7 @@ def level_powers(scenario: Scenario, airspeeds: Sequence[float], planner: Planne
 def identify_steady(
     scenario: Scenario, points: pd.DataFrame, names: Sequence[str] = STEADY_FITTED
 ) -> SteadyFit:
-    """Fit a vehicle's parameters to steady points and list those not determined.
+    """Fit a vehicle to steady points and list undetermined parameters.
 
     Parameters
     ----------

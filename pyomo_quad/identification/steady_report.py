@@ -64,7 +64,7 @@ def write_steady(folder: Path, found: SteadyFit, base: str, figures: Figures) ->
 
 
 def point_table(points: pd.DataFrame, power: np.ndarray) -> pd.DataFrame:
-    """Return points with the computed power of each, and its error."""
+    """Return the points with computed powers and errors."""
     return points.assign(**{COMPUTED: power, ERROR: 100.0 * (power / points[POWER] - 1.0)})
 
 

@@ -1,4 +1,4 @@
-"""Errors of computed flight energies, on flights that were not fitted.
+"""Errors of computed energies on flights that were not fitted.
 
 Method: see docs/theory/identification.md, eq. (5).  The same cross-validation and extrapolations
 judge the declared equations and their rivals.
@@ -34,7 +34,7 @@ _CRUISING = 0.9
 
 @dataclass(frozen=True, kw_only=True)
 class Scores:
-    """Differences between computed and measured energies and powers of flights.
+    """Errors of computed energies and powers of flights.
 
     Energies are sums over the rows of the phases 1 to 3; the bias is that of the sum over all
     flights.
@@ -48,7 +48,7 @@ class Scores:
 
 @dataclass(frozen=True, kw_only=True)
 class Trial:
-    """Scores of a fit to some flights on others."""
+    """Errors of a fit to some flights on other flights."""
 
     name: str
     fitted_on: str
@@ -57,7 +57,7 @@ class Trial:
 
 
 def energies(frame: pd.DataFrame, power: FloatArray) -> pd.DataFrame:
-    """Return a row per flight: measured and computed energy, J, and the error in per cent."""
+    """Return measured and computed energy [J] of each flight, with the error in per cent."""
     steps = frame.groupby(FLIGHT, sort=False)[TIME].transform(lambda t: np.median(np.diff(t)))
     columns = {MEASURED_ENERGY: frame[POWER] * steps, PREDICTED_ENERGY: power * steps}
     table = pd.DataFrame({FLIGHT: frame[FLIGHT], **columns})
@@ -67,7 +67,7 @@ def energies(frame: pd.DataFrame, power: FloatArray) -> pd.DataFrame:
 
 
 def scores(frame: pd.DataFrame, power: FloatArray) -> Scores:
-    """Compare powers with the measured ones, flight by flight."""
+    """Compare computed with measured powers, flight by flight."""
     table = energies(frame, power)
     total = table[[MEASURED_ENERGY, PREDICTED_ENERGY]].sum()
     return Scores(
@@ -79,14 +79,14 @@ def scores(frame: pd.DataFrame, power: FloatArray) -> Scores:
 
 
 def folds(frame: pd.DataFrame, count: int = _FOLDS) -> list[NDArray[np.object_]]:
-    """Return the flights at random in groups, at most `count` of them."""
+    """Divide the flights at random into at most ``count`` groups."""
     flights = frame[FLIGHT].unique()
     order = np.random.default_rng(SEED).permutation(len(flights))
     return [flights[part] for part in np.array_split(order, min(count, len(flights)))]
 
 
 def cross_validated(frame: pd.DataFrame, fitted: Fitted) -> FloatArray:
-    """Return the power of each row, W, by a fit to the other folds of flights."""
+    """Return the power of each row [W] by a fit to the flights of the other groups."""
     of_row = frame[FLIGHT].to_numpy()
     power = np.zeros(len(frame))
     for fold in folds(frame):
@@ -96,7 +96,7 @@ def cross_validated(frame: pd.DataFrame, fitted: Fitted) -> FloatArray:
 
 
 def trials(frame: pd.DataFrame, fitted: Fitted) -> tuple[Trial, ...]:
-    """Return the scores of fits to heavy or slow flights on light or fast flights.
+    """Return the errors of fits to heavy or slow flights on light or fast flights.
 
     Over payload and over speed, if the flights differ in them.
     """

@@ -68,7 +68,7 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 
 
 def acts_in_body_axes(scenario: Scenario) -> bool:
-    """Whether aerodynamic forces act on the rotors, or on the airframe by body axis."""
+    """Return whether aerodynamic forces act on the rotors or along body axes."""
     return scenario.vehicle.has_rotor_forces or any(scenario.vehicle.parasitic_drag)
 
 
@@ -103,7 +103,7 @@ _ACCELERATION = units.m / units.s**2
 
 
 def declare_unexplained(m: ConcreteModel) -> None:
-    """Add a constant horizontal acceleration, explained by no equation, to the aerodynamic force.
+    """Declare a constant horizontal acceleration that no other equation explains.
 
     It is the mutable parameter `aerodynamics.unexplained`, by axis: the acceleration that a
     vehicle observes in a wind that differs from the forecast.
@@ -143,7 +143,7 @@ _Rules = dict[str, tuple[Callable[[Block, float], NumericExpression], str]]
 
 
 def _wind_acceleration(updraft: Expression | None) -> _Rules:
-    """Return rule and documentation of each force of eq. (9) as printed."""
+    """Return rule and documentation of each wind force of eq. (9) as printed."""
 
     def force_x(b: Block, t: float) -> NumericExpression:
         m = b.parent_block()
@@ -192,7 +192,7 @@ def _declare_airspeed(b: Block, m: ConcreteModel) -> None:
 
 
 def _drag(b: Block, m: ConcreteModel) -> _Rules:
-    """Declare the ratio of drag to airspeed; return rules and documentation of its forces."""
+    """Declare drag per airspeed; return rules and documentation of the drag forces."""
 
     @b.Expression(m.time, doc="drag over airspeed [kg/s]")
     def drag_coefficient(b: Block, t: float) -> NumericExpression:

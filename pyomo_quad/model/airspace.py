@@ -109,7 +109,7 @@ def _centres(scenario: Scenario) -> dict[tuple[str, int, str], float]:
 
 
 def _axes_and_centre(ball: Ball) -> tuple[tuple[int, ...], tuple[float, ...]]:
-    """Return the axes of a ball's centre, and its coordinates on them."""
+    """Return the axes along which a ball (sphere or cylinder) is round, and its centre."""
     if ball.normal is None:
         return ball.axes, ball.centre
     (out,) = ball.centre
@@ -243,17 +243,17 @@ def _declare_keep_outs(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _beyond(away: Any, radius: Any, rounding: Any) -> Any:
-    """Return the distance of a place outside a ball, from its squared distance to the centre."""
+    """Return the distance from a ball's surface, given the squared distance from its centre."""
     return sqrt(away + rounding**2) - sqrt(radius**2 + rounding**2)
 
 
 def _largest(distances: Sequence[Any], width: Any) -> Any:
-    """Return a smooth lower bound of the largest of some distances."""
+    """Return a smooth lower bound of the maximum of some distances."""
     return reduce(lambda one, other: saturated(one, other, width), distances)
 
 
 def _refuse_touching(scenario: Scenario) -> None:
-    """Refuse a start, waypoint or goal on the surface of a zone."""
+    """Raise an error for a start, waypoint or goal on the surface of a zone."""
     told, mission = scenario.airspace, scenario.mission
     # A waypoint with a radius may be passed away from the surface.
     is_exact = (True, *(waypoint.radius == 0.0 for waypoint in mission.waypoints), True)
@@ -274,7 +274,7 @@ def _refuse_touching(scenario: Scenario) -> None:
 
 
 def _room(zone: KeepOut, clearance: float, place: Sequence[float]) -> float:
-    """Return the distance of a place from a zone, as the constraint computes it [m]."""
+    """Return the distance of a place from a zone by the formula of the constraint [m]."""
     distances = [
         _beyond(
             float(np.sum((ball.coordinates(place) - ball.centre) ** 2)),

@@ -1,4 +1,4 @@
-"""The battery pack, eq. (4)-(5): equal cells in series and parallel, as an equivalent circuit.
+"""Battery, eq. (4)-(5): equal cells in series and parallel, as an equivalent circuit.
 
 symbol | name | unit | meaning
 int i_bat | charge_drawn | A h | charge drawn from the full pack, a state
@@ -79,18 +79,18 @@ _CELL = (
 
 @parameters_in("battery")
 def _parameters(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the numbers of a scenario's pack, as parameters of block `battery`."""
+    """Return the parameters of block `battery` for a scenario."""
     return _CELL + circuit.parameters_of(scenario)
 
 
 def may_lose_voltage(scenario: Scenario) -> bool:
-    """Whether the pack's voltage, eq. (5), can vanish before the pack is empty."""
+    """Return whether the voltage of eq. (5) can vanish before the battery is empty."""
     least_share = GUARD_FLOOR - DIP * GUARD_WIDTH
     return scenario.battery.K / least_share >= scenario.battery.E0
 
 
 def build_pack(scenario: Scenario) -> ConcreteModel:
-    """Declare the pack alone under a load, the mutable parameter `power.load`.
+    """Build a model of the battery alone under a load, the mutable parameter `power.load`.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def build_pack(scenario: Scenario) -> ConcreteModel:
 
 
 def declare_battery(m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare the pack's charge, voltage and current in block `battery`.
+    """Declare charge, voltage and current of the battery in block `battery`.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def declare_battery(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def declare_loss(m: ConcreteModel) -> None:
-    """Declare the energy that the pack loses, a state, so that a cost may count the charge drawn.
+    """Declare the energy lost inside the battery as a state, for costs that count the charge.
 
     See docs/theory/battery.md, eqs. (11) to (12).
 
@@ -180,7 +180,7 @@ def declare_loss(m: ConcreteModel) -> None:
 
 
 def _declare_sizes(b: Block) -> None:
-    """Declare capacity and resistance of the pack, in its state of health."""
+    """Declare capacity and resistance of the battery for its state of health."""
     capacity = b.capacity * b.cells_parallel
     resistance = b.cell_resistance * b.cells_series / b.cells_parallel
     if b.component("capacity_factor") is not None:
@@ -244,6 +244,6 @@ def _declare_voltage(b: Block, m: ConcreteModel) -> None:
 
 
 def _charge_of_new_cell(b: Block, t: float) -> NumericExpression:
-    """Return the charge that a new cell would have given at the same state of charge [A h]."""
+    """Return the charge drawn from a new cell at the same state of charge [A h]."""
     charge = b.charge_drawn[t] / b.cells_parallel
     return charge if b.component("capacity_factor") is None else charge / b.capacity_factor

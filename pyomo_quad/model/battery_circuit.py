@@ -1,4 +1,4 @@
-"""Equivalent circuit of a pack: slow voltage drop, temperature, and their effect on its voltage.
+"""Equivalent circuit of a battery: relaxation voltage (RC pair), temperature and health.
 
 symbol | name | unit | meaning
 u_1 | relaxation_voltage | V | slow part of the pack's voltage drop, a state
@@ -57,14 +57,14 @@ LOSS = "battery.loss"
 
 
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the numbers of slow drop, temperature and health that a scenario gives."""
+    """Return the parameters of relaxation, temperature and health that a scenario sets."""
     pack = scenario.battery
     optional = ((pack.relaxation, _RELAXATION), (pack.thermal, _THERMAL), (pack.health, _HEALTH))
     return tuple(row for given, table in optional if given is not None for row in table)
 
 
 def states_at_start(scenario: Scenario) -> dict[str, float]:
-    """Return the states of the pack other than its charge at the start, by full name."""
+    """Return the initial states of the battery other than its charge, by full name."""
     pack, states = scenario.battery, {}
     if pack.relaxation is not None:
         states[_DROP] = pack.cells_series * pack.relaxation.initial_voltage
@@ -76,7 +76,7 @@ def states_at_start(scenario: Scenario) -> dict[str, float]:
 
 
 def fields_after(scenario: Scenario, ended: Mapping[str, float]) -> dict[str, float]:
-    """Return the fields that start the next flight with the circuit as the last one left it.
+    """Return the scenario fields that start the next flight with the final states of the last.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def fields_after(scenario: Scenario, ended: Mapping[str, float]) -> dict[str, fl
 
 
 def declare_states(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare the slow drop and the temperature of a pack, where the scenario gives them."""
+    """Declare relaxation voltage and temperature as states, if the scenario sets them."""
     pack = scenario.battery
     if pack.relaxation is not None:
         b.relaxation_voltage = Var(
@@ -120,7 +120,7 @@ def declare_states(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def declare_balances(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare how slow drop and temperature change, and their values at the start."""
+    """Declare the balances of relaxation voltage and temperature, with initial values."""
     if scenario.battery.relaxation is not None:
         b.relaxation_balance = Constraint(
             m.time, rule=relaxation_balance, doc=_line(relaxation_balance)
@@ -138,7 +138,7 @@ def _line(equation: object) -> str:
 
 
 def resistance_share(b: Block, t: float) -> NumericExpression:
-    """Resistances over those at the reference temperature, by Arrhenius's law [-].
+    """Ratio of the resistances to those at the reference temperature, Arrhenius's law [-].
 
     See docs/theory/battery.md, eq. (7).
     """
@@ -147,7 +147,7 @@ def resistance_share(b: Block, t: float) -> NumericExpression:
 
 
 def resistance_at(b: Block, t: float) -> NumericExpression:
-    """Resistance of the pack that acts at once, at its temperature [ohm].
+    """Ohmic resistance of the battery at its temperature [ohm].
 
     See docs/theory/battery.md, eq. (4).
     """
@@ -157,7 +157,7 @@ def resistance_at(b: Block, t: float) -> NumericExpression:
 
 
 def source_voltage(b: Block, t: float) -> NumericExpression:
-    """Open-circuit voltage less the slow drop, behind the resistance that acts at once [V].
+    """Open-circuit voltage less the relaxation voltage, before the ohmic drop [V].
 
     See docs/theory/battery.md, eq. (5).
     """
@@ -167,7 +167,7 @@ def source_voltage(b: Block, t: float) -> NumericExpression:
 
 
 def slow_resistance(b: Block, t: float) -> NumericExpression:
-    """Slow part of the pack's resistance, in its health and at its temperature [ohm]."""
+    """Resistance of the RC pair at the battery's health and temperature [ohm]."""
     of_pack = b.relaxation_resistance * b.cells_series / b.cells_parallel
     if b.component("resistance_factor") is not None:
         of_pack *= b.resistance_factor
@@ -175,7 +175,7 @@ def slow_resistance(b: Block, t: float) -> NumericExpression:
 
 
 def relaxation_balance(b: Block, t: float) -> RelationalExpression:
-    """RC pair: the slow drop tends to its resistance times the current [V].
+    """RC pair: the relaxation voltage tends to its resistance times the current [V].
 
     See docs/theory/battery.md, eq. (8).
     """
@@ -187,7 +187,7 @@ def relaxation_balance(b: Block, t: float) -> RelationalExpression:
 
 
 def initial_relaxation(b: Block) -> RelationalExpression:
-    """Slow drop at the start, of all cells in series [V]."""
+    """Relaxation voltage at the start, of all cells in series [V]."""
     start = b.parent_block().time.first()
     return b.relaxation_voltage[start] == b.cells_series * b.initial_relaxation_voltage
 
@@ -212,5 +212,5 @@ def heat_balance(b: Block, t: float) -> RelationalExpression:
 
 
 def initial_temperature(b: Block) -> RelationalExpression:
-    """Temperature of the pack at the start [K]."""
+    """Temperature of the battery at the start [K]."""
     return b.temperature[b.parent_block().time.first()] == b.initial_pack_temperature

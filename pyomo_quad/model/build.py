@@ -1,4 +1,4 @@
-"""The continuous model of a mission, from its declared parts or from the user's own builder."""
+"""Continuous model of a mission, from the declared parts or from a user's builder."""
 
 from collections.abc import Callable, Hashable
 from importlib.util import module_from_spec, spec_from_file_location
@@ -65,7 +65,7 @@ def build_model(scenario: Scenario) -> ConcreteModel:
 
 
 def build_in_turbulence(scenario: Scenario) -> ConcreteModel:
-    """Declare the mission as it is flown, in the turbulence of the scenario's wind.
+    """Build the model of a mission in the turbulence of its wind.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def build_in_turbulence(scenario: Scenario) -> ConcreteModel:
 
 
 def build_remaining(scenario: Scenario) -> ConcreteModel:
-    """Declare the remaining part of a mission, from any state of the vehicle.
+    """Build the model of the rest of a mission, from any state of the vehicle.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def build_remaining(scenario: Scenario) -> ConcreteModel:
 
 
 def _vehicle_in_the_wind(scenario: Scenario) -> ConcreteModel:
-    """Declare time, the vehicle's states, the forces of its rotors and the mean wind."""
+    """Declare time, states of the vehicle, rotor forces and mean wind."""
     m = ConcreteModel(name=scenario.name)
     *passages, duration = scenario.nominal_times
     inside = sorted(set(passages)) or [duration / 2]
@@ -207,7 +207,7 @@ def parameter_values(scenario: Scenario) -> dict[str, float]:
 
 
 def structure_key(scenario: Scenario) -> Hashable:
-    """Return a key that is equal for scenarios that can share one compiled model.
+    """Return a key that is equal for scenarios with the same compiled model.
 
     Parameters
     ----------
@@ -246,7 +246,7 @@ def structure_key(scenario: Scenario) -> Hashable:
 
 
 def guess_key(scenario: Scenario) -> Scenario:
-    """Return a key that is equal for scenarios that can share initial values and scales too.
+    """Return a key that is equal for scenarios with the same initial values and scales.
 
     The key is the scenario without its wind, which affects neither.
     """
@@ -254,7 +254,7 @@ def guess_key(scenario: Scenario) -> Scenario:
 
 
 def ask_for_least_time(m: ConcreteModel, bounds: tuple[float, float], guess: float) -> Var:
-    """Replace the objective of a model by the flight's duration.
+    """Replace the objective of a model by the duration of the flight.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The charge that brings a vehicle home from where it is, as a limit along the flight.
+"""Reserve of charge that brings a vehicle home from any place, as a limit along the flight.
 
 symbol | name | unit | meaning
 d_k | way | m | straight way to home k: the start, or a rally point
@@ -60,7 +60,7 @@ _USABLE_CHARGE = Parameter(
 
 @parameters_in("homing")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the numbers of the return, none where no charge is kept for it."""
+    """Return the parameters of the return flight, empty without a reserve for it."""
     if not scenario.mission.return_reserve:
         return ()
     of_flight = fields_of("mission.return_flight", "margin", "airspeed", "current")
@@ -68,7 +68,7 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 
 
 def declare_homing(m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare the charge of the return and its limit in block `homing`, where it is asked for.
+    """Declare the charge of the return flight and its limit in block `homing`.
 
     Parameters
     ----------

@@ -46,13 +46,13 @@ _VALIDATED = fields_of(
 
 @parameters_in("limits")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the limits that a scenario may set; a limit of None is not declared."""
+    """Return the parameters of all limits that a scenario may set; None leaves a limit out."""
     validated = _VALIDATED if scenario.limits.within_validated else ()
     return (*_BOUNDS, *(row for row in _OPTIONAL if row.value(scenario)), *validated)
 
 
 def without_reserve(numbers: dict[str, float] | None) -> dict[str, float] | None:
-    """Return a model's numbers, if any, with the reserve set to zero, for the controller."""
+    """Return parameter values with the reserve of the limits set to zero."""
     reserve = f"limits.{_RESERVE}"
     return numbers | {reserve: 0.0} if numbers is not None and reserve in numbers else numbers
 
@@ -80,7 +80,7 @@ def declare_limits(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _left(b: Block, most: NumericExpression) -> NumericExpression:
-    """Return the part of a limit that plans may use, less the reserve."""
+    """Return the part of a limit that is left to plans, without the reserve."""
     reserve = b.component(_RESERVE)
     return most if reserve is None else (1 - reserve) * most
 
@@ -101,7 +101,7 @@ def _declare_motor_lag(b: Block, m: ConcreteModel) -> None:
 
 
 def _declare_validated_range(b: Block, m: ConcreteModel) -> None:
-    """Declare limits at the airspeed, climb and descent that measured flights confirm."""
+    """Declare limits on airspeed, climb and descent to the range validated by measurements."""
     if b.component("validated_airspeed") is not None:
 
         @b.Expression(m.time, doc="airspeed [m/s]")

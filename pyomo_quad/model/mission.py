@@ -1,4 +1,4 @@
-"""The boundary conditions: hover at the start and at the goal.
+"""Boundary conditions of a mission: hover at start and goal, passages of waypoints.
 
 The paper gives every rotor 912 rad/s at both ends, 0.07 % short of balancing the weight. Here it is
 the exact speed at which 4 kappa_b omega^2 = m g.
@@ -77,7 +77,7 @@ _TURNING = Parameter(
 
 
 def _passed(field: str, scenario: Scenario) -> dict[int, float]:
-    """Return a field of the waypoints that set it, by the number of the waypoint."""
+    """Return the values of a waypoint field that is set, by the number of the waypoint."""
     default = Waypoint.model_fields[field].default
     values = {k: getattr(w, field) for k, w in enumerate(scenario.mission.waypoints)}
     return {k: number for k, number in values.items() if number != default}
@@ -91,7 +91,7 @@ _PASSAGES = tuple(
 
 @parameters_in("mission")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the numbers of a scenario's mission, as parameters of block `mission`."""
+    """Return the parameters of block `mission` for a scenario."""
     duration = _DURATION if scenario.mission.is_free else ()
     return (*_ENDS, *duration, *((_TURNING,) if scenario.keeps_yaw else ()), *_PASSAGES)
 
@@ -132,7 +132,7 @@ def _hover_speed(m: ConcreteModel, mass: NumericExpression) -> NumericExpression
 
 
 def free_times(m: ConcreteModel, scenario: Scenario) -> dict[float, Any]:
-    """Return declared time -> variable, for every declared time that is a variable."""
+    """Return the variables of all free times, by their declared time."""
     *passages, end = scenario.nominal_times
     free: dict[float, Any] = {end: m.duration} if scenario.mission.is_free else {}
     for k in range(len(scenario.mission.waypoints)):
@@ -143,7 +143,7 @@ def free_times(m: ConcreteModel, scenario: Scenario) -> dict[float, Any]:
 
 
 def _declare_waypoints(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare the position at each passage of a waypoint, and the conditions on passing it."""
+    """Declare the position at each passage of a waypoint and the conditions there."""
     waypoints, times = scenario.mission.waypoints, scenario.nominal_times
     reached = {k: times[2 * k] for k in range(len(waypoints))}
     left = {k: times[2 * k + 1] for k in reached}
@@ -235,7 +235,7 @@ def _speed_squared(body: Block, t: float) -> NumericExpression:
 
 
 def declare_duration(m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare the duration as a variable of the model within the mission's limits."""
+    """Declare the duration as a variable within the limits of the mission."""
     nominal = scenario.nominal_duration
     m.duration = Var(
         bounds=(m.mission.duration_min, m.mission.duration_max),
@@ -270,7 +270,7 @@ def _declare_end(
 
 
 def _goal_of_turning(b: Block) -> tuple[Any, ...]:
-    """Return the goal's conditions on the heading, redundant where the heading is kept."""
+    """Return the goal conditions on the heading, which are redundant if the heading is constant."""
     return b.goal_place["psi"], b.goal_rest["r"]
 
 
@@ -286,7 +286,7 @@ def _declare_kept_yaw(b: Block, m: ConcreteModel) -> None:
 
 
 def start_where_measured(m: ConcreteModel) -> None:
-    """Replace the mission's conditions at the start by mutable parameters in block `start`.
+    """Replace the start conditions of the mission by mutable parameters in block `start`.
 
     Parameters
     ----------
@@ -309,7 +309,7 @@ def start_where_measured(m: ConcreteModel) -> None:
 
 
 def _start_measured(b: Block, start: float, state: Var) -> None:
-    """Declare the measured value of a state at the start, and the condition that it holds."""
+    """Declare the measured initial value of a state as a condition."""
     beside_time = [index[:-1] for index in state if isinstance(index, tuple) and index[-1] == start]
     sets = (beside_time,) if beside_time else ()
     measured = Param(
@@ -327,7 +327,7 @@ def _start_measured(b: Block, start: float, state: Var) -> None:
 
 
 def end_in_equilibrium(m: ConcreteModel) -> None:
-    """End in steady hover in the wind, tilted against it, instead of level.
+    """Replace the level hover at the goal by steady hover in the wind, tilted against it.
 
     In wind, a level attitude is a transient state that a vehicle reaches by a swing timed to one
     instant. If the wind is not known exactly, the swing misses it.
@@ -353,5 +353,5 @@ def end_in_equilibrium(m: ConcreteModel) -> None:
 
 
 def measured_start(states: Mapping[str, float]) -> dict[str, float]:
-    """Return the parameters of a start at measured states, by the full names of the states."""
+    """Return the start parameters for measured states, given by full name."""
     return {f"start.{name.rpartition('.')[2]}": value for name, value in states.items()}

@@ -21,7 +21,7 @@ Value = float | Mapping[Any, float] | None
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
-    """One declared parameter: its name in the block, its unit, and how to read it from a scenario.
+    """Declaration of a parameter: name in its block, unit, and function that reads a scenario.
 
     `value` takes the scenario and returns a number, or a mapping from indices to numbers. Without
     a value, that is with None or an empty mapping, the parameter is not declared.
@@ -39,7 +39,7 @@ _TABLES: dict[str, Table] = {}
 
 
 def fields_of(table: str, *names: str, **renamed: str) -> tuple[Parameter, ...]:
-    """Return a parameter for each of some scenario fields, with the field's unit and meaning.
+    """Return a parameter for each of several scenario fields, with unit and meaning.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def fields_of(table: str, *names: str, **renamed: str) -> tuple[Parameter, ...]:
 
 
 def parameters_in(block_name: str) -> Callable[[Table], Table]:
-    """Register a function as the table of parameters of the block with this full name."""
+    """Return a decorator that registers a function as the parameter table of a block."""
 
     def register(table: Table) -> Table:
         _TABLES[block_name] = table
@@ -74,18 +74,18 @@ def parameters_in(block_name: str) -> Callable[[Table], Table]:
 
 
 def parameter_tables(scenario: Scenario) -> Iterator[tuple[str, tuple[Parameter, ...]]]:
-    """Yield the name of each block with parameters, and those that a scenario may declare in it."""
+    """Yield the name and the parameters of each block with registered parameters."""
     for block_name, table in _TABLES.items():
         yield block_name, tuple(table(scenario))
 
 
 def declare_parameters(b: Block, scenario: Scenario) -> None:
-    """Add the mutable parameters to a block that are registered under its name."""
+    """Add the registered parameters of a block to it, as mutable parameters."""
     add_parameters(b, _TABLES[b.name](scenario), scenario)
 
 
 def add_parameters(b: Block, table: Iterable[Parameter], scenario: Scenario) -> None:
-    """Add one mutable parameter to a block for each row of a table that has a value."""
+    """Add a mutable parameter for each row of a table that has a value."""
     for row in table:
         value = row.value(scenario)
         if value is None or value == {}:
@@ -98,7 +98,7 @@ def add_parameters(b: Block, table: Iterable[Parameter], scenario: Scenario) -> 
 def parameter_items(
     block_name: str, table: Iterable[Parameter], scenario: Scenario
 ) -> Iterator[tuple[str, float]]:
-    """Yield the full component name and the value of every declared number in a table.
+    """Yield the full name and the value of every parameter in a table.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ DIP = 0.14
 def saturated(
     value: NumericExpression, floor: NumericExpression, width: NumericExpression
 ) -> NumericExpression:
-    """Return `value` while it is well above the floor, and the floor far below it.
+    """Return a smooth max(value, floor): ``value`` well above the floor, the floor far below it.
 
     Parameters
     ----------

@@ -126,7 +126,7 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 
 
 def wider_smoothings(scenario: Scenario) -> tuple[dict[str, float], ...]:
-    """Return parameters that widen the smoothed corner of a power model, the widest first.
+    """Return parameters that widen the smoothed corner of a power model, widest first.
 
     Returns
     -------
@@ -188,7 +188,7 @@ _RotorRule = Callable[[Block, int, float], NumericExpression]
 def _power_of_each_rotor(
     m: ConcreteModel, name: str, *, doc: str
 ) -> Callable[[_RotorRule], _RotorRule]:
-    """Declare the decorated function in block `power` as an expression over rotors and time."""
+    """Return a decorator that declares a function as the power of each rotor in `power`."""
 
     def declare(rule: _RotorRule) -> _RotorRule:
         m.power.add_component(name, Expression(m.rotors.rotor, m.time, rule=rule, doc=doc))
@@ -231,7 +231,7 @@ def declare_shaft_power(m: ConcreteModel, name: str) -> None:
 
 
 def declare_constant_efficiency_power(m: ConcreteModel, name: str) -> None:
-    """Declare `constant_efficiency`: shaft power over a stated number.
+    """Declare `constant_efficiency`: shaft power divided by a constant.
 
     Valid near the operating point at which the efficiency was measured. Convex in alpha and in
     thrust. Non-negative unless regeneration is enabled.
@@ -313,7 +313,7 @@ def declare_motor_power_with_friction(m: ConcreteModel, name: str) -> None:
 
 
 def _declare_floor(m: ConcreteModel) -> None:
-    """Declare that braking returns no energy, through a smooth floor at zero."""
+    """Declare a smooth lower limit of zero on the power, since braking returns no energy."""
     b = m.power
 
     @b.Expression(m.rotors.rotor, m.time, doc="eq. (8): power of one rotor [W]")
@@ -332,7 +332,7 @@ _FASTEST_INDUCED = 20.0
 
 
 def declare_momentum_power(m: ConcreteModel, name: str) -> None:
-    """Declare `momentum`: induced, profile and axial power of each rotor, and of accelerating it.
+    """Declare `momentum`: induced, profile and climb power, and rotor acceleration.
 
     Valid in hover, climb, forward flight and slow descent. Convex in alpha and in thrust.
     """

@@ -83,12 +83,12 @@ def declare_balances(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _straight_line(start: float, goal: float, duration: float) -> Callable[[Block, float], float]:
-    """Return an initial value that moves from start to goal with time."""
+    """Return an initial guess that moves from start to goal at constant speed."""
     return lambda _b, t: start + (goal - start) * t / duration
 
 
 def _from_place_to_place(scenario: Scenario, axis: int) -> Callable[[Block, float], float]:
-    """Return an initial value that is linear in time between consecutive places, along one axis."""
+    """Return an initial guess along one axis, linear in time between places."""
     places = [position[axis] for position in scenario.mission.positions]
     times = [0.0, *scenario.nominal_times]
     stays = [places[0], *(place for place in places[1:-1] for _ in range(2)), places[-1]]
@@ -196,7 +196,7 @@ BODY_AXES: tuple[BodyAxis, ...] = (forward_axis, left_axis, thrust_axis)
 
 
 def _moment(m: ConcreteModel, name: str, t: float) -> NumericExpression:
-    """Return a moment of the rotors, plus the aerodynamic moment if there is one."""
+    """Return a rotor moment plus the aerodynamic moment, if declared."""
     of_rotors, of_air = m.rotors.component(name)[t], m.aerodynamics.component(name)
     return of_rotors if of_air is None else of_rotors + of_air[t]
 
@@ -243,7 +243,7 @@ def _declare_tilting_balances(b: Block, m: ConcreteModel) -> None:
 
 
 def _declare_yaw_balance(b: Block, m: ConcreteModel, attitude: Attitude) -> None:
-    """Declare the balance about body z, which the paper prints without the rotors' reaction."""
+    """Declare the moment balance about body z, with the rotor reaction that the paper omits."""
     is_exact = attitude is Attitude.EULER
     what = " with the rotors' reaction: body z" if is_exact else ": moment balance about body z"
 

@@ -13,7 +13,7 @@ from pyomo_quad.scenario.vehicle import Attitude
 
 
 def _numbers(scenario: Scenario) -> tuple[int, ...]:
-    """Return the numbers of the rotors, from 1."""
+    """Return the rotor numbers, counted from 1."""
     return tuple(range(1, len(scenario.vehicle.rotor_places) + 1))
 
 
@@ -25,7 +25,7 @@ def _by_rotor(
 
 @parameters_in("rotors")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the places and directions of rotation of rotors in a general layout."""
+    """Return the parameters of positions and senses of rotation for a general rotor layout."""
     vehicle = scenario.vehicle
     ahead = Parameter(
         name="ahead",
@@ -50,7 +50,7 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 
 
 def declare_motors(m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare torque, and where its electrics are known current and voltage, of each motor.
+    """Declare torque, and if the motor's constants are known current and voltage, per rotor.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def _declare_mixer(b: Block, m: ConcreteModel) -> None:
 
 
 def _declare_mixer_of_places(b: Block, m: ConcreteModel) -> None:
-    """Declare the mixer of rotors anywhere in the plane; eq. (7) is the special case of a cross."""
+    """Declare the mixer for any planar rotor layout; eq. (7) is its special case."""
 
     @b.Expression(b.rotor, m.time, doc="thrust of one rotor [N]")
     def rotor_thrust(b: Block, j: int, t: float) -> NumericExpression:

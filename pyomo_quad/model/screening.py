@@ -32,7 +32,7 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """A field or declaration, the value found there, and the allowed range, in one line.
+    """Result of a check in one line: field or declaration, value found, allowed range.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class Finding:
 
 @dataclass(frozen=True, kw_only=True)
 class _Interval:
-    """The interval in which one declaration allows a variable."""
+    """Interval that one declaration allows for a variable."""
 
     source: str
     lower: float
@@ -134,7 +134,7 @@ def _is_enclosed(intervals: list[_Interval]) -> bool:
 
 
 def _intervals(model: ConcreteModel) -> dict[str, list[_Interval]]:
-    """Return the bounds and single-variable limits on every variable, by its name."""
+    """Return the bounds and single-variable limits of every variable."""
     found = defaultdict[str, list[_Interval]](list)
     for variable in _variables(model):
         for data in variable.values():
@@ -261,7 +261,7 @@ class ModelInspection:
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Functions of time that the equations leave free."""
+        """Number of functions of time that the equations leave free."""
         # Each state has a derivative, which the equations determine as well.
         return len(self.states) + len(self.other_variables) - self.equations
 

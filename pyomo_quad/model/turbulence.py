@@ -1,4 +1,4 @@
-"""Turbulence of Dryden's form at low altitude, MIL-F-8785C, section 3.7.3, as shaping filters.
+"""Dryden turbulence at low altitude (MIL-F-8785C, section 3.7.3) as shaping filters.
 
 symbol | name | unit | meaning
 W_20 | wind_at_6_m | m/s | wind at 6 m (20 ft), which sets the intensity
@@ -80,7 +80,7 @@ LONG_RUN_FACTOR[1:3, 1:3] = LONG_RUN_FACTOR[3:5, 3:5] = _LAGGING
 
 
 def mean_wind(wind: Wind) -> FloatArray:
-    """Return the given mean of the horizontal wind, x and y [m/s]."""
+    """Return the mean horizontal wind of a scenario along x and y [m/s]."""
     if wind.series is not None:
         return np.array([np.mean(wind.series.wind_x), np.mean(wind.series.wind_y)])
     steady = wind.speed * np.array([np.cos(wind.direction), np.sin(wind.direction)])
@@ -88,7 +88,7 @@ def mean_wind(wind: Wind) -> FloatArray:
 
 
 def _mean_direction(scenario: Scenario) -> float:
-    """Return the direction of the wind less the mean velocity from start to goal."""
+    """Return the direction of the mean airflow: wind less mean velocity to the goal."""
     mission = scenario.mission
     way = np.subtract(mission.goal.position, mission.start.position)[:2]
     along, aside = (mean_wind(scenario.wind) - way / scenario.nominal_duration).tolist()
@@ -117,42 +117,42 @@ def turbulence_values(scenario: Scenario) -> dict[str, float]:
 
 
 def horizontal_length(height: Any) -> Any:
-    """Return L_u = L_v, MIL-F-8785C, figure 10; MIL-HDBK-1797 defines half of this length."""
+    """Return the length scale L_u = L_v, MIL-F-8785C, fig. 10 (MIL-HDBK-1797: half of it)."""
     return height / (0.177 + 0.000823 * height / _FOOT) ** 1.2
 
 
 def vertical_length(height: Any) -> Any:
-    """Return L_w, MIL-F-8785C, section 3.7.3.4."""
+    """Return the length scale L_w, MIL-F-8785C, section 3.7.3.4."""
     return 1 * height
 
 
 def vertical_deviation(wind_at_6_m: Any) -> Any:
-    """Return sigma_w, MIL-F-8785C, section 3.7.3.4."""
+    """Return the standard deviation sigma_w, MIL-F-8785C, section 3.7.3.4."""
     return 0.1 * wind_at_6_m
 
 
 def horizontal_deviation(wind_at_6_m: Any, height: Any) -> Any:
-    """Return sigma_u = sigma_v, MIL-F-8785C, figure 11."""
+    """Return the standard deviation sigma_u = sigma_v, MIL-F-8785C, figure 11."""
     return vertical_deviation(wind_at_6_m) / (0.177 + 0.000823 * height / _FOOT) ** 0.4
 
 
 def longitudinal_gust(deviation: Any, state: Any) -> Any:
-    """Return u from the state of its filter."""
+    """Return the longitudinal gust u from the state of its filter."""
     return deviation * sqrt(2) * state
 
 
 def transverse_gust(deviation: Any, state: Any, lag: Any) -> Any:
-    """Return v or w from the states of its filter."""
+    """Return the transverse gust v or w from the states of its filter."""
     return deviation * (sqrt(3) * state + (1 - sqrt(3)) * lag)
 
 
 def filter_rate(rate: Any, state: Any, noise: Any) -> Any:
-    """Return xi_1'; its stationary variance is 1/2, even if the rate changes."""
+    """Return the rate of the first filter state xi_1, whose stationary variance is 1/2."""
     return -rate * state + root(rate) * noise
 
 
 def lag_rate(rate: Any, state: Any, lag: Any) -> Any:
-    """Return xi_2'."""
+    """Return the rate of the second filter state xi_2."""
     return rate * (state - lag)
 
 
@@ -304,7 +304,7 @@ def _add_gusts(m: ConcreteModel) -> None:
 
 
 class Gusts:
-    """Noise of one flight and initial states of the filters, from a seed.
+    """Noise and initial filter states of the turbulence in one flight, from a seed.
 
     Parameters
     ----------
@@ -318,20 +318,20 @@ class Gusts:
 
     @classmethod
     def of(cls, scenario: Scenario) -> "Gusts":
-        """Return the gusts of a scenario's flight."""
+        """Return the turbulence of a scenario's flight."""
         turbulence = scenario.wind.turbulence
         return cls(0 if turbulence is None else turbulence.seed)
 
     @property
     def start(self) -> dict[str, float]:
-        """The `FILTER_STATES` at take-off: a sample of the stationary distribution."""
+        """Initial `FILTER_STATES`, a sample of the stationary distribution."""
         drawn = LONG_RUN_FACTOR @ np.random.default_rng(self._seed).standard_normal(
             len(FILTER_STATES)
         )
         return dict(zip(FILTER_STATES, drawn.tolist(), strict=True))
 
     def noise(self, duration: float) -> FloatArray:
-        """Return the `NOISE` over each step, shape (n_steps, 3), of variance 1 / `NOISE_STEP`.
+        """Return the white noise per step, shape (n_steps, 3), of variance 1 / `NOISE_STEP`.
 
         The noise of a shorter flight is the beginning of that of a longer one.
         """
@@ -341,7 +341,7 @@ class Gusts:
         return generator.standard_normal((steps, len(NOISE))) / sqrt(NOISE_STEP)
 
     def steps(self, duration: float) -> dict[str, Steps]:
-        """Return the noise as functions of time, by full name of its parameter."""
+        """Return the noise parameters as step functions of time, by full name."""
         columns = self.noise(duration).T
         return {
             name: Steps(start=0.0, step=NOISE_STEP, values=tuple(column.tolist()))

@@ -105,7 +105,7 @@ def _index(data: ComponentData) -> tuple[Hashable, ...]:
 
 
 class _Writer:
-    """Writes Pyomo expressions as LaTeX; with a free index, the first rotor is written as j."""
+    """Writer of Pyomo expressions as LaTeX; rotor 1 is written as j if the index is free."""
 
     def __init__(self, *, has_free_index: bool) -> None:
         self._has_free_index = has_free_index

@@ -1,4 +1,4 @@
-"""The wind in world axes: by eq. (11)-(12), measured and given as a table, or a field.
+"""Wind in world axes: formula of eq. (11)-(12), measured table, or field over places.
 
 symbol | name | unit | meaning
 v_0 | mean | m/s | mean value, with the scenario's steady wind added
@@ -96,7 +96,7 @@ def _measured_heights(wind: Wind) -> tuple[float, ...]:
 
 
 def _least_height(wind: Wind) -> float:
-    """Return the lowest measured height, or the lowest height at which the law of a profile holds.
+    """Return the lowest height at which a measured wind or a wind profile is defined.
 
     The logarithmic law has no wind at the roughness and below.
     """
@@ -107,7 +107,7 @@ def _least_height(wind: Wind) -> float:
 
 @parameters_in("wind")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters that the scenario's model declares directly in block `wind`."""
+    """Return the parameters of block `wind` for a scenario."""
     wind = scenario.wind
     return (
         *(() if wind.grid is None else (FIELD_UNIT,)),
@@ -137,7 +137,7 @@ def _angular_frequencies(scenario: Scenario, name: str) -> dict[int, float]:
 
 
 def _axis_parameters(name: str, scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the numbers of eq. (11)-(12) along one axis, none for a wind from a file."""
+    """Return the parameters of eq. (11)-(12) along one axis, empty for a wind from a file."""
     of_axis = (
         Parameter(name="mean", units=_SPEED, value=lambda s: _mean(s, name), doc="v_0: mean value"),
         Parameter(
@@ -211,7 +211,7 @@ def _declare_of_field(b: Block, m: ConcreteModel, field: Sequence[Expression]) -
 
 
 def _declare_height(b: Block, m: ConcreteModel) -> None:
-    """Declare the height at which the wind is evaluated, bounded below by the least height."""
+    """Declare the height at which the wind is evaluated, with a lower limit."""
 
     @b.Expression(m.time, doc="height above the least height [m]")
     def height_above(b: Block, t: float) -> NumericExpression:
@@ -242,7 +242,7 @@ def _at_height(b: Block, t: float, velocity: NumericExpression) -> NumericExpres
 
 
 def still_air(m: ConcreteModel) -> dict[str, float | Callable[[float], float]]:
-    """Return parameter values of a model at which there is no wind.
+    """Return the parameter values that set the wind of a model to zero.
 
     Every mutable parameter of block `wind` with the unit of a speed is zero, so that a wind of the
     user's own is switched off as well. A wind that is not a parameter remains.
@@ -285,7 +285,7 @@ def _declare_formula(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _velocity(axis: Block, t: float) -> NumericExpression:
-    """Return eq. (11): mean, harmonics and gust."""
+    """Return the wind of eq. (11): mean, harmonics and gust."""
     wind_time = axis.parent_block().wind_time[t]
     harmonics = sum(axis.amplitudes[k] * sin(axis.frequencies[k] * wind_time) for k in HARMONICS)
     return axis.mean + harmonics + axis.gust[t]
@@ -353,7 +353,7 @@ def _declare_velocity(b: Block, m: ConcreteModel, name: str, measured: Sequence[
 
 
 def _declare_shapes(b: Block, m: ConcreteModel, heights: FloatArray) -> None:
-    """Declare the functions of height whose weighted sum is the measured wind.
+    """Declare the basis functions of height whose weighted sum is the measured wind.
 
     They are those of a cubic not-a-knot spline. Below the lowest and above the highest height the
     wind is constant, with the same smoothing as a profile.
@@ -381,13 +381,13 @@ def _shares(heights: FloatArray) -> FloatArray:
 
 
 def _shapes(heights: FloatArray) -> FloatArray:
-    """Return the values of the functions of height (columns) at the measured heights (rows)."""
+    """Return the basis functions of height (columns) at the measured heights (rows)."""
     shares = _shares(heights)
     return np.column_stack([[f(share) for share in shares] for f in _truncated_powers(shares)])
 
 
 def _truncated_powers(shares: FloatArray) -> list[Callable[[Any], Any]]:
-    """Return the powers up to the third, and truncated third powers from inner heights on."""
+    """Return powers up to the third and truncated cubes at inner heights (spline basis)."""
     degree = min(_CUBIC, len(shares) - 1)
     begun = [partial(_power_from, float(share)) for share in shares[2:-2]]
     return [*(partial(_power, degree=n) for n in range(degree + 1)), *begun]
@@ -410,7 +410,7 @@ _ROWS_BESIDE = 30
 
 
 class _OverTime:
-    """A measured speed as a function of the time in flight, which may be a number or a symbol.
+    """Measured wind speed as a spline over the time of flight.
 
     It is the cubic spline through its rows, constant after the last row, with the same smoothing as
     a profile.
@@ -438,7 +438,7 @@ class _OverTime:
 
     @cached_property
     def _table(self) -> Table:
-        """The spline of the rows that a flight may read, for times that a solver varies.
+        """Spline over the rows of the file that a flight of variable duration may read.
 
         Its cost grows with its rows; rows left out are too far away to have an effect.
         """

@@ -1,4 +1,4 @@
-"""A wind that varies from place to place: one spline of place and time for each component.
+"""Wind that varies from place to place, as a spline of place and time per component.
 
 symbol | name | unit | meaning
 s | field_unit | m/s | factor on the wind of the field, as a speed
@@ -91,7 +91,7 @@ def _arguments(b: Block, grid: WindGrid, t: float) -> list[Any]:
 
 
 def _led_back(argument: Any, axis: FloatArray, unit: Any) -> Any:
-    """Return an argument clipped smoothly to the range of its axis."""
+    """Return an argument clipped smoothly to the range of its grid axis."""
     width = _PASSING_STEPS * float(np.diff(axis).min()) * unit
     first, last = float(axis[0]) * unit, float(axis[-1]) * unit
     above = first + smooth_positive(argument - first, width)
@@ -99,7 +99,7 @@ def _led_back(argument: Any, axis: FloatArray, unit: Any) -> Any:
 
 
 def _filled(grid: WindGrid) -> tuple[list[FloatArray], FloatArray]:
-    """Return the axes and the components of a grid without missing values, for a spline."""
+    """Return axes and components of a grid with its missing values filled in, for a spline."""
     from scipy.interpolate import BarycentricInterpolator  # noqa: PLC0415  for fields alone
     from scipy.ndimage import distance_transform_edt  # noqa: PLC0415  for fields alone
 
@@ -128,7 +128,7 @@ def mean_of_field(scenario: Scenario, grid: WindGrid) -> FloatArray:
 def is_wind_known(
     scenario: Scenario, times: FloatArray | float, places: FloatArray
 ) -> NDArray[np.bool_]:
-    """Return where the wind is known, of places (n, 3) at times in flight [s], shape (n,)."""
+    """Return whether the wind is known at places (n, 3) at times in flight [s], shape (n,)."""
     wind = scenario.wind
     if wind.grid is None or wind.beyond is Beyond.HOLD:
         return np.ones(len(places), dtype=bool)
@@ -136,7 +136,7 @@ def is_wind_known(
 
 
 def unknown_wind(scenario: Scenario, times: FloatArray, places: FloatArray) -> str:
-    """Return one line on the first place of a flight where its field has no wind, or nothing.
+    """Return a message on the first place of a flight without wind in its field, or an empty text.
 
     Parameters
     ----------

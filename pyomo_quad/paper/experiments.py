@@ -33,7 +33,7 @@ _NAMED = {1: ("paper_calm", "calm"), 2: ("paper_wind", "paper_table_2")}
 
 
 class Experiment(IntEnum):
-    """The tests of the paper's section IV."""
+    """Tests of the paper's section IV."""
 
     CALM = 1
     WIND = 2
@@ -57,7 +57,7 @@ def paper_scenario(experiment: Experiment, values: Mapping[str, Any] | None = No
 
 @dataclass(frozen=True, kw_only=True)
 class BaselineCase:
-    """Experiment, power model and reference of a flight under the adaptive controller."""
+    """Case of a flight under the adaptive controller: experiment, power model, reference."""
 
     experiment: Experiment
     power_model: PowerModel
@@ -71,7 +71,7 @@ class BaselineCase:
 
 @dataclass(frozen=True, kw_only=True)
 class BaselineFlight:
-    """A flight under the adaptive controller, with its case."""
+    """Flight under the adaptive controller, with its case."""
 
     case: BaselineCase
     flight: Flight
@@ -88,7 +88,7 @@ def baseline_cases(*, is_quick: bool = False) -> tuple[BaselineCase, ...]:
 
 
 def fly_baseline_case(case: BaselineCase) -> BaselineFlight:
-    """Fly the adaptive controller through an experiment."""
+    """Simulate the adaptive controller in an experiment."""
     scenario = paper_scenario(case.experiment, {"power.model": case.power_model})
     dynamics = Planner().dynamics(scenario)
     return BaselineFlight(
@@ -98,7 +98,7 @@ def fly_baseline_case(case: BaselineCase) -> BaselineFlight:
 
 @cache
 def full_speed_energy(experiment: Experiment) -> float:
-    """Return the energy under f_r, J, of all rotors at full speed throughout an experiment.
+    """Return the energy under f_r of all rotors at full speed throughout an experiment [J].
 
     To spend more, the rotors would have to accelerate and brake all the time.
     """
@@ -123,7 +123,7 @@ _COARSE: dict[str, Any] = {"solver.elements": 20, "solver.max_refinements": 0}
 
 @dataclass(frozen=True, kw_only=True)
 class FlightCase:
-    """Experiment, power model and readings of an optimal flight."""
+    """Case of an optimal flight: experiment, power model and readings."""
 
     experiment: Experiment
     power_model: PowerModel
@@ -151,7 +151,7 @@ class FlightCase:
 
 @dataclass(frozen=True, kw_only=True)
 class PaperFlight:
-    """An optimal flight with its case, and the energy of hovering for the same time.
+    """Optimal flight of a case, with the energy of hovering for the same time.
 
     Attributes
     ----------
@@ -193,7 +193,7 @@ def wind_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
 
 
 def fly_case(case: FlightCase) -> PaperFlight:
-    """Plan one flight and verify it by flying."""
+    """Plan the flight of a case and verify it by simulation."""
     plan = _plan(case.scenario, Planner())
     return PaperFlight(
         case=case,
@@ -218,7 +218,7 @@ def _plan(scenario: Scenario, planner: Planner) -> Plan:
 
 
 def _flown(plan: Plan) -> Flight:
-    """Return the flight of a plan, verified even if the solve proved no optimum."""
+    """Verify the flight of a plan even if the solve did not prove it optimal."""
     if plan.verification is not None:
         return plan.flight()
     held = plan.trajectories

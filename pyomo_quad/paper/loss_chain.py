@@ -28,7 +28,7 @@ _ZOOM_MARGIN = 0.15
 
 @dataclass(frozen=True, kw_only=True)
 class EnergyChain:
-    """Energies of a flight from the battery to the air, J.
+    """Energies along the chain of losses, from the battery to the air [J].
 
     ``constant_product`` is k_t k_v, 1 for a motor that conserves energy.
     """
@@ -42,7 +42,7 @@ class EnergyChain:
 
     @property
     def created(self) -> float:
-        """Energy of the shaft beyond the energy that leaves the windings, J.
+        """Shaft energy in excess of the energy that leaves the windings [J].
 
         The power tau omega exceeds the electromotive force times the current as k_t exceeds 1/k_v.
         """
@@ -55,7 +55,7 @@ class EnergyChain:
 
 
 def energy_chain(flown: PaperFlight) -> EnergyChain:
-    """Integrate the links of the chain over a flight under the electrical power of the motors."""
+    """Integrate the chain of losses over a flight under the motors' electrical power."""
     frame, scenario = flown.flight.frame, flown.case.scenario
     time = frame[TIME].to_numpy()
     pack = scenario.battery

@@ -1,4 +1,4 @@
-"""The readings of f_r, and the optimiser on fixed meshes under each.
+"""Readings of the paper's efficiency f_r, and solves on fixed meshes under each reading.
 
 The paper does not print f_r. Its form recovered from public re-implementations is zero at some
 braking torques, so that the literal problem has no minimum if the rotors may brake hard enough.
@@ -34,26 +34,26 @@ class Reading(StrEnum):
     LITERAL = "literal"
 
     def values(self) -> dict[str, Any]:
-        """Return the fields of a scenario that choose this reading."""
+        """Return the scenario fields that select this reading."""
         return {
             "power.model": PowerModel.EFFICIENCY,
             "power.regeneration": self is Reading.LITERAL,
         }
 
     def planner(self) -> Planner:
-        """Return a planner whose model reads f_r in this way."""
+        """Return a planner whose model uses this reading of f_r."""
         return Planner(literal_model if self is Reading.LITERAL else model_without_battery)
 
 
 def model_without_battery(scenario: Scenario) -> "ConcreteModel":
-    """Declare a mission without its battery, which has no current for some powers under f_r."""
+    """Build a mission's model without battery, whose current is undefined for some f_r."""
     m = build_model(scenario)
     m.del_component(m.battery)
     return m
 
 
 def literal_model(scenario: Scenario) -> "ConcreteModel":
-    """Declare a mission whose f_r is the recovered polynomial everywhere, without floors.
+    """Build a mission's model with f_r as the bare polynomial, without lower limits.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ _OPTIONS = SolverOptions(tolerance=1e-6, max_iterations=100)
 
 @dataclass(frozen=True, kw_only=True)
 class MeshTrial:
-    """A reading of f_r, a bound on the rotor acceleration [rad/s²], and a mesh."""
+    """Trial: reading of f_r, bound on the rotor acceleration [rad/s²], and mesh."""
 
     reading: Reading
     bound: float
@@ -93,7 +93,7 @@ class MeshTrial:
 
 @dataclass(frozen=True, kw_only=True)
 class TrialOutcome:
-    """Result of a trial: the solver's verdict, and the flight under its controls.
+    """Result of a trial: the solver's status, and the simulated flight.
 
     Attributes
     ----------
@@ -119,7 +119,7 @@ def mesh_trials(*, is_quick: bool = False) -> tuple[MeshTrial, ...]:
 
 
 def run_trial(trial: MeshTrial) -> TrialOutcome:
-    """Solve on one mesh, without refinement, and fly the controls found."""
+    """Solve on one mesh without refinement, and simulate the controls."""
     scenario = paper_scenario(
         Experiment.CALM,
         trial.reading.values() | {"limits.rotor_acceleration_max": trial.bound},
@@ -143,7 +143,7 @@ def run_trial(trial: MeshTrial) -> TrialOutcome:
 
 
 def _fly(scenario: Scenario, solution: Solution, priced: Dynamics) -> tuple[float, float]:
-    """Return energy and miss of the solution's controls when flown."""
+    """Simulate the controls of a solution; return energy and distance from the goal."""
     # The motion is independent of the power model; the motors' power is finite everywhere.
     steerable = scenario.with_values({"power.model": PowerModel.MOTOR, "power.regeneration": True})
     flown = fly_controls(

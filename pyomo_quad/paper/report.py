@@ -1,4 +1,4 @@
-"""The report on the paper: results reproduced or not, and why, in the numbers of the run."""
+"""Report on the paper: results reproduced or not, with the reasons in numbers."""
 
 import json
 from collections.abc import Iterator
@@ -157,7 +157,7 @@ def examination(study: PaperStudy) -> dict[str, Any]:
 
 
 def _bound_of_printed_optimum(study: PaperStudy) -> float:
-    """Return the rotor acceleration, rad/s², at which the literal floor is the printed energy."""
+    """Return the rotor acceleration at which the literal floor equals the printed energy."""
     bounds, energies = study.floors[Reading.LITERAL].T
     finite = np.isfinite(energies)
     return float(np.interp(-OPTIMAL_ENERGY[1], -energies[finite], bounds[finite]))

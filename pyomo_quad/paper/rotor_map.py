@@ -114,7 +114,7 @@ def envelope_at(x: FloatArray, y: FloatArray, at: float) -> FloatArray:
 def chattering_floors(
     reading: Reading, bounds: tuple[float, ...] = BOUNDS + _HIGHER_BOUNDS
 ) -> FloatArray:
-    """Return the least energy of any flight of the paper's mission.
+    """Return the least energies of any flight of the paper's mission, with alternating speeds.
 
     Parameters
     ----------
@@ -173,7 +173,7 @@ def critical_acceleration(samples: int = 151) -> tuple[float, float]:
 
 
 def _last_zero(braking: FloatArray, efficiency: FloatArray) -> float:
-    """Return the weakest braking at which an efficiency is zero, minus infinity if it never is."""
+    """Return the weakest braking at which an efficiency vanishes, or minus infinity."""
     below = np.flatnonzero(efficiency <= 0.0)
     if not below.size:
         return -np.inf

@@ -1,4 +1,4 @@
-"""All live results of the paper's report, computed by worker processes."""
+"""Computation of all results of the paper's report by worker processes."""
 
 from collections.abc import Callable
 from concurrent.futures import as_completed
@@ -124,7 +124,7 @@ class _Task(NamedTuple):
 
 
 def run_paper_study(*, is_quick: bool = False, step: Step | None = None) -> PaperStudy:
-    """Compute all results, two at a time.
+    """Compute all results of the paper's study on two processes.
 
     Parameters
     ----------

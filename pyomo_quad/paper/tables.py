@@ -40,7 +40,7 @@ _PRINTED_HOVER_SPEED = 912.0  # rad/s, section IV
 
 
 def implied_wind_optimum() -> float:
-    """Return the optimum of the second test, J, that its adaptive energy and its saving imply.
+    """Return the optimum of the second test that the paper's saving implies [J].
 
     The savings are reductions relative to the adaptive flight.
     """
@@ -101,7 +101,7 @@ _LARGEST_PLAIN, _SMALLEST_PLAIN = 1e6, 1e-2
 
 
 def kilojoules(energy: float, digits: int = 3) -> str:
-    """Return an energy, given in J, in kJ with a number of decimals."""
+    """Format an energy given in J in kJ."""
     if energy == -float("inf"):
         return "no minimum"
     if not isfinite(energy):
@@ -110,7 +110,7 @@ def kilojoules(energy: float, digits: int = 3) -> str:
 
 
 def metres(distance: float) -> str:
-    """Return a distance from the goal in m, with decimals or, if these are zero, digits."""
+    """Format a distance from the goal in m."""
     return fixed(distance) if distance >= _SMALLEST_PLAIN else rough(distance)
 
 

@@ -1,4 +1,4 @@
-"""Steady flight at each airspeed, and the best speeds, range, endurance and reach from it.
+"""Polar of a vehicle: steady flight over airspeed, with best speeds, range and endurance.
 
 Each point is a trim: the declared equations solved for the attitude and the rotor speeds that keep
 level flight at that airspeed, and the power they then give.  In a wind the airspeed is the ground
@@ -46,7 +46,7 @@ _TRIALS = 200  # ground speeds before the bounded search
 
 @dataclass(frozen=True, kw_only=True)
 class SteadyCurve:
-    """Level flight of a vehicle with one payload, at equal steps of the airspeed.
+    """Level flight with one payload at equal steps of airspeed.
 
     Shapes (n,): airspeeds [m/s], powers [W], endurances on the full pack [s].
     """
@@ -73,7 +73,7 @@ class SteadyCurve:
 
     @property
     def speed_of_least_power(self) -> float:
-        """Airspeed of longest flight, m/s."""
+        """Airspeed of least power, and so of the longest flight [m/s]."""
         return _least(self.power, np.linspace(0.0, self.airspeeds[-1], _TRIALS))
 
     def best_over_ground(
@@ -113,7 +113,7 @@ class SteadyCurve:
 
 
 def _least(cost: Callable[[FloatArray | float], FloatArray], trials: FloatArray) -> float:
-    """Return the argument of least cost, between the neighbours of the best trial."""
+    """Return the argument of least cost, refined between the neighbours of the best sample."""
     best = int(np.argmin(cost(trials)))
     low, high = trials[max(0, best - 1)], trials[min(len(trials) - 1, best + 1)]
     found = minimize_scalar(
@@ -124,7 +124,7 @@ def _least(cost: Callable[[FloatArray | float], FloatArray], trials: FloatArray)
 
 @dataclass(frozen=True, kw_only=True)
 class GroundSpeed:
-    """Steady flight at a ground speed [m/s]: airspeed [m/s], power [W], endurance [s].
+    """Steady flight at a ground speed: airspeed [m/s], power [W], endurance [s].
 
     The ground speed is zero if the wind is too strong for the course.
     """
@@ -174,7 +174,7 @@ class Polar:
 
     @property
     def own(self) -> SteadyCurve:
-        """The curve of the scenario's own payload."""
+        """Curve of the scenario's own payload."""
         return self.curves[0]
 
 
@@ -232,7 +232,7 @@ def mean_wind(scenario: Scenario) -> tuple[float, float]:
 
 
 def steady_curve(scenario: Scenario, steady: SteadyFlight, depth: float) -> SteadyCurve:
-    """Trim at rising airspeeds, until a limit of the rotors or of the tilt is active."""
+    """Compute steady flight at rising airspeeds until a limit of rotors or tilt is active."""
     speeds: list[float] = []
     powers: list[float] = []
     endurances: list[float] = []
@@ -292,7 +292,7 @@ def _winds(curve: SteadyCurve, winds: Sequence[float]) -> pd.DataFrame:
 
 
 def _reach(curve: SteadyCurve, wind: float, towards: float) -> pd.DataFrame:
-    """Return the distance out and back on one pack on each course, each leg at its best speed."""
+    """Return the distance out and back on one charge on each course, at the best speeds."""
     rows = []
     for course in np.linspace(0.0, 2.0 * np.pi, _DIRECTIONS, endpoint=False):
         legs = [

@@ -1,4 +1,4 @@
-"""Boundary of the places that a vehicle reaches on one pack in a wind field, or out and back.
+"""Reach of a vehicle on one battery charge in a wind field, one way or out and back.
 
 The flight is straight and level, at the height of the start and at the ground speed of least energy
 per metre in the local wind. A metre uses the share 1 / range of the pack, where range is the
@@ -43,7 +43,7 @@ _KILO = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class Reach:
-    """Boundary of the places within reach of a mission's start.
+    """Boundary of the places that a vehicle reaches from its start.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class Reach:
 
 
 def find_reach(scenario: Scenario, *, has_return: bool) -> Reach:
-    """Find how far one pack takes a scenario's vehicle on each course from its start.
+    """Find how far one charge takes a vehicle on each course from its start.
 
     Raises
     ------
@@ -91,14 +91,14 @@ def find_reach(scenario: Scenario, *, has_return: bool) -> Reach:
 
 
 def _farthest(curve: SteadyCurve) -> float:
-    """Return a distance beyond every reach [m]: the fastest flight, and a wind as fast, one way."""
+    """Return an upper bound on the reach [m]: the fastest flight with a tail wind as fast."""
     return float(2.0 * curve.airspeeds[-1] * curve.endurances.max())
 
 
 def _shares(
     curve: SteadyCurve, winds: FloatArray, courses: FloatArray, *, has_return: bool
 ) -> FloatArray:
-    """Return the share of the pack that a metre uses at each place of each course [1/m]."""
+    """Return the share of the charge per metre at each place of each course [1/m]."""
     speed = np.hypot(winds[..., 0], winds[..., 1])
     angle = np.arctan2(winds[..., 1], winds[..., 0]) - courses
     per_metre = _share_per_metre(curve, speed)
@@ -109,7 +109,7 @@ def _shares(
 def _share_per_metre(
     curve: SteadyCurve, winds: FloatArray
 ) -> Callable[[FloatArray, FloatArray], FloatArray]:
-    """Return the share of the pack that a metre over the ground uses, of wind speed and angle.
+    """Return the share of the charge per metre over ground, by wind speed and angle.
 
     It is infinite where the wind is too strong for the course.
     """
@@ -150,7 +150,7 @@ def _boundary_on(
 
 
 def boundary_geojson(reach: Reach) -> dict[str, Any] | None:
-    """Return the boundary as a GeoJSON polygon, longitude first; None without mission.origin."""
+    """Return the boundary as a GeoJSON polygon, None without mission.origin."""
     origin = reach.scenario.mission.origin
     if origin is None:
         return None

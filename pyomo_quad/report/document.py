@@ -25,7 +25,7 @@ PAGE_NAME = "report.html"
 
 @dataclass(frozen=True)
 class Drawing:
-    """A figure, the function that draws it, and its presentation in a report.
+    """Figure of a report: name, title, caption, and the function that draws it.
 
     ``needs`` names the columns that the figure shows, ``formats`` the endings of its files.
     """
@@ -145,7 +145,7 @@ def save_drawings(drawings: Iterable[Drawing], folder: Path) -> None:
 
 @contextmanager
 def drawn_meanwhile(drawings: Iterable[Drawing], folder: Path) -> Iterator[None]:
-    """Draw figures as `save_drawings` does, on other cores while the block runs."""
+    """Draw figures on other cores while the block runs."""
     wanted = tuple(drawings)
     if not wanted:
         yield

@@ -71,7 +71,7 @@ def write_ensemble(
 def ensemble_drawings(
     flown: Ensemble, savings: Sequence[Saving], margin: float = 0.0
 ) -> tuple[Drawing, ...]:
-    """List the figures of many flights; a margin [m] is drawn round the path that they follow."""
+    """List the figures of many flights, with an optional margin round their path."""
     shown = min(SHOWN_PATHS, flown.count)
     paths = f"Paths of {shown} flights, and the path to follow."
     energy = "Energies of the flights (kJ), each in its own random wind; line: median."
@@ -117,14 +117,14 @@ def draw_many_paths(flown: Ensemble, margin: float = 0.0) -> Figure:
 
 
 def _beside(path: FloatArray, off: float) -> FloatArray:
-    """Return a plane path moved to its left by a distance, where it moves at all."""
+    """Return a plane path shifted to its left by a distance."""
     along = np.gradient(path, axis=0)
     length = np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
     return path + off * np.column_stack([-along[:, 1], along[:, 0]]) / length
 
 
 def draw_energies(flown: Ensemble, savings: Sequence[Saving]) -> Figure:
-    """Draw histograms of the energies of flights, of each kind."""
+    """Draw histograms of the energies of plan and autopilot."""
     kinds = [flown, *(saving.rival for saving in savings)]
     figure, ((axes,),) = panel_grid(
         1, 1, panel_height=2.4, legend_entries=len(kinds), share_time=False
@@ -150,7 +150,7 @@ _PANELS = (
 
 
 def draw_bands(flown: Ensemble) -> Figure:
-    """Draw quantities over time: their median over the flights and a band of 90 %."""
+    """Draw medians and 90 % bands of quantities over time."""
     figure, panels = panel_grid(2, 2, panel_height=1.9)
     t, color = flown.flown.t, SERIES_STYLES[0].color
     for axes, (track, title, scale) in zip(panels.flat, _PANELS, strict=True):

@@ -1,4 +1,4 @@
-"""Figures of a plan or a run, one function each; the first of several flights is the optimum."""
+"""Figures of flights, one function each; the first flight is the plan."""
 
 from collections.abc import Sequence
 from itertools import chain
@@ -107,7 +107,7 @@ def _draw_disturbance(
 
 
 def draw_battery(flights: Sequence[StyledFlight]) -> Figure:
-    """Draw voltage, current and state of charge of the battery, slow drop and temperature."""
+    """Draw voltage, current, state of charge, relaxation voltage and temperature."""
     further = [own for own in CIRCUIT if all(own.name in one.frame for one in flights)]
     figure, panels = panel_grid(
         2 if further else 1,
@@ -212,7 +212,7 @@ def draw_energy(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figur
 
 
 def draw_above_hover(axes: Axes, flights: Sequence[StyledFlight], hover_power_W: float) -> None:
-    """Draw the energy spent until each time, less the energy of hovering until then."""
+    """Draw the energy spent until each time, less the energy of hovering for that time."""
     axes.axhline(0.0, **_HOVER_LINE)
     for flight in flights:
         time, energy = TIME.of(flight.frame), ENERGY.of(flight.frame)
@@ -254,7 +254,7 @@ def coinciding_flights(
 
 
 def _power_window(flights: Sequence[StyledFlight]) -> tuple[float, float] | None:
-    """Return the range of the panel of power [W] if peaks of a baseline would flatten the rest.
+    """Return the range of the power panel [W] if peaks would flatten the other curves.
 
     None if the panel can show all values.
     """
@@ -272,7 +272,7 @@ def _power_window(flights: Sequence[StyledFlight]) -> tuple[float, float] | None
 
 
 def _cut_peaks(axes: Axes, flights: Sequence[StyledFlight]) -> None:
-    """Cut the short peaks of a baseline off if they would flatten the other curves."""
+    """Limit the power panel if short peaks would flatten the other curves."""
     window = _power_window(flights)
     if window is not None:
         axes.set_ylim(*window)
@@ -285,7 +285,7 @@ _ERROR_FLOOR = 1e-16  # keeps an error of zero on the logarithmic axis
 def draw_mesh(
     history: "Sequence[MeshRecord]", mesh: "Mesh", tolerance: float, duration: float
 ) -> Figure:
-    """Draw the error estimate from mesh to mesh, and the last mesh over the flight's time, s."""
+    """Draw the error estimate of each mesh, and the last mesh over time [s]."""
     height = 2.6
     figure, (errors, elements) = full_width(
         height, (1, 2), right=0.985, top=1 - 0.3 / height, bottom=0.5 / height, wspace=0.24

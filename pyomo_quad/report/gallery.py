@@ -1,4 +1,4 @@
-"""Lists of the figures of a report, in order, with their captions."""
+"""Figures of each report in order, with their captions."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -81,7 +81,7 @@ FRONT_FIGURE = "front"
 
 
 def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawing, ...]:
-    """List the figures of a plan, whose flight comes first, with the flights beside it.
+    """List the figures of a plan and of the flights drawn with it.
 
     A figure is left out if a user's model does not declare its columns, if a failed solve has no
     numbers for it, or if it shows wind in calm air.
@@ -108,7 +108,7 @@ def flight_drawings(
     blowing: StyledFlight | None = None,
     mission: "Scenario | None" = None,
 ) -> tuple[Drawing, ...]:
-    """List the figures that the tables of flights hold.
+    """List the figures that can be drawn from the tables of flights.
 
     ``blowing`` is a flight in another wind than the plan's forecast; ``mission`` has the passing
     times of its plan.
@@ -135,7 +135,7 @@ def comparison_drawings(
     comparison: pd.DataFrame,
     mission: "Scenario",
 ) -> tuple[Drawing, ...]:
-    """List the figures that compare flights, the optimum first.
+    """List the figures that compare flights; the plan comes first.
 
     The map and the power over time show the optimum and the flight that its saving is against; the
     bars show the flights that arrived within the limits, for only their energies can be compared.
@@ -222,7 +222,7 @@ def drawings_of_run(result: "RunResult") -> tuple[Drawing, ...]:
 
 
 def _in_turbulence(often: "InTurbulence", plan: "Plan") -> Iterator[Drawing]:
-    """Yield the figures of many flights, named apart from those of the run's single flights."""
+    """Yield the figures of the flights in turbulence, with names of their own."""
     margin = 0.0 if plan.risk is None else plan.risk.margins.get("airspace.clearance", 0.0)
     for drawing in ensemble_drawings(often.flown, often.savings, margin):
         yield replace(drawing, name=f"turbulence_{drawing.name}")

@@ -76,7 +76,7 @@ _SAME_PLACE = 0.01
 
 
 def distinct_paths(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
-    """Return the optimum and the flights whose path differs visibly from it."""
+    """Return the plan and the flights whose paths differ visibly from it."""
     return (flights[0], *_further(flights, COINCIDENT))
 
 
@@ -198,7 +198,7 @@ def draw_space(
 
 
 def leaving_paths(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
-    """Return the flights whose paths are too far from the optimum's to fit the figure."""
+    """Return the flights whose paths are too far from the plan's to fit the figure."""
     return _further(flights, ASTRAY)
 
 
@@ -238,13 +238,13 @@ def _beats(flight: StyledFlight) -> np.ndarray:
 
 
 def _inside(points: np.ndarray, limits: np.ndarray) -> np.ndarray:
-    """Return points with NaN for those outside the limits, which 3-D axes would not clip."""
+    """Replace points outside the limits by NaN, because 3-D axes do not clip."""
     is_inside = np.all((limits[:, 0] <= points) & (points <= limits[:, 1]), axis=1)
     return np.where(is_inside[:, None], points, np.nan)
 
 
 def _with_airspace(limits: np.ndarray, airspace: Airspace) -> np.ndarray:
-    """Return limits with the near part of zones, floor and ceiling inside."""
+    """Extend limits to the near parts of zones, floor and ceiling."""
     room = _AROUND * float(np.ptp(limits, axis=1).max())
     furthest = limits + room * np.array([-1.0, 1.0])
     wanted = limits.copy()

@@ -1,4 +1,4 @@
-"""Figures and reports asked for from Python: `Plan.plot`, `RunResult.report` and the like.
+"""Figures and reports for `Plan.plot`, `RunResult.report` and similar methods.
 
 The package registers this module as the presenter of `pyomo_quad.presentation`.
 """
@@ -33,7 +33,7 @@ ENDINGS = (".png", ".svg", ".pdf")
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class DrawnFigure:
-    """A drawn figure, which a notebook shows and `save` writes."""
+    """Drawn figure that notebooks show and `save` writes."""
 
     name: str
     caption: str
@@ -66,7 +66,7 @@ class DrawnFigure:
 
 
 def refuse_other_endings(file: Path, name: str) -> None:
-    """Refuse a file for a figure whose ending names no format of a figure.
+    """Raise an error for a file name whose ending is no figure format.
 
     Raises
     ------

@@ -42,7 +42,7 @@ STATUS_WORDS = {
 
 
 def fixed(value: float, digits: int = 2) -> str:
-    """Return a number with a fixed count of decimals: never minus zero, `NOTHING` if not finite."""
+    """Format a number with fixed decimals, without minus zero; `NOTHING` if not finite."""
     if not isfinite(value):
         return NOTHING
     text = f"{value:.{digits}f}"
@@ -50,12 +50,12 @@ def fixed(value: float, digits: int = 2) -> str:
 
 
 def rough(value: float, digits: int = 2) -> str:
-    """Return a number with ``digits`` significant digits, `NOTHING` if it is not finite."""
+    """Format a number with significant digits; `NOTHING` if not finite."""
     return f"{value:.{digits}g}" if isfinite(value) else NOTHING
 
 
 def yes_no(value: object) -> str:
-    """Return "yes" or "no"."""
+    """Return "yes" for a true value, "no" otherwise."""
     return "yes" if value else "no"
 
 
@@ -115,7 +115,7 @@ def written(text: str) -> Markup:
 
 
 def _code(text: str) -> Markup:
-    """Return a name from a program: of a flight, a file, a field, a command."""
+    """Format a program's name (flight, file, field, command) as a code span."""
     # A code span has no escapes, so text that would end the span is printed without a span.
     if set(visible(text)) & set("`|\\\n\r") or text != text.strip() or not text:
         return written(escape_markdown(text))
@@ -129,7 +129,7 @@ def _finalize(value: object) -> Markup:
 
 @cache
 def environment() -> Environment:
-    """Return Jinja's settings: every value escaped for Markdown, none missing."""
+    """Return the Jinja environment, which escapes all values for Markdown."""
     made = Environment(
         loader=FileSystemLoader(Path(__file__).parents[1]),
         # Marks the results of macros and blocks as written by a template.

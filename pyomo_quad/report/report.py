@@ -1,4 +1,4 @@
-"""Reports of a solve, a run and a comparison: their numbers, templates and files."""
+"""Reports of a solve, a run and a comparison: values, templates and files."""
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -82,7 +82,7 @@ def write_solve_report(
     rate_hz: float | None = None,
     figures: Figures = Figures.SVG,
 ) -> None:
-    """Write the report of a plan of any status into a folder empty of reports.
+    """Write the report of a plan into a folder.
 
     The title and the text say if the plan is not verified; ``warnings`` are cautions to print with
     the numbers.  The table has a row per node of the mesh, or ``rate_hz`` rows a second.
@@ -101,7 +101,7 @@ def write_solve_report(
 
 
 def write_run_report(folder: Path, result: "RunResult", figures: Figures = Figures.SVG) -> None:
-    """Write the report of a run of any status into a folder empty of reports.
+    """Write the report of a run into a folder.
 
     It has tables, figures, `report.md` and `report.html`; without figures the page has no view of
     the paths.
@@ -141,12 +141,12 @@ class RunRecord:
 
     @classmethod
     def of(cls, result: "RunResult") -> "RunRecord":
-        """Return the record of a run that was just made."""
+        """Return the record of a run."""
         return cls(summary=run_summary(result, wall_s={}), comparison=result.comparison)
 
 
 def find_run(folder: Path, scenario: "Scenario") -> RunRecord | None:
-    """Return the verified run of exactly this scenario in a folder, None without one.
+    """Return the verified run of the same scenario in a folder, None if there is none.
 
     A run by other versions is ignored, because its numbers may differ. A run of a user's model is
     ignored too, because the code of the model may have changed.
@@ -237,7 +237,7 @@ def _plan_values(plan: "Plan") -> dict[str, Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class FreeClimb:
-    """A climb that costs less energy than it adds, because the power model does not price it."""
+    """Climb that costs less energy than it adds, because the power model ignores airspeed."""
 
     height_m: float
     potential_J: float
@@ -287,7 +287,7 @@ def _wind_words(columns: Mapping[str, np.ndarray]) -> str:
 
 
 def _battery_use(plan: "Plan", columns: Mapping[str, np.ndarray]) -> dict[str, float | None]:
-    """Return the plan's path length and battery use, and time and distance on a full charge."""
+    """Return path length and battery use of a plan, with time and range per full charge."""
     if plan.verification is None:
         return {"path_m": 0.0, "battery_percent": None}
     path = float(way_flown(columns)[-1])
@@ -374,18 +374,18 @@ def _is_good(result: "RunResult") -> bool:
 
 
 def prepare_figures(figures: Figures) -> None:
-    """Import matplotlib and the gallery now, if figures are wanted."""
+    """Import matplotlib and the gallery in advance if figures are requested."""
     if figures is not Figures.NONE:
         _gallery()
 
 
 def _gallery() -> ModuleType:
-    """Return the gallery module; its import of matplotlib takes longer than a solve."""
+    """Import the gallery when needed, because matplotlib takes longer than a solve."""
     from pyomo_quad.report import gallery  # noqa: PLC0415
 
     return gallery
 
 
 def _from_gallery(listed: Callable[[ModuleType], Iterable[Drawing]]) -> Iterator[Drawing]:
-    """Yield figures from the gallery, which is imported for the first of them."""
+    """Yield figures of the gallery, imported at the first of them."""
     yield from listed(_gallery())

@@ -1,4 +1,4 @@
-"""Accuracy levels of a mission: the errors that a plan claims and its flight must confirm.
+"""Accuracy levels of a mission: tolerances that a plan and its simulated flight must meet.
 
 A vehicle model is good to about 2 %: `quick` and `standard` suffice for missions that are flown,
 `proof` for studies that compare small differences.
@@ -18,14 +18,14 @@ class Accuracy(StrEnum):
     PROOF = "proof"
 
     def meets(self, asked: "Accuracy") -> bool:
-        """Return whether this accuracy is at least a required one."""
+        """Return whether this accuracy is at least as high as another."""
         order = list(Accuracy)
         return order.index(self) >= order.index(asked)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Figures:
-    """Largest errors of a plan at an accuracy level.
+    """Tolerances of an accuracy level.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""The table `airspace`: limits of the height of flight, and keep-out zones."""
+"""Table `airspace`: limits on the height of flight, fence, and keep-out zones."""
 
 from collections.abc import Iterator, Sequence
 from enum import StrEnum
@@ -36,7 +36,7 @@ class Shape(StrEnum):
 
 
 class Ball(NamedTuple):
-    """All places whose coordinates on some axes lie within a radius of a centre.
+    """Set of places within a radius of a centre along two or three axes: cylinder or sphere.
 
     Every shape is an intersection of balls: a cylinder of a disk in x and y and an interval of z, a
     sphere of one ball in all three axes, a box of one interval per axis, and a convex polygon of an
@@ -86,7 +86,7 @@ def turns_of(corners: Sequence[tuple[float, float]]) -> list[float]:
 
 
 def _refuse_folded(corners: Sequence[tuple[float, float]], what: str) -> None:
-    """Refuse corners that do not form a convex polygon in the given order."""
+    """Raise an error for corners that do not form a convex polygon in order."""
     extent = max(max(along) - min(along) for along in zip(*corners, strict=True))
     turns = turns_of(corners)
     slack = _STRAIGHT * extent**2
@@ -101,7 +101,7 @@ def _refuse_folded(corners: Sequence[tuple[float, float]], what: str) -> None:
 
 
 def _goes_round_once(corners: Sequence[tuple[float, float]]) -> bool:
-    """Return whether a closed path that turns to one side only goes round once, unlike a star."""
+    """Return whether a path that turns to one side goes round once, unlike a star."""
     total = 0.0
     edges = [(x1 - x0, y1 - y0) for (x0, y0), (x1, y1) in pairwise((*corners, corners[0]))]
     for (a, b), (c, d) in pairwise((*edges, edges[0])):
@@ -143,7 +143,7 @@ _COORDINATES = {Shape.CYLINDER: 2, Shape.SPHERE: 3}
 
 
 class KeepOut(Part):
-    """A keep-out zone; its shape determines its fields."""
+    """Keep-out zone of one of several shapes."""
 
     name: Text = quantity(
         "",
@@ -202,7 +202,7 @@ class KeepOut(Part):
 
     @property
     def balls(self) -> tuple[Ball, ...]:
-        """The balls whose intersection is the zone."""
+        """Balls whose intersection is the zone."""
         if self.low is not None and self.high is not None:
             sides = enumerate(zip(self.low, self.high, strict=True))
             return tuple(_interval(axis, low, high) for axis, (low, high) in sides)
@@ -215,7 +215,7 @@ class KeepOut(Part):
         return (round_part, _interval(2, self.bottom, self.top))
 
     def ring(self, beyond: float = 0.0) -> "FloatArray":
-        """Return the corners of a polygon whose edges are moved outwards, shape (n, 2) [m]."""
+        """Return the corners of the zone's polygon, its edges moved outwards, shape (n, 2) [m]."""
         import numpy as np  # noqa: PLC0415  see `Ball.coordinates`
 
         corners = self.corners or ()
@@ -232,7 +232,7 @@ class KeepOut(Part):
         return np.array(moved)
 
     def depth(self, places: "ArrayLike") -> "FloatArray":
-        """Return the depth of places, shape (..., 3), below the nearest face of the zone [m].
+        """Return the depth of places, shape (..., 3), inside the zone; negative outside [m].
 
         Negative outside: minus the largest distance of the place beyond a face.
         """
@@ -327,7 +327,7 @@ def _surface(grid: TerrainGrid, side: int) -> "Surface":
 
 
 class Airspace(Part):
-    """The airspace of a flight."""
+    """Limits of the airspace of a mission."""
 
     floor: Number | None = quantity(
         "m",
@@ -403,7 +403,7 @@ class Airspace(Part):
         return np.minimum(over - low, high - under)
 
     def complaints(self, place: Sequence[float]) -> Iterator[str]:
-        """Yield the reasons why a place is not in the airspace, each with a remedy."""
+        """Yield the reasons why a place is outside the airspace, each with a remedy."""
         over, told = self.height_above_ground(place), ""
         if self.ground is not None:
             told = f"{over:.4g} m above airspace.terrain, "
@@ -430,6 +430,6 @@ class Airspace(Part):
                 yield f"is inside keep-out {near} by {depth:.3g} m; move one of them"
 
     def with_clearance(self, zone: KeepOut) -> str:
-        """Return the name of a zone, with its clearance if there is one."""
+        """Return the name of a zone, with its clearance if positive, for messages."""
         near = f" with its clearance of {self.clearance:g} m" if self.clearance else ""
         return f"{zone.name}{near}"

@@ -1,4 +1,4 @@
-"""The battery's table of a scenario: cell, number of cells, and what an equivalent circuit adds."""
+"""Table `battery`: cell constants, number of cells, and optional equivalent circuit."""
 
 from typing import Self
 
@@ -24,7 +24,7 @@ _FACTOR = positive(0.05, 20, "a pack that lost nineteen twentieths of itself is 
 
 
 class Relaxation(Part):
-    """The slow part of a cell's voltage drop: a resistance and a capacitance in parallel."""
+    """RC pair of a cell: the slow part of its voltage drop."""
 
     resistance: Number = quantity(
         "ohm", "slow part of the resistance of one cell", sound=_RESISTANCE
@@ -43,7 +43,7 @@ class Relaxation(Part):
 
 
 class Thermal(Part):
-    """A cell as one mass at one temperature, heated by its own losses."""
+    """Lumped temperature of a cell, heated by its losses."""
 
     heat_capacity: Number = quantity(
         "J/K",
@@ -71,7 +71,7 @@ class Thermal(Part):
 
     @property
     def start(self) -> float:
-        """Temperature at the start, K."""
+        """Temperature at the start [K]."""
         return (
             self.ambient_temperature
             if self.initial_temperature is None
@@ -80,7 +80,7 @@ class Thermal(Part):
 
 
 class Health(Part):
-    """State of health: what is left of a new pack's capacity, and how its resistance grew."""
+    """State of health: remaining share of capacity, and growth of resistance."""
 
     capacity_factor: Number = quantity(
         "1", "capacity over that of the new pack", 1.0, sound=_FACTOR
@@ -91,7 +91,7 @@ class Health(Part):
 
 
 class Battery(Part):
-    """Cell constants of the Tremblay-Dessaint model and the number of cells."""
+    """Battery of the Tremblay-Dessaint model: cell constants and number of cells."""
 
     use: Text = quantity("", "name of the battery in the library, or a file of its own, NAME.toml")
     title: Text = title_field("name for people")

@@ -1,4 +1,4 @@
-"""Descriptions of scenario fields: those of a resolved scenario, and those allowed in a file.
+"""Descriptions of scenario fields, of a resolved scenario and of the file format.
 
 The fields allowed in a file are given as a JSON Schema, with which editors complete and check TOML,
 and as the rows of a table for people. The shipped scenarios, templates for new ones, are found in a
@@ -22,7 +22,7 @@ from pyomo_quad.scenario.spellings import FROM, ON_EARTH, PLACES
 
 @dataclass(frozen=True, kw_only=True)
 class FieldDescription:
-    """One field of a resolved scenario.
+    """Description of one field of a resolved scenario.
 
     Attributes
     ----------
@@ -132,7 +132,7 @@ _LIMITS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusi
 
 @dataclass(frozen=True, kw_only=True)
 class WritableField:
-    """One field that a file may have, with every column as text."""
+    """Description of one field of a file format, with every column as text."""
 
     path: str
     unit: str
@@ -265,7 +265,7 @@ def _allowed(field: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
 
 
 def _of_type(option: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
-    """Return the values that one type of a field allows, beyond the type itself."""
+    """Return the allowed values of one type of a field, in words."""
     held = definitions.get(option.get("$ref", "").rpartition("/")[2], {})
     if "const" in option:
         return f'"{option["const"]}"'
@@ -304,7 +304,7 @@ def files_beside(template: str) -> dict[str, Path]:
 
 
 def refuse_no_name(text: str) -> None:
-    """Refuse a text that cannot name a scenario or vehicle, and its files.
+    """Raise an error for a text that cannot name a scenario or vehicle.
 
     Raises
     ------

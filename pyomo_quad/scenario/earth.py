@@ -1,4 +1,4 @@
-"""A place on earth: the origin of a mission, and places given by latitude and longitude.
+"""Geodetic positions: origin of a mission, and places by latitude and longitude.
 
 The frame of a mission is east-north-up ("enu"): x is east, y north and z up from the origin, in
 metres, and z = 0 is the plane tangent to the earth there.  The earth's surface lies below it: by
@@ -32,7 +32,7 @@ _HEIGHT = "height"
 
 
 class Frame(StrEnum):
-    """Directions of the world axes."""
+    """Orientation of the world axes on earth."""
 
     ENU = "enu"
 

@@ -1,4 +1,4 @@
-"""Declaration of scenario fields: frozen, closed to unknown keys, each with its unit.
+"""Declaration of scenario fields, each with unit, meaning and plausible range.
 
 Fields are arranged in nested tables, as in TOML; they have dotted paths, layers and a depth.
 """
@@ -64,7 +64,7 @@ def not_negative(high: float, because: str) -> Sound:
 
 
 class Part(BaseModel):
-    """Base of all tables of a scenario: immutable, finite numbers, no unknown keys."""
+    """Base class of all tables of a scenario: immutable, finite numbers, no unknown keys."""
 
     model_config = ConfigDict(
         frozen=True,
@@ -87,7 +87,7 @@ class Part(BaseModel):
 
 
 def number_in_text(text: str) -> float:
-    """Read a number in ASCII digits, point and exponent; surrounding blanks are ignored.
+    """Read a number in ASCII notation, ignoring surrounding blanks.
 
     Returns
     -------
@@ -200,7 +200,7 @@ def other_names_of(model: type[BaseModel], name: str) -> tuple[str, ...]:
 
 
 def initial_of(model: type[BaseModel], name: str) -> Any:  # noqa: ANN401
-    """Return the value implied by a file without the field, None if it is the default."""
+    """Return the value that a file without the field implies, None for the default."""
     return _declared_with(model, name, "default") or None
 
 
@@ -268,7 +268,7 @@ def spell(path: FieldPath) -> str:
 
 
 def depth(value: object, allowed: int) -> int:
-    """Return the nesting depth of tables and lists, counted to just above an allowed depth.
+    """Return the nesting depth of tables and lists, up to a maximum.
 
     Returns
     -------
@@ -299,7 +299,7 @@ def leaves(tree: Mapping[str, Any], prefix: FieldPath = ()) -> Iterator[tuple[Fi
 
 
 def is_number(value: object) -> TypeGuard[float]:
-    """Return whether a value is a number; true and false are none, although Python counts them."""
+    """Return whether a value is a number other than true or false."""
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 

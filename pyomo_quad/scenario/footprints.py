@@ -1,4 +1,4 @@
-"""Polygons on the ground: divided into convex parts, and read from GeoJSON with their heights.
+"""Ground polygons: division into convex parts, and import from GeoJSON with heights.
 
 Zones are convex, because a zone's limit is the largest distance from its faces.  A concave polygon
 is divided into convex zones NAME-1, NAME-2 and so on, which share edges without gaps.  A concave
@@ -191,7 +191,7 @@ def _refuse(place: str, reason: str) -> NoReturn:
 
 
 def _as_name(text: str) -> str:
-    """Return a text with characters that names of zones may not have replaced by underscores."""
+    """Return a text as the name of a zone, with underscores for other characters."""
     kept = "".join(c if c.isascii() and (c.isalnum() or c in "_.-") else "_" for c in text)
     return kept[:40] if kept[0].isalnum() else f"zone{kept[:36]}"
 

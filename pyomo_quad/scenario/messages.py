@@ -87,7 +87,7 @@ _MOST_LINES = 20
 
 
 def listed(lines: Sequence[str]) -> str:
-    """Return one line per error, only the first of them if there are many."""
+    """Return one line per error; of many errors, only the first."""
     more = len(lines) - _MOST_LINES
     left_out = [f"... and {more} more."] if more > 0 else []
     return "\n".join([*lines[:_MOST_LINES], *left_out])
@@ -102,7 +102,7 @@ def _without_branches(path: FieldPath, model: type[BaseModel]) -> FieldPath:
 
 
 def words_of(model: type[BaseModel], name: str) -> tuple[str, ...]:
-    """Return the words that a field accepts in place of a number."""
+    """Return the words that a field accepts instead of a number."""
     field = model.model_fields.get(name)
     annotation: Any = field.annotation if field is not None else None
     literals = [part for part in get_args(annotation) if get_origin(part) is Literal]
@@ -150,7 +150,7 @@ def field_paths(model: type[BaseModel], prefix: FieldPath = ()) -> Iterator[Fiel
 def declared_place(
     model: type[BaseModel], place: Sequence[str | int]
 ) -> tuple[type[BaseModel], str]:
-    """Find the table that holds a path, and the unit of the field there.
+    """Find the table that a path leads to, and the unit of the field in it.
 
     Returns
     -------
@@ -234,13 +234,13 @@ def _unknown_key(
 
 
 def _meant(table: type[BaseModel], unknown: str) -> list[str]:
-    """Return the field of a table, or its key in another unit, that an unknown key may mean."""
+    """Return the field, or its key in another unit, that an unknown key probably means."""
     meant = [name for name in table.model_fields if unknown in other_names_of(table, name)]
     return meant or get_close_matches(unknown, [*table.model_fields, *unit_keys_of(table)], n=1)
 
 
 def _example(model: type[BaseModel], name: str) -> str:
-    """Return an example of a field: its own, or a table with the required fields of its table."""
+    """Return an example value of a field, or a table with its required fields."""
     nested = table_of(model, name)
     if nested is None:
         return example_of(model, name)
@@ -272,7 +272,7 @@ class ScenarioError(PyomoQuadError, ValueError):
 
 
 class FeasibilityError(PyomoQuadError, ValueError):
-    """A valid scenario requires more than the vehicle is physically capable of."""
+    """A valid scenario requires more than the vehicle can physically do."""
 
 
 class OutputError(PyomoQuadError, RuntimeError):

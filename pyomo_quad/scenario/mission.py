@@ -30,7 +30,7 @@ MOST_ORDERED = 30
 
 
 class Hover(Part):
-    """A place and a heading at which the vehicle hovers."""
+    """Place and heading at which the vehicle hovers."""
 
     position: Triple = quantity(
         "m", "position x, y, z in world axes, z up", example="[6.0, 7.0, 8.0]", sound=_FAR
@@ -39,7 +39,7 @@ class Hover(Part):
 
 
 class Aim(StrEnum):
-    """Quantity of which a plan spends least."""
+    """Quantity that a plan minimises."""
 
     ENERGY = "energy"
     CHARGE = "charge"
@@ -61,7 +61,7 @@ class Yaw(StrEnum):
 
 
 class Waypoint(Part):
-    """A place to pass between start and goal, and the conditions of passing it."""
+    """Place to pass between start and goal, with the conditions on the passage."""
 
     position: Triple = quantity(
         "m", "position x, y, z to pass, in world axes", example="[3.0, 0.0, 2.0]", sound=_FAR
@@ -99,7 +99,7 @@ class Waypoint(Part):
 
 
 class ReturnFlight(Part):
-    """The steady, level flight by which a vehicle returns, and the margin kept for it."""
+    """Steady, level return flight of a vehicle, and the reserve for it."""
 
     margin: Number = quantity(
         "1",
@@ -122,7 +122,7 @@ class ReturnFlight(Part):
 
 
 class NamedDuration(NamedTuple):
-    """A duration, s, and the field of a scenario that holds it."""
+    """Duration [s] and the scenario field that holds it."""
 
     field: str
     value: float

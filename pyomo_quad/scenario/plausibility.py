@@ -31,7 +31,7 @@ _OF_MOTORS = (PowerModel.MOTOR, PowerModel.MOTOR_WITH_FRICTION)
 
 @dataclass(frozen=True, kw_only=True)
 class Contradiction:
-    """A field and the numbers that it contradicts, in one line."""
+    """Contradiction between a field and other numbers, in one line."""
 
     field: str
     message: str
@@ -85,7 +85,7 @@ def contradictions(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[C
 
 
 def remarks(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[str]:
-    """Yield remarks on numbers at the edge of what is possible, for users who need the energies."""
+    """Yield remarks on numbers at the edge of the possible."""
     motor = vehicle.motor
     if motor is not None and _SEEN < abs(motor.product - 1) <= ROUNDED:
         slowest = _least_speed(motor, vehicle.drag_torque_coefficient)
@@ -131,7 +131,7 @@ def _remedy(motor: MotorConstants) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class _Hover:
-    """Powers in hover of all shafts and of ideal rotors, and the radius of these rotors."""
+    """Shaft power and ideal rotor power in hover, and the rotor radius."""
 
     told: str
     shaft_W: float

@@ -1,4 +1,4 @@
-"""Layers of a scenario: defaults, library, files, scenario and overrides, with their origin.
+"""Layers of a scenario (defaults, library, files, scenario, overrides) and the origin of values.
 
 A TOML document may come from an untrusted source: it is data only, bounded in size and depth.
 """
@@ -138,7 +138,7 @@ _SUFFIX = ".toml"
 
 @dataclass(frozen=True, kw_only=True)
 class LibraryEntry:
-    """One named entry of the library.
+    """Named entry of the library, with its sources.
 
     Attributes
     ----------
@@ -331,7 +331,7 @@ def _shape_complaints(kind: str, written: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _label_complaints(table: Mapping[str, Any], place: FieldPath) -> Iterator[str]:
-    """Yield numbers with a label other than their value and source."""
+    """Yield complaints about numbers with labels other than value and source."""
     is_labelled = len(place) > 1 and not set(_LABELS).isdisjoint(table)
     for key, content in table.items():
         where = shown(spell((*place, key)))[1:-1]
@@ -370,7 +370,7 @@ _INHERITED_BY_FORECAST = (
 
 @dataclass(frozen=True, kw_only=True)
 class ScenarioSource:
-    """Source of a scenario: its own tables, and the overrides.
+    """Source of a scenario: its own tables and the overrides.
 
     Attributes
     ----------
@@ -396,7 +396,7 @@ class ScenarioSource:
 
 @dataclass(frozen=True, kw_only=True)
 class Resolution:
-    """Complete tables, ready for validation, and the origin of each value.
+    """Completed tables of a scenario and the origin of each value.
 
     `complaints` has a line for each value that could not be determined, and `unfilled` the paths
     that lack fields because of it.
@@ -409,7 +409,7 @@ class Resolution:
 
 
 def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
-    """Complete the tables of a scenario from the library; the model declares the fields.
+    """Complete the tables of a scenario from the library.
 
     Raises
     ------
@@ -458,7 +458,7 @@ def _initial_values(model: type[BaseModel]) -> dict[str, Any]:
 
 
 def whose(origin: ScenarioSource, provenance: Mapping[str, str], path: FieldPath) -> str:
-    """Return the name of the source with which a message about a field starts."""
+    """Return the source of a field, as the beginning of a message."""
     for length in range(len(path), 0, -1):
         said = provenance.get(spell(path[:length]))
         if said is not None:
@@ -488,7 +488,7 @@ def _with_assignments(
 
 @dataclass
 class _Filled:
-    """Tables of a scenario while the library completes them, and the errors found on the way."""
+    """Tables of a scenario during completion, with the errors found."""
 
     origin: ScenarioSource
     own: Mapping[str, Any]
@@ -557,7 +557,7 @@ class _Filled:
 
 
 def _beside(file: str, pack: str) -> str:
-    """Return the path, relative to the scenario's folder, of a pack that a vehicle's file names."""
+    """Return the path of a battery file that a vehicle file names, relative to the scenario."""
     return (FilePath(file).parent / pack).as_posix() if pack.endswith(_SUFFIX) else pack
 
 
@@ -669,7 +669,7 @@ def _longest(tables: Mapping[str, Any]) -> tuple[tuple[str, str], object]:
 
 
 def _with_motor_constants(tables: dict[str, Any], provenance: dict[str, str]) -> dict[str, Any]:
-    """Complete the motor constant that is missing: torque and voltage constant are inverse."""
+    """Derive a missing torque or voltage constant, which are inverse to each other."""
     vehicle = table_at(tables, "vehicle")
     names = ("torque_constant", "voltage_constant")
     for missing, given in (names, names[::-1]):

@@ -149,7 +149,7 @@ class Scenario(Part):
 
     @property
     def provenance(self) -> Mapping[str, str]:
-        """Dotted field -> ``default``, ``library NAME``, ``scenario``, ``--set``, ``file NAME``."""
+        """Origin of each field: ``default``, ``library NAME``, ``--set``, ``file NAME`` etc."""
         everywhere = {spell(path): "default" for path, _ in leaves(self.model_dump())}
         return MappingProxyType(everywhere | dict(self._provenance))
 
@@ -195,7 +195,7 @@ class Scenario(Part):
         return self.from_origin(replace(origin, assignments=assignments))
 
     def replace(self, changes: Mapping[str, Any]) -> Self:
-        """Return a revalidated copy with some fields changed, and leave this one as it is.
+        """Return a revalidated copy with some fields changed.
 
         Parameters
         ----------
@@ -275,7 +275,7 @@ class Scenario(Part):
 
     @property
     def nominal_times(self) -> tuple[float, ...]:
-        """Times at which each waypoint is reached and left, and the end: prescribed or guessed."""
+        """Passing times of waypoints and end time, prescribed or guessed."""
         vehicle, limits = self.vehicle, self.limits
         lift = limits.thrust_max / vehicle.total_mass - self.gravity
         acceleration = min(max(lift, _LEAST_LIFT * self.gravity), self.gravity)
@@ -316,7 +316,7 @@ class Scenario(Part):
         return self.vehicle.total_mass - self.mission.released
 
     def as_forecast(self) -> Self:
-        """Return the scenario with the wind that is forecast to the optimiser.
+        """Return the scenario with the forecast as its only wind.
 
         Returns
         -------
@@ -328,7 +328,7 @@ class Scenario(Part):
         return self.model_copy(update={"wind": self.wind.forecast})
 
     def as_it_blows(self) -> Self:
-        """Return the scenario with the actual wind known to the optimiser."""
+        """Return the scenario without a forecast, so that plans know the actual wind."""
         return self.model_copy(update={"wind": self.wind.model_copy(update={"forecast": None})})
 
     @property
@@ -346,7 +346,7 @@ class Scenario(Part):
         return tuple(remarks(self.vehicle, self.power, self.gravity))
 
     def _check(self, source: str) -> None:
-        """Refuse fields that are valid separately but contradict each other, all in one message."""
+        """Raise one error for all contradictions between fields that are valid separately."""
         lines = [
             *self._power_complaints(),
             *self._airspace_complaints(),

@@ -37,7 +37,7 @@ def in_plain_terms(
     provenance: dict[str, str],
     source: str,
 ) -> dict[str, Any]:
-    """Return a scenario's tables with places in metres and winds by the direction they blow to.
+    """Convert places to metres and wind directions to the direction that the wind blows to.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def in_plain_terms(
 
 
 def _written_otherwise(tree: Any, path: FieldPath) -> Iterator[tuple[FieldPath, Any]]:  # noqa: ANN401
-    """Yield the path and the value of each field in an alternative notation."""
+    """Yield path and value of each field that uses an alternative notation."""
     items: Any = ()
     if isinstance(tree, Mapping):
         items = tree.items()
@@ -114,7 +114,7 @@ def origin_of_mission(tables: Mapping[str, Any], source: str) -> GeodeticOrigin 
 
 
 def _count(tables: Any, path: FieldPath) -> int:  # noqa: ANN401  tables of TOML
-    """Return the number of coordinates of the place at a path."""
+    """Return the number of coordinates of a place."""
     if _CORNERS in path:
         return 2
     table = tables
@@ -140,7 +140,7 @@ def _refuse_both(own: Any, path: FieldPath, target: FieldPath, source: str) -> N
 
 
 def _towards(value: object, where: str) -> float:
-    """Convert the direction of a wind's origin [deg] to the direction that it blows to [rad]."""
+    """Convert a direction that a wind comes from [deg] to one that it blows to [rad]."""
     if not is_number(value) or not abs(value) <= _MOST_TURN:
         raise ScenarioError(
             f"{where} = {shown(value)}; must be a number from {-_MOST_TURN:g} to {_MOST_TURN:g} "

@@ -33,7 +33,7 @@ _MOST_SPEEDS = 20
 
 
 class Reference(StrEnum):
-    """The trajectory that the controller follows."""
+    """Kind of trajectory for the controller to follow."""
 
     STEP = "step"
     QUINTIC = "quintic"
@@ -100,7 +100,7 @@ class Gains(Part):
 
 
 class Knowledge(StrEnum):
-    """Information on the wind in re-planning: the true wind, an observed wind, or none."""
+    """Knowledge of the wind in re-planning: actual, estimated, or none."""
 
     TOLD = "told"
     ESTIMATED = "estimated"
@@ -153,7 +153,7 @@ class CruiseSettings:
 
 
 class Baseline(Part):
-    """References to fly, and settings of the controller."""
+    """Flights for comparison, and settings of the controller."""
 
     references: tuple[Reference, ...] = quantity(
         "",
@@ -204,7 +204,7 @@ class Baseline(Part):
 
 
 class PowerModel(StrEnum):
-    """The declared power whose integral is the mission's energy."""
+    """Model of the power whose integral is the energy of the mission."""
 
     MOTOR = "motor"
     EFFICIENCY = "efficiency"
@@ -293,7 +293,7 @@ _MOST_POINTS = 50_000
 
 
 class Solver(Part):
-    """Accuracy, first mesh and bounds on the effort."""
+    """Accuracy, first mesh and limits on the effort of the solver."""
 
     accuracy: Accuracy = late_quantity(
         "",
@@ -355,7 +355,7 @@ _LEAST_CHARGE = 0.2
 
 
 class Limits(Part):
-    """Bounds in the optimisation, to which the controller is clipped too."""
+    """Limits on the plan, which the controller keeps too."""
 
     roll_max: Number = quantity(
         "rad", "largest roll angle, eq. (10)", pi / 2, le=pi / 2, sound=_ANGLE
@@ -436,13 +436,13 @@ class Limits(Part):
 
     @property
     def least_charge(self) -> float:
-        """Fraction of the charge that stays in the pack, a fifth where the scenario sets none."""
+        """Fraction of the charge that must remain, one fifth by default."""
         least = self.state_of_charge_min
         return _LEAST_CHARGE if least is None else least / 100.0
 
     @property
     def largest_tilt(self) -> float:
-        """Tilt of the thrust with roll and pitch both at their limits, rad."""
+        """Tilt of the thrust with roll and pitch both at their limits [rad]."""
         return acos(cos(self.roll_max) * cos(self.pitch_max))
 
 

@@ -48,7 +48,7 @@ _LEAST_VOLUME = 1e-6
 
 
 def _volume(*rows: Sequence[float]) -> float:
-    """Return the squared volume spanned by three rows: their Gram determinant."""
+    """Return the Gram determinant of three vectors, their squared volume."""
     (a, b, c), (_, d, e), (_, _, f) = (
         [sum(map(mul, one, other)) for other in rows] for one in rows
     )
@@ -70,7 +70,7 @@ _SLOW = positive(1e-2, 1e3, "rotorcraft fly below 340 m/s, the speed of sound")
 
 
 class Validated(Part):
-    """Range in which measured flights confirm the vehicle's power and drag; None where unknown."""
+    """Range of airspeed, climb and descent in which measurements confirm power and drag."""
 
     airspeed: Number | None = quantity(
         "m/s", "largest airspeed of the flights that confirm the vehicle", None, sound=_SLOW
@@ -105,7 +105,7 @@ class MotorConstants(NamedTuple):
 
 
 class Vehicle(Part):
-    """A multirotor with equal rotors: by default the paper's four on arms along body x and y."""
+    """Multirotor with equal rotors; by default four on arms along body x and y, as in the paper."""
 
     use: Text = quantity("", "name of the vehicle in the library, or a file of its own, NAME.toml")
     title: Text = title_field("name for people")
@@ -332,7 +332,7 @@ class Vehicle(Part):
 
     @property
     def motor(self) -> MotorConstants | None:
-        """The motors' electrics, None unless all of their numbers are known."""
+        """Electrical constants of the motors, None unless all are known."""
         told = (self.torque_constant, self.voltage_constant, self.motor_resistance)
         if None in told:
             return None

@@ -63,7 +63,7 @@ class FrequencyUnit(StrEnum):
 
 
 class WindAxis(Part):
-    """One axis of eq. (11)-(12): mean, three harmonics, gust."""
+    """Wind of eq. (11)-(12) along one axis: mean, three harmonics, gust."""
 
     mean: Number = quantity("m/s", "mean value (v0)", sound=_WIND)
     amplitudes: Triple = quantity("m/s", "amplitudes of the harmonics (A_k)", sound=_WIND)
@@ -126,7 +126,7 @@ class WindProfile(Part):
 
 
 class WindSeries(Part):
-    """A measured wind, read and validated from `wind.file`; a wind by height alone has no times."""
+    """Measured wind from `wind.file`, over time, height or both."""
 
     times: tuple[Number, ...] = quantity("s", "times from the start of the mission")
     wind_x: tuple[Number, ...] = quantity("m/s", "wind toward +x")
@@ -137,7 +137,7 @@ class WindSeries(Part):
 
 
 class Intensity(StrEnum):
-    """Intensity of turbulence, MIL-F-8785C, section 3.7.3.4."""
+    """Intensity of turbulence by MIL-F-8785C, section 3.7.3.4."""
 
     LIGHT = "light"
     MODERATE = "moderate"
@@ -154,7 +154,7 @@ WIND_AT_6_M = {
 
 
 class Turbulence(Part):
-    """Turbulence of Dryden's form at low altitude, MIL-F-8785C; plans ignore it."""
+    """Dryden turbulence at low altitude, MIL-F-8785C."""
 
     intensity: Intensity | None = quantity(
         "", "light, moderate or severe: a wind at 6 m of 7.7, 15.4 or 23.2 m/s", None
@@ -184,14 +184,14 @@ class Turbulence(Part):
 
 
 class Beyond(StrEnum):
-    """Wind outside the grid of a wind field, and in cells without wind."""
+    """Treatment of places outside a wind field and of cells without wind."""
 
     REFUSE = "refuse"
     HOLD = "hold"
 
 
 class WindGrid(Part):
-    """A wind on a rectilinear grid, read and validated from `wind.field`."""
+    """Wind on a rectilinear grid, from `wind.field`."""
 
     x: tuple[Number, ...] = quantity("m", "places along world x, rising")
     y: tuple[Number, ...] = quantity("m", "places along world y, rising")
@@ -208,7 +208,7 @@ class WindGrid(Part):
 
     @property
     def axes(self) -> tuple[tuple[float, ...], ...]:
-        """Grid points of each argument of the wind: x, y, then height and time if it has them."""
+        """Grid points of each argument of the wind: x, y and, if given, height and time."""
         return tuple(axis for axis in (self.x, self.y, self.z, self.times) if axis)
 
     @property
@@ -217,7 +217,7 @@ class WindGrid(Part):
         return unpacked(self.speeds).reshape((-1, *map(len, self.axes)))
 
     def is_known(self, places: "ArrayLike", times: "ArrayLike") -> "NDArray[bool_]":
-        """Return whether the grid point nearest to each of n places, at n wind times, has wind."""
+        """Return whether the grid points nearest to places, at given wind times, have a wind."""
         import numpy as np  # noqa: PLC0415  see `components`
 
         at, when = np.atleast_2d(places), np.broadcast_to(times, len(np.atleast_2d(places)))
@@ -237,7 +237,7 @@ _GRID_SLACK = 1e-6
 
 
 class Wind(Part):
-    """The wind in world axes."""
+    """Wind in world axes."""
 
     use: Text = quantity("", "name of the wind in the library, or a file of its own, NAME.toml")
     title: Text = title_field("name for people")
@@ -327,12 +327,12 @@ class Wind(Part):
 
     @property
     def is_formula(self) -> bool:
-        """Whether the wind is that of eq. (11)-(12), and not read from a file."""
+        """Whether the wind is the formula of eq. (11)-(12), not read from a file."""
         return self.series is None and self.grid is None
 
     @property
     def varies_with_place(self) -> bool:
-        """Whether the wind depends on where the vehicle flies."""
+        """Whether the wind depends on the place of the vehicle."""
         has_heights = bool(self.series and self.series.heights)
         return self.profile is not None or has_heights or self.grid is not None
 
@@ -355,7 +355,7 @@ class Wind(Part):
         return self
 
     def complaints(self, place: tuple[float, float, float]) -> Iterator[str]:
-        """Yield the reason why the wind field has no wind at a place at any time."""
+        """Yield a complaint if the wind field has no wind at a place."""
         if self.grid is None or self.beyond is Beyond.HOLD:
             return
         times = self.grid.times or (0.0,)
@@ -494,7 +494,7 @@ def with_coupling(
 
 
 def _is_any(number: object) -> bool:
-    """Return whether a number, or any number in a list, is not zero."""
+    """Return whether a number, or any number of a list, is nonzero."""
     return any(number) if isinstance(number, list | tuple) else bool(number)
 
 

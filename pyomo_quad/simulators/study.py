@@ -1,4 +1,4 @@
-"""Missions flown by the declared vehicle and by RotorPy's, and the causes of the differences."""
+"""Missions flown by the declared vehicle and by RotorPy's, with the causes of differences."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -72,7 +72,7 @@ Track = tuple[np.ndarray, np.ndarray]
 
 
 class Plant(StrEnum):
-    """The vehicles flown: the declared vehicle, and variants of RotorPy's."""
+    """Simulated vehicles: the declared vehicle, and variants of RotorPy's."""
 
     DECLARED = "declared"
     ROTORPY = "rotorpy"
@@ -147,7 +147,7 @@ _IDENTITY = list(OutsideColumn)[:4]
 
 @dataclass(frozen=True, kw_only=True)
 class OutsideStudy:
-    """All flights, in the columns of `OutsideColumn`; distances of some from their plans."""
+    """Results of all flights, with the distances of some flights from their plans."""
 
     flights: pd.DataFrame
     tracks: Mapping[tuple[str, Plant, str], Track]
@@ -157,13 +157,13 @@ class OutsideStudy:
     def row(
         self, case: str, plant: Plant, controller: str, followed: Reference = Reference.PLAN
     ) -> dict[str, Any]:
-        """Return the row of a flight; the row of a flight out of control has no numbers."""
+        """Return the row of a flight, without numbers for a flight out of control."""
         is_it = (self.flights[_IDENTITY] == [case, plant, controller, followed]).all(axis=1)
         return {str(name): value for name, value in self.flights[is_it].iloc[0].items()}
 
 
 class Arrivals(NamedTuple):
-    """Counts of flights: arrived and confirmed by two integrators, confirmed, and unconfirmed."""
+    """Numbers of flights that arrived, were confirmed, and were not confirmed."""
 
     arrived: int
     confirmed: int
@@ -183,7 +183,7 @@ def arrivals(flights: pd.DataFrame, controller: str) -> Arrivals:
 
 
 class Flown(NamedTuple):
-    """A flight of the study: plant, controller, reference, and the function that flies it."""
+    """Flight of the study: plant, controller, reference, and function that simulates it."""
 
     plant: Plant
     controller: str
@@ -193,7 +193,7 @@ class Flown(NamedTuple):
 
 @dataclass(frozen=True)
 class _Mission:
-    """A planned mission and its possible flights."""
+    """Planned mission, with its possible flights."""
 
     case: str
     scenario: Scenario
@@ -242,7 +242,7 @@ class _Mission:
 
 
 def run_outside_study(planner: Planner | None = None) -> OutsideStudy:
-    """Fly every case; a flight out of control gets a row without numbers."""
+    """Simulate every case; a flight out of control gets a row without numbers."""
     planner = planner or Planner()
     paper = load_scenario(shipped_scenarios()["paper"])
     cases = {case: paper.with_values(settings) for case, (_, settings) in CASES.items()}
@@ -275,7 +275,7 @@ def _track(flight: Flight, plan: Plan) -> Track:
 
 
 def _small(paper: Scenario, name: str) -> Scenario:
-    """Return a short mission of one of RotorPy's small vehicles, for least shaft energy."""
+    """Return a short mission of a small vehicle of RotorPy, for least shaft energy."""
     said = {
         path.replace("fields.", "vehicle.", 1): value
         for path, (value, _) in vehicle_fields(name).items()
@@ -304,7 +304,7 @@ def _flights(mission: _Mission) -> Iterator[Flown]:
 
 
 def _leaps(mission: _Mission, limited: OutsidePlant) -> Iterator[Flown]:
-    """Yield flights to a goal given as a step, with and without the limit of the rotors."""
+    """Yield flights to a step goal, with and without the limits of the rotors."""
     unlimited = OutsidePlant(mission.scenario.with_values(_NO_SLEW_LIMIT), mission.dynamics)
     yield mission.declared(Pilot.ADAPTIVE, Reference.STEP)
     for pilot in (Pilot.ADAPTIVE, Pilot.SE3):
@@ -313,7 +313,7 @@ def _leaps(mission: _Mission, limited: OutsidePlant) -> Iterator[Flown]:
 
 
 def _why_se3_misses(mission: _Mission, plant: OutsidePlant) -> Iterator[Flown]:
-    """Yield flights of SE3 with greater gains, and with the air's force fed forward."""
+    """Yield flights under SE3 with larger gains, and with feedforward of the air force."""
     for followed in (Reference.QUINTIC, Reference.PLAN):
         path = mission.path(followed)
         yield mission.under(Plant.ROTORPY, plant, STIFF, path, followed, STIFFNESS)
@@ -323,7 +323,7 @@ def _why_se3_misses(mission: _Mission, plant: OutsidePlant) -> Iterator[Flown]:
 
 
 def _against_the_air(path: ReferencePath, plant: OutsidePlant) -> ReferencePath:
-    """Return a reference with an additional acceleration against the force of the air."""
+    """Return a reference with an acceleration that compensates the air force."""
     dynamics, mass = plant.dynamics, plant.scenario.vehicle.total_mass
     moving = [dynamics.state_names.index(name) for name in (*POSITION_STATES, *VELOCITY_STATES)]
     forces = tuple((name, None) for name in AIR_FORCE)
@@ -340,7 +340,7 @@ def _against_the_air(path: ReferencePath, plant: OutsidePlant) -> ReferencePath:
 
 
 def _flights_of_set(mission: _Mission) -> Iterator[Flown]:
-    """Yield flights of an unchanged RotorPy vehicle, and of the declared vehicle like it."""
+    """Yield flights of an unchanged vehicle of RotorPy, and of its declared counterpart."""
     theirs = OutsidePlant(
         mission.scenario,
         mission.dynamics,
@@ -362,7 +362,7 @@ def _flights_of_set(mission: _Mission) -> Iterator[Flown]:
 
 
 def _flights_by_drag(mission: _Mission) -> Iterator[Flown]:
-    """Yield the flights along a plan that distinguish RotorPy's drag from the declared one."""
+    """Yield flights along a plan that separate RotorPy's drag from the declared drag."""
     plant = OutsidePlant(mission.scenario, mission.dynamics)
     for pilot in (Pilot.OPEN_LOOP, Pilot.ADAPTIVE):
         yield mission.declared(pilot)
@@ -377,7 +377,7 @@ _FLIGHTS_OF = dict.fromkeys((LONGER, WINDIER), _flights_by_drag) | dict.fromkeys
 def _rows(
     case: str, flights: Iterator[Flown]
 ) -> Iterator[tuple[dict[str, Any], Flown, Flight | None]]:
-    """Yield the table row of each flight, compared with the first, of the declared vehicle."""
+    """Yield the table row of each flight, compared with the declared vehicle's flight."""
     declared: dict[tuple[str, Reference], Flight] = {}
     for flown in flights:
         identity = case, flown.plant.value, str(flown.controller), flown.followed.value

@@ -1,4 +1,4 @@
-"""Vehicle files made of RotorPy's parameter sets.
+"""Vehicle files from RotorPy's parameter sets.
 
 RotorPy's rotors are placed diagonally, two ahead and two behind; declared rotors are on body x and
 y. The vehicle is therefore turned by 45 degrees: its first rotor is ahead, its fourth to the left.
@@ -21,7 +21,7 @@ NAMES = tuple(_ROTORS)
 
 
 class Said(NamedTuple):
-    """Value and source of a field."""
+    """Value of a field with its source."""
 
     value: float | str | list[float]
     source: str

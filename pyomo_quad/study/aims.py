@@ -1,4 +1,4 @@
-"""Least energy against least charge: the same mission planned for each, on the plan's own mesh."""
+"""Least energy against least charge: solves of the same mission for each aim, on one mesh."""
 
 from time import thread_time
 from typing import TYPE_CHECKING
@@ -31,7 +31,7 @@ class AimColumn(TableColumn):
 
 
 def charge_drawn(plan: Plan) -> float:
-    """Return the charge that a plan draws from its pack [A h].
+    """Return the charge that a plan draws from its battery [A h].
 
     Raises
     ------
@@ -46,7 +46,7 @@ def charge_drawn(plan: Plan) -> float:
 def energy_and_charge(
     plan: Plan, *, planner: Planner, progress: Progress | None = None
 ) -> "pd.DataFrame":
-    """Return energy and charge of the plan, and of the plan for the other of the two aims.
+    """Return energy and charge of the plan and of a plan for the other aim.
 
     The other is solved from the plan on its mesh, without refinement, and flown like it; a search
     that takes long is given up.
@@ -75,7 +75,7 @@ def energy_and_charge(
 
 
 def _briefly(progress: Progress | None) -> Progress:
-    """Return a progress that also ends a solve after a while."""
+    """Return a progress callback that also ends a solve after a time limit."""
     end = thread_time() + _LONGEST_S
 
     def goes_on(iteration: Iteration) -> bool:
@@ -85,13 +85,13 @@ def _briefly(progress: Progress | None) -> Progress:
 
 
 def charge_beyond_least(aims: "pd.DataFrame") -> float:
-    """Return the share by which the plan of least energy draws more than the least charge."""
+    """Return the relative excess of charge of the plan of least energy."""
     of_energy, of_charge = aims[AimColumn.CHARGE]
     return float(of_energy / of_charge - 1.0)
 
 
 def disagreement(aims: "pd.DataFrame") -> tuple[str, ...]:
-    """Return one line if least energy and least charge are quite different flights, or nothing."""
+    """Return a warning if least energy and least charge differ much, or an empty text."""
     if aims.empty or charge_beyond_least(aims) <= DISAGREEMENT:
         return ()
     energy, least = aims[AimColumn.ENERGY]

@@ -1,4 +1,4 @@
-"""The mission as an autopilot flies it, at given settings and at settings tuned for least energy.
+"""Autopilot on straight legs: its flight at given settings, and settings tuned for least energy.
 
 An autopilot flies straight legs at one speed, with one limit on acceleration and one on jerk
 (`routes`).  A saving over it says little unless these three settings are good ones.  So Nelder and
@@ -72,7 +72,7 @@ _CONFIRMED = 4
 
 @dataclass(frozen=True, kw_only=True)
 class TriedCruise:
-    """Settings that the search flew, and their flight to the limited accuracy of the search."""
+    """Settings that the tuning tried, with their flight at reduced accuracy."""
 
     settings: CruiseSettings
     duration_s: float
@@ -87,7 +87,7 @@ class TriedCruise:
 
 @dataclass(frozen=True, kw_only=True)
 class Tuning:
-    """The tuned flight, its settings as far as it uses them, and all settings tried, in order."""
+    """Result of the tuning: best flight, settings that it reaches, and all settings tried."""
 
     flight: Flight
     settings: CruiseSettings
@@ -97,7 +97,7 @@ class Tuning:
 def fly_cruise(
     scenario: Scenario, settings: CruiseSettings, plan: Plan | None, planner: Planner
 ) -> Flight:
-    """Fly the mission as an autopilot does, in the time that its settings take.
+    """Simulate the mission as an autopilot flies it with given settings.
 
     The flight waits at the goal until it has arrived, at most the last of `SETTLINGS_S`, and to the
     end of a mission of fixed duration.
@@ -112,7 +112,7 @@ def fly_cruise(
 def _longest(
     scenario: Scenario, settings: CruiseSettings, planner: Planner
 ) -> tuple[Scenario, Dynamics]:
-    """Return a cruise with the longest wait at the goal, and its vehicle."""
+    """Return the cruise with the longest wait at the goal, and its vehicle."""
     told = cruise_at(
         scenario.cruising(settings), settling_s=SETTLINGS_S[-1], least_s=_least(scenario)
     )
@@ -124,7 +124,7 @@ def _least(scenario: Scenario) -> float:
 
 
 def _end(scenario: Scenario, settings: CruiseSettings, flown: Flown, dynamics: Dynamics) -> float:
-    """Return the time at which a flight has arrived and the mission's time is over, s.
+    """Return the time of arrival, or the end of the mission's time if later [s].
 
     Without an arrival that is the end of the flight.
     """
@@ -145,7 +145,7 @@ def _end(scenario: Scenario, settings: CruiseSettings, flown: Flown, dynamics: D
 
 
 def tune_cruise(scenario: Scenario, plan: Plan | None, planner: Planner) -> Tuning:
-    """Tune speed, acceleration and jerk of an autopilot for least energy, and fly them.
+    """Tune speed, acceleration and jerk of an autopilot for least energy, and fly the result.
 
     Raises
     ------
@@ -169,7 +169,7 @@ def tune_cruise(scenario: Scenario, plan: Plan | None, planner: Planner) -> Tuni
 
 
 def _search(scenario: Scenario, plan: Plan | None, planner: Planner) -> tuple[TriedCruise, ...]:
-    """Return the settings that Nelder and Mead's method tries."""
+    """Return the settings tried by Nelder and Mead's method."""
     fly = partial(_tried, scenario, plan=plan, planner=planner)
     tried: list[TriedCruise] = []
     bounds = np.log(_RANGES)
@@ -247,7 +247,7 @@ def _tried(
 
 
 class TuningColumn(TableColumn):
-    """Columns of the table of the settings that were tried, in order."""
+    """Columns of the table of tried settings, in order."""
 
     SPEED = "speed_m_per_s", lambda one: one.settings.speed
     ACCELERATION = "acceleration_m_per_s2", lambda one: one.settings.acceleration
@@ -259,7 +259,7 @@ class TuningColumn(TableColumn):
 
 
 def tuning_table(tuning: Tuning | None) -> "pd.DataFrame":
-    """Return the settings that were tried, one row each, in order; empty without a tuning.
+    """Return the tried settings as a table in order, empty without a tuning.
 
     Their energies are those of the search; `Tuning.flight` has the energy to full accuracy.
     """

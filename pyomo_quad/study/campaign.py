@@ -1,4 +1,4 @@
-"""Missions flown one after the other until the pack is at its limit: how often per charge.
+"""Campaign: repeated missions on one battery charge until it is at its limit.
 
 Each flight is planned with the state of charge, the slow voltage drop and the temperature at which
 the flight before it ended, from the plan that its mission had last.  A charge ends before the first
@@ -52,7 +52,7 @@ class CampaignColumn(TableColumn):
 
 @dataclass(frozen=True, kw_only=True)
 class CampaignFlight:
-    """One flight: number of the charge and of the flight on it, from 1, and its plan."""
+    """Flight of a campaign: number of charge, number on the charge, and plan."""
 
     charge: int
     number: int
@@ -65,7 +65,7 @@ class CampaignFlight:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Campaign(Summarised):
-    """Flights of one or more charges.
+    """Flights of a campaign on one or more battery charges.
 
     Attributes
     ----------

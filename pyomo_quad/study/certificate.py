@@ -36,7 +36,7 @@ _QUADRATURE_ERROR = 1e-10
 
 
 class ThrustMoments:
-    """Integrals of the thrust over a flight, which the boundary conditions determine.
+    """Integrals of the thrust over a flight, fixed by its boundary conditions.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ class ThrustMoments:
         self.mean_thrust = total / duration
 
     def price(self, multipliers: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return length, shape (n,), and direction, shape (n, 3), of the price of thrust."""
+        """Return length, shape (n,), and direction, shape (n, 3), of the thrust's price vector."""
         vector = np.einsum("ki,kti->ti", multipliers, self.weights)
         size = np.linalg.norm(vector, axis=1)
         return size, vector / np.maximum(size, np.finfo(float).tiny)[:, None]
@@ -137,7 +137,7 @@ def _weights(times: FloatArray, rate: FloatArray, duration: float) -> tuple[Floa
 def _standing_moments(
     demand: MomentumDemand, rate: FloatArray, duration: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the integrals over the flight of the standing force, plain and with the lever."""
+    """Return the integrals of the force at rest over the flight, plain and weighted by time."""
     previous = np.full((2, 3), np.nan)
     for panels in _PANEL_COUNTS:
         times, widths = _gauss(duration, panels)
@@ -252,7 +252,7 @@ def _bound(scenario: Scenario, planner: Planner) -> _Found:
 
 
 def _uncounted(scenario: Scenario, demand: MomentumDemand) -> str:
-    """Return the reason why waypoints and a free duration cannot be bounded; empty if they can."""
+    """Return why waypoints and a free duration cannot enter the bound, empty if they can."""
     times = np.linspace(0.0, scenario.nominal_duration, _STANDING_SAMPLES)
     standing = np.array([demand.thrust(float(t)) for t in times])
     if np.ptp(standing, axis=0).max() > _ROUNDING * np.abs(standing).max():
@@ -267,7 +267,7 @@ def _uncounted(scenario: Scenario, demand: MomentumDemand) -> str:
 def _bound_as_a_whole(
     scenario: Scenario, demand: MomentumDemand, power: _SteadyPower, uncounted: str
 ) -> _Found:
-    """Bound the flights of a fixed duration from start to goal, without regard to waypoints."""
+    """Bound all flights of fixed duration from start to goal, ignoring waypoints."""
     mission = scenario.mission
     if mission.released > 0.0:
         return None, f"no bound is known for a mass that changes in flight {uncounted}."
@@ -293,7 +293,7 @@ def _bound_as_a_whole(
 def _bound_by_legs(
     scenario: Scenario, planner: Planner, demand: MomentumDemand, power: _SteadyPower
 ) -> _Found:
-    """Bound the flights through the waypoints, for all passing times and durations allowed."""
+    """Bound all flights through the waypoints, over all passing times and durations."""
     mission = scenario.mission
     standing = demand.thrust(0.0)
     thrust = float(np.linalg.norm(standing))
@@ -321,7 +321,7 @@ def _bound_by_legs(
 
 
 def _energy_returned(scenario: Scenario, planner: Planner) -> float:
-    """Return the energy that the rotors give back on slowing to hover at the goal [J].
+    """Return the energy that slowing rotors give back at the goal, after releases [J].
 
     They hover slower there after the release of parcels.
     """
@@ -336,7 +336,7 @@ def _energy_returned(scenario: Scenario, planner: Planner) -> float:
 
 
 def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand) -> _Found:
-    """Bound the flights whose power or drag depends on the airspeed, by `pairs.bound_of_pairs`."""
+    """Bound flights whose power or drag depends on airspeed, by `pairs.bound_of_pairs`."""
     mission, dynamics = scenario.mission, planner.dynamics(scenario)
     if scenario.power.model is PowerModel.MOTOR_WITH_FRICTION:
         return (
@@ -380,7 +380,7 @@ def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand
 
 
 def _airspace_clause(scenario: Scenario) -> str:
-    """Return the words that extend a bound to flights within an airspace, if there is one."""
+    """Return a clause that extends a bound to flights inside an airspace, or an empty text."""
     airspace = scenario.airspace
     if not airspace.keep_out and airspace.floor is None and airspace.ceiling is None:
         return ""
@@ -409,7 +409,7 @@ def _obstacles(scenario: Scenario) -> Iterator[str]:
 
 
 def _best_bound(moments: ThrustMoments, power: _SteadyPower, ceiling: float) -> float:
-    """Return the largest bound found, never less than the bound by Jensen's inequality.
+    """Return the largest bound that the search finds, at least the bound of Jensen's inequality.
 
     The search stops above ``ceiling`` [J], the energy of full power throughout.
     """
@@ -441,7 +441,7 @@ def _best_bound(moments: ThrustMoments, power: _SteadyPower, ceiling: float) -> 
 
 
 class _SteadyPower:
-    """Thrust and power with all rotors at the same constant speed, over the allowed speeds.
+    """Thrust and power at equal, constant rotor speeds over their allowed range.
 
     Power is taken without credit for braking, which makes it larger.
 
@@ -475,7 +475,7 @@ class _SteadyPower:
         return float(np.interp(thrust, self.thrust[1:], self._slope))
 
     def conjugate(self, price: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the maximum of price * thrust - power over the thrusts allowed.
+        """Return the maximum of price * thrust - power over the allowed thrusts.
 
         Parameters
         ----------
@@ -502,7 +502,7 @@ class _SteadyPower:
 def _fit(
     readings: FloatArray, speeds: FloatArray, samples: FloatArray
 ) -> tuple[Chebyshev, FloatArray, bool]:
-    """Return a polynomial of the rotor speed, its samples, and whether it fits the readings."""
+    """Fit a polynomial of the rotor speed to readings; return it with samples and success."""
     domain = [speeds[0], speeds[-1]]
     polynomial = Chebyshev.fit(speeds, readings, _DEGREE, domain=domain)
     error = float(np.max(np.abs(polynomial(speeds) - readings)))
@@ -510,7 +510,7 @@ def _fit(
 
 
 def _below(thrust: FloatArray, power: FloatArray) -> FloatArray:
-    """Return lowered samples of the power, whose polygon lies nowhere above it."""
+    """Return power samples lowered so that their polygon is a lower bound of the power."""
     chords = np.diff(power) / np.diff(thrust)
     # The power rises with thrust, so the first step extends a level line.
     extended = power[:-1] + np.concatenate([[0.0], chords[:-1]]) * np.diff(thrust)

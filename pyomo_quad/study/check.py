@@ -1,4 +1,4 @@
-"""Checks of a mission and of its plan: impossible demands, and cautions about the results."""
+"""Checks of a mission before the solve, and cautions about a plan after it."""
 
 from collections.abc import Iterator
 from math import atan2, hypot, inf, pi, radians, sin
@@ -35,7 +35,7 @@ def _caution(subject: str, message: str) -> Finding:
 
 
 def pack_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
-    """Yield demands that exceed the battery's capacity, and limits that every flight must exceed.
+    """Yield demands beyond the battery's capacity, and limits that no flight can keep.
 
     Yields
     ------
@@ -66,7 +66,7 @@ def pack_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
 
 
 def _limits_broken(scenario: Scenario, steady: SteadyFlight, bound: float) -> Iterator[Finding]:
-    """Yield limits of the pack that are exceeded at the mean power of the lower bound [J]."""
+    """Yield the battery limits that the mean power of the lower bound exceeds."""
     limits, duration = scenario.limits, scenario.mission.fixed_duration
     current, voltage, charge_rate = steady.pack_under(bound / duration)
     taken, initial = charge_rate * duration, scenario.battery.initial_state_of_charge
@@ -149,7 +149,7 @@ def _efficiency_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[F
 
 
 def _fastest_chattering(steady: SteadyFlight, limit: float) -> float | None:
-    """Return the highest rotor speed at which alternating speeds need less power than steady speed.
+    """Return the highest rotor speed at which alternating speeds take less power.
 
     None if there is no such speed in the range searched.
     """
@@ -213,7 +213,7 @@ def reach_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
 
 
 def _available_thrust(scenario: Scenario, steady: SteadyFlight) -> tuple[str, float]:
-    """Return the limit that allows the least thrust, as "field = value", and that thrust [N]."""
+    """Return the limit that allows the least thrust ("field = value") and that thrust [N]."""
     limits = scenario.limits
     # Rotors start and end at hover speed, so they can be fastest half way through the flight.
     gain = limits.rotor_acceleration_max * scenario.mission.fixed_duration / 2
@@ -276,7 +276,7 @@ def _too_short(
 
 
 def _least_duration(scenario: Scenario, demand: MomentumDemand, available: float) -> float:
-    """Return the longest duration found for which the available thrust [N] is insufficient [s].
+    """Return the longest duration for which the thrust is known to be insufficient [s].
 
     Infinite if no duration suffices, or the wind after the mission is unknown.
     """
@@ -353,7 +353,7 @@ _ROUNDING = 1e-9
 def check_mission(
     scenario: Scenario, *, builder: Builder = build_model, planner: Planner | None = None
 ) -> tuple[Finding, ...]:
-    """List impossible demands of a mission, and doubtful values in its scenario.
+    """List impossible demands and doubtful values of a mission.
 
     Parameters
     ----------
@@ -414,7 +414,7 @@ def _beyond_measured_heights(scenario: Scenario) -> Iterator[Finding]:
 
 
 def _idle_limits(scenario: Scenario) -> Iterator[Finding]:
-    """Yield limits above the values that the rotors can reach."""
+    """Yield limits that have no effect because the rotors cannot reach them."""
     limits = scenario.limits
     for name, greatest in derived_limits(scenario.vehicle, limits.rotor_speed_max).items():
         limit, unit = getattr(limits, name), unit_of(type(limits), name).replace("*", " ")
@@ -427,7 +427,7 @@ def _idle_limits(scenario: Scenario) -> Iterator[Finding]:
 
 
 def _tilt_left_to_plans(scenario: Scenario) -> Iterator[Finding]:
-    """Yield a caution if plans may tilt further than the controller that is to follow them."""
+    """Yield a caution if plans may tilt further than the controller can follow."""
     given, without = scenario.baseline.gains.tilt_max, {"baseline.gains.tilt_max": None}
     allowed = followed_tilt(scenario.with_values(without)) if given is not None else 0.0
     if given is not None and given < allowed * (1 - _ROUNDING):
@@ -440,7 +440,7 @@ def _tilt_left_to_plans(scenario: Scenario) -> Iterator[Finding]:
 
 
 def _untracked_tilt(plan: "Plan") -> Iterator[str]:
-    """Yield a caution if a plan tilts further than the controller that is to follow it."""
+    """Yield a caution if a plan tilts further than the controller can follow."""
     held = plan.trajectories
     if plan.verification is None or not set(_ANGLES) <= set(held.state_names):
         return
@@ -464,7 +464,7 @@ _EFFICIENCY = "power.efficiency_polynomial"
 
 
 def plan_cautions(plan: "Plan", *, planner: "Planner | None" = None) -> tuple[str, ...]:
-    """Return cautions about a plan: its mission, its solve, and the validity of its models."""
+    """Return cautions about a plan: mission, solve and validity of the models."""
     has_flown = plan.verification is not None
     findings = check_mission(plan.mission_flown if has_flown else plan.scenario, planner=planner)
     return (
@@ -477,7 +477,7 @@ def plan_cautions(plan: "Plan", *, planner: "Planner | None" = None) -> tuple[st
 
 
 def _attitude_cautions(plan: "Plan", planner: "Planner | None") -> Iterator[str]:
-    """Yield the miss at the goal of a plan with the paper's attitude, flown with exact attitude.
+    """Yield a caution if a plan with the paper's attitude misses the goal with exact attitude.
 
     The paper sets the Euler rates equal to the body rates.
     """
@@ -507,7 +507,7 @@ def _attitude_cautions(plan: "Plan", planner: "Planner | None") -> Iterator[str]
 
 
 def _efficiency_map_cautions(plan: "Plan") -> Iterator[str]:
-    """Yield the share of a plan that lies outside the valid range of the efficiency map f_r."""
+    """Yield a caution on the share of a plan outside the valid range of f_r."""
     floors = plan.scenario.power
     if floors.model is not PowerModel.EFFICIENCY or not plan.dynamics.has(_EFFICIENCY):
         return

@@ -1,4 +1,4 @@
-"""Comparison of the flights of a mission, one row each, and the effect of adaptation."""
+"""Comparison of the flights of a mission in one table, and the effect of adaptation."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from math import isclose, isfinite, nan
@@ -44,7 +44,7 @@ _ESTIMATES = tuple(f"disturbance_{axis}_m_per_s2" for axis in "xyz")
 
 
 def adaptation_study(scenario: Scenario, *, dynamics: Dynamics) -> "pd.DataFrame":
-    """Fly a mission's smooth reference under the controller, with adaptation and without."""
+    """Simulate a mission under the adaptive controller, with adaptation and without."""
     import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
     told = (scenario.with_values({"baseline.adaptation": adapts}) for adapts in (True, False))
@@ -195,7 +195,7 @@ def against_hovering(excess_J: float, digits: int = 2) -> str:
 
 
 def has_own_time(scenario: Scenario, duration_s: float) -> bool:
-    """Return whether the duration of a flight differs from the mission's."""
+    """Return whether a flight lasts longer or shorter than the mission."""
     return not isclose(duration_s, scenario.mission.fixed_duration, rel_tol=SAME_TIME)
 
 
@@ -270,7 +270,7 @@ def _legs(mission: Scenario, duration_s: float) -> Iterator[tuple[str, float, fl
 
 
 def way_flown(flown: "Mapping[str, FloatArray] | pd.DataFrame") -> FloatArray:
-    """Return the path length flown until each row of a flight's table [m].
+    """Return the path length at each row of a flight's table [m].
 
     Axes that a user's model does not declare are left out.
     """
@@ -297,7 +297,7 @@ class ReplanningColumn(TableColumn):
 
 
 def replanning_table(flights: Sequence[Flight], settings: Replanning) -> "pd.DataFrame":
-    """Return the outcome of each re-planned flight, and its solve times on this machine.
+    """Return results and solve times of all re-planned flights as a table.
 
     A solve is late if it took longer on this machine than ``solve_time``, whatever delay the flight
     simulated; it may also have taken longer than the interval to the next solve.
@@ -332,7 +332,7 @@ def replanning_table(flights: Sequence[Flight], settings: Replanning) -> "pd.Dat
 
 
 def is_comparable(flight: Flight) -> bool:
-    """Return whether a flight arrived within all limits and its end state can be priced."""
+    """Return whether a flight arrived within all limits and its energy to complete is known."""
     is_priced = isfinite(flight.owed_energy_J)
     return has_arrived(flight) and not flight.broken_limits and is_priced
 

@@ -1,4 +1,4 @@
-"""Flights of a mission in many random winds: rate of success, and spread of energy and charge.
+"""Many flights of a mission in random winds: rate of success, spread of energy and charge.
 
 A seed determines the winds, so that flights along another reference, such as an autopilot's cruise,
 meet the same winds.
@@ -77,7 +77,7 @@ class Share:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Ensemble(Summarised):
-    """Flights of a mission along one reference, each in a wind of its own.
+    """Flights of a mission along one reference, each with its own random wind.
 
     Attributes
     ----------
@@ -106,18 +106,18 @@ class Ensemble(Summarised):
 
     @property
     def held(self) -> Share:
-        """Flights that arrived and kept every limit."""
+        """Share of flights that arrived and kept every limit."""
         return Share(sum(ending.has_held for ending in self.flown.endings), self.count)
 
     @property
     def broken(self) -> dict[str, Share]:
-        """Limit in words -> share of flights that broke it, the largest first."""
+        """Share of flights that broke each limit, by limit in words, the largest first."""
         counts = Counter(name for ending in self.flown.endings for name in ending.broken)
         return {name: Share(count, self.count) for name, count in counts.most_common()}
 
     @property
     def worst(self) -> dict[str, float]:
-        """Limit in words -> largest breach, relative to the larger of 1 and the limit."""
+        """Largest relative violation of each broken limit, by limit in words."""
         return {
             name: max(ending.broken.get(name, 0.0) for ending in self.flown.endings)
             for name in self.broken
@@ -128,7 +128,7 @@ class Ensemble(Summarised):
         return np.array([getattr(ending, quantity) for ending in self.flown.endings])
 
     def band(self, quantity: str) -> tuple[float, float, float]:
-        """Return the `BAND` of an attribute of the flights."""
+        """Return the `BAND` quantiles of an attribute over the flights."""
         low, middle, high = np.quantile(self.of_flights(quantity), BAND).tolist()
         return low, middle, high
 
@@ -161,7 +161,7 @@ class Ensemble(Summarised):
         )
 
     def bands(self) -> "pd.DataFrame":
-        """Return the `BAND` of every track over time."""
+        """Return the `BAND` quantiles of every track over time."""
         import pandas as pd  # noqa: PLC0415  as above
 
         columns = {"time_s": self.flown.t}
@@ -175,7 +175,7 @@ class Ensemble(Summarised):
 def fly_plan_often(
     scenario: Scenario, held: Trajectories, *, planner: Planner, flights: int, seed: int
 ) -> Ensemble:
-    """Fly a plan many times under the adaptive controller, each flight in a wind of its own.
+    """Simulate a plan many times under the adaptive controller, each time in a random wind.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ def fly_plan_often(
 def fly_cruise_often(
     scenario: Scenario, speed: float, *, planner: Planner, flights: int, seed: int
 ) -> Ensemble:
-    """Fly a mission as an autopilot does at a cruise speed, in the winds that the plan meets.
+    """Simulate an autopilot's cruise many times, in the same random winds as the plan.
 
     It waits at the goal until half of the flights have arrived, at most the last of `SETTLINGS_S`.
     """
@@ -241,7 +241,7 @@ def _flown(
 
 @dataclass(frozen=True, kw_only=True)
 class Saving:
-    """Saving of the plan compared with another flight of the mission in the same winds.
+    """Saving of the plan against another flight of the mission in the same winds.
 
     Attributes
     ----------
@@ -258,7 +258,7 @@ class Saving:
 
     @classmethod
     def of(cls, planned: Ensemble, rival: Ensemble) -> "Saving":
-        """Compare flights of one seed, wind by wind."""
+        """Compare the flights of plan and rival wind by wind."""
         mine, other = (flown.of_flights("energy_J") for flown in (planned, rival))
         low, middle, high = np.quantile(100.0 * (other - mine) / other, BAND).tolist()
         pairs = zip(planned.flown.endings, rival.flown.endings, strict=True)
@@ -268,7 +268,7 @@ class Saving:
 
 @dataclass(frozen=True, kw_only=True)
 class InTurbulence:
-    """The flights of a run in turbulence: under its plan, and as an autopilot in the same winds."""
+    """Flights of a run in turbulence: along its plan, and of an autopilot in the same winds."""
 
     flown: Ensemble
     savings: tuple[Saving, ...]
@@ -299,7 +299,7 @@ _SEED = 1
 
 
 def fly_in_turbulence(plan: Plan, cruise: float | None, *, planner: Planner) -> InTurbulence | None:
-    """Fly a plan in many winds, and an autopilot's cruise in the same; None without turbulence.
+    """Simulate plan and autopilot in many winds; None if the scenario has no turbulence.
 
     Parameters
     ----------

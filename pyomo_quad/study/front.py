@@ -34,7 +34,7 @@ class FrontColumn(TableColumn):
 def energy_time_front(
     plan: Plan, *, planner: Planner, progress: Progress | None = None
 ) -> "pd.DataFrame":
-    """Return energy and duration of a mission's flights at a few prices of time.
+    """Return energy and duration of a free-duration mission at several prices of time.
 
     Each solve starts from the plan, and therefore passes zones on the same sides as the plan. It
     keeps the plan's mesh, which is accurate enough for energies; limits between its points are not
@@ -73,7 +73,7 @@ def energy_time_front(
 def planned_alike(
     plan: Plan, planner: Planner, progress: Progress | None, **changed: object
 ) -> Plan:
-    """Return the plan of a mission with some fields changed, from a plan and on its mesh alone."""
+    """Solve a mission with some changed fields, warm-started from a plan and on its mesh."""
     once = {"solver": plan.scenario.solver.model_copy(update={"max_refinements": 0})}
     told = plan.scenario.with_mission(**changed).model_copy(update=once)
     return planner.solve(told, warm_start=plan, progress=progress)

@@ -112,12 +112,15 @@ class Headline:
 
     @property
     def _price(self) -> str:
-        if self.risk is None:
+        risk = self.risk
+        if risk is None:
             return ""
-        joules, percent = self.risk.price(self.energy_J)
-        return (
-            f"The margins for a risk of {self.risk.asked:g} cost {joules:.3g} J ({percent:.2g} %)."
-        )
+        joules, percent = risk.price(self.energy_J)
+        cost = f"{joules:.3g} J ({percent:.2g} %)"
+        asked = f"{100.0 * risk.asked:g} %"
+        if not risk.is_had:
+            return f"A risk of {asked} was not reached; the margins cost {cost}."
+        return f"Margins that keep the risk of a broken limit at or below {asked} cost {cost}."
 
 
 def cruise_words(settings: "CruiseSettings") -> str:
@@ -128,7 +131,7 @@ def cruise_words(settings: "CruiseSettings") -> str:
 
 
 def headline_of(result: "RunResult") -> Headline | None:
-    """Return the headline of a run; None without a plan, or with a plan for another wind."""
+    """Return the headline of a run, None without a plan or with a plan for a forecast."""
     told_otherwise = result.scenario.wind.forecast is not None
     if result.comparison.empty or told_otherwise or not result.plan.is_flyable:
         return None
@@ -178,7 +181,7 @@ _CRUISE_WORDS = "an autopilot on straight legs at this speed"
 
 
 def legend_of(rows: Iterable[Row]) -> list[tuple[list[str], str]]:
-    """Return names of flights and their meaning, in order; equal meanings share an entry."""
+    """Return the meanings of flights, each with all names that share it, in order."""
     found: dict[str, list[str]] = {}
     for row in rows:
         name = row[ComparisonColumn.FLIGHT]

@@ -1,4 +1,4 @@
-"""Lower bound on a flight in legs, by prices of momentum at its passages and a price of time.
+"""Lower bound on a flight in legs, by prices of momentum at the passages and a price of time.
 
 Derivation: see docs/theory/bound.md, eqs. (12) and (13).
 
@@ -80,7 +80,7 @@ class Leg:
 
 
 def legs_of(scenario: Scenario) -> tuple[list[Leg], list[tuple[float, float]]]:
-    """Return the legs and holds of a mission in the order given, and the times they share.
+    """Return the legs and holds of a mission, and the groups of them that share a duration.
 
     Returns
     -------
@@ -119,7 +119,7 @@ def legs_of(scenario: Scenario) -> tuple[list[Leg], list[tuple[float, float]]]:
 
 
 class Itinerary:
-    """Legs in their order, grouped into parties that share a time.
+    """Legs of a flight in order, grouped by shared durations, with their lower bound.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ class Itinerary:
         self._size = int(self._last[-1]) + 1
 
     def _terms(self, prices: FloatArray) -> tuple[FloatArray, FloatArray, float, FloatArray]:
-        """Return A_k, G_k, the (negative) price of all jumps, and their slopes by the prices.
+        """Return the terms A_k, G_k and jump price of the bound, with gradients by the prices.
 
         The slopes have shape (2 n_legs + 1, n_prices, 3).
         """
@@ -215,7 +215,7 @@ class Itinerary:
         return -self._negative(found)[0]
 
     def _negative(self, flat: FloatArray) -> tuple[float, FloatArray]:
-        """Return minus the bound of given prices, and minus its slope."""
+        """Return the negative bound and its gradient, for a minimiser."""
         gained, spent, jumped, slopes = self._terms(flat.reshape(-1, 3))
         bound, times = jumped, np.zeros(len(gained))
         for of, limits in zip(self._by_party(), self._shared, strict=True):
@@ -233,7 +233,7 @@ class Itinerary:
 
 
 def _length(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return lengths of vectors, smoothed upwards near zero, and their slopes."""
+    """Return smoothed lengths of vectors and their gradients."""
     length = np.sqrt(np.sum(vectors**2, axis=1) + _CORNER**2)
     return length, vectors / length[:, None]
 
@@ -241,7 +241,7 @@ def _length(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _least_over_times(
     gained: FloatArray, spent: FloatArray, least: float, greatest: float
 ) -> tuple[float, FloatArray]:
-    """Return the minimum of sum of A_k / T_k + G_k T_k over T_k > 0, and the T_k.
+    """Return the minimum of sum of A_k / T_k + G_k T_k over positive T_k, with the T_k.
 
     The sum of the T_k lies between ``least`` and ``greatest``.  The minimum is minus infinity if
     an A_k is negative.

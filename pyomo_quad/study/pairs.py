@@ -1,4 +1,4 @@
-"""Lower bound on flights through air: the least power over pairs of thrust and airspeed.
+"""Lower bound on flights with airspeed-dependent power: least power over thrust and airspeed.
 
 Derivation: see docs/theory/bound.md, eqs. (14) to (19).
 
@@ -93,7 +93,7 @@ class MotionPrices:
 
 
 class Pairs:
-    """Pairs of thrust and airspeed of a vehicle, with the power that its compiled equations give.
+    """Pairs of thrust and airspeed, with the power by the vehicle's compiled equations.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ class Pairs:
         return self._dynamics.expressions(tuple(keys), self._dynamics.start, self._values(*at))
 
     def _of_rotors(self, first: Symbol, along: Symbol, across: Symbol) -> tuple[Any, ...]:
-        """Return rotor speed, thrust, power at equal rotor speeds, its excess, and a margin.
+        """Return rotor speed, thrust, power at equal speeds, its excess, and an error margin.
 
         The excess is over the least power of rotors with unequal speeds; it is zero where the
         margin is positive.
@@ -174,7 +174,7 @@ class Pairs:
         return moving[0] - still[0], moving[1] - still[1]
 
     def _at(self, points: FloatArray, numbers: Sequence[float] = (0.0,) * 4) -> FloatArray:
-        """Return H, thrust, speed, margin, both forces and power at points of shape (3, n).
+        """Return H (power less priced motion), thrust, speed, margin, forces and power at points.
 
         H lacks the terms of `_constant`.
         """
@@ -183,7 +183,7 @@ class Pairs:
         return found
 
     def _fastest(self, scenario: Scenario) -> float:
-        """Return an airspeed that no flight from rest exceeds [m/s], infinite if there is none."""
+        """Return an airspeed that no flight from rest can exceed [m/s], or infinity."""
         wind = float(np.linalg.norm(self.wind))
         allowed = inf if scenario.limits.speed_max is None else scenario.limits.speed_max + wind
         most = self._most_thrust + float(np.linalg.norm(self.standing))
@@ -195,7 +195,7 @@ class Pairs:
         return min(allowed, max(terminal, wind))
 
     def _most_of_first(self) -> float:
-        """Return the upper limit of the first number: rotor speed or induced velocity."""
+        """Return the upper limit of the first coordinate: rotor speed or induced velocity."""
 
         def excess(first: float) -> float:
             return float(self._at(np.array([[first], [0.0], [0.0]]))[1, 0]) - self._most_thrust
@@ -216,7 +216,7 @@ class Pairs:
         return float(prices.momentum @ self.standing * mass - prices.way @ self.wind)
 
     def cheapest(self, prices: MotionPrices, mass: float) -> tuple[float, list[FloatArray]]:
-        """Return the least H by sampling, and the pairs at its local minima.
+        """Sample H; return its least value and the pairs at local minima.
 
         Each pair is an array of shape (8,): power, then the slopes of H by the prices.
         """
@@ -250,7 +250,7 @@ class Pairs:
         return np.where(found[1] <= self._most_thrust, found[0], inf)
 
     def _pair(self, at: FloatArray, prices: MotionPrices, mass: float) -> FloatArray:
-        """Return power and slopes of H of a pair in the orientation of least H."""
+        """Return power and gradient of H of a pair in its cheapest orientation."""
         momentum, way = prices.momentum, prices.way - prices.motion * mass * self.standing
         _, along, across = at
         _, thrust, _, _, forward, upward, power, _ = self._at(at[:, None])[:, 0]
@@ -261,7 +261,7 @@ class Pairs:
         return np.array([power, *-pushed, *-(moved + self.wind), -float(moved @ pushed)])
 
     def turned(self, pair: FloatArray) -> list[FloatArray]:
-        """Return copies of a pair of `cheapest`, rotated about the vertical; power is unchanged.
+        """Return copies of a pair rotated about the vertical, which have the same power.
 
         If the standing thrust is not vertical, only the pair itself is returned.
         """
@@ -276,7 +276,7 @@ class Pairs:
         return found
 
     def least(self, prices: MotionPrices, mass: float, tolerance: float) -> float:
-        """Return a proven lower bound on H, to a tolerance [W] if the boxes suffice."""
+        """Return a proven lower bound on H by branch and bound, to a tolerance [W]."""
         numbers = self._numbers(prices, mass)
         best = self.cheapest(prices, mass)[0] - self._constant(prices, mass)
         cuts = [np.linspace(edge[0], edge[1], _FIRST_BOXES + 1) for edge in self._edges()]
@@ -392,7 +392,7 @@ def bound_of_pairs(
 
 
 class _Program:
-    """Linear program for the prices of the largest bound over the pairs found so far."""
+    """Linear program for the prices that maximise the bound over the pairs found so far."""
 
     def __init__(
         self,
@@ -442,7 +442,7 @@ class _Program:
         self._limits.append(limit)
 
     def add(self, k: int, pair: FloatArray) -> None:
-        """Add a row: H of leg ``k`` is at most its value at a pair, linear in the prices."""
+        """Add the constraint that H of leg ``k`` is at most its value at a pair."""
         mass, line = self._legs[k].mass, np.zeros(self.size)
         line[:3], line[self._of(self._way, k)] = -pair[1:4] / mass, -pair[4:7]
         line[3], line[self._least + k] = -pair[7] / mass, 1.0
@@ -450,7 +450,7 @@ class _Program:
         self._limits.append(float(pair[0]))
 
     def solve(self) -> tuple[FloatArray, float]:
-        """Return the optimal prices within bounds, and the bound they give by the pairs known."""
+        """Return the optimal prices and their bound for the known pairs."""
         limits = np.full((self.size, 2), [-inf, inf])
         limits[: self._least] = np.stack([-self._dearest, self._dearest], axis=1)
         limits[3, 0] = 0.0
@@ -460,7 +460,7 @@ class _Program:
         return found.x, -float(found.fun)
 
     def prices(self, solution: FloatArray) -> list[MotionPrices]:
-        """Return the prices on each leg, from the unknowns of the program."""
+        """Return the prices on each leg from the unknowns of the program."""
         return [
             MotionPrices(
                 momentum=solution[:3] / leg.mass,
@@ -471,7 +471,7 @@ class _Program:
         ]
 
     def bound(self, prices: Sequence[MotionPrices], least: FloatArray) -> float:
-        """Return the lower bound [J] given by prices and the least H of each leg [W]."""
+        """Return the lower bound [J] for prices and the least H of each leg [W]."""
         found = sum(
             float(p.way @ leg.way) - leg.room * float(np.linalg.norm(p.way))
             for p, leg in zip(prices, self._legs, strict=True)

@@ -1,4 +1,4 @@
-"""Further processes on this machine: spawned workers, and copies of this process for a job."""
+"""Parallel processes on this machine: spawned workers, and forked copies of this process."""
 
 import multiprocessing
 import os
@@ -35,7 +35,7 @@ _SIGNALS = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
 def side_by_side(
     tasks: Sequence[Callable[[], Any]], *, use_blas: bool = True
 ) -> Iterator[Callable[[], tuple[Any, ...]]]:
-    """Run tasks in copies of this process, one per further core, and then in this process too.
+    """Run tasks in forked copies of this process, one per core, and in this process.
 
     A copy already has all libraries and data, and ends with this process. A task that fails in a
     copy, or whose result the copy cannot send back, is repeated here, where its error is raised. If
@@ -86,7 +86,7 @@ def side_by_side(
 
 
 def _cores(most: int, *, use_blas: bool) -> int:
-    """Return the number of processes for a job: 1 where copies are unsafe or forbidden.
+    """Return the number of processes to use: 1 where forking is unsafe or forbidden.
 
     A copy lacks the threads that BLAS or OpenMP wait for; a worker already shares the cores.
     """
@@ -109,7 +109,7 @@ def process_pool(count: int) -> Iterator[Executor]:
 
 
 class _QuietPool(ProcessPoolExecutor):
-    """A pool whose processes ignore the signals of a terminal, which the parent handles."""
+    """Pool of processes that ignore terminal signals, which the parent handles."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:  # noqa: ANN401
         # A process inherits the signal mask with which it starts, so it neither ends during its
@@ -134,7 +134,7 @@ _work: Callable[[], Any] | None = None
 
 
 def _begin(work: Callable[[], Any] | None) -> None:
-    """Initialise a process of a pool, with its work if it is a copy."""
+    """Initialise a process of a pool."""
     global _work  # noqa: PLW0603  a copy inherits its work, which cannot be pickled
     _work = work
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
@@ -153,7 +153,7 @@ def pool_of(count: int) -> Executor:
 
 
 def end_processes(pool: Executor) -> None:
-    """Kill the processes of a pool, and of no other, and shut it down."""
+    """Kill the processes of a pool and shut it down."""
     # Python has a public method for this from 3.14 on.
     processes = list((getattr(pool, "_processes", None) or {}).values())
     for process in processes:
@@ -165,7 +165,7 @@ def end_processes(pool: Executor) -> None:
 
 @contextmanager
 def environment_of_workers() -> Iterator[None]:
-    """Set one thread for numerics and no warnings for processes that start in the block."""
+    """Context in which started processes use one thread and print no warnings."""
     before = {name: os.environ.get(name) for name in _ENVIRONMENT}
     os.environ.update(_ENVIRONMENT)
     os.environ[_WARNINGS] = ",".join(filter(None, (before[_WARNINGS], _ENVIRONMENT[_WARNINGS])))

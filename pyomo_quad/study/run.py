@@ -1,4 +1,4 @@
-"""Run of a scenario: the optimum, every baseline, their comparison and the certificate."""
+"""Run of a scenario: plan, baselines, comparison and lower bound."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class RunResult(Summarised):
-    """Results of a scenario: plan, flights, comparison and certificate.
+    """Results of a run: plan, flights, comparison and lower bound.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ class RunResult(Summarised):
 
     @property
     def summary(self) -> dict[str, str]:
-        """Scenario, status, the energy of each flight and the bound."""
+        """Scenario, status, energies of the flights and lower bound."""
         bound = self.certificate.lower_bound_J
         return {
             "scenario": self.scenario.name,
@@ -99,7 +99,7 @@ class RunResult(Summarised):
 
     @property
     def gap_percent(self) -> float | None:
-        """Largest possible saving over the optimum, in per cent of its energy.
+        """Largest possible saving compared with the plan, in per cent of its energy.
 
         None if no bound is known, or if the optimum was planned for a forecast of the wind.
         """
@@ -108,7 +108,7 @@ class RunResult(Summarised):
         return self.certificate.gap_percent(self.plan.energy)
 
     def to_frame(self) -> pd.DataFrame:
-        """Return the tables of all flights below each other, indexed by "flight" and "time_s".
+        """Return the tables of all flights as one table, indexed by "flight" and "time_s".
 
         Examples
         --------
@@ -122,7 +122,7 @@ class RunResult(Summarised):
         return pd.concat(tables, names=["flight", TIME]) if tables else pd.DataFrame()
 
     def to_xarray(self) -> "xr.Dataset":
-        """Return all flights as a dataset over "flight" and "sample", each variable with its unit.
+        """Return all flights as a dataset over "flight" and "sample", with units.
 
         The flights differ in duration, so "time_s" is a variable over both dimensions; a flight
         with fewer samples ends in NaN.  Energies, duration and miss of each flight are variables
@@ -230,7 +230,7 @@ def run_scenario(
     progress: Progress | None = None,
     meanwhile: Callable[[], object] = lambda: None,
 ) -> RunResult:
-    """Solve, verify, fly every baseline, compare and certify.
+    """Plan a scenario, simulate and compare all flights, and compute the lower bound.
 
     A solve or a flight that fails is part of the result, not an exception.  On Linux copies of the
     process fly on all cores if BLAS has one thread (`OMP_NUM_THREADS=1`, as the commands set it).
@@ -317,7 +317,7 @@ def _run(
 
 
 def _failures(flown: Sequence[object], flights: Sequence[Flight]) -> Iterator[str]:
-    """Yield a line for each flight that failed or that is not confirmed."""
+    """Yield a warning for each flight that failed or was not confirmed."""
     yield from (why for why in flown if isinstance(why, str))
     yield from (f"{f.name}: not confirmed: {f.doubt}." for f in flights if f.doubt)
 
@@ -325,7 +325,7 @@ def _failures(flown: Sequence[object], flights: Sequence[Flight]) -> Iterator[st
 def _often(
     plan: Plan, planner: Planner, tuning: Tuning | None, references: Sequence[Reference]
 ) -> tuple[InTurbulence | None, tuple[str, ...]]:
-    """Return the flights in turbulence, or the reason why there are none."""
+    """Return the flights in turbulence, or the reason why they failed."""
     speeds = plan.scenario.baseline.cruise_speeds or ()
     if tuning is not None:
         speeds = (tuning.settings.speed,)
@@ -339,7 +339,7 @@ def _often(
 def _priced(
     flights: tuple[Flight, ...], scenario: Scenario, planner: Planner, progress: Progress | None
 ) -> tuple[Flight, ...]:
-    """Return the flights with the energy still needed from their end states, in the actual wind.
+    """Return the flights with their energy to complete in the actual wind.
 
     A plan for a forecast prices end states in that forecast; the other flights need the end prices
     of a plan for the actual wind.

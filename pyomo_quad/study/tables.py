@@ -1,4 +1,4 @@
-"""Tables of a study: their columns, declared with what stands in them."""
+"""Tables of a study, with columns declared beside the functions that fill them."""
 
 from collections.abc import Callable, Iterable, Sequence
 from enum import StrEnum
@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 
 class TableColumn(StrEnum):
-    """Base of the columns of a table, in order; a member is a column's name.
+    """Base class of the columns of a table, an enumeration of their names in order.
 
     A table with one row for each of some objects also gives each column a function that reads its
     value from an object.
@@ -18,7 +18,7 @@ class TableColumn(StrEnum):
     read: Callable[[Any], object]
 
     def __new__(cls, name: str, read: Callable[[Any], object] = str) -> Self:
-        """Return a column; `read` takes the object of a row."""
+        """Make a column; ``read`` takes the value from the object of a row."""
         column = str.__new__(cls, name)
         column._value_ = name
         column.read = read

@@ -1,4 +1,4 @@
-"""Sweeps: many cases of one scenario, solved by many workers, with each result kept in a store."""
+"""Sweeps: many cases of one scenario, solved by parallel workers, with results in a store."""
 
 from pyomo_quad.sweep.cluster import cluster_workers
 from pyomo_quad.sweep.design import SweepDesign

@@ -29,14 +29,14 @@ LARGEST_OUTPUT = 1e15
 
 
 class StudyTask(StrEnum):
-    """Task of each case: solve a plan, or fly the plan of the base case."""
+    """Kind of case: solve a plan, or fly the plan of the base case."""
 
     OPTIMISE = "optimise"
     FLY_PLAN = "fly_plan"
 
 
 class CaseStatus(StrEnum):
-    """End of a case: with a result, without one, or with the death of its worker."""
+    """Outcome of a case: finished, failed, or lost with its worker."""
 
     FINISHED = "finished"
     FAILED = "failed"
@@ -45,7 +45,7 @@ class CaseStatus(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class CaseTask:
-    """Data by which a worker solves one case.
+    """Input of a worker for one case.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class CaseTask:
 
 @dataclass(frozen=True, kw_only=True)
 class CaseResult:
-    """Result of a case solver.
+    """Output of a case solver.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ CaseSolver = Callable[[CaseTask], CaseResult]
 
 @dataclass(frozen=True, kw_only=True)
 class CaseOutcome:
-    """A case after its end: a row of the sweep.
+    """Row of a sweep for a case that ended.
 
     Attributes
     ----------
@@ -132,12 +132,12 @@ class CaseOutcome:
 
     @property
     def is_finished(self) -> bool:
-        """Whether the case has a result."""
+        """Whether the case has results."""
         return self.status is CaseStatus.FINISHED
 
     @classmethod
     def of(cls, task: CaseTask, result: CaseResult) -> "CaseOutcome":
-        """Make the row of a case from the result of its solver."""
+        """Make a row from the result of a case solver."""
         # A column without a number is left empty, because JSON has no NaN.
         finite = {n: float(v) for n, v in result.values.items() if abs(v) <= LARGEST_OUTPUT}
         return cls(
@@ -151,12 +151,12 @@ class CaseOutcome:
 
     @classmethod
     def failure(cls, task: CaseTask, reason: str) -> "CaseOutcome":
-        """Make the row of a case without results."""
+        """Make a row for a case that failed."""
         return cls.of(task, CaseResult(values={}, reason=reason))
 
     @classmethod
     def loss(cls, task: CaseTask) -> "CaseOutcome":
-        """Make the row of a case whose worker died each time; a resumed sweep retries the case."""
+        """Make a row for a case whose workers died; a resumed sweep retries it."""
         reason = "its worker died, also when it was tried alone; run the same command to try again"
         return replace(cls.failure(task, reason), status=CaseStatus.LOST)
 
@@ -203,7 +203,7 @@ _ERROR_DIGITS = 2
 
 @dataclass(frozen=True, kw_only=True)
 class _Flown:
-    """A flight, its plan and its scenario, from which the output columns are read."""
+    """Flight of a case with its plan and scenario, from which the output columns are read."""
 
     flight: Flight
     plan: Plan
@@ -217,7 +217,7 @@ class _Flown:
 
     @property
     def repeats(self) -> float:
-        """Number of times that the mission can be flown on one charge.
+        """Number of missions on one battery charge.
 
         At the voltage of the first flight; the falling voltage makes the true number slightly
         lower.
@@ -302,7 +302,7 @@ def output_columns(task: StudyTask, baselines: Iterable[Reference]) -> tuple[str
 def unknown_column(
     names: Iterable[str], task: StudyTask, baselines: Iterable[Reference]
 ) -> str | None:
-    """Return the first name that is not an output column of a study, None if all are."""
+    """Return the first name that is no output column of a study, or None."""
     known = output_columns(task, baselines)
     return next((name for name in names if name not in known), None)
 
@@ -373,7 +373,7 @@ def _optimise(task: CaseTask, scenario: Scenario) -> CaseResult:
 
 
 def _fly_base_plan(task: CaseTask, scenario: Scenario) -> CaseResult:
-    """Fly the plan of the base case in the case's scenario, with the base case's controller."""
+    """Simulate the base case's plan and controller in another case's scenario."""
     base = Scenario.model_validate_json(task.base)
     plan = _BENCH.base_plan(base, task.base)
     if not plan.is_verified:
@@ -389,14 +389,14 @@ def _fly_base_plan(task: CaseTask, scenario: Scenario) -> CaseResult:
 
 @dataclass
 class _Bench:
-    """Planner and base plan that a worker keeps; MUMPS serves one thread at a time."""
+    """Planner and base plan that a worker keeps between cases; one thread at a time."""
 
     lock: threading.Lock = field(default_factory=threading.Lock)
     planner: Planner = field(default_factory=Planner)
     _base_plans: dict[str, Plan] = field(default_factory=dict)
 
     def plan(self, scenario: Scenario, warm_start: bytes | None) -> Plan:
-        """Solve from the parent's warm start; retry without it if the plan is not verified."""
+        """Solve from the parent's warm start; retry without if the plan is not verified."""
         parent = unpack(warm_start) if warm_start is not None else None
         if parent is not None:
             plan = self.planner.solve(scenario, warm_start=parent)
@@ -406,7 +406,7 @@ class _Bench:
         return self.planner.solve(scenario)
 
     def base_plan(self, base: Scenario, text: str) -> Plan:
-        """Return the plan of a study's base case, solved once."""
+        """Return the cached plan of a study's base case."""
         if text not in self._base_plans:
             self._base_plans = {text: self.plan(base, None)}
         return self._base_plans[text]

@@ -87,7 +87,7 @@ def draw_curves(curves: Sequence[Curve], field: str, quantities: Sequence[Quanti
 
 
 def _pairs(count: int, **layout: Any) -> tuple[Figure, np.ndarray]:  # noqa: ANN401
-    """Lay out panels, two in a row, and hide the last if their number is odd."""
+    """Lay out panels in two columns and hide an unused last panel."""
     columns = min(2, count)
     figure, panels = panel_grid(ceil(count / columns), columns, **layout)
     for axes in panels.flat[count:]:
@@ -240,7 +240,7 @@ def rose_range(curves: Sequence[Curve], quantity: Quantity) -> tuple[float, floa
 
 
 def _closed(rows: pd.DataFrame, field: str) -> pd.DataFrame:
-    """Join the last direction to the first, unless a gap is left between them."""
+    """Close a rose curve unless a gap in the directions is left."""
     directions = rows[field].to_numpy(dtype=float)
     steps = np.diff(directions)
     around = directions[0] + 2 * np.pi
@@ -297,7 +297,7 @@ def _draw_bar(
     base: float,
     quantity: Quantity,
 ) -> None:
-    """Draw a range in two colours that meet at the base case, in one where that case failed."""
+    """Draw a range as a bar, coloured on both sides of the base case."""
     low, high = (end * quantity.scale for end in ends)
     split = low if isnan(base) else min(max(base, low), high)
     for start, end, style in ((low, split, _BELOW), (split, high, _ABOVE)):

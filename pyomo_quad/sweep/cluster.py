@@ -19,7 +19,7 @@ _DASK_LOGGERS = ("distributed", "tornado", "asyncio")
 
 @contextmanager
 def cluster_workers(address: str) -> Iterator[Workers]:
-    """Stay connected to a Dask cluster for the length of a block.
+    """Context that keeps a Dask cluster connected.
 
     Dask itself reassigns the cases of a lost worker, and gives a case up after several losses. If
     the scheduler is lost, only committed results remain.
@@ -54,7 +54,7 @@ def cluster_workers(address: str) -> Iterator[Workers]:
 
 
 def _silence_dask() -> None:
-    """Silence Dask's loggers, because this module reports a lost cluster in one line.
+    """Silence Dask's loggers, because this module reports a lost cluster itself.
 
     The loggers set their own levels when Dask is imported, and would write tracebacks.
     """
@@ -64,7 +64,7 @@ def _silence_dask() -> None:
 
 
 class _Threads:
-    """Number of threads of a cluster's workers, queried at most every `WATCH_SECONDS`."""
+    """Cached number of worker threads of a cluster."""
 
     def __init__(self, client: "Client", address: str) -> None:
         self._client = client

@@ -1,4 +1,4 @@
-"""The design of a sweep: all values of its axes, and its cases in the order of rows."""
+"""Design of a sweep: the values of its axes, and its cases in row order."""
 
 import hashlib
 import json
@@ -26,7 +26,7 @@ _SIGNIFICANT_DIGITS = 12
 
 
 class Spacing(Part):
-    """Values from the first to the last, both included."""
+    """Equally spaced values from first to last."""
 
     first: Number = quantity(
         "",
@@ -90,7 +90,7 @@ _KINDS = ("values", "linear", "logarithmic", "uniform", "normal")
 
 
 class Axis(Part):
-    """One scenario field and its values, given in exactly one of several ways."""
+    """Scenario field that varies, with its values."""
 
     path: Text = quantity("", "dotted path of a scenario field", min_length=1, max_length=200)
     group: Text | None = quantity("", "axes of one group advance together", None, max_length=60)
@@ -166,7 +166,7 @@ def rounded(numbers: np.ndarray) -> tuple[float, ...]:
 
 
 def kind_of(value: object) -> type | None:
-    """Return the kind of a plain value, bool, float, str or list; None for anything else."""
+    """Return the type of a plain value: bool, float, str or list; None for other values."""
     if isinstance(value, bool | str):
         return type(value)
     if isinstance(value, int | float):
@@ -180,7 +180,7 @@ MOST_CASES = 1_000_000
 
 @dataclass(frozen=True, kw_only=True)
 class Dimension:
-    """One direction of the grid of cases: axes that advance together.
+    """Direction of the grid of cases: axes that vary together.
 
     Attributes
     ----------
@@ -197,13 +197,13 @@ class Dimension:
     is_random: bool = False
 
     def in_cells(self) -> "Dimension":
-        """Return the dimension with its values as they stand in a table's cells."""
+        """Return the dimension with values as in table cells."""
         steps = tuple(tuple(cell_of(value) for value in step) for step in self.steps)
         return replace(self, steps=steps)
 
     @property
     def is_sound(self) -> bool:
-        """Whether each step has one plain value per field, of the same type along the steps."""
+        """Whether every step has one plain value per field, of constant type."""
         columns = list(zip(*self.steps, strict=False))
         kinds = [{kind_of(value) for value in column} for column in columns]
         is_whole = all(len(step) == len(self.paths) > 0 for step in self.steps)
@@ -223,7 +223,7 @@ class Dimension:
 
 @dataclass(frozen=True, kw_only=True)
 class SweepDesign:
-    """All data on which the rows of a sweep depend.
+    """Complete specification of the rows of a sweep.
 
     Attributes
     ----------
@@ -258,15 +258,15 @@ class SweepDesign:
 
     @property
     def paths(self) -> tuple[str, ...]:
-        """All fields that vary, in the order of the table's columns."""
+        """Fields that vary, in column order."""
         return tuple(path for dimension in self.dimensions for path in dimension.paths)
 
     def in_cells(self) -> Self:
-        """Return the design with its values as they stand in a table's cells."""
+        """Return the design with values as in table cells."""
         return replace(self, dimensions=tuple(one.in_cells() for one in self.dimensions))
 
     def to_json(self) -> str:
-        """Write the design as JSON text, the same for the same design."""
+        """Return the design as canonical JSON text."""
         return _DESIGN.dump_json(self).decode()
 
     @classmethod
@@ -286,7 +286,7 @@ class SweepDesign:
             raise ValueError(f"not a sweep design: {place}: {first['msg']}") from None
 
     def refuse_impossible(self) -> None:
-        """Refuse a design that no study file produces, such as one from a damaged store.
+        """Raise an error for a design that no study file produces (a damaged store).
 
         Raises
         ------
@@ -303,7 +303,7 @@ class SweepDesign:
             raise ValueError(f"not a sweep design: outputs: none is called {shown(wrong)}")
 
     def changes_since(self, older: "SweepDesign") -> Iterator[str]:
-        """Yield the changes since an older design that make its rows unusable."""
+        """Yield the changes since an older design that invalidate its rows."""
         for name in ("task", "baselines"):
             before, after = getattr(older, name), getattr(self, name)
             if before != after:
@@ -329,7 +329,7 @@ _DESIGN = TypeAdapter(SweepDesign)
 
 
 def cell_of(value: object) -> Any:  # noqa: ANN401  a value of any scenario field
-    """Return the value of a field as one cell of a table: a list is written as text."""
+    """Return the value of a field as a table cell; lists become text."""
     return json.dumps(value) if isinstance(value, list) else value
 
 
@@ -359,7 +359,7 @@ _KEY_LENGTH = 20
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """One point of the design.
+    """Point of the design.
 
     Attributes
     ----------
@@ -410,7 +410,7 @@ def case_key(overrides: Mapping[str, Any]) -> str:
 
 
 def bisection_parents(count: int) -> list[int | None]:
-    """Return the parents of a balanced bisection tree over consecutive ranks.
+    """Return each rank's parent in a balanced bisection tree, for warm starts.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The figures of a sweep: those that its design allows, with their captions."""
+"""Figures of a sweep that its design permits, with captions."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -147,7 +147,7 @@ class _Figures:
             )
 
     def _curves_along(self, field: str) -> tuple[list[Curve], str]:
-        """Choose curves evenly from all, at most `_MOST_CURVES`, with a note on omitted cases."""
+        """Choose evenly spread curves, at most `_MOST_CURVES`, with a note on omitted cases."""
         curves = self.results.curves_along(field)
         count = len(curves)
         if count <= _MOST_CURVES:
@@ -172,7 +172,7 @@ class _Figures:
 
 
 def _worst_direction(curves: Sequence[Curve], quantity: Quantity) -> str:
-    """Return sentences on the value at a rose's centre and on the worst direction."""
+    """Return a caption on the centre of a rose and on the worst direction."""
     least, _ = charts.rose_range(curves, quantity)
     worst_rows = [quantity.worst_row(curve.rows) for curve in curves]
     worst = quantity.worst_row(pd.DataFrame(worst_rows).reset_index(drop=True))

@@ -1,4 +1,4 @@
-"""Quantities of a sweep in print: names, units, and numbers as cells of a table."""
+"""Printed quantities of a sweep: names, units and table cells."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ _BETTER_LARGE = ("range_m", "endurance_s", "lowest_voltage_V")
 
 @dataclass(frozen=True, kw_only=True)
 class Quantity:
-    """A column in print: its name, its unit, and the factor from its values to that unit."""
+    """Printed column: name, unit, and factor to that unit."""
 
     column: str
     name: str
@@ -83,7 +83,7 @@ def setting(value: object) -> str:
 
 
 def settings_name(fixed: Mapping[str, Any]) -> str:
-    """Return the name of a curve, from the fields that are constant along it."""
+    """Return the name of a curve from its constant fields."""
     parts = [
         value.replace("_", " ")
         if isinstance(value, str)
@@ -94,7 +94,7 @@ def settings_name(fixed: Mapping[str, Any]) -> str:
 
 
 def case_name(fields: Mapping[str, Any]) -> str:
-    """Return the name of the central case, through which maps and sensitivities pass.
+    """Return the name of the central case of maps and sensitivities.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The report of a sweep: the numbers for its templates, its tables and its files."""
+"""Report of a sweep: values for templates, tables and files."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -121,7 +121,7 @@ def _axis(dimension: Dimension, path: str) -> dict[str, Any]:
 
 
 def _arrivals(results: SweepResults) -> Iterator[dict[str, Any]]:
-    """Count the controlled flights that end too far from the goal to have arrived."""
+    """Count the controlled flights that did not arrive."""
     rows = results.finished
     for column in map(str, rows.columns):
         is_planned = column == TERMINAL_MISS and results.design.task != StudyTask.FLY_PLAN

@@ -1,4 +1,4 @@
-"""The run of a sweep: a case starts after its parent ends, and its row is committed at once."""
+"""Run of a sweep: a case starts when its parent has ended, and its row is committed at once."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -17,17 +17,17 @@ FLIGHT_SOLVER = "pyomo_quad.sweep.case:solve_case"
 
 
 class SweepListener(Protocol):
-    """Receiver of the progress of a sweep; without methods of its own it ignores the progress."""
+    """Receiver of the progress of a sweep; the base class ignores it."""
 
     def start(self, total: int, already_ended: int) -> None:
-        """Receive the number of cases, and of cases which ended in earlier runs."""
+        """Receive the number of cases, and of cases from earlier runs."""
 
     def case_ended(self, case: Case, outcome: CaseOutcome, done: int) -> None:
-        """Receive a case whose row has been committed, and the number of cases done."""
+        """Receive a case whose row was committed, and the number of cases so far."""
 
 
 class SilentListener(SweepListener):
-    """A listener that ignores the progress."""
+    """Listener that ignores the progress."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,12 +55,12 @@ class SweepSummary:
 
     @property
     def missing(self) -> int:
-        """Cases without a row."""
+        """Number of cases without a row."""
         return self.total - self.already_finished - self.finished - self.failed - self.lost
 
 
 class Sweep:
-    """The run of a design, from its cases to the rows of a store.
+    """Run of a design that fills the rows of a store.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ class Sweep:
         self._counts = dict.fromkeys(CaseStatus, 0)
 
     def run(self, workers: Workers) -> SweepSummary:
-        """Solve all cases that have no settled row.
+        """Solve all cases without a final row.
 
         Raises
         ------
@@ -158,7 +158,7 @@ class Sweep:
                 ready += self._commit_all(outcomes)
 
     def _next_of(self, cases: list[Case]) -> list[Case]:
-        """Return the cases to solve next: each case, or its nearest unfinished descendants."""
+        """Return the cases to solve next: a case, or its nearest unfinished descendants."""
         found, pending = [], list(reversed(cases))
         while pending:
             case = pending.pop()
@@ -198,7 +198,7 @@ class Sweep:
         return self._next_of(self._children_of(case))
 
     def _forget_descendants(self, case: Case) -> list[str]:
-        """Delete rows that descend from a case which was lost earlier and has now been solved.
+        """Delete the rows of descendants of a case that was lost and is now solved.
 
         These rows started from the warm start of the parent. Solved again from the result of this
         case, they are equal to the rows of a sweep in which no worker died.
@@ -226,7 +226,7 @@ class Sweep:
 def case_task(
     design: SweepDesign, base: Scenario, case: Case, solver: str, warm_start: bytes | None
 ) -> CaseTask | CaseOutcome:
-    """Return the task of a case, or its failed row if its scenario is not valid."""
+    """Return the task of a case, or a failed row if its scenario is invalid."""
     task = CaseTask(
         position=case.position,
         key=case.key,
@@ -254,7 +254,7 @@ def _children(cases: tuple[Case, ...]) -> Mapping[int, list[int]]:
 
 @dataclass(frozen=True, kw_only=True)
 class SweepEstimate:
-    """Cases and time left of a sweep.
+    """Number of remaining cases of a sweep and their time.
 
     Attributes
     ----------
@@ -269,7 +269,7 @@ class SweepEstimate:
     seconds_per_case: float
 
     def seconds(self, workers: int) -> float:
-        """Return the time left for a number of workers, assuming that none of them waits."""
+        """Return the remaining time on a number of workers that never wait."""
         return self.missing * self.seconds_per_case / workers
 
 

@@ -1,4 +1,4 @@
-"""Statistics of a sweep: curves, Pareto fronts, planes, sensitivities and spreads of its rows."""
+"""Statistics of a sweep: curves, Pareto fronts, planes, sensitivities and spreads."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ _LOW_SHARE, _HIGH_SHARE = 0.05, 0.95
 
 @dataclass(frozen=True, kw_only=True)
 class Curve:
-    """Rows that differ in one dimension only, in the order of its first field."""
+    """Rows of a sweep that differ in one dimension only, in order."""
 
     fixed: dict[str, Any]
     rows: pd.DataFrame
@@ -94,7 +94,7 @@ class Spread:
 
 @dataclass(frozen=True, kw_only=True)
 class Best:
-    """Value of a field, among those tried, at which a quantity is least.
+    """Tried value of a field at which a quantity is least.
 
     Attributes
     ----------
@@ -115,13 +115,13 @@ class Best:
 
     @property
     def is_inside(self) -> bool:
-        """Whether more expensive cases finished on both sides."""
+        """Whether cases with larger values of the quantity finished on both sides."""
         return self.is_below_flown and self.is_above_flown
 
 
 @dataclass(frozen=True)
 class SweepResults:
-    """The rows of a sweep, which statistics, figures and tables read.
+    """Rows of a sweep, for statistics, figures and tables.
 
     Attributes
     ----------
@@ -141,7 +141,7 @@ class SweepResults:
 
     @cached_property
     def central_case(self) -> dict[str, Any]:
-        """Fields of the case of the grid through which maps and sensitivities pass."""
+        """Fields of the grid's central case, through which maps and sensitivities pass."""
         grid = (one for one in self.design.dimensions if not one.is_random)
         return {one.paths[0]: self._central(one) for one in grid}
 
@@ -172,12 +172,12 @@ class SweepResults:
         return curves
 
     def beside(self, *along: Dimension) -> dict[str, Any]:
-        """Return the central case without the first fields of some dimensions."""
+        """Return the fields of the central case without some dimensions."""
         free = {one.paths[0] for one in along}
         return {path: value for path, value in self.central_case.items() if path not in free}
 
     def plane(self, across: Dimension, up: Dimension, quantity: str) -> pd.DataFrame:
-        """Return a quantity over two dimensions, with all other fields as in the `central_case`.
+        """Return a quantity over two dimensions, with other fields as in the central case.
 
         Parameters
         ----------
@@ -269,7 +269,7 @@ def pareto_front(rows: pd.DataFrame, first: str, second: str) -> pd.DataFrame:
 
 
 def best_along(curve: Curve, field: str, quantity: str, tried: Sequence[float]) -> Best:
-    """Return the value of a field at which a curve is least, and the next values tried."""
+    """Return the value of a field at the least point of a curve, with its neighbours."""
     best = pareto_front(curve.rows, field, quantity).iloc[-1]
     at, flown = float(best[field]), set(curve.rows[field])
     below = max((value for value in tried if value < at), default=None)
@@ -286,7 +286,7 @@ def best_along(curve: Curve, field: str, quantity: str, tried: Sequence[float]) 
 
 @dataclass(frozen=True, kw_only=True)
 class _Plane:
-    """A quantity fitted linearly over random fields, by least squares."""
+    """Linear least-squares fit of a quantity over random fields."""
 
     fields: tuple[str, ...]
     centre: pd.Series

@@ -1,4 +1,4 @@
-"""The result store: an SQLite database in the output folder, committed after each case."""
+"""Result store: an SQLite database in the output folder, committed after each case."""
 
 import errno
 import fcntl
@@ -46,12 +46,12 @@ _TABLES = {
 
 
 class StoreError(OutputError):
-    """A result store cannot be read, or takes no rows of this sweep."""
+    """A result store cannot be read or does not accept the rows of this sweep."""
 
 
 @contextmanager
 def locked_folder(folder: Path) -> Iterator[None]:
-    """Make an output folder and keep other sweeps out of it.
+    """Context that creates an output folder and locks it against other sweeps.
 
     The kernel releases the lock when this process ends, even if it is killed.
 
@@ -78,7 +78,7 @@ def locked_folder(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def connected(file: Path, *, mode: str, called: Path | None = None) -> Iterator[sqlite3.Connection]:
-    """Connect to a database for the length of a block; `called` is its name in messages.
+    """Context with a connection to a database; ``called`` names it in messages.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def connected(file: Path, *, mode: str, called: Path | None = None) -> Iterator[
 
 @contextmanager
 def opened_to_read(file: Path) -> Iterator[sqlite3.Connection]:
-    """Connect to a database without changing it, in any folder.
+    """Context with a read-only connection to a database in any folder.
 
     SQLite can read a database that has a log only if the folder is writable. On a read-only disk, a
     copy made together with the log is read instead, so that no row is missed.
@@ -140,7 +140,7 @@ def create_if_new(connection: sqlite3.Connection, notes: Mapping[str, str]) -> N
 
 
 def check_format(connection: sqlite3.Connection, file: Path) -> None:
-    """Refuse a database that is not a store, or has another format or other tables."""
+    """Raise an error for a database that is not a store of the present format."""
     if _application_of(connection) != _APPLICATION_ID:
         raise _not_a_store(file)
     (found,) = connection.execute("PRAGMA user_version").fetchone()
@@ -204,7 +204,7 @@ def _refused(file: Path, error: sqlite3.DatabaseError) -> StoreError:
 
 
 def refuse_kept_results(folder: Path) -> None:
-    """Refuse a folder that is read-only but holds results, with a hint on how to read them."""
+    """Raise an error for a read-only folder with results, saying how to read them."""
     if (folder / STORE_NAME).is_file() and not os.access(folder, os.W_OK):
         is_read_only = os.statvfs(folder).f_flag & os.ST_RDONLY
         raise _unwritable(folder, os.strerror(errno.EROFS if is_read_only else errno.EACCES))
@@ -243,7 +243,7 @@ _Output = Annotated[float, Field(allow_inf_nan=False, ge=-LARGEST_OUTPUT, le=LAR
 
 
 class StoredCase(BaseModel):
-    """A row of the store, validated when it is read."""
+    """Row of the store, validated on reading."""
 
     model_config = ConfigDict(strict=True, frozen=True)
 
@@ -256,7 +256,7 @@ class StoredCase(BaseModel):
 
 
 class ResultStore:
-    """The rows of one sweep."""
+    """Rows of one sweep in a database."""
 
     def __init__(self, file: Path, connection: sqlite3.Connection) -> None:
         self.file = file
@@ -267,7 +267,7 @@ class ResultStore:
     @classmethod
     @contextmanager
     def reading(cls, folder: str | Path) -> Iterator["ResultStore"]:
-        """Open a store to read it, also while a sweep writes to it, and on a read-only disk.
+        """Open a store to read, also during a sweep and on a read-only disk.
 
         Raises
         ------
@@ -286,7 +286,7 @@ class ResultStore:
     def writing(
         cls, folder: str | Path, design: SweepDesign, *, is_fresh: bool = False
     ) -> Iterator["ResultStore"]:
-        """Open a store to add rows, and create it if there is none.
+        """Open or create a store to add rows.
 
         Raises
         ------
@@ -307,11 +307,11 @@ class ResultStore:
 
     @property
     def design(self) -> SweepDesign:
-        """The design to which the rows belong."""
+        """Design of the sweep."""
         return self._design
 
     def refuse_other_version(self) -> None:
-        """Refuse to add rows to those of another version of the package."""
+        """Raise an error if the rows come from another version of the package."""
         if self.version != __version__:
             raise StoreError(
                 f"{self.file}: its rows were made by pyomo_quad {shown(self.version)[1:-1]}, this "
@@ -320,7 +320,7 @@ class ResultStore:
             )
 
     def replace_design(self, design: SweepDesign, *, is_extended: bool) -> None:
-        """Store another design, which contains all cases of the rows.
+        """Replace the design by one that contains all cases of the rows.
 
         In an extended design the cases have other parents. The warm starts of the previous run are
         deleted, so that no result depends on how far that run had come.
@@ -372,7 +372,7 @@ class ResultStore:
         spent: str = "",
         outdated: Iterable[str] = (),
     ) -> None:
-        """Commit the row of a case that ended, in place of the one it may have.
+        """Commit the row of a case, replacing an earlier row.
 
         Parameters
         ----------
@@ -412,7 +412,7 @@ class ResultStore:
             ) from error
 
     def warm_start(self, key: str) -> bytes | None:
-        """Return the packed warm start that a finished case stored for its children.
+        """Return the packed warm start of a finished case.
 
         Returns
         -------
@@ -456,7 +456,7 @@ REASON_COLUMN = "reason"
 
 
 def results_frame(store: ResultStore) -> pd.DataFrame:
-    """Return the rows of a store in the order of its design, the same for each run.
+    """Return the rows of a store in the order of the design.
 
     Columns: case, the varying fields, status, reason, then the outputs that the study keeps.
 
@@ -489,7 +489,7 @@ _MOST_CHANGES = 5
 
 
 def adopt_design(store: ResultStore, design: SweepDesign) -> list[str]:
-    """Continue a store with a design, if its rows fit.
+    """Continue a store with a new design if its rows remain valid.
 
     Rows fit if all of them are cases of the design and were solved in the same way.
 

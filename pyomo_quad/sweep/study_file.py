@@ -1,4 +1,4 @@
-"""The study file: a base scenario, axes over its fields, and the outputs of each case."""
+"""Study file: base scenario, axes over its fields, and outputs of each case."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -42,7 +42,7 @@ class StudyError(ScenarioError):
 
 
 class SamplingMethod(StrEnum):
-    """Method by which points of the unit cube are drawn."""
+    """Method of drawing points from the unit cube."""
 
     RANDOM = "random"
     LATIN_HYPERCUBE = "latin_hypercube"
@@ -84,7 +84,7 @@ _DEFAULT_QUANTITY = "energy_J"
 
 
 class Study(Part):
-    """Content of a study file, before the values of axes are computed."""
+    """Content of a study file."""
 
     name: Text = quantity("", "short name, also of the output folder", pattern=_NAME_PATTERN)
     title: Text = quantity("", "title of the report", "", max_length=200)
@@ -349,7 +349,7 @@ def _dimensions(study: Study, base: Scenario) -> Iterator[Dimension]:
 
 
 def _as_field_type(value: object, tables: Mapping[str, Any], path: str) -> Any:  # noqa: ANN401
-    """Give a number the type of its field, so that 10.0 is accepted for 10 elements."""
+    """Convert a number to the type of its field, so that 10.0 is accepted for 10 elements."""
     present: Any = tables
     for step in parse_path(path) or ():
         is_inside = isinstance(present, Mapping | list | tuple)

@@ -1,4 +1,4 @@
-"""The workers of a sweep: the cases under way on processes of this machine or on a cluster.
+"""Workers of a sweep: running cases in processes of this machine or on a cluster.
 
 Each crew works behind an Executor of `concurrent.futures`, which leaves two tasks to its user:
 replacing a broken executor, and retrying alone each case whose worker died, so that a case that
@@ -29,12 +29,12 @@ WATCH_SECONDS = 2.0
 
 
 class ClusterError(PyomoQuadError, RuntimeError):
-    """A Dask cluster cannot be reached or was lost; finished cases are kept."""
+    """Error: a Dask cluster cannot be reached or was lost; finished cases are kept."""
 
 
 @dataclass(kw_only=True, eq=False)
 class Workers:
-    """The cases under way on an executor.
+    """Running cases on an executor.
 
     Attributes
     ----------
@@ -127,7 +127,7 @@ class Workers:
         self._accused.add(task.key)
 
     def _suspect_all(self) -> None:
-        """Set aside all running cases of a broken executor, because each may have broken it."""
+        """Set aside all running cases of a broken executor; any may have broken it."""
         for future, task in list(self._under_way.items()):
             if not future.done() or future.exception() is not None:
                 self._accuse(task)
@@ -142,7 +142,7 @@ class Workers:
 
 @contextmanager
 def process_workers(count: int) -> Iterator[Workers]:
-    """Yield workers in processes of this machine, which end with the block.
+    """Context with workers in processes of this machine.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""A number of a vehicle with its origin: given, computed, or estimated with a range."""
+"""Numbers of a vehicle with their origin: given, computed, or estimated with a range."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -41,12 +41,12 @@ class Estimate:
 
 
 def given(value: float, said: str) -> Estimate:
-    """Return a number that the owner gives."""
+    """Return a number stated by the owner."""
     return Estimate(value=value, low=value, high=value, kind=Kind.GIVEN, said=said)
 
 
 def computed(value: float, formula: str) -> Estimate:
-    """Return a number that follows from others by a formula."""
+    """Return a number computed from other numbers."""
     return Estimate(value=value, low=value, high=value, kind=Kind.COMPUTED, said=formula)
 
 

@@ -1,4 +1,4 @@
-"""Files of an estimated vehicle: vehicle and pack, every number with its source."""
+"""Files of an estimated vehicle: vehicle and battery, every number with its source."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -48,7 +48,7 @@ def _numbers(section: str, numbers: Mapping[str, Estimate]) -> Iterator[str]:
 
 
 def scenario_of(vehicle: EstimatedVehicle) -> Scenario:
-    """Return a mission of an estimated vehicle under the momentum model, in its own numbers."""
+    """Return a mission of an estimated vehicle with the momentum model."""
     tables: dict[str, Any] = {
         "name": vehicle.known.name,
         "wind": {"use": "calm", "coupling": "drag"},
@@ -67,7 +67,7 @@ def scenario_of(vehicle: EstimatedVehicle) -> Scenario:
 
 
 def example_mission(name: str) -> str:
-    """Return a scenario of 40 m that flies the vehicle, for its owner to copy."""
+    """Return an example scenario that flies the vehicle 40 m."""
     return (
         f'name = "{name}_hop"\n'
         f'vehicle = {{ use = "{name}.toml" }}\n'

@@ -1,4 +1,4 @@
-"""Comparison of library vehicles with measured powers, and of data sheets with hover powers."""
+"""Comparison of library vehicles and data sheets with measured powers."""
 
 import tomllib
 from collections.abc import Mapping
@@ -39,7 +39,7 @@ ALLOWED_PERCENT = 15.0
 
 @dataclass(frozen=True, kw_only=True)
 class Held:
-    """A library vehicle with measurements of its power.
+    """Library vehicle with measurements of its power.
 
     `points` has the columns of a table of steady points, and `computed` the power of each by the
     vehicle's own equations, W; `fitted` says whether the vehicle's numbers come from these points.
@@ -77,7 +77,7 @@ class Held:
 
 
 def held_vehicles(planner: Planner | None = None) -> tuple[Held, ...]:
-    """Return every vehicle of the library with its measurements."""
+    """Return all vehicles of the library with measurements."""
     planner = planner or Planner()
     return tuple(held_against(name, planner) for name in library_names("vehicles"))
 
@@ -118,7 +118,7 @@ def _powers(scenario: Scenario, points: pd.DataFrame, planner: Planner) -> Float
 
 @cache
 def _sources() -> Mapping[str, str]:
-    """Return the origin of each table of measurements, from the list beside them."""
+    """Return the source of each table of measurements."""
     rows = _folder().joinpath("README.md").read_text(encoding="utf-8").splitlines()
     cells = [row.strip("| ").split(" | ") for row in rows if row.startswith("| `")]
     return {file.strip("`").removesuffix(".csv"): origin for file, _, origin, _ in cells}

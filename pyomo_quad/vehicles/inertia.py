@@ -1,4 +1,4 @@
-"""Moments of inertia from a mass model of arms, motors, pack and body.
+"""Moments of inertia from a mass model of arms, motors, battery and body.
 
 Derivation: see docs/theory/vehicle_from_data.md, eq. (9).
 """
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 # Fractions of the mass without the pack, for multirotors of 0.5 to 4 kg: motors, propellers and
 # speed controllers are at the ends of the arms; the arms are rods from the centre; the rest is a
 # cylinder.
-MOTOR_SHARE, _ARM_SHARE = 0.22, 0.15
+_MOTOR_SHARE, _ARM_SHARE = 0.22, 0.15
 # Radius and height of the body relative to the arm, and the proportions of the pack.
 _BODY_RADIUS, _BODY_HEIGHT = 0.35, 0.3
 _PACK_WIDTH, _PACK_HEIGHT = 0.31, 0.26
@@ -26,19 +26,19 @@ class MassModel:
 
     @property
     def empty(self) -> float:
-        """Mass without the pack, kg; a pack above half of the mass counts as half."""
+        """Mass without the battery [kg]; at least half of the total mass."""
         return max(self.mass - self.pack_mass, 0.5 * self.mass)
 
     @property
     def motor(self) -> float:
         """Mass at the end of one arm, kg."""
-        return MOTOR_SHARE * self.empty / self.rotors
+        return _MOTOR_SHARE * self.empty / self.rotors
 
     def moments(self) -> tuple[float, float, float]:
         """Return the moments of inertia about body x, y and z, kg m^2, eq. (9)."""
-        tips = MOTOR_SHARE * self.empty * self.arm**2
+        tips = _MOTOR_SHARE * self.empty * self.arm**2
         arms = _ARM_SHARE * self.empty * self.arm**2 / 3
-        body = (1 - MOTOR_SHARE - _ARM_SHARE) * self.empty
+        body = (1 - _MOTOR_SHARE - _ARM_SHARE) * self.empty
         radius, height = _BODY_RADIUS * self.arm, _BODY_HEIGHT * self.arm
         pack = self.mass - self.empty
         volume = pack / _PACK_DENSITY

@@ -1,4 +1,4 @@
-"""Estimation of a complete vehicle from mass, propeller and any further data of its owner.
+"""Estimation of a complete vehicle from mass, propeller and optional data of its owner.
 
 Derivation: see docs/theory/vehicle_from_data.md.
 """
@@ -11,7 +11,7 @@ from pyomo_quad.scenario import ScenarioError
 from pyomo_quad.scenario.vehicle import RPM
 from pyomo_quad.scenario.wind import SEA_LEVEL_DENSITY
 from pyomo_quad.vehicles.estimate import Estimate, Kind, computed, estimated, given
-from pyomo_quad.vehicles.inertia import MOTOR_SHARE, MassModel
+from pyomo_quad.vehicles.inertia import MassModel
 from pyomo_quad.vehicles.pack import Pack, usual_pack
 from pyomo_quad.vehicles.propulsion import INDUCED, Propeller, RotorHover
 
@@ -44,7 +44,7 @@ DRIVE_RANGE, BLADE_RANGE = (0.85, 1.2), (0.6, 1.6)
 
 @dataclass(frozen=True, kw_only=True)
 class Known:
-    """An owner's data on a vehicle, in SI units; mass and propeller are required.
+    """Data of an owner's vehicle in SI units; mass and propeller are required.
 
     `voltage_constant` is in rad/s/V and `hover_power` in W; both are None if unknown.
     """
@@ -63,7 +63,7 @@ class Known:
 
 @dataclass(frozen=True, kw_only=True)
 class EstimatedVehicle:
-    """A vehicle with the origin of every number: `fields` and `limits` as in its file."""
+    """Estimated vehicle with the origin of every number."""
 
     known: Known
     pack: Pack
@@ -81,7 +81,7 @@ class EstimatedVehicle:
 
 
 def estimate_vehicle(known: Known) -> EstimatedVehicle:
-    """Complete an owner's data to a vehicle.
+    """Estimate all numbers of a vehicle from its owner's data.
 
     Raises
     ------
@@ -92,9 +92,9 @@ def estimate_vehicle(known: Known) -> EstimatedVehicle:
     thrust = known.mass * GRAVITY / known.rotors
     hover = known.propeller.hover(thrust, known.density)
     arm = _arm(known)
-    constants = _motor(known, pack, hover)
-    powers, alone = _powers(known, hover)
     model = MassModel(mass=known.mass, pack_mass=pack.mass, arm=arm.value, rotors=known.rotors)
+    constants = _motor(known, pack, hover, model)
+    powers, alone = _powers(known, hover)
     fields = {
         "mass": given(known.mass, "--mass, with its pack"),
         "arm_length": arm,
@@ -164,7 +164,7 @@ def _rotor(known: Known, hover: RotorHover, model: MassModel) -> dict[str, Estim
     }
 
 
-def _motor(known: Known, pack: Pack, hover: RotorHover) -> dict[str, Estimate]:
+def _motor(known: Known, pack: Pack, hover: RotorHover, model: MassModel) -> dict[str, Estimate]:
     if known.voltage_constant is not None:
         speed_constant = given(known.voltage_constant, "--kv, rpm/V times 2 pi/60")
     else:
@@ -176,7 +176,7 @@ def _motor(known: Known, pack: Pack, hover: RotorHover) -> dict[str, Estimate]:
             1.6,
         )
     torque_constant = 1 / speed_constant.value
-    weight = MOTOR_SHARE * max(known.mass - pack.mass, 0.5 * known.mass) / known.rotors
+    weight = model.motor
     resistance = torque_constant**2 / (_MOTOR_CONSTANT * weight**_MOTOR_EXPONENT)
     return {
         "voltage_constant": speed_constant,
@@ -191,7 +191,7 @@ def _motor(known: Known, pack: Pack, hover: RotorHover) -> dict[str, Estimate]:
 
 
 def _powers(known: Known, hover: RotorHover) -> tuple[dict[str, Estimate], float]:
-    """Return the numbers of the momentum model, and the hover power from the estimates alone, W."""
+    """Return the parameters of the momentum model, and the hover power without measurement [W]."""
     electronics = _ELECTRONICS_W * (known.mass / _AT_KG) ** _ELECTRONICS_EXPONENT
     loss = 1 / hover.drive_efficiency
     alone = known.rotors * hover.shaft_power * loss + electronics
@@ -280,7 +280,7 @@ def _limits(pack: Pack, hover: RotorHover, fields: Mapping[str, Estimate]) -> di
 
 
 def _positions(rotors: int, arm: float) -> tuple[tuple[float, float], ...] | None:
-    """Return the places of six or eight rotors in a ring, None for a cross of four."""
+    """Return the rotor positions of six or eight rotors in a ring, None for four."""
     if rotors not in ROTOR_COUNTS:
         raise ScenarioError(
             f"--rotors {rotors}; must be one of {', '.join(map(str, ROTOR_COUNTS))}."

@@ -1,4 +1,4 @@
-"""A battery from its label, "4S5000": cells, capacity, resistance and discharge curve.
+"""Battery from its label, such as "4S5000": cells, capacity, resistance and discharge curve.
 
 Sources and ranges: see docs/theory/vehicle_from_data.md, eqs. (7) and (8).
 """
@@ -27,7 +27,7 @@ _SECONDS_PER_HOUR = 3600.0
 
 @dataclass(frozen=True, kw_only=True)
 class Pack:
-    """Cells in series and parallel, and the capacity of the whole pack, A h."""
+    """Cells in series and parallel, and capacity of a battery [A h]."""
 
     series: int
     parallel: int
@@ -51,7 +51,7 @@ class Pack:
         return f"{cells} {1000 * self.capacity:g} mAh"
 
     def fields(self) -> dict[str, Estimate]:
-        """Return the numbers of a battery's file."""
+        """Return the fields of a battery file."""
         capacity = self.capacity / self.parallel
         resistance = _RESISTANCE_BY_CAPACITY / capacity
 
@@ -76,7 +76,7 @@ class Pack:
 
 
 def pack_of(text: str) -> Pack:
-    """Read a pack's label: cells in series and mAh, "4S5000", or with cells in parallel "6S2P9000".
+    """Read a battery label such as "4S5000" (4 cells, 5000 mAh) or "6S2P9000".
 
     Raises
     ------
@@ -104,7 +104,7 @@ _MASS_SHARE = 0.3
 
 
 def usual_pack(mass: float) -> Pack:
-    """Return the usual pack of vehicles of a mass, kg, eq. (7)."""
+    """Return the typical battery of a vehicle by its mass [kg], eq. (7)."""
     series = next((cells for most, cells in _SERIES if mass <= most), _MOST_SERIES)
     energy = _MASS_SHARE * mass * _ENERGY_PER_KG
     capacity = energy / (series * NOMINAL_V * _SECONDS_PER_HOUR)

@@ -1,4 +1,4 @@
-"""Thrust, torque and losses of a propeller and its motor, from the propeller's diameter and pitch.
+"""Thrust, torque and losses of propeller and motor, from diameter and pitch.
 
 Derivation, sources and ranges: see docs/theory/vehicle_from_data.md, eqs. (1) to (4).
 
@@ -38,7 +38,7 @@ _HALF_LOST_W, _LOSS_EXPONENT = 2.6, 0.3
 
 @dataclass(frozen=True, kw_only=True)
 class Propeller:
-    """Diameter and pitch of a propeller, m."""
+    """Propeller with diameter and pitch [m]."""
 
     diameter: float
     pitch: float
@@ -55,7 +55,7 @@ class Propeller:
 
     @property
     def coefficient(self) -> float:
-        """C_T of static thrust, eq. (1)."""
+        """Static thrust coefficient C_T, eq. (1)."""
         first, second = _THRUST_FIT
         return first + second * self.pitch / self.diameter
 
@@ -113,7 +113,7 @@ class RotorHover:
 
 
 def propeller_of(text: str) -> Propeller:
-    """Read a propeller's size as on its label, "10x4.5", in inches; the pitch may be missing.
+    """Read a propeller label such as "10x4.5" (inches); the pitch may be missing.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The report `vehicles`: a table of data sheets, and a page for each vehicle of the library."""
+"""Report of the vehicles: a table of data sheets, and a page per library vehicle."""
 
 from functools import partial
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Uncertainty of an estimated vehicle: its causes, the best measurement, and the polar's band.
+"""Uncertainty of an estimated vehicle: causes, most useful measurement, band of the polar.
 
 Method: see docs/theory/vehicle_from_data.md, eq. (10).
 """
@@ -35,7 +35,7 @@ _SCALED_BY_DRIVE = (
 
 @dataclass(frozen=True, kw_only=True)
 class Cause:
-    """A cause of uncertainty, the measurement that removes it, and its effect on the power.
+    """Cause of uncertainty: its effect on the power, and the measurement that removes it.
 
     `low` and `high` are the powers at `AIRSPEEDS` with the cause at the ends of its range, W; NaN
     if the vehicle has no steady flight there.
@@ -49,7 +49,7 @@ class Cause:
 
 @dataclass(frozen=True, kw_only=True)
 class PowerBand:
-    """Power of level flight at `AIRSPEEDS`, W, with the band from all causes."""
+    """Power of level flight at `AIRSPEEDS` [W], with its band of uncertainty."""
 
     power: FloatArray
     low: FloatArray
@@ -91,12 +91,12 @@ def power_band(vehicle: EstimatedVehicle, planner: Planner | None = None) -> Pow
 
 
 def _together(changes: Sequence[FloatArray]) -> FloatArray:
-    """Return the root of the sum of squares of independent changes."""
+    """Return the root sum of squares of independent changes."""
     return np.sqrt(np.nansum(np.square(changes), axis=0))
 
 
 def _causes(vehicle: EstimatedVehicle) -> list[tuple[str, str, Numbers, Numbers]]:
-    """Return each cause, the measurement that removes it, and the numbers at its ends."""
+    """Return the causes of uncertainty with the ends of their ranges."""
     value = {name: one.value for name, one in vehicle.fields.items()}
     ends = {name: (one.low, one.high) for name, one in vehicle.fields.items()}
     drive = DRIVE_RANGE

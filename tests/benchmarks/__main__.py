@@ -24,6 +24,7 @@ MODULES = {
     "sweep": "sweep_speed",
     "mpc": "replanning",
     "charge": "charge",
+    "fields": "wind_fields",
     "holds": "holds",
 }
 

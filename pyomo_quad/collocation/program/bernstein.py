@@ -110,7 +110,7 @@ class BernsteinRows:
 
 @dataclass(frozen=True, kw_only=True)
 class Restraint:
-    """Effect on the objective of bounding the polynomial between the points, in its unit.
+    """Effect of the bounds between the points on the objective.
 
     Attributes
     ----------

@@ -132,19 +132,11 @@ def _after_jumps(program: Transcription, data: FloatArray) -> Iterator[Limit]:
 
 def _fixed(program: Transcription, fixed: dict[tuple[str, float], float]) -> Iterator[Limit]:
     """Yield the values fixed at declared times, whose fractions are element boundaries."""
-    states = [s.name for s in program.compiled.declared.states]
-    nodes = program.mesh.node_fractions if program.mesh else np.zeros(0)
     for (name, fraction), number in fixed.items():
-        if name in states:
-            node = int(np.argmin(np.abs(nodes - fraction)))
-            column = program.layout.state_columns[[node], states.index(name)]
-            held = np.array([number])
-            yield Limit(
-                name=str(unknown_place(program, int(column[0]))),
-                columns=column,
-                lower=held,
-                upper=held,
-            )
+        column = program.layout.state_column(name, fraction)
+        if column >= 0:
+            place, held = str(unknown_place(program, column)), np.array([number])
+            yield Limit(name=place, columns=np.array([column]), lower=held, upper=held)
 
 
 def limits_at_points(program: Transcription) -> Iterator[Limit]:
@@ -170,17 +162,14 @@ def limits_at_points(program: Transcription) -> Iterator[Limit]:
 
 
 def _refuse_crossed(program: Transcription, lower: FloatArray, upper: FloatArray) -> None:
-    """Raise if any bounds cross, naming the worst variable; rounding errors are tolerated."""
+    """Raise an error if bounds cross, naming the worst variable; rounding is tolerated."""
     gap = lower - upper
     scale = 1e-9 * (1.0 + np.minimum(np.abs(lower), np.abs(upper)))
     close = (gap > 0.0) & (gap <= scale)
     upper[close] = lower[close]
     worst = int(np.argmax(lower - upper)) if gap.size else 0
     if gap.size and lower[worst] > upper[worst]:
-        raise TranscriptionError(
-            f"{unknown_place(program, worst)}: lower bound {lower[worst]:g} is "
-            f"above upper bound {upper[worst]:g}; relax one of the two."
-        )
+        raise crossed(unknown_place(program, worst), lower[worst], upper[worst])
 
 
 def _refuse_crossed_times(program: Transcription) -> None:
@@ -190,9 +179,9 @@ def _refuse_crossed_times(program: Transcription) -> None:
     lower, upper = (np.array(side).ravel() for side in compiled.static_limits(parameters))
     earliest, latest = (np.array(compiled.times(s, parameters)).ravel() for s in (lower, upper))
     before = np.maximum.accumulate(earliest)
-    crossed = np.flatnonzero(before[:-1] >= latest[1:])
-    if clock.is_free and crossed.size:
-        after = int(crossed[0]) + 1
+    late = np.flatnonzero(before[:-1] >= latest[1:])
+    if clock.is_free and late.size:
+        after = int(late[0]) + 1
         first = int(np.argmax(earliest[:after]))
         raise TranscriptionError(
             f"{clock.label(after)}: is at most {latest[after]:g}, but {clock.label(first)} before "
@@ -201,13 +190,17 @@ def _refuse_crossed_times(program: Transcription) -> None:
 
 
 def _refuse_crossed_rows(program: Transcription, lower: FloatArray, upper: FloatArray) -> None:
-    crossed = np.flatnonzero(lower > upper)
-    if crossed.size:
-        row = int(crossed[0])
-        raise TranscriptionError(
-            f"{row_place(program, row)}: lower bound {lower[row]:g} is above upper bound "
-            f"{upper[row]:g}; relax one of the two."
-        )
+    rows = np.flatnonzero(lower > upper)
+    if rows.size:
+        row = int(rows[0])
+        raise crossed(row_place(program, row), lower[row], upper[row])
+
+
+def crossed(place: object, lower: float, upper: float) -> TranscriptionError:
+    """Return the refusal of bounds of which the lower is above the upper."""
+    return TranscriptionError(
+        f"{place}: lower bound {lower:g} is above upper bound {upper:g}; relax one of the two."
+    )
 
 
 _LARGEST_BOUND = 1e6
@@ -285,7 +278,7 @@ def refuse_unsolvable(program: Transcription, bounds: Bounds, z: FloatArray) -> 
 
 
 def counted(bounds: Bounds) -> str:
-    """Return the numbers of equations and unknowns, as text."""
+    """Return the numbers of equations and unknowns in words."""
     free = int(np.sum(bounds.lower < bounds.upper))
     return f"{bounds.surplus + free} equations for {free} free unknowns"
 
@@ -293,7 +286,7 @@ def counted(bounds: Bounds) -> str:
 def refuse_overdetermined(
     program: NonlinearProgram, bounds: Bounds, z: FloatArray, held: Iterable[str]
 ) -> None:
-    """Refuse more equations than free unknowns if they are linear and contradict each other.
+    """Raise an error for contradictory linear equations that exceed the free unknowns.
 
     For nonlinear equations only a solve can decide. `held` are the variables that are not free.
     """
@@ -338,7 +331,7 @@ _ROUNDING = 1e-9
 
 
 def without_settled_rows(program: NonlinearProgram, bounds: Bounds, z: FloatArray) -> Bounds:
-    """Return bounds without the rows that hold only fixed unknowns and are satisfied.
+    """Return bounds without rows that involve only fixed unknowns and are satisfied.
 
     A path equality at a point where all its states are fixed is redundant; its zero slopes would
     make the remaining equations appear dependent.
@@ -366,20 +359,13 @@ def is_defined(program: Transcription, z: FloatArray) -> bool:
 
 
 def refuse_not_finite(program: Transcription, z: FloatArray) -> None:
-    """Refuse equations and slopes that are not finite at a point."""
+    """Raise an error if equations or derivatives are not finite at a point."""
     rows = program.constraints(z)
     bad = np.flatnonzero(~np.isfinite(rows))
     if bad.size:
-        place = row_place(program, int(bad[0]))
-        raise TranscriptionError(
-            f"{place}: is {rows[bad[0]]} at the initial guess; give the variables in it initial "
-            "values or bounds where it is defined."
-        )
+        _refuse_value(str(row_place(program, int(bad[0]))), rows[bad[0]])
     if not np.isfinite(program.objective(z)):
-        raise TranscriptionError(
-            f"{program.compiled.declared.objective_name}: is {program.objective(z)} at the "
-            "initial guess; give the variables in it initial values or bounds where it is defined."
-        )
+        _refuse_value(program.compiled.declared.objective_name, program.objective(z))
     entries = program.jacobian(z)
     bad = np.flatnonzero(~np.isfinite(entries))
     if bad.size:
@@ -393,6 +379,13 @@ def refuse_not_finite(program: Transcription, z: FloatArray) -> None:
     if bad.size:
         variable = unknown_place(program, int(bad[0]))
         _refuse_slope(program.compiled.declared.objective_name, str(variable), gradient[bad[0]])
+
+
+def _refuse_value(owner: str, number: float) -> NoReturn:
+    raise TranscriptionError(
+        f"{owner}: is {number} at the initial guess; give the variables in it initial values or "
+        "bounds where it is defined."
+    )
 
 
 def _refuse_slope(owner: str, variable: str, slope: float) -> NoReturn:

@@ -58,7 +58,7 @@ class MappedFunction:
             self._chunks.append((slice(start, start + size), *made[size]))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Give a copy its own buffers, because CasADi's buffers cannot be copied."""
+        """Pickle without the buffers, which each copy allocates anew."""
         return type(self), self._arguments
 
     def __call__(self, *inputs: FloatArray) -> list[FloatArray]:
@@ -81,7 +81,7 @@ class MappedFunction:
 
 
 def set_outputs_aside(declared: Declarations) -> Declarations:
-    """Return the declarations with output states and their equations set apart.
+    """Separate output states and their equations from the declarations.
 
     A state is an output if its symbol and rate appear in one equality only, it has no bounds, and
     it is fixed at the start and nowhere else. Repetition finds outputs that feed other outputs
@@ -134,21 +134,15 @@ def _one_output(declared: Declarations) -> tuple[Slot, PathEquation] | None:
             only_here
             and one_rate
             and equation.is_equality
-            and _is_free(slot)
+            and is_unbounded(slot.lower, slot.upper)
             and _held_at_start_only(declared, slot)
         ):
             return slot, equation
     return None
 
 
-def _is_free(slot: Slot) -> bool:
-    return bool(casadi.is_equal(slot.lower, casadi.SX(-casadi.inf))) and bool(
-        casadi.is_equal(slot.upper, casadi.SX(casadi.inf))
-    )
-
-
 def _held_at_start_only(declared: Declarations, slot: Slot) -> bool:
-    """Return whether conditions fix the slot at the start, as equalities, and hold no others."""
+    """Return whether conditions fix a variable at the start and appear nowhere else."""
     names = _names_at(declared, slot)
     if names & symbol_names(declared.objective):
         return False
@@ -180,7 +174,7 @@ class SimpleBound:
 
 
 def _own_limits(slot: Slot) -> SimpleBound:
-    """Return the bounds that a variable is declared with."""
+    """Return the declared bounds of a variable."""
     return SimpleBound(
         name=slot.name, variable=slot.name, slope=1.0, lower=slot.lower, upper=slot.upper
     )
@@ -289,7 +283,7 @@ class CompiledModel:
         return _unpacked, (packed(parts),)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> CompiledModel:
-        """Return itself: it is immutable and shares its symbols with other objects."""
+        """Return the model itself, which is immutable."""
         return self
 
     def scaled(self, magnitudes: Mapping[str, float]) -> CompiledModel:
@@ -349,8 +343,8 @@ def compile_declarations(declared: Declarations) -> CompiledModel:
     direct = tuple(k for k, name in enumerate(integrals) if not _is_static(declared, name))
     rows = [e.expression for e in equations] + [i.integrand for i in declared.integrals]
     point_rows = [c.expression for c in conditions] + [declared.objective]
-    path = _stack(rows), _stack(path_variables.values()), path_data
-    points = _stack(point_rows), _stack(point_variables.values()), parameters
+    path = stacked(rows), stacked(path_variables.values()), path_data
+    points = stacked(point_rows), stacked(point_variables.values()), parameters
     # Before there are derivatives: CasADi keeps those of a spline in it, and serialises them.
     fingerprint = _fingerprint(declared, [_values("path", *path), _values("points", *points)])
     return CompiledModel(
@@ -367,7 +361,7 @@ def compile_declarations(declared: Declarations) -> CompiledModel:
         static_limits=_limits("static_limits", parameters, declared.statics),
         times=_times(declared, parameters),
         row_integrals=direct,
-        symbols=(_stack(path_variables.values()), path_data),
+        symbols=(stacked(path_variables.values()), path_data),
         tables=_table_arguments(declared, path_variables, point_variables),
         static_of_integral={
             k: [s.name for s in declared.statics].index(name)
@@ -379,11 +373,11 @@ def compile_declarations(declared: Declarations) -> CompiledModel:
 
 def _times(declared: Declarations, parameters: Any) -> Any:
     inputs = [_symbols(declared.statics), parameters]
-    return casadi.Function("times", inputs, [_stack(declared.clock.times)])
+    return casadi.Function("times", inputs, [stacked(declared.clock.times)])
 
 
 def with_moving_limits(declared: Declarations) -> Declarations:
-    """Move limits that depend on static variables from the sides of relations into expressions.
+    """Rewrite limits that depend on static variables as relations with constant sides.
 
     A free time makes the time in a rule such as `m.x[t] <= t` depend on static variables, but the
     sides of a relation and the bounds of a variable may depend on data alone.
@@ -442,7 +436,7 @@ def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> l
 
 
 def _unless(unbounded: Any, none: Any) -> Any:
-    """Return a side of zero, or `none` where there is no limit."""
+    """Return a side of zero, or ``none`` where there is no limit."""
     zero = casadi.SX(0)
     return zero if unbounded.is_zero() else casadi.if_else(unbounded, none, zero)
 
@@ -476,11 +470,11 @@ def _table_arguments(
         (path_variables, casadi.vertcat(*declared.path_data)),
         (point_variables, parameters),
     ):
-        symbols = _stack(variables.values())
+        symbols = stacked(variables.values())
         known = symbol_names(casadi.vertcat(symbols, data))
         # An argument in an equation that was dropped holds symbols that no function has; skip it.
         uses = tuple(u for u in declared.table_uses if symbol_names(u.expression) <= known)
-        rows = _stack([u.expression for u in uses])
+        rows = stacked([u.expression for u in uses])
         made += [uses, casadi.Function("table_arguments", [symbols, data], [rows])]
     return TableArguments(over_time=made[0], path=made[1], in_conditions=made[2], points=made[3])
 
@@ -498,23 +492,24 @@ def _values(name: str, rows: Any, variables: Any, data: Any) -> Any:
 
 
 def _anonymous(function: Any) -> str:
-    """Return the code of a function without the names of its symbols, which depend on times."""
+    """Return the code of a function with anonymous symbols, whose names depend on time."""
     symbols = [casadi.SX.sym(f"i{k}", function.size1_in(k)) for k in range(function.n_in())]
     return str(casadi.Function("f", symbols, function.call(symbols)).serialize())
 
 
 def _limits(name: str, data: Any, items: tuple[Any, ...]) -> Any:
     """Return the function of both sides of relations, bounds or variables."""
-    sides = [_stack([i.lower for i in items]), _stack([i.upper for i in items])]
+    sides = [stacked([i.lower for i in items]), stacked([i.upper for i in items])]
     return casadi.Function(name, [data], sides)
 
 
-def _stack(expressions: Any) -> Any:
+def stacked(expressions: Any) -> Any:
+    """Return expressions as a column, which may be empty."""
     return casadi.vertcat(casadi.SX(0, 1), *[casadi.SX(e) for e in expressions])
 
 
 def _symbols(slots: tuple[Slot, ...]) -> Any:
-    return _stack([s.symbol for s in slots])
+    return stacked([s.symbol for s in slots])
 
 
 def _path_symbols(declared: Declarations) -> dict[str, Any]:
@@ -551,9 +546,9 @@ def _with_integral_variables(declared: Declarations) -> Declarations:
 
     Its defining equation is one dense row; an objective that is linear in its integrals needs none.
     """
-    in_conditions = symbol_names(_stack([c.expression for c in declared.conditions]))
+    in_conditions = symbol_names(stacked([c.expression for c in declared.conditions]))
     variables = symbol_names(
-        _stack([p.symbol for p in declared.point_symbols] + [s.symbol for s in declared.statics])
+        stacked([p.symbol for p in declared.point_symbols] + [s.symbol for s in declared.statics])
     ) | {i.symbol.name() for i in declared.integrals}
     statics = list(declared.statics)
     for integral in declared.integrals:
@@ -561,16 +556,7 @@ def _with_integral_variables(declared: Declarations) -> Declarations:
         if _is_static(declared, integral.name):
             continue
         if integral.symbol.name() in in_conditions or symbol_names(slope) & variables:
-            statics.append(
-                Slot(
-                    name=integral.name,
-                    component=integral.name,
-                    index=(),
-                    symbol=integral.symbol,
-                    lower=casadi.SX(-casadi.inf),
-                    upper=casadi.SX(casadi.inf),
-                )
-            )
+            statics.append(integral.slot)
     return replace(declared, statics=tuple(statics))
 
 

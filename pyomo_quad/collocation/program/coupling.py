@@ -1,4 +1,4 @@
-"""Several horizons: reading each of them, their coupling, and one program of all.
+"""Problems with several horizons: their declarations, their coupling, and the joint program.
 
 A constraint over a continuous set, or on values of one set alone, belongs to that horizon. All
 other constraints and the objective see a horizon through static variables that equal its values at
@@ -18,16 +18,18 @@ from pyomo.core import Var
 from pyomo.dae import Integral as PyomoIntegral
 
 from pyomo_quad.collocation.errors import TranscriptionError
-from pyomo_quad.collocation.program.bounds import nominal_magnitudes
+from pyomo_quad.collocation.program.bounds import crossed, nominal_magnitudes
+from pyomo_quad.collocation.program.compiled import stacked
 from pyomo_quad.collocation.program.nonlinear import Bounds, Multipliers
-from pyomo_quad.collocation.reading.clock import FreeTimes, free_times
+from pyomo_quad.collocation.reading.clock import FreeTimes, free_times, index_tuple
 from pyomo_quad.collocation.reading.copy import (
     WorkingCopy,
     continuous_sets,
     copies_with_template_times,
 )
 from pyomo_quad.collocation.reading.model import ModelReader
-from pyomo_quad.collocation.reading.symbols import PointCondition, PointSymbol, Slot, index_of
+from pyomo_quad.collocation.reading.objectives import objective_of
+from pyomo_quad.collocation.reading.symbols import PointCondition, PointSymbol, Slot
 from pyomo_quad.collocation.reading.writer import TemplateWriter, symbol_names
 
 if TYPE_CHECKING:
@@ -44,7 +46,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Link:
-    """A static variable that equals a value of the horizon that `reader` reads.
+    """Static variable that equals a value of one horizon.
 
     `state` is given if the value is an unknown itself: a state at a node.
     """
@@ -63,7 +65,7 @@ class Link:
 
 
 class CouplingWriter(TemplateWriter):
-    """Writes constraints that couple horizons, with static variables in place of their values.
+    """Writer of constraints that couple horizons, with static variables for their values.
 
     Attributes
     ----------
@@ -91,8 +93,12 @@ class CouplingWriter(TemplateWriter):
         if data.name not in self.links:
             reader = next(r for r in self._readers if r.copy.time is over)
             self._refuse_interior(reader, data)
-            slot = _free_slot(
-                f"{data.name} (coupled)", data.parent_component().name, index_of(data)
+            name, index = f"{data.name} (coupled)", index_tuple(data.index())
+            slot = Slot(
+                name=name,
+                component=data.parent_component().name,
+                index=index,
+                symbol=casadi.SX.sym(name),
             )
             address, value = reader.addresses.of(data), reader.writer.leaf(data)
             table, time = reader.symbols, float(address.time or 0.0)
@@ -130,18 +136,6 @@ class CouplingWriter(TemplateWriter):
                 if component.get_continuousset() is reader.copy.time:
                     return reader.writer.named(expression)
         return super().named(expression)
-
-
-def _free_slot(name: str, component: str, index: tuple[Any, ...], symbol: Any = None) -> Slot:
-    """Return a static variable without bounds."""
-    return Slot(
-        name=name,
-        component=component,
-        index=index,
-        symbol=casadi.SX.sym(name) if symbol is None else symbol,
-        lower=casadi.SX(-casadi.inf),
-        upper=casadi.SX(casadi.inf),
-    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,10 +180,10 @@ def read_horizons(model: Any, times: FreeTimes | None) -> CoupledDeclarations:
     writer = CouplingWriter(readers, statics)
     coupling = ModelReader(writer)
     _refuse_gaps(coupling.conditions, list(writer.links.values()), free)
-    objective = coupling.objective()
+    objective = objective_of(coupling.copy)
     cost = casadi.SX(0) if objective is None else writer.write_objective(objective)
     links = list(writer.links.values())
-    held = casadi.vertcat(casadi.SX(0, 1), *[c.expression for c in coupling.conditions])
+    held = stacked([c.expression for c in coupling.conditions])
     horizons, integrals = {}, []
     states: dict[str, tuple[str, PointSymbol]] = {}
     for reader in readers:
@@ -251,7 +245,7 @@ def _own_cost(reader: ModelReader, cost: Any, in_conditions: frozenset[str]) -> 
 def _integrals_in(reader: ModelReader, names: frozenset[str]) -> list[Slot]:
     """Return static variables for the integrals that appear in the coupling."""
     return [
-        _free_slot(integral.name, integral.name, (), integral.symbol)
+        integral.slot
         for integral in reader.writer.integrals.values()
         if integral.symbol.name() in names
     ]
@@ -274,7 +268,7 @@ Part = TypeVar("Part", "Bounds", "Scaling", "IpoptResult")
 
 
 class Union:
-    """Positions of the unknowns and rows of several programs in their union.
+    """Positions of the unknowns and rows of several programs in the joint program.
 
     Static variables with the same name share one unknown.
 
@@ -294,7 +288,8 @@ class Union:
         self.statics = {name: k for k, name in enumerate(own, start=firsts[-1])}
         self.unknowns = firsts[-1] + len(own)
         columns = self.statics | {
-            name: firsts[at.program] + _column(self.programs[at.program], at)
+            name: firsts[at.program]
+            + self.programs[at.program].layout.state_column(at.state, at.fraction)
             for name, at in states.items()
         }
         self.places: list[NDArray[np.intp]] = [
@@ -332,10 +327,7 @@ class Union:
             upper[places] = np.minimum(upper[places], part.upper)
         for name, column in self.statics.items():
             if lower[column] > upper[column]:
-                raise TranscriptionError(
-                    f"{name}: lower bound {lower[column]:g} is above upper bound "
-                    f"{upper[column]:g}; relax one of the two."
-                )
+                raise crossed(name, lower[column], upper[column])
         return Bounds(
             lower=lower,
             upper=upper,
@@ -363,13 +355,6 @@ class Union:
             lower=self.joined([part.lower for part in parts]),
             upper=self.joined([part.upper for part in parts]),
         )
-
-
-def _column(program: Transcription, at: StateValue) -> int:
-    nodes = program.mesh.node_fractions if program.mesh else np.zeros(1)
-    node = int(np.argmin(np.abs(nodes - at.fraction)))
-    names = [slot.name for slot in program.compiled.declared.states]
-    return int(program.layout.state_columns[node, names.index(at.state)])
 
 
 @dataclass(frozen=True)

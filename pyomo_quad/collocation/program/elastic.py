@@ -108,7 +108,7 @@ def elastic_point(
 
 @dataclass(frozen=True, kw_only=True)
 class LeastViolation:
-    """The optimum of the elastic program without the objective.
+    """Optimum of the elastic program without the objective: the least violation of the rows.
 
     Attributes
     ----------
@@ -126,17 +126,17 @@ class LeastViolation:
 
     @property
     def is_positive(self) -> bool:
-        """Whether the search has converged and left a row violated."""
+        """Whether the search converged and some row remains violated."""
         return self.result.is_converged and bool(np.any(self.slacks > MET))
 
     @property
     def is_zero(self) -> bool:
-        """Whether the search found a point that meets every row."""
+        """Whether the search found a point that satisfies every row."""
         return self.result.is_converged and not self.is_positive
 
     @property
     def worst_rows(self) -> NDArray[np.intp]:
-        """The rows that are violated, the worst first."""
+        """Violated rows, the worst first."""
         order = np.argsort(-self.slacks, kind="stable")
         return order[self.slacks[order] > MET]
 

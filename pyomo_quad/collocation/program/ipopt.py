@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import cyipopt
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 class Status(Enum):
-    """How a solve ended; TOLERANCE_NOT_MET: Ipopt converged, but the mesh refinement did not."""
+    """Outcome of a solve; TOLERANCE_NOT_MET: Ipopt converged, but the mesh refinement did not."""
 
     CONVERGED = "converged"
     NOT_CONVERGED = "not_converged"
@@ -56,6 +56,8 @@ _RELAXED = 1e-10
 _NEAR, _INSIDE, _WELL_INSIDE = 1e-9, 1e-6, 1e-4
 # Least initial barrier parameter, and least multipliers, of a warm start where limits move.
 _BEGUN = 1e-8
+# Initial barrier parameter, and distance inside the bounds, of a warm start far from its optimum.
+_BEGUN_FAR, _FAR_INSIDE = 1e-5, 1e-4
 # Change of the scaled objective above which a warm start begins well inside its bounds.
 _LARGE_CHANGE = 1e-6
 # Barrier parameter, in units of Ipopt's tolerance, above which no solve ends.
@@ -71,9 +73,17 @@ _PUSHES = (
 )
 
 
+class Way(Enum):
+    """Way from a warm start to the point of the central path that is sought."""
+
+    NONE = "none"
+    SHORT = "short"
+    FAR = "far"
+
+
 @dataclass(frozen=True, kw_only=True)
 class SolverOptions:
-    """Ipopt's settings that a caller may change.
+    """Ipopt settings that a caller may change.
 
     `tolerance` is Ipopt's `tol` on the scaled problem, derived from the tolerance of the
     mesh where it is None; `max_wall_s` limits all meshes together; `extra` passes any Ipopt option.
@@ -85,7 +95,7 @@ class SolverOptions:
     extra: tuple[tuple[str, Any], ...] = ()
 
     def suiting(self, tolerance: float) -> SolverOptions:
-        """Return the settings with Ipopt's tolerance well below the mesh's, unless it is given."""
+        """Return the settings with Ipopt's tolerance well below the mesh's, unless given."""
         if self.tolerance is not None:
             return self
         return replace(self, tolerance=float(np.clip(1e-3 * tolerance, 1e-11, _TOLERANCE)))
@@ -104,17 +114,23 @@ class SolverOptions:
         relaxed = (("bound_relax_factor", _RELAXED), ("honor_original_bounds", "yes"))
         return replace(self, extra=(*relaxed, *self.extra))
 
-    def on_the_path(self, parameter: float, *, is_near: bool) -> SolverOptions:
+    def on_the_path(self, parameter: float, way: Way) -> SolverOptions:
         """Return the settings for a warm start that converges to a point of the central path.
 
         Among the many points of nearly equal cost, a barrier parameter selects one that moves
         little from mesh to mesh, whereas the controls of the optimum jump between equivalent
-        places. A near start stays on its bounds.
+        places. A start next to that point stays on its bounds. A start far from it begins well
+        inside its bounds with a larger parameter: from its bounds, with the parameter aimed at, the
+        limits that become active or inactive one after another block nearly every step.
         """
-        begun = parameter if is_near else max(parameter, dict(self.extra).get("mu_init", _BEGUN))
-        pushes = tuple((name, _NEAR) for name in _PUSHES) if is_near else ()
-        target = ("mu_target", parameter)
-        return replace(self, extra=(target, *self.extra, ("mu_init", begun), *pushes))
+        begun, pushes = dict(self.extra).get("mu_init", _BEGUN), dict[str, float]()
+        if way is Way.NONE:
+            begun, pushes = 0.0, dict.fromkeys(_PUSHES, _NEAR)
+        elif way is Way.FAR:
+            begun, pushes = _BEGUN_FAR, dict.fromkeys(_PUSHES, _FAR_INSIDE)
+            pushes["warm_start_mult_bound_push"] = _BEGUN_FAR
+        chosen = ("mu_init", max(parameter, begun)), *pushes.items()
+        return replace(self, extra=(("mu_target", parameter), *self.extra, *chosen))
 
     def for_a_change(self, change: float, sides: int) -> SolverOptions:
         """Return the settings for a warm start whose objective is to change by a given amount.
@@ -143,7 +159,7 @@ class SolverOptions:
         return replace(self, extra=(("mu_init", begun), *inside, *self.extra))
 
     def for_moving_limits(self) -> SolverOptions:
-        """Return the settings for warm starts whose limits start or cease to apply at other times.
+        """Return the settings for warm starts whose limits become active at other times.
 
         If the points of the new mesh lie differently relative to such a time, a start on its bounds
         blocks Ipopt's first dozen steps; a start slightly inside the bounds does not.
@@ -152,7 +168,7 @@ class SolverOptions:
         return replace(self, extra=(*pushes.items(), *self.extra))
 
     def for_small_changes(self) -> SolverOptions:
-        """Return the settings for warm starts of which a new mesh changes only a small part.
+        """Return the settings for warm starts on meshes that differ in few elements.
 
         The usual barrier parameter would first move away from a start that is nearly optimal. With
         a smaller one, controls of nearly no cost stay where the last mesh had them: measured on a
@@ -262,7 +278,7 @@ class _Callbacks:
 
     @property
     def is_bottomless(self) -> bool:
-        """Whether the objective has stayed below its floor."""
+        """Whether the objective stays below its floor, as an unbounded problem's does."""
         return self.below >= _PATIENCE_BELOW
 
     # Cached, because a program may rebuild its structure at each call.
@@ -276,7 +292,7 @@ class _Callbacks:
         }
 
     def _guarded(self, name: str, z: FloatArray, *more: Any) -> FloatArray:
-        """Return the program's values, and NaN after its first exception."""
+        """Evaluate the program; after its first exception return NaN."""
         if self.error is None:
             try:
                 return np.asarray(getattr(self.program, name)(z, *more))
@@ -398,7 +414,7 @@ def run(
     multipliers: Multipliers | None = None,
     progress: Progress | None = None,
 ) -> IpoptResult:
-    """Solve the program from a point, with the point's multipliers for a warm start.
+    """Solve the program from a point, with multipliers for a warm start.
 
     Raises
     ------
@@ -446,7 +462,7 @@ def run(
 def _with_idle_unknowns(
     program: NonlinearProgram, own: int, idle: int, weight: float
 ) -> ExtendedProgram:
-    """Return a program that Ipopt does not treat as a square system of equations.
+    """Add unknowns so that Ipopt does not treat the program as a square system.
 
     If there are as many equations as free unknowns, Ipopt solves the equations alone: it stops at
     the first point that satisfies them, whatever the objective, and it refuses a program with more
@@ -504,16 +520,10 @@ def run_past_the_barrier(
     size : callable
         Returns the size of the objective's parts at a point.
     """
-    result = run(
-        program,
-        bounds,
-        scaling,
-        start,
-        options=options,
-        multipliers=multipliers,
-        progress=progress,
-    )
+    solve = partial(run, program, bounds, progress=progress)
+    result = solve(scaling, start, options=options, multipliers=multipliers)
     share = _GAP_SHARE * (options.tolerance or _TOLERANCE)
+    fewer = options.at_most(_PATIENCE)
     factor = scaling.objective
     for _ in range(_SHARPENINGS):
         if not result.is_converged:
@@ -524,15 +534,8 @@ def run_past_the_barrier(
         if excess <= 1.0:
             break
         factor *= min(_AIMED * excess, _LARGEST_STEP)
-        sharper = run(
-            program,
-            bounds,
-            replace(scaling, objective=factor),
-            result.z,
-            options=replace(options, max_iterations=min(_PATIENCE, options.max_iterations)),
-            multipliers=result.multipliers,
-            progress=progress,
-        )
+        steeper = replace(scaling, objective=factor)
+        sharper = solve(steeper, result.z, options=fewer, multipliers=result.multipliers)
         if not sharper.is_converged:
             break
         result = replace(

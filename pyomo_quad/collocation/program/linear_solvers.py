@@ -1,4 +1,4 @@
-"""Availability of linear solvers: requesting an absent one may end the process."""
+"""Availability of linear solvers: requesting an absent solver may end the process."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ sys.exit(problem.solve(numpy.ones(1))[1]["status"] != 0)
 
 
 def refuse_absent_solver(options: Mapping[str, Any]) -> None:
-    """Refuse Ipopt options that select a linear solver which this Ipopt cannot load.
+    """Raise an error for options with a linear solver that this Ipopt cannot load.
 
     Raises
     ------

@@ -39,7 +39,7 @@ FORGIVEN = 1e-4
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """A condition that may follow from others.
+    """Condition that may follow from other conditions.
 
     Attributes
     ----------
@@ -73,13 +73,11 @@ def _candidates(
         column = int(limit.columns[0])
         if limit.columns.size == 1 and limit.lower[0] == limit.upper[0] and column not in starts:
             yield Candidate(name=limit.name, key=limit.name, row=-1, column=column)
-    states = [slot.name for slot in program.compiled.declared.states]
     for name, fraction in sorted(fixed):
-        if name in states and fraction > 0.0:
-            node = int(np.argmin(np.abs(program.mesh.node_fractions - fraction)))
-            column = int(program.layout.state_columns[node, states.index(name)])
+        place = program.layout.state_column(name, fraction)
+        if place >= 0 and fraction > 0.0:
             at = f"{name} at time {program.time_of(fraction):g}"
-            yield Candidate(name=at, key=(name, fraction), row=-1, column=column)
+            yield Candidate(name=at, key=(name, fraction), row=-1, column=place)
 
 
 def redundant_conditions(
@@ -89,7 +87,7 @@ def redundant_conditions(
     fixed: dict[tuple[str, float], float],
     z: FloatArray,
 ) -> tuple[Candidate, ...]:
-    """Return the conditions whose slopes at a point are combinations of earlier equations' slopes.
+    """Return the conditions whose gradients depend linearly on gradients of earlier equations.
 
     The equations over time come first, then the conditions one at a time.
     """
@@ -122,7 +120,7 @@ def redundant_conditions(
 def _slopes_of(
     candidates: list[Candidate], slopes: coo_array, free: NDArray[np.intp]
 ) -> list[FloatArray]:
-    """Return the slopes of each condition in the free unknowns."""
+    """Return the gradient of each condition with respect to the free unknowns."""
     at = {int(column): k for k, column in enumerate(free)}
     found = []
     for candidate in candidates:
@@ -136,7 +134,7 @@ def _slopes_of(
 
 
 def _outside(equations: coo_array, vectors: list[FloatArray]) -> list[FloatArray]:
-    """Return the component of each vector orthogonal to the span of the equations' slopes."""
+    """Return the component of each vector orthogonal to the span of the equations' gradients."""
     m, n = equations.shape
     system = block_array(
         [[identity(n), equations.T], [equations, -_REGULAR * identity(m)]], format="csc"
@@ -146,7 +144,7 @@ def _outside(equations: coo_array, vectors: list[FloatArray]) -> list[FloatArray
 
 
 def without(instance: Instance, left_out: tuple[Candidate, ...]) -> Instance:
-    """Return the data of a solve with some conditions left out."""
+    """Return the data of a solve without some conditions."""
     keys = {candidate.key for candidate in left_out}
     return replace(
         instance,
@@ -163,7 +161,7 @@ def misses(
     scaling: Scaling,
     z: FloatArray,
 ) -> list[float]:
-    """Return the violations, at a point, of conditions that were left out, relative to their sizes.
+    """Return the relative violations, at a point, of conditions that were left out.
 
     Parameters
     ----------

@@ -65,6 +65,14 @@ class Layout:
         starts = self.stride * np.arange(self.points + 1)
         return (starts[:, None] + np.arange(self.n_states)[None, :]).astype(np.intp)
 
+    def state_column(self, name: str, fraction: float) -> int:
+        """Return a state's column at the node nearest to a fraction, -1 if it is no state."""
+        states = [slot.name for slot in self.declared.states]
+        if self.mesh is None or name not in states:
+            return -1
+        node = int(np.argmin(np.abs(self.mesh.node_fractions - fraction)))
+        return int(self.state_columns[node, states.index(name)])
+
     @cached_property
     def algebraic_columns(self) -> IndexArray:
         """Columns of the algebraic variables at the points, shape (n_points, n_algebraics)."""
@@ -172,13 +180,13 @@ def _nonzero(columns: IndexArray, weights: FloatArray) -> tuple[IndexArray, Floa
 
 
 def _chosen(columns: IndexArray, width: int) -> csr_matrix:
-    """Return the matrix from the unknowns to chosen ones."""
+    """Return the matrix that selects some of the unknowns."""
     entries = np.ones(columns.size), columns, np.arange(columns.size + 1)
     return csr_matrix(entries, shape=(columns.size, width))
 
 
 class Contributions:
-    """Collects entries (row, column) += weight * source until a `Scatter` is made of them."""
+    """Accumulator of entries (row, column) += weight * source for a `Scatter`."""
 
     def __init__(self) -> None:
         self._parts: list[tuple[NDArray[Any], ...]] = []
@@ -264,10 +272,6 @@ class JacobianScatter:
         slopes = np.zeros(self.n_integrals)
         slopes[self.slope_integrals] = point_sources[self.slope_sources]
         return slopes
-
-    def integral_slopes(self, sources: FloatArray) -> FloatArray:
-        """Return d objective / d integral from all derivative sources."""
-        return self.objective_slopes(sources[self.n_path_sources :])
 
     def gradient(self, sources: FloatArray, slopes: FloatArray) -> FloatArray:
         """Return the dense gradient of the objective."""

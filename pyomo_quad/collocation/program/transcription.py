@@ -120,11 +120,16 @@ class Transcription:
         self._sign = -1.0 if compiled.declared.maximise else 1.0
         self._jacobian = jacobian_scatter(compiled, self.layout)
         self._hessian = hessian_scatter(compiled, self.layout)
-        self._map()
+        n = max(self.layout.points, 1)
+        path, points = self.compiled.path, self.compiled.points
+        self._path = [MappedFunction(f, n) for f in (path.values, path.jacobian, path.hessian)]
+        self._point = [
+            MappedFunction(f, 1) for f in (points.values, points.jacobian, points.hessian)
+        ]
         self._hold(data)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the arguments from which it is built."""
+        """Pickle the arguments of the constructor."""
         return type(self), (self.compiled, self.mesh, self.data)
 
     def with_data(self, data: Data) -> Transcription:
@@ -143,14 +148,6 @@ class Transcription:
         self._sources = np.zeros(0)
         self._seen: FloatArray | None = None
         self._differentiated: FloatArray | None = None
-
-    def _map(self) -> None:
-        n = max(self.layout.points, 1)
-        path, points = self.compiled.path, self.compiled.points
-        self._path = [MappedFunction(f, n) for f in (path.values, path.jacobian, path.hessian)]
-        self._point = [
-            MappedFunction(f, 1) for f in (points.values, points.jacobian, points.hessian)
-        ]
 
     @property
     def n_rows(self) -> int:
@@ -237,7 +234,7 @@ class Transcription:
         return self._sign * direct @ self._objective_slopes(z)
 
     def objective_size(self, z: FloatArray) -> float:
-        """Return the size of the objective: integrals of absolute values, so that none cancel."""
+        """Return the size of the objective: integrals of absolute values, without cancellation."""
         parts = float(self._weights() @ np.abs(self.objective_density(z)))
         return max(abs(self.objective(z)), parts)
 
@@ -277,21 +274,18 @@ class Transcription:
     def _derivative_sources(self, z: FloatArray) -> FloatArray:
         """Return the derivatives that gradient and Jacobian are assembled from, computed once."""
         if self._differentiated is None or not np.array_equal(self._differentiated, z):
-            self._sources = self._sources_at(z)
+            path = np.zeros(0)
+            if self.layout.points:
+                path = self._path[1](self.path_variables(z), self._path_data)[0].ravel()
+            point = self._point[1](self.point_variables(z), self._point_data)[0].ravel()
+            self._sources = np.concatenate([path, point, [1.0]])
             self._differentiated = np.array(z)
         return self._sources
-
-    def _sources_at(self, z: FloatArray) -> FloatArray:
-        path = np.zeros(0)
-        if self.layout.points:
-            path = self._path[1](self.path_variables(z), self._path_data)[0].ravel()
-        point = self._point[1](self.point_variables(z), self._point_data)[0].ravel()
-        return np.concatenate([path, point, [1.0]])
 
     def gradient(self, z: FloatArray) -> FloatArray:
         """Return the gradient of the objective to minimise."""
         sources = self._derivative_sources(z)
-        slopes = self._jacobian.integral_slopes(sources)
+        slopes = self._jacobian.objective_slopes(sources[self._jacobian.n_path_sources :])
         return self._sign * self._jacobian.gradient(sources, slopes)
 
     def jacobianstructure(self) -> tuple[Any, Any]:
@@ -322,17 +316,17 @@ class Transcription:
         self, z: FloatArray, multipliers: FloatArray, factor: float | None = None
     ) -> FloatArray:
         """Return the multiplier of each path equation and each integrand at each point."""
-        factor = self._sign if factor is None else factor
         n, points = self.compiled.n_equations, self.layout.points
-        on_integral = self._integral_weights(z, multipliers, factor)
+        on_integral = self.integral_weights(z, multipliers, factor)
         densities = self._weights()[:, None] * on_integral[None, :]
         equations = multipliers[: points * n].reshape(points, n)
         return np.hstack([equations, densities])
 
-    def _integral_weights(
-        self, z: FloatArray, multipliers: FloatArray, factor: float
+    def integral_weights(
+        self, z: FloatArray, multipliers: FloatArray, factor: float | None = None
     ) -> FloatArray:
         """Return the weight of each integral in the Lagrangian, shape (n_integrals,)."""
+        factor = self._sign if factor is None else factor
         weights = np.zeros(len(self.compiled.declared.integrals))
         weights[list(self.compiled.row_integrals)] = factor * self._objective_slopes(z)
         for row, integral in enumerate(self.compiled.static_of_integral):
@@ -382,10 +376,6 @@ class Transcription:
         slopes[:, at_row, at_column] = entries[:, chosen]
         return slopes
 
-    def integral_weights(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
-        """Return the weight of each integral in the Lagrangian, shape (n_integrals,)."""
-        return self._integral_weights(z, multipliers, self._sign)
-
     def lagrangian_density(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
         """Return integrands times their weights in the Lagrangian, shape (n_points,)."""
         densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
@@ -423,7 +413,7 @@ def linearised(program: Transcription, variables: FloatArray, data: FloatArray) 
 def rate_corrections(
     program: Transcription, variables: FloatArray, data: FloatArray, rows: FloatArray
 ) -> FloatArray:
-    """Return the corrections to the rates with which the differential equations hold."""
+    """Return the corrections to the rates that satisfy the differential equations."""
     equations = linearised(program, variables, data)
     matrices, residuals = equations.by_rate, rows[:, equations.rows]
     if matrices.shape[1] == matrices.shape[2]:

@@ -15,6 +15,13 @@ from typing import Any
 from pyomo_quad.collocation.errors import TranscriptionError
 
 
+def index_tuple(index: Any) -> tuple[Any, ...]:
+    """Return the members of an index: none without an index, one of a scalar."""
+    if index is None:
+        return ()
+    return index if isinstance(index, tuple) else (index,)
+
+
 def is_over(component: Any, time: Any) -> bool:
     """Return whether a component is indexed by time itself, not by a set with equal members."""
     return component.is_indexed() and any(part is time for part in component.index_set().subsets())
@@ -26,7 +33,7 @@ LEAST_PHASE = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class PhaseTimes:
-    """Phases of the horizon between times that may be free; flags select the phase that holds.
+    """Phases of the horizon between times that may be free; flags select the present phase.
 
     Attributes
     ----------

@@ -129,7 +129,7 @@ def continuous_sets(model: Any) -> tuple[Any, ...]:
 
 
 def _is_asked_for(model: Any, time: Any) -> bool:
-    """Return whether an active constraint or objective holds a variable indexed by a set."""
+    """Return whether an active constraint or objective uses a variable indexed by a set."""
     return any(
         is_over(variable.parent_component(), time)
         for data in model.component_data_objects((Constraint, Objective), active=True)
@@ -153,7 +153,7 @@ _INSTEAD_OVER_TIME = {
 
 
 def _refuse_unknown(model: Any) -> None:
-    """Refuse every active component that the transcription would drop."""
+    """Raise an error for active components that the transcription cannot handle."""
     for block in model.block_data_objects(active=True, descend_into=True):
         for component in block.component_objects(active=True, descend_into=False):
             if isinstance(component, ActiveComponent) and component.ctype not in _UNDERSTOOD:

@@ -353,7 +353,7 @@ def read_declarations(
     free = free_times(sets, final_time, times)
     (copy,) = copies_with_template_times(model)
     reader = ModelReader(TemplateWriter(copy, free[copy.time.name] if sets else {}))
-    objective = reader.objective()
+    objective = objective_of(copy)
     cost = casadi.SX(0)
     if objective is not None:
         cost = casadi.SX(reader.writer.write(objective.expr, objective.name))
@@ -438,10 +438,6 @@ class ModelReader:
         parts += [i.integrand for i in self.writer.integrals.values()]
         used = symbol_names(casadi.vertcat(*parts)) | {point.slot for point in points}
         return {name: s for name, s in self.symbols.algebraics.items() if name in used}
-
-    def objective(self) -> Any:
-        """Return the active objective, None where only the equations are to be met."""
-        return objective_of(self.copy)
 
     def _require_variables(self) -> None:
         table = self.symbols

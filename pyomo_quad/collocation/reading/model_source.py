@@ -41,6 +41,10 @@ _CALLED = {
 _ANGLES = (units.dimensionless, units.rad, units.rad**2)
 _ROUNDING = 1e-12
 _ANGLE_FACTOR = re.compile(r"\*rad(\*\*[\d.]+)?")
+_AT_ANY_TIME = (
+    "; a parameter over time needs a value at any time: declare it with initialize= a function of "
+    "time that reads nothing but its time and parameters without time"
+)
 
 
 def family_name(name: str) -> str:
@@ -164,16 +168,7 @@ class LiveModel:
         rule = initial_rule_of(component) if component.ctype is Var else None
         if rule is None:
             return None
-        block, join = component.parent_block(), self._addresses.join
-
-        def guess(t: float) -> float:
-            try:
-                return float(value(rule(block, join(component, slot.index, t))))
-            except Exception as error:
-                raise TranscriptionError(
-                    f"{slot.name}: its initialize rule fails at time {t:g} ({raised(error)})."
-                ) from error
-
+        guess = self._said(component, slot, rule, "initialize rule")
         members = ((t, self._member(component, slot, t)) for t in self.times)
         held = [(t, member.value) for t, member in members if not member.fixed]
         try:
@@ -181,6 +176,22 @@ class LiveModel:
         except TranscriptionError:
             return None
         return guess if is_as_made else None
+
+    def _said(
+        self, component: Any, slot: Slot, rule: Any, kind: str, advice: str = ""
+    ) -> Callable[[float], float]:
+        """Return what a rule says at any time, or its failure as a refusal."""
+        block, join = component.parent_block(), self._addresses.join
+
+        def said(t: float) -> float:
+            try:
+                return float(value(rule(block, join(component, slot.index, t))))
+            except Exception as error:
+                raise TranscriptionError(
+                    f"{slot.name}: its {kind} fails at time {t:g} ({raised(error)}){advice}."
+                ) from error
+
+        return said
 
     def _member(self, component: Any, slot: Slot, time: float | None = None) -> Any:
         if time is not None:
@@ -198,7 +209,7 @@ class LiveModel:
             If it has no rule to evaluate it at any time; raised by the function, if the rule fails.
         """
         component = self.model.find_component(slot.component)
-        rule, block, join = rule_of(component), component.parent_block(), self._addresses.join
+        rule = rule_of(component)
         held = [float(value(self._member(component, slot, t))) for t in self.times]
         if rule is None:
             if len(set(held)) == 1:
@@ -208,16 +219,7 @@ class LiveModel:
                 "initialize= a function of time."
             )
 
-        def signal(t: float) -> float:
-            try:
-                return float(value(rule(block, join(component, slot.index, t))))
-            except Exception as error:
-                raise TranscriptionError(
-                    f"{slot.name}: its rule fails at time {t:g} ({raised(error)}); a parameter "
-                    "over time needs a value at any time: declare it with initialize= a function "
-                    "of time that reads nothing but its time and parameters without time."
-                ) from error
-
+        signal = self._said(component, slot, rule, "rule", _AT_ANY_TIME)
         if held != [signal(t) for t in self.times]:
             raise TranscriptionError(
                 f"{slot.name}: was changed after its rule made it; give parameters= a function of "
@@ -267,7 +269,6 @@ class LiveModel:
 
     def snapshot(self, declared: Declarations, horizon: tuple[float, float]) -> ModelSnapshot:
         """Return a copy of the model's present values; functions of time cover a horizon."""
-        varying = (*declared.states, *declared.algebraics, *declared.outputs)
         components = list(self.model.component_objects(descend_into=True))
         limits = self.model.component_objects((Var, Constraint), descend_into=True)
         units = {name: self.unit(name) for name in {family_name(c.name) for c in limits}}
@@ -282,13 +283,13 @@ class LiveModel:
                 if self.has(slot.component)
             },
             variables={(s.name, None): self.variable(s) for s in declared.statics}
-            | {(s.name, t): self.variable(s, t) for s in varying for t in self.times},
+            | {(s.name, t): self.variable(s, t) for s in declared.varying for t in self.times},
             signals={
                 slot.name: self._signal_kept(slot, horizon, asked) for slot in declared.signals
             },
             guesses={
                 slot.name: _kept(slot, guess, horizon, asked)
-                for slot in varying
+                for slot in declared.varying
                 if (guess := self.first_guess(slot)) is not None
             },
             schedules=tuple(
@@ -333,14 +334,15 @@ class ModelSnapshot:
     guesses: dict[str, Interpolant]
     schedules: tuple[Interpolant, ...]
 
-    @property
-    def model(self) -> NoReturn:
-        """Refuse access: the model itself is not pickled."""
-        _refuse_without_model()
+    def _refuse(self, *_given: Any) -> NoReturn:
+        """Refuse what needs the model or its rules, which are not pickled."""
+        raise TranscriptionError(
+            "model: a pickled problem keeps the model's equations and numbers, not the model; "
+            "compile the model again to load values into it."
+        )
 
-    def of(self, model: Any) -> NoReturn:  # noqa: ARG002
-        """Refuse another model: the rules that vary with time are not pickled."""
-        _refuse_without_model()
+    model = property(_refuse)
+    of = load = load_rates = load_integrals = _refuse
 
     def has(self, name: str) -> bool:
         """Return whether the model had a component of this name."""
@@ -366,28 +368,9 @@ class ModelSnapshot:
         """Return a parameter over time as a function of time."""
         return self.signals[slot.name]
 
-    def load(self, slot: Slot, time: float | None, number: float) -> NoReturn:  # noqa: ARG002
-        """Refuse to load a value: there is no model."""
-        _refuse_without_model()
-
-    def load_rates(self, time: float, rate: Callable[..., float]) -> NoReturn:  # noqa: ARG002
-        """Refuse to load rates: there is no model."""
-        _refuse_without_model()
-
-    def load_integrals(self, totals: Mapping[str, float]) -> NoReturn:  # noqa: ARG002
-        """Refuse to load totals: there is no model."""
-        _refuse_without_model()
-
     def snapshot(self, declared: Declarations, horizon: tuple[float, float]) -> ModelSnapshot:  # noqa: ARG002
         """Return itself, since it is a snapshot already."""
         return self
-
-
-def _refuse_without_model() -> NoReturn:
-    raise TranscriptionError(
-        "model: a pickled problem keeps the model's equations and numbers, not the model; compile "
-        "the model again to load values into it."
-    )
 
 
 def as_reading(signal: Callable[[float], float], time: float) -> Reading:

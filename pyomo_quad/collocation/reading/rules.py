@@ -13,6 +13,7 @@ from pyomo.core.expr.compare import compare_expressions
 from pyomo.dae import DerivativeVar
 
 from pyomo_quad.collocation.errors import TranscriptionError, raised
+from pyomo_quad.collocation.reading.clock import index_tuple
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -90,7 +91,7 @@ def refuse_lost_members(copy: Any, template_time: float) -> None:
     """
     for component, rule in _with_rules(copy):
         for index in component.index_set():
-            if template_time not in _flat(index) or index in component:
+            if template_time not in index_tuple(index) or index in component:
                 continue
             try:
                 rule(component.parent_block(), index)
@@ -137,10 +138,6 @@ def _with_rules(copy: Any) -> Iterator[tuple[Any, Any]]:
     for component in copy.component_objects((Constraint, Expression), descend_into=True):
         if component.is_indexed() and rule_of(component) is not None:
             yield component, rule_of(component)
-
-
-def _flat(index: Any) -> tuple[Any, ...]:
-    return index if isinstance(index, tuple) else (index,)
 
 
 class _Translator:

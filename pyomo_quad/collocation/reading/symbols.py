@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import operator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Self
 
 import casadi
@@ -12,7 +12,7 @@ from pyomo.core import ConcreteModel, Param, value
 from pyomo.dae import DerivativeVar
 
 from pyomo_quad.collocation.errors import TranscriptionError
-from pyomo_quad.collocation.reading.clock import PhaseTimes
+from pyomo_quad.collocation.reading.clock import PhaseTimes, index_tuple
 from pyomo_quad.collocation.reading.rules import rule_of
 
 if TYPE_CHECKING:
@@ -210,12 +210,6 @@ def indexed_name(component: str, index: tuple[Any, ...]) -> str:
     return f"{component}[{','.join(str(i) for i in index)}]" if index else component
 
 
-def _as_tuple(index: Any) -> tuple[Any, ...]:
-    if index is None:
-        return ()
-    return index if isinstance(index, tuple) else (index,)
-
-
 class AddressBook:
     """Addresses of data objects with respect to one continuous set."""
 
@@ -255,7 +249,7 @@ class AddressBook:
 
     def split(self, component: Any, index: Any) -> Address:
         """Split a component's full index into the index without time, and the time."""
-        whole = _as_tuple(index)
+        whole = index_tuple(index)
         name, position = self._name_and_position(component)
         if position is None:
             return Address(name, whole, None)
@@ -275,16 +269,16 @@ class AddressBook:
 class Slot:
     """One scalar function of time (or static scalar): its name and its symbol.
 
-    `lower` and `upper` are CasADi expressions of the parameters; `nominal` is a magnitude for
-    scaling or None.
+    `lower` and `upper` are CasADi expressions of the parameters, infinite unless given; `nominal`
+    is a magnitude for scaling or None.
     """
 
     name: str
     component: str
     index: tuple[Any, ...]
     symbol: Any
-    lower: Any = None
-    upper: Any = None
+    lower: Any = field(default_factory=lambda: casadi.SX(-casadi.inf))
+    upper: Any = field(default_factory=lambda: casadi.SX(casadi.inf))
     nominal: float | None = None
     rate: Any = None
 
@@ -332,6 +326,11 @@ class Integral:
     symbol: Any
     integrand: Any
 
+    @property
+    def slot(self) -> Slot:
+        """The integral as a static variable without bounds."""
+        return Slot(name=self.name, component=self.name, index=(), symbol=self.symbol)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Declarations:
@@ -368,6 +367,11 @@ class Declarations:
     def has_signals(self) -> bool:
         """Whether any quantity varies with time without a formula."""
         return bool(self.signals or self.scheduled)
+
+    @property
+    def varying(self) -> tuple[Slot, ...]:
+        """Everything that is solved for over time: states, outputs, then algebraic variables."""
+        return (*self.states, *self.outputs, *self.algebraics)
 
     @property
     def path_data(self) -> tuple[Any, ...]:
@@ -459,7 +463,7 @@ class SymbolTable:
             table[name] = Slot(
                 name=name,
                 component=address.component,
-                index=index_of(data),
+                index=index_tuple(data.index()),
                 symbol=casadi.SX.sym(name),
                 **more,
             )
@@ -558,11 +562,3 @@ class SymbolTable:
             variable[self._addresses.join(variable, index, t)].fixed
             for t in self._copy.declared_times
         )
-
-
-def index_of(data: Any) -> tuple[Any, ...]:
-    """Return the whole index of a member of a component."""
-    index = data.index()
-    if index is None:
-        return ()
-    return index if isinstance(index, tuple) else (index,)

@@ -188,7 +188,7 @@ class ModelValues:
     def fixed(self) -> dict[tuple[str, float], float]:
         """Return the values a user fixed at declared times, by slot name and fraction."""
         first, last = self.declared_horizon
-        slots = {s.name: s for s in self._every_slot()}
+        slots = {s.name: s for s in self._declared.varying}
         found: dict[tuple[str, float], float] = {}
         for name, fraction in self._declared.fixed:
             time = self._declared_time(first, last, fraction)
@@ -198,10 +198,6 @@ class ModelValues:
     def _declared_time(self, first: float, last: float, fraction: float) -> float:
         wanted = first + (last - first) * fraction
         return min(self._source.times, key=lambda t: abs(t - wanted))
-
-    def _every_slot(self) -> tuple[Slot, ...]:
-        d = self._declared
-        return (*d.states, *d.algebraics, *d.outputs)
 
     def initial_values(self, slot: Slot) -> list[tuple[float, float]]:
         """Return the (fraction, value) pairs that the model's variable holds."""

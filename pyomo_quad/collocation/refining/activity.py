@@ -101,6 +101,6 @@ def _exceeds(
     positions: NDArray[np.intp],
     density: FloatArray,
 ) -> NDArray[np.bool_]:
-    """Compare scaled multiplier densities with scaled slacks; equalities never count."""
+    """Return whether scaled multiplier densities exceed scaled slacks; False for equalities."""
     is_active = multipliers[positions] * density > slacks[positions]
     return np.asarray(is_active & ~held[positions])

@@ -1,4 +1,4 @@
-"""Damping of controls that enter linearly, toward the smoothed course of the last solution.
+"""Damping of controls that enter linearly, towards the smoothed controls of the last solution.
 
 See docs/theory/refinement.md, eq. (9).
 """
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.polynomial.legendre import legvander
 
 from pyomo_quad.collocation.mesh import radau_rule
+from pyomo_quad.collocation.program.ipopt import Way
 from pyomo_quad.collocation.program.nonlinear import ExtendedProgram
 
 if TYPE_CHECKING:
@@ -21,10 +22,13 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.program.transcription import Transcription
     from pyomo_quad.collocation.solution import Solution
 
+# Error estimate of a mesh from which on the next solution is far from its own.
+_FAR = 1e-2
+
 
 @dataclass(frozen=True, kw_only=True)
 class Damping:
-    """Penalty on the distance of controls from the smoothed course of a solution's controls.
+    """Penalty on the distance of controls from the smoothed controls of a solution.
 
     The smoothed course consists of straight lines between the means over the elements.
 
@@ -48,8 +52,15 @@ class Damping:
     gap: float
     is_still: bool
 
+    @property
+    def way(self) -> Way:
+        """Way from the solution to that of the next mesh."""
+        if self.is_still:
+            return Way.NONE
+        return Way.FAR if self.solution.error_estimate >= _FAR else Way.SHORT
+
     def firmer(self, factor: float, gap: float) -> Damping:
-        """Return the damping with multiplied penalties, at least this gap, and the course fixed."""
+        """Return the damping with larger penalties and the same target."""
         gap = max(gap * self.solution.nominal_objective, self.gap)
         return replace(self, prices=factor * self.prices, gap=gap, is_still=True)
 
@@ -102,7 +113,7 @@ def _element_means(mesh: Mesh, values: FloatArray) -> tuple[FloatArray, FloatArr
 def damping_of(
     solution: Solution, weight: float, *, gap: float = 0.0, is_still: bool = False
 ) -> Damping | None:
-    """Return the damping toward a solution.
+    """Return the damping towards a solution.
 
     None if no bounded control enters nearly linearly and no gap is requested.
 

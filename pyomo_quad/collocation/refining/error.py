@@ -1,4 +1,4 @@
-"""Error of a solution between its collocation points, and its effect on objective and final states.
+"""Error of a solution between its points, and its effect on objective and final states.
 
 Derivations: see docs/theory/refinement.md, eqs. (1) to (3).
 """
@@ -353,7 +353,7 @@ def _sampled(
 def _held(
     program: Transcription, samples: _Samples, limits: tuple[FloatArray, FloatArray]
 ) -> _Samples:
-    """Return the samples with algebraic variables clipped to limits, if any is outside."""
+    """Return samples with algebraic variables clipped to their limits."""
     layout, variables = program.layout, samples.variables.copy()
     chosen = slice(2 * layout.n_states, 2 * layout.n_states + layout.n_algebraics)
     variables[:, chosen] = np.clip(variables[:, chosen], *limits)
@@ -418,7 +418,7 @@ def _restraints(solution: Solution) -> FloatArray:
 
 
 def _of_all(shares: FloatArray) -> FloatArray:
-    """Return the error if all elements had this element's share, at most the sum of the shares."""
+    """Return the error if all elements had one element's error, at most the sum of the errors."""
     return np.asarray(np.minimum(len(shares) * shares, shares.sum(axis=0)))
 
 
@@ -458,7 +458,7 @@ def _integrands(program: Transcription, samples: _Samples) -> FloatArray:
 
 
 def _missed(solution: Solution, moved: list[FloatArray], weight: float) -> FloatArray:
-    """Return the weighted sum of the elements' final misses, distributed by their size.
+    """Return the weighted sum of the elements' effects on the final states.
 
     The element with the largest contribution gets the whole sum, so that it is refined first.
     """
@@ -470,7 +470,7 @@ def _missed(solution: Solution, moved: list[FloatArray], weight: float) -> Float
 
 
 def _breaches(solution: Solution, samples: _Samples, allowance: Allowance) -> FloatArray:
-    """Return the worst violation in each element, by its effect on states or objective.
+    """Return the worst violation of limits in each element, by its effect on states or objective.
 
     An equation counts by its relative residual. A control beyond its bound, or several controls
     beyond a limit on them alone, count by the change of states within the element. Any other limit
@@ -490,7 +490,7 @@ def _breaches(solution: Solution, samples: _Samples, allowance: Allowance) -> Fl
 
 
 def _prices(solution: Solution) -> FloatArray:
-    """Return the sum of the multipliers of limits on states at the points of each element."""
+    """Return the summed multipliers of state limits in each element."""
     program, multipliers = solution.program, solution.multipliers
     columns = program.layout.state_columns[1:]
     on_states = (multipliers.lower[columns] + multipliers.upper[columns]).sum(axis=1)

@@ -100,7 +100,7 @@ def improved_controls(solution: Solution, tolerance: float) -> Solution | None:
 def _valleys(
     at: Callable[[FloatArray], FloatArray], lower: FloatArray, upper: FloatArray
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Yield values from bound to bound and the bottoms of parabolas between them, with heights."""
+    """Yield control values from bound to bound with the bottoms of interpolating parabolas."""
     step = (upper - lower) / (_TRIED - 1)
     tried = [lower + k * step for k in range(_TRIED)]
     heights = [at(values) for values in tried]
@@ -117,7 +117,7 @@ def _valleys(
 
 
 def _hilly_controls(solution: Solution, lower: FloatArray, upper: FloatArray) -> NDArray[np.intp]:
-    """Return the free controls in which the Hamiltonian may have a second local minimum.
+    """Return the free controls for which the Hamiltonian may have several local minima.
 
     Between two minima its curvature is negative. If a rate has a factor that depends on a control,
     the Lagrangian's curvature is inconclusive.
@@ -233,7 +233,7 @@ def state_error(
 
 
 def singular_order(solution: Solution) -> int:
-    """Return the order of a solution's singular arc, 0 without one; 2 stands for higher orders too.
+    """Return the order of a singular arc: 0 without one, 1, or 2 for higher orders too.
 
     On a singular arc a control lies between its limits, and the Hamiltonian has no curvature in the
     control and in the variables that follow from it directly. The arc is of order 1 if the
@@ -245,10 +245,8 @@ def singular_order(solution: Solution) -> int:
     held = solution.trajectory.algebraics
     if not (held.size and n):
         return 0
-    lower, upper = solution.algebraic_limits
-    ranges = np.where(np.isfinite(upper - lower), upper - lower, np.ptp(held, axis=0))
     rates = np.abs(program.path_variables(solution.unknowns)[:, :n]).max(axis=0)
-    scale = np.concatenate([rates, ranges])
+    scale = np.concatenate([rates, solution.algebraic_ranges])
     scale[scale == 0.0] = 1.0
     multipliers, barriers = solution.multipliers.rows, _barriers(solution)
     threshold = _FLAT * solution.nominal_objective

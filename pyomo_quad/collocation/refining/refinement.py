@@ -1,4 +1,4 @@
-"""hp-adaptive refinement: solve, estimate the error, change the mesh, solve again from there."""
+"""hp-adaptive refinement: solve, estimate the error, change the mesh, solve again."""
 
 from __future__ import annotations
 
@@ -196,7 +196,7 @@ class _Refinement(Generic[S]):
         *,
         is_damped: bool,
     ) -> None:
-        """Prepare the solve on finer meshes."""
+        """Prepare the solve on the next meshes."""
         self.settled += is_damped and _has_settled(solution, self.tolerance)
         is_stalled = self.settled >= _MANY_SETTLED
         if is_damped and (is_stalled or self.records[-1].iterations > _MANY_ITERATIONS):
@@ -218,7 +218,7 @@ class _Refinement(Generic[S]):
 
 
 def _shown(solution: S, refinement: RefinementOptions) -> S:
-    """Pass a finished solution to `on_mesh`; return it, interrupted if `on_mesh` returns False."""
+    """Pass a finished solution to `on_mesh`; if it returns False, mark the solution interrupted."""
     is_finished = solution.status is Status.CONVERGED
     if is_finished and refinement.on_mesh and refinement.on_mesh(solution) is False:
         return solution.updated(status=Status.INTERRUPTED, message="stopped by the caller")
@@ -226,7 +226,7 @@ def _shown(solution: S, refinement: RefinementOptions) -> S:
 
 
 def _firmer(firmness: float, settled: int) -> float:
-    """Return the strength of damping, given the number of meshes with a settled objective."""
+    """Return the strength of the damping after a number of meshes with a settled objective."""
     most = _FIRMEST if settled >= _MANY_SETTLED else _FIRM
     most = math.inf if settled >= _TOO_MANY_SETTLED else most
     return max(firmness, min(_FIRMER * firmness, most))
@@ -234,7 +234,7 @@ def _firmer(firmness: float, settled: int) -> float:
 
 @dataclass
 class _MeshSolve(Search[S], Generic[S]):
-    """The search for a solution on the next meshes, with its dampings and expected change."""
+    """Search for the solution on the next meshes, with damping and expected change."""
 
     solve: Callable[..., S]
     meshes: tuple[Mesh, ...]
@@ -244,7 +244,7 @@ class _MeshSolve(Search[S], Generic[S]):
     gap: float
 
     def holds(self, fact: Fact) -> bool:
-        """Return whether a fact holds."""
+        """Return whether the condition of a strategy is met."""
         is_held = self.change is not None or _are_damped(self.dampings)
         has_warm = self.start.warm is not None
         return {Fact.WARM_START: has_warm, Fact.HELD: is_held, Fact.FREE: not is_held}[fact]
@@ -291,7 +291,7 @@ def _gap_to_leave(solution: Outcome, errors: tuple[ErrorEstimate, ...], toleranc
 
 
 def _sharper(dampings: tuple[Damping | None, ...], tolerance: float) -> tuple[Damping | None, ...]:
-    """Return dampings that leave no more of the objective than the tolerance allows."""
+    """Return dampings weak enough that their share of the objective is below the tolerance."""
     least = _LEAST_INEXACT * tolerance
     return tuple(
         d and replace(d, gap=min(least * d.solution.nominal_objective, d.gap)) for d in dampings
@@ -331,7 +331,7 @@ def _errors(
 def _is_held_by_the_barrier(
     solution: Outcome, errors: tuple[ErrorEstimate, ...], tolerance: float, fine: float
 ) -> bool:
-    """Return whether the barrier, or a scaling that hides the objective, limits the accuracy.
+    """Return whether the barrier, not the mesh, limits the accuracy.
 
     It does if the gap exceeds the tolerance, and the error of no element exceeds `fine`.
     """
@@ -346,7 +346,7 @@ def _is_held_by_the_barrier(
 
 @dataclass
 class _Reached(Generic[S]):
-    """A solution that met the tolerance before a restart by Pontryagin's principle.
+    """Solution within tolerance, kept while a restart by Pontryagin's principle is tried.
 
     Attributes
     ----------
@@ -370,19 +370,19 @@ class _Reached(Generic[S]):
         return (-earned if is_maximised else earned) / first.nominal_objective
 
     def compare(self, other: S, error: float) -> None:
-        """Record the gain of a solution of the restart, less its given error."""
+        """Record the gain of the restart's solution, less its error."""
         shown = self.gain(other) - error
         self.shown = shown if self.shown is None else max(self.shown, shown)
 
     def better(self, other: S) -> S:
-        """Return the better of the two solutions, which both meet the tolerance."""
+        """Return the better of the two solutions."""
         if self.gain(other) >= 0.0:
             return other
         return self.solution.updated(history=other.parts[0].history)
 
 
 def _lost(ended: S, reached: _Reached[S] | None, tolerance: float) -> S:
-    """Return the result of a search that met no tolerance, or the solution before its restart.
+    """Return the result of a refinement that met no tolerance, or the solution before its restart.
 
     The solution before the restart is returned with a warning if the restart has shown a better
     solution, or has led to none.
@@ -394,7 +394,7 @@ def _lost(ended: S, reached: _Reached[S] | None, tolerance: float) -> S:
 
 
 def _cut_off(reached: _Reached[S]) -> S:
-    """Return the solution that a restart reached, if the next restart ran out of meshes.
+    """Return the solution of a restart if the next restart ran out of meshes.
 
     Its error may be as large as the gain of that restart.
     """
@@ -419,7 +419,7 @@ def _ended_or_better(
 
 
 def _doubted(solution: S) -> S:
-    """Return a solution with the warning that it is optimal for small changes only."""
+    """Return a solution with a warning that only small changes were tested."""
     return solution.updated(
         status=Status.TOLERANCE_NOT_MET,
         message=(
@@ -495,7 +495,7 @@ def _objective_change(solution: Solution, tolerance: float) -> float:
 
 
 def _is_lost(records: Sequence[MeshRecord]) -> bool:
-    """Return whether two consecutive solves were long and the second gained nearly nothing."""
+    """Return whether two consecutive solves were long and the second gained almost nothing."""
     if len(records) < 3:
         return False
     last, now = records[-2:]
@@ -524,15 +524,14 @@ def _given_up(
 
 
 def _most_moved(solution: Outcome, before: tuple[Solution | None, ...]) -> str:
-    """Return text naming the control that the last mesh changed most, with time and amount."""
+    """Return the control that the last mesh changed most, with time and amount, as text."""
     found = []
     for part, last in zip(solution.parts, before, strict=True):
         if last is None or part.trajectory.algebraics.size == 0:
             continue
         mesh, lower, upper = part.mesh, *part.algebraic_limits
         now, then = (s.trajectory.algebraics_at(mesh.point_fractions) for s in (part, last))
-        own = np.ptp(now, axis=0)
-        ranges = np.where(np.isfinite(upper - lower), upper - lower, own)
+        ranges = part.algebraic_ranges
         shares = np.abs(now - np.clip(then, lower, upper)) / np.where(ranges > 0.0, ranges, 1.0)
         means = mesh.quadrature_weights @ shares
         k = int(means.argmax())

@@ -14,7 +14,7 @@ from numpy.polynomial import legendre
 
 from pyomo_quad.collocation.mesh import FloatArray, Mesh, radau_rule
 from pyomo_quad.collocation.refining.activity import SAME, known_boundaries
-from pyomo_quad.collocation.refining.error import Allowance, estimate_error
+from pyomo_quad.collocation.refining.error import Allowance, estimate_error, state_sizes
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -107,7 +107,7 @@ _SLIVER = 0.02
 
 @dataclass(frozen=True)
 class _Piece:
-    """A new element: its end, its degree, its predicted error, and whether it was changed."""
+    """New element: end, degree, predicted error, and whether it was changed."""
 
     end: float
     degree: int
@@ -117,7 +117,7 @@ class _Piece:
 
 @dataclass(frozen=True, kw_only=True)
 class Marks:
-    """Elements that are too coarse, and elements that must not be merged or lowered in degree."""
+    """Sets of elements to refine, and of elements that must keep their degree."""
 
     coarse: frozenset[int]
     kept: frozenset[int]
@@ -285,9 +285,9 @@ def _legendre_sizes(solution: Solution, e: int) -> FloatArray:
     nodes = 2.0 * radau_rule(mesh.degrees[e]).nodes - 1.0
     matrix = legendre.legvander(nodes, mesh.degrees[e])
     coefficients = np.linalg.solve(matrix, states[first : last + 1])
-    nominal = np.array([s.nominal or 1.0 for s in solution.problem.compiled.declared.states])
-    size = np.maximum(np.abs(states).max(axis=0, initial=0.0), nominal)
-    return np.asarray(np.abs(coefficients / size).max(axis=1, initial=0.0), dtype=float)
+    return np.asarray(
+        np.abs(coefficients / state_sizes(solution)).max(axis=1, initial=0.0), dtype=float
+    )
 
 
 def _integrand_sizes(solution: Solution, e: int) -> FloatArray:
@@ -303,7 +303,7 @@ def _integrand_sizes(solution: Solution, e: int) -> FloatArray:
 
 
 def _decay(sizes: FloatArray) -> float:
-    """Return the decades by which the coefficients fall per degree, by least squares.
+    """Return the decay rate of Legendre coefficients in decades per degree, by least squares.
 
     The constant term gives no information on smoothness, and rounding levels off the tail.
     """

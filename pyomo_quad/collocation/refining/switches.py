@@ -76,8 +76,7 @@ def misplaced_switches(solution: Solution) -> FloatArray:
 
 def _jumping_elements(solution: Solution) -> frozenset[int]:
     """Return the elements in or beside which an algebraic variable changes by much of its range."""
-    held, (lower, upper) = solution.trajectory.algebraics, solution.algebraic_limits
-    ranges = np.where(np.isfinite(upper - lower), upper - lower, np.ptp(held, axis=0))
+    held, ranges = solution.trajectory.algebraics, solution.algebraic_ranges
     first = solution.mesh.first_node
     found = []
     for e in range(solution.mesh.elements):
