@@ -44,7 +44,8 @@ _SAMPLES = 400
 
 def is_long(scenario: Scenario) -> bool:
     """Return whether a straight flight to the goal is long compared with a change of attitude."""
-    is_straight = not scenario.mission.waypoints and not scenario.airspace.keep_out
+    airspace = scenario.airspace
+    is_straight = not (scenario.mission.waypoints or airspace.keep_out)
     return is_straight and scenario.nominal_duration > _LONGEST_S * scenario.solver.elements
 
 

@@ -55,10 +55,11 @@ FloatArray = NDArray[np.float64]
 Numbers = dict[str, float | Callable[[float], float]]
 
 _HORIZONTAL = "xy"
-# The first plan's mesh where none is given, and the degree of every mesh.
-_ELEMENT_S, _FEWEST, _MOST, _DEGREE = 1.25, 8, 24, 4
-# s. Shortest and longest elements of a re-plan's mesh, and the ratio of neighbours.
-_SHORT_S, _LONG_S, _GROWTH = 0.3, 2.0, 1.35
+# The mesh of the first plan where none is given, and its degree.
+_ELEMENT_S, _FEWEST, _MOST, _FIRST_DEGREE = 1.25, 8, 24, 4
+# s. Shortest and longest elements of a re-plan's mesh, the ratio of neighbours, and the degree: of
+# half the points of elements of 0.3 to 2 s of degree 4, and 1 J of 15 kJ farther off.
+_SHORT_S, _LONG_S, _GROWTH, _DEGREE = 0.4, 2.5, 1.5, 3
 # Share of the time left until which a mesh is kept.
 _KEPT = 0.8
 # Samples of a plan from which another is begun.
@@ -71,9 +72,10 @@ _RAISE, _RAISES, _MET = 10.0, 3, 1e-4
 _INTO_HOLD, _SETTLED = 1.0, 0.75
 # A re-solve keeps to one barrier parameter, as large as costs nothing that is seen: limits begin
 # and cease to hold at other points of each mesh, and beside a zone a thirtieth of it took fifteen
-# iterations in vain.  Linear steps are not refined.
+# iterations in vain.  Linear steps are not refined, and take smaller pivots: fewer digits are
+# enough for a plan that is flown for a fifth of a second.
 _BARRIER = (("mu_init", 3e-6), ("mu_target", 3e-6))
-_HASTE = (("fast_step_computation", "yes"),)
+_HASTE = (("fast_step_computation", "yes"), ("mumps_pivtol", 1e-6), ("mumps_scaling", 0))
 _OPTIONS = SolverOptions(tolerance=1e-5, max_iterations=40, extra=(*_BARRIER, *_HASTE))
 # Before take-off there is time.
 _AT_LEISURE = SolverOptions(tolerance=1e-6, max_iterations=300)
@@ -191,6 +193,8 @@ class Replanner:
         Information on the wind.
     planner : Planner
         Keeps the compiled equations.
+    margins : mapping, optional
+        Field of the scenario -> by how much plans tighten it.
     """
 
     def __init__(
@@ -248,7 +252,7 @@ class Replanner:
         """
         elements = min(max(ceil(self._end / _ELEMENT_S), _FEWEST), _MOST)
         found = self._whole.solve(
-            mesh=Mesh.uniform(elements, _DEGREE),
+            mesh=Mesh.uniform(elements, _FIRST_DEGREE),
             parameters=self._numbers,
             horizon=(0.0, self._end),
             options=_AT_LEISURE,
@@ -264,13 +268,15 @@ class Replanner:
         where it can: above the norm of the multipliers the penalty is exact.
         """
         for rest in self.remainders:
-            state = plan.states_at(np.array([rest.begin]))[0]
+            (state,), usual = self._states(plan, rest.begin), self._price
             for _ in range(_RAISES):
                 guess = rest.guess(rest.begin, plan)
                 found = self._solved(rest, rest.begin, state, self.belief, guess=guess)
                 if not found.is_converged or breach_of(found) <= _MET:
                     break
                 self._price *= _RAISE
+            else:
+                self._price = usual  # no price helps: no flight keeps every limit
 
     def solve(
         self, t: float, state: FloatArray, belief: Belief, *, is_patient: bool = False
@@ -344,8 +350,7 @@ class Replanner:
     def is_off(self, course: Course, t: float, state: FloatArray) -> bool:
         """Return whether a flight is farther from its plan than the margins of the limits."""
         now, limits = np.array([t]), self.dynamics.control_limits(HELD_BREACH)
-        names = list(course.plan.state_names)
-        planned = course.plan.states_at(now)[:, [names.index(n) for n in self.dynamics.state_names]]
+        planned = self._states(course.plan, t)
         controls = course.plan.controls_at(now, limits)
         seen = [
             self.dynamics.limits_of(self.dynamics.solved(now, states, controls))
@@ -366,9 +371,7 @@ class Replanner:
         off, and a re-plan from where it is would follow each of its lags.  A flight farther off
         goes on from its own place and velocity, as predicted; its attitude follows the plan's.
         """
-        names = list(course.plan.state_names)
-        columns = [names.index(name) for name in self.dynamics.state_names]
-        planned, later = course.plan.states_at(np.array([start, end]))[:, columns]
+        planned, later = self._states(course.plan, start, end)
         places = [self.dynamics.state_names.index(name) for name in POSITION_STATES]
         if np.linalg.norm((state - planned)[places]) <= self._tube:
             return later
@@ -377,6 +380,12 @@ class Replanner:
         later[places] += (state - planned)[places] + (end - start) * (velocity - planned[speeds])
         later[speeds] += velocity - planned[speeds]
         return later
+
+    def _states(self, plan: Trajectories, *times: float) -> FloatArray:
+        """Return a plan's states at times, in the order of the dynamics."""
+        names = list(plan.state_names)
+        columns = [names.index(name) for name in self.dynamics.state_names]
+        return plan.states_at(np.array(times))[:, columns]
 
 
 def breach_of(solution: Solution) -> float:

@@ -1,4 +1,4 @@
-"""Shortest routes round zones, one per homotopy class, over terrain, and cruise along a route.
+"""Shortest routes round zones and over terrain, one per homotopy class, and cruise along a route.
 
 Places beside every obstructing zone are joined where the straight line between them is free;
 Dijkstra's algorithm finds the shortest path through them.  A zone between start and goal is passed

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     FloatArray = NDArray[float64]
 
 _FAR = Sound(-1e5, 1e5, "coordinates lie within 100 km of the origin")
-_WIDE = Sound(1e-2, 1e5, "obstacles measure from 1 cm to 100 km")
+_WIDE = Sound(1e-2, 1e5, "sizes of obstacles")
 _ZONE_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
 _MOST_ZONES = 64
 
@@ -347,7 +347,7 @@ class Airspace(Part):
         "distance kept from every keep-out",
         0.0,
         ge=0,
-        sound=Sound(0, 1e4, "clearances are at most 10 km"),
+        sound=Sound(0, 1e4, "a larger clearance leaves no airspace near the mission"),
     )
     keep_out: tuple[KeepOut, ...] = quantity("", "zones to keep out of", (), max_length=_MOST_ZONES)
     keep_in: KeepIn | None = late_quantity(

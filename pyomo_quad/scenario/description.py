@@ -9,6 +9,7 @@ import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -257,11 +258,31 @@ def _default(field: Mapping[str, Any]) -> str:
 
 def _allowed(field: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
     words = [field["allowed"]] if field.get("allowed") else []
-    words += [_of_type(option, definitions) for option in (field, *field.get("anyOf", ()))]
-    sound = field.get("sound")
-    if sound is not None:
-        words.append(f"{sound['low']:g} to {sound['high']:g}: {sound['because']}")
+    options = (field, *field.get("anyOf", ()))
+    words += [_of_type(option, definitions) for option in options if not _is_ranged(field, option)]
+    if "sound" in field:
+        ranged = next(option for option in options if _is_ranged(field, option))
+        words.append(_range(field["sound"], ranged))
     return "; ".join(filter(None, words))
+
+
+def _is_ranged(field: Mapping[str, Any], option: Mapping[str, Any]) -> bool:
+    """Return whether a plausible range applies to one type of a field."""
+    return "sound" in field and option.get("type") in {"number", "integer", "array"}
+
+
+def _range(sound: Mapping[str, Any], option: Mapping[str, Any]) -> str:
+    """Return the range that limits and plausibility leave to a number, and the reason."""
+    number = option.get("items", option)
+    low = max(sound["low"], number.get("minimum", -inf), number.get("exclusiveMinimum", -inf))
+    high = min(sound["high"], number.get("maximum", inf), number.get("exclusiveMaximum", inf))
+    words = f"{low:g} to {high:g}"
+    if low == number.get("exclusiveMinimum") or high == number.get("exclusiveMaximum"):
+        least = ">" if low == number.get("exclusiveMinimum") else "≥"
+        most = "<" if high == number.get("exclusiveMaximum") else "≤"
+        words = f"{least} {low:g}, {most} {high:g}"
+    each = "a list, each " if option.get("type") == "array" else ""
+    return f"{each}{words} ({sound['because']})"
 
 
 def _of_type(option: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:

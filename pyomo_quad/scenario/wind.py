@@ -250,7 +250,7 @@ class Wind(Part):
         "1/s",
         "acceleration over wind velocity in eq. (9)",
         1.0,
-        sound=not_negative(1e3, "the wind takes longer than 1 ms to carry a vehicle along"),
+        sound=not_negative(1e3, "a larger value carries the vehicle along within 1 ms"),
     )
     frequency_unit: FrequencyUnit = quantity(
         "", "unit of the frequencies: rad/s (as eq. 11) or hz", FrequencyUnit.RADIAN_PER_SECOND
@@ -266,7 +266,7 @@ class Wind(Part):
         "s",
         "wind time at the start of the mission",
         0.0,
-        sound=Sound(-LATEST_TIME, LATEST_TIME, "wind records cover at most thirty years"),
+        sound=Sound(-LATEST_TIME, LATEST_TIME, "thirty years"),
     )
     file: Text | None = quantity(
         "",
@@ -287,7 +287,7 @@ class Wind(Part):
         "1",
         "factor on the wind of the field",
         1.0,
-        sound=Sound(-1e3, 1e3, "a factor of 1000 turns a breath of 0.1 m/s into a hurricane"),
+        sound=Sound(-1e3, 1e3, "a larger factor is probably a typing error"),
     )
     beyond: Beyond = late_quantity(
         "",
@@ -315,7 +315,7 @@ class Wind(Part):
         "standard deviation of the error of the forecast wind direction",
         0.0,
         sound=not_negative(
-            1.6, "an error of more than a quarter turn leaves the direction unknown"
+            1.6, "a quarter turn is 1.57 rad; with a larger error the direction is unknown"
         ),
     )
     turbulence: Turbulence | None = late_quantity(

@@ -94,7 +94,7 @@ def test_elements_are_short_at_both_ends_and_none_is_longer_than_the_longest():
     widths = np.array([b - a for a, b in pairwise(times)])
     assert np.all(widths > 0.0)
     assert widths == pytest.approx(widths[::-1])
-    assert widths[0] == widths.min()
+    assert widths[0] == pytest.approx(widths.min())
     assert widths.max() <= remaining._LONG_S
 
 
