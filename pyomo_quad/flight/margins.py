@@ -181,11 +181,12 @@ def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> 
 def greatest_margin(scenario: Scenario, name: str) -> float:
     """Return the largest margin of a field that can leave the mission feasible."""
     told, limits, mission = scenario.airspace, scenario.limits, scenario.mission
-    heights = [place[2] for place in mission.positions]
     if name == "airspace.floor" and told.floor is not None:
-        return max(min(heights) - told.floor - _LEFT_OF_ROOM, 0.0)
+        heights = told.height_above_ground(mission.positions)
+        return max(float(heights.min()) - told.floor - _LEFT_OF_ROOM, 0.0)
     if name == "airspace.ceiling" and told.ceiling is not None:
-        return max(told.ceiling - max(heights) - _LEFT_OF_ROOM, 0.0)
+        heights = told.height_above_ground(mission.positions, -1)
+        return max(told.ceiling - float(heights.max()) - _LEFT_OF_ROOM, 0.0)
     if name == "airspace.clearance":
         rooms = [
             -float(zone.depth(place)) - told.clearance

@@ -7,6 +7,8 @@ import xarray as xr
 from pyomo.environ import value
 
 from pyomo_quad.flight import Planner
+from pyomo_quad.flight.limit_words import limit_words
+from pyomo_quad.flight.margins import greatest_margin
 from pyomo_quad.model import build_model
 from pyomo_quad.model.build import parameter_values, structure_key
 from pyomo_quad.model.screening import screen_model
@@ -100,6 +102,29 @@ def test_models_over_other_ground_are_not_shared(terrain, tmp_path):
     assert len(set(keys)) == 3
     assert flat.airspace.ground is None
     assert parameter_values(told)["airspace.floor"] == 3.0
+
+
+def test_flights_are_judged_by_their_height_above_the_ground(terrain):
+    told = mission(terrain)
+    dynamics = Planner().dynamics(told)
+    start = dynamics.initial_states() | dict.fromkeys(NAMES, 0.0)
+    shares = np.linspace(0.0, 1.0, 50)
+    states = np.tile([start.get(name, 0.0) for name in dynamics.state_names], (50, 1))
+    columns = [list(dynamics.state_names).index(name) for name in NAMES]
+    states[:, columns] = np.outer(1 - shares, [0.0, 0.0, 6.0]) + np.outer(shares, [40.0, 0.0, 6.0])
+    controls = np.zeros((50, len(dynamics.control_names)))
+    broken = {v.name: v.size for v in dynamics.violations(9.0 * shares, states, controls)}
+    over = told.airspace.height_above_ground(states[:, columns])
+    assert broken["airspace.floor_limit"] == pytest.approx(3.0 - over.min(), abs=1e-6)
+    assert broken["airspace.floor_limit"] > 4.0
+    assert limit_words("airspace.terrain_edge[west]") == "west edge of the terrain"
+
+
+def test_margins_over_terrain_are_limited_by_the_height_above_the_ground(terrain):
+    told = mission(terrain)
+    room = told.airspace.height_above_ground(told.mission.positions).min() - 3.0
+    assert greatest_margin(told, "airspace.floor") == pytest.approx(room - 0.01, abs=1e-9)
+    assert 2.0 < room < 2.9
 
 
 def test_a_plan_crosses_a_hill_at_its_floor_and_is_verified_between_its_points(terrain):
