@@ -8,7 +8,7 @@ from setuptools.command.build_py import build_py
 
 
 class BuildWithScenarios(build_py):
-    """Builds the package with `scenarios/*.toml` and their winds in it."""
+    """Builds the package with `scenarios/*.toml` and their winds and terrain in it."""
 
     def run(self) -> None:
         """Build, and add the scenarios."""
@@ -18,8 +18,9 @@ class BuildWithScenarios(build_py):
             target.mkdir(parents=True, exist_ok=True)
             for scenario in (Path(__file__).parent / "scenarios").glob("*.toml"):
                 shutil.copy(scenario, target)
-            winds = Path(__file__).parent / "scenarios" / "winds"
-            shutil.copytree(winds, target / "winds", dirs_exist_ok=True)
+            for data in ("winds", "ridge"):
+                source = Path(__file__).parent / "scenarios" / data
+                shutil.copytree(source, target / data, dirs_exist_ok=True)
 
 
 setup(cmdclass={"build_py": BuildWithScenarios})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -59,7 +60,7 @@ def initial_point(
     z = np.zeros(layout.unknowns)
     if guess is not None:
         _refuse_unknown_names(program, guess)
-    given: Mapping[str, Any] | pd.DataFrame = {} if guess is None else guess
+    known = _Known(program, bounds, values, {} if guess is None else guess)
     if program.mesh is not None:
         mesh = program.mesh
         for slots, columns, fractions in (
@@ -67,15 +68,12 @@ def initial_point(
             (declared.algebraics, layout.algebraic_columns, mesh.point_fractions),
         ):
             for k, slot in enumerate(slots):
-                z[columns[:, k]] = _function_of_time(
-                    program, bounds, values, given, slot, columns[:, k], fractions
-                )
+                z[columns[:, k]] = known.over_time(slot, columns[:, k], fractions)
     for column, slot in zip(layout.static_columns, declared.statics, strict=True):
-        held = given.get(slot.name, values.static_value(slot))
+        held = known.given.get(slot.name, values.static_value(slot))
         z[column] = _inside(0.0 if held is None else float(np.asarray(held)), bounds, int(column))
-    _order_times(program, bounds, values, given, z)
-    z = np.clip(z, bounds.lower, bounds.upper)
-    z = _with_defined_algebraics(program, bounds, values, given, z)
+    known.order_times(z)
+    z = known.with_defined_algebraics(np.clip(z, bounds.lower, bounds.upper))
     integrals = program.integrals(z)
     for integral, static in program.compiled.static_of_integral.items():
         z[layout.static_columns[static]] = integrals[integral]
@@ -99,29 +97,87 @@ def first_point(
     return z if is_defined(program, z) else with_consistent_algebraics(program, bounds, z)
 
 
-def _with_defined_algebraics(
-    program: Transcription,
-    bounds: Bounds,
-    values: ModelValues,
-    given: Mapping[str, Any] | pd.DataFrame,
-    z: FloatArray,
-) -> FloatArray:
-    """Compute algebraic variables without a guess from the equations that define them."""
-    columns = program.layout.algebraic_columns
-    unknown = [
-        k
-        for k, slot in enumerate(program.compiled.declared.algebraics)
-        if not (slot.name in given or values.initial_values(slot))
-        and not np.any(_are_fixed(bounds, columns[:, k]))
-    ]
-    found = definitions(program, z, unknown)
-    if not found:
-        return z
-    moved, first = np.array(z), 2 * program.layout.n_states
-    variables = with_defined(program, program.path_variables(z), program.data.at_points(), found)
-    for _, k, _ in found:
-        moved[columns[:, k]] = variables[:, first + k]
-    return np.clip(moved, bounds.lower, bounds.upper) if np.all(np.isfinite(moved)) else z
+@dataclass(frozen=True)
+class _Known:
+    """What is known of an initial point: the bounds, the model's values and a user's guess."""
+
+    program: Transcription
+    bounds: Bounds
+    values: ModelValues
+    given: Mapping[str, Any] | pd.DataFrame
+
+    def over_time(self, slot: Slot, columns: Any, fractions: FloatArray) -> FloatArray:
+        """Return the initial values of a variable over time at the fractions of its columns."""
+        if slot.name in self.given:
+            return self._told(slot.name, fractions)
+        fixed = _are_fixed(self.bounds, columns)
+        guessed = self.values.first_guesses(slot, fractions)
+        if guessed is not None:
+            return np.where(fixed, self.bounds.lower[columns], guessed)
+        known = dict(self.values.initial_values(slot))
+        known |= dict(zip(fractions[fixed], self.bounds.lower[columns][fixed], strict=True))
+        if not known:
+            middle = _inside(0.0, self.bounds, int(columns[len(columns) // 2]))
+            return np.full(len(fractions), middle)
+        at = np.array(sorted(known))
+        return np.interp(fractions, at, np.array([known[f] for f in at]))
+
+    def _told(self, name: str, fractions: FloatArray) -> FloatArray:
+        times = np.array([self.program.time_of(float(f)) for f in fractions])
+        held = self.given[name]
+        if callable(held):
+            try:
+                values = np.asarray(held(times), dtype=float)
+            except (TypeError, ValueError):  # It accepts single numbers only, like math.sin.
+                values = np.array([float(held(float(time))) for time in times])
+            return np.broadcast_to(values, times.shape)
+        samples = np.asarray(held, dtype=float)
+        if samples.ndim == 0:
+            return np.full(len(times), float(samples))
+        return np.interp(times, np.asarray(self.given[TIME_COLUMN], dtype=float), samples)
+
+    def with_defined_algebraics(self, z: FloatArray) -> FloatArray:
+        """Compute algebraic variables without a guess from the equations that define them."""
+        program, bounds = self.program, self.bounds
+        columns = program.layout.algebraic_columns
+        unknown = [
+            k
+            for k, slot in enumerate(program.compiled.declared.algebraics)
+            if not (slot.name in self.given or self.values.initial_values(slot))
+            and not np.any(_are_fixed(bounds, columns[:, k]))
+        ]
+        found = definitions(program, z, unknown)
+        if not found:
+            return z
+        moved, first = np.array(z), 2 * program.layout.n_states
+        variables = with_defined(
+            program, program.path_variables(z), program.data.at_points(), found
+        )
+        for _, k, _ in found:
+            moved[columns[:, k]] = variables[:, first + k]
+        return np.clip(moved, bounds.lower, bounds.upper) if np.all(np.isfinite(moved)) else z
+
+    def order_times(self, z: FloatArray) -> None:
+        """Give free times without a value their declared times, and sort all times."""
+        program, bounds = self.program, self.bounds
+        statics, clock = program.compiled.declared.statics, program.compiled.declared.clock
+        slots = {slot.name: k for k, slot in enumerate(statics)}
+        columns = program.layout.static_columns
+        free = {k: slots[t.name()] for k, t in enumerate(clock.times) if str(t) in slots}
+        for k, static in free.items():
+            slot = statics[static]
+            if self.values.static_value(slot) is None and slot.name not in self.given:
+                z[columns[static]] = _inside(clock.declared[k], bounds, int(columns[static]))
+        times = program.times(z)
+        latest = program.times(bounds.upper)
+        latest = np.minimum.accumulate(latest[::-1])[::-1]
+        for k, static in free.items():
+            column = columns[static]
+            if k > 0 and not times[k - 1] < times[k] < np.append(latest, np.inf)[k + 1]:
+                earliest = max(times[k - 1], bounds.lower[column])
+                room = (latest[k] - earliest) / (len(times) - k)
+                step = room if np.isfinite(room) else clock.declared[k] - clock.declared[k - 1]
+                times[k] = z[column] = earliest + step
 
 
 def _are_fixed(bounds: Bounds, columns: Any) -> NDArray[np.bool_]:
@@ -220,77 +276,6 @@ def scattered(program: Transcription, bounds: Bounds, z: FloatArray, seed: int) 
                 values = generator.normal(scale=size, size=_INSTANTS)
                 moved[own] += np.interp(fractions, instants, values)
     return np.clip(moved, bounds.lower, bounds.upper)
-
-
-def _function_of_time(
-    program: Transcription,
-    bounds: Bounds,
-    values: ModelValues,
-    given: Mapping[str, Any] | pd.DataFrame,
-    slot: Slot,
-    columns: Any,
-    fractions: FloatArray,
-) -> FloatArray:
-    if slot.name in given:
-        return _given(program, given, slot.name, fractions)
-    fixed = _are_fixed(bounds, columns)
-    guessed = values.first_guesses(slot, fractions)
-    if guessed is not None:
-        return np.where(fixed, bounds.lower[columns], guessed)
-    known = dict(values.initial_values(slot))
-    known |= dict(zip(fractions[fixed], bounds.lower[columns][fixed], strict=True))
-    if not known:
-        middle = _inside(0.0, bounds, int(columns[len(columns) // 2]))
-        return np.full(len(fractions), middle)
-    at = np.array(sorted(known))
-    return np.interp(fractions, at, np.array([known[f] for f in at]))
-
-
-def _order_times(
-    program: Transcription,
-    bounds: Bounds,
-    values: ModelValues,
-    given: Mapping[str, Any] | pd.DataFrame,
-    z: FloatArray,
-) -> None:
-    """Give free times without a value their declared times, and sort all times."""
-    statics, clock = program.compiled.declared.statics, program.compiled.declared.clock
-    slots = {slot.name: k for k, slot in enumerate(statics)}
-    columns = program.layout.static_columns
-    free = {k: slots[t.name()] for k, t in enumerate(clock.times) if str(t) in slots}
-    for k, static in free.items():
-        if values.static_value(statics[static]) is None and statics[static].name not in given:
-            z[columns[static]] = _inside(clock.declared[k], bounds, int(columns[static]))
-    times = program.times(z)
-    latest = program.times(bounds.upper)
-    latest = np.minimum.accumulate(latest[::-1])[::-1]
-    for k, static in free.items():
-        column = columns[static]
-        if k > 0 and not times[k - 1] < times[k] < np.append(latest, np.inf)[k + 1]:
-            earliest = max(times[k - 1], bounds.lower[column])
-            room = (latest[k] - earliest) / (len(times) - k)
-            step = room if np.isfinite(room) else clock.declared[k] - clock.declared[k - 1]
-            times[k] = z[column] = earliest + step
-
-
-def _given(
-    program: Transcription,
-    given: Mapping[str, Any] | pd.DataFrame,
-    name: str,
-    fractions: FloatArray,
-) -> FloatArray:
-    times = np.array([program.time_of(float(f)) for f in fractions])
-    held = given[name]
-    if callable(held):
-        try:
-            values = np.asarray(held(times), dtype=float)
-        except (TypeError, ValueError):  # It accepts single numbers only, like math.sin.
-            values = np.array([float(held(float(time))) for time in times])
-        return np.broadcast_to(values, times.shape)
-    samples = np.asarray(held, dtype=float)
-    if samples.ndim == 0:
-        return np.full(len(times), float(samples))
-    return np.interp(times, np.asarray(given[TIME_COLUMN], dtype=float), samples)
 
 
 def _inside(number: float, bounds: Bounds, column: int) -> float:

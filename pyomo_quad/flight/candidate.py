@@ -278,12 +278,7 @@ class Candidate:
         """Retry from the solution of least duration."""
         if self.shortest is None:
             return None
-        held, statics = self.shortest.trajectory, self.found.trajectory.statics
-        # The least time needs no pack: its flight lacks the charge and the loss of a charge plan.
-        if np.shape(held.states)[1:] != np.shape(self.found.trajectory.states)[1:]:
-            return None
-        path = held if len(held.statics) == len(statics) else replace(held, statics=statics)
-        return self._retried(path)
+        return self._retried(self.mission.in_own_variables(self.shortest, self.found))
 
     def _retried(self, trajectory: Trajectory) -> str:
         """Solve from a trajectory, keep the solution if it succeeds, and return its status."""

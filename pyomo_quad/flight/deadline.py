@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import time
 from contextvars import ContextVar
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Self
 
 from pyomo_quad.collocation import SolveError
@@ -37,6 +37,11 @@ class _Watch:
         now = time.thread_time()
         return cls(limit_s=limit_s, end=now + limit_s, seen=now, process=os.getpid())
 
+    def shortened(self, limit_s: float) -> Self:
+        """Return a watch that ends no later, and after so many seconds at most."""
+        now = time.thread_time()
+        return replace(self, end=min(self.end, now + limit_s), seen=now, process=os.getpid())
+
     def look(self) -> bool:
         """Return whether the time limit has passed."""
         now = time.thread_time()
@@ -62,10 +67,19 @@ class Deadline:
     scenario : Scenario
     progress : callable, optional
         The caller's own callback, which may stop a solve earlier.
+    longest_s : float, optional
+        Processor time [s] after which the block ends, if the limit leaves it more.
     """
 
-    def __init__(self, scenario: Scenario, progress: Progress | None = None) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        progress: Progress | None = None,
+        longest_s: float | None = None,
+    ) -> None:
         self._watch = _CURRENT.get() or _Watch.started(scenario.solver.time_limit)
+        if longest_s is not None:
+            self._watch = self._watch.shortened(longest_s)
         self._progress = progress
 
     def __enter__(self) -> Self:

@@ -13,6 +13,7 @@ WORDS = {
     "airspace.floor_limit": "floor",
     "airspace.keep_in": "edge {} of the fence",
     "airspace.keep_out": "keep-out {}",
+    "airspace.terrain_edge": "{} edge of the terrain",
     "homing.return_limit": "charge for the return",
     "limits.battery_current_limit": "battery current",
     "limits.battery_power_limit": "power left in the battery",

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from pyomo_quad.flight.steady import FloatArray, SteadyFlight
     from pyomo_quad.scenario import Scenario
+    from pyomo_quad.scenario.airspace import Airspace
 
 # Equal elements longer than this [s] are too long for a change of attitude.
 _LONGEST_S = 3.0
@@ -43,7 +44,8 @@ _SAMPLES = 400
 
 def is_long(scenario: Scenario) -> bool:
     """Return whether a straight flight to the goal is long compared with a change of attitude."""
-    is_straight = not scenario.mission.waypoints and not scenario.airspace.keep_out
+    airspace = scenario.airspace
+    is_straight = not (scenario.mission.waypoints or airspace.keep_out)
     return is_straight and scenario.nominal_duration > _LONGEST_S * scenario.solver.elements
 
 
@@ -103,6 +105,7 @@ def guess_of(scenario: Scenario, steady: SteadyFlight) -> dict[str, Any] | None:
     guess = {name: resting[name] + share * (cruising[name] - resting[name]) for name in resting}
     guess |= _columns(POSITION_STATES, done, course, mission.start.position)
     guess |= _columns(VELOCITY_STATES, speeds, course)
+    guess |= _over_the_ground(scenario.airspace, guess, when)
     heading = mission.start.yaw
     ahead, aside = (
         (course[0] * c + course[1] * s) * accelerations / scenario.gravity
@@ -114,6 +117,19 @@ def guess_of(scenario: Scenario, steady: SteadyFlight) -> dict[str, Any] | None:
     if not mission.is_free:
         return guess | {"time": when}
     return guess | {"time": when / times[-1], "duration": times[-1]}
+
+
+def _over_the_ground(
+    airspace: Airspace, guess: dict[str, Any], when: FloatArray
+) -> dict[str, FloatArray]:
+    """Return height and climb of a guess whose path is raised where it is below the floor."""
+    places = np.column_stack([guess[name] for name in POSITION_STATES])
+    if airspace.ground is None or airspace.floor is None:
+        return {}
+    lacking = np.maximum(0.0, airspace.floor - airspace.height_above_ground(places))
+    raised = np.gradient(lacking, when)
+    height, climb = POSITION_STATES[2], VELOCITY_STATES[2]
+    return {height: guess[height] + lacking, climb: guess[climb] + raised}
 
 
 def _columns(

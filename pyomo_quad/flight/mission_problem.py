@@ -27,7 +27,7 @@ from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from pyomo_quad.collocation import Solution
+    from pyomo_quad.collocation import Solution, Trajectory
     from pyomo_quad.flight.plan import Plan
     from pyomo_quad.flight.problems import Problems
     from pyomo_quad.flight.search import Search
@@ -163,6 +163,29 @@ class MissionProblem:
         """Return the initial point of a solve as a solution that is not converged."""
         options = SolverOptions(max_iterations=0)
         return self.solve(**{"tolerance": None, "options": options, "progress": None} | chosen)
+
+    @staticmethod
+    def in_own_variables(other: Solution, own: Solution) -> Trajectory:
+        """Return the trajectory of another problem's solution in the variables of an own one.
+
+        Variables that the other problem lacks, such as a pack's charge in a flight of the least
+        time, have the course of the own solution; so have all static ones if they differ.
+        """
+        mine, held = own.problem.compiled.declared, other.problem.compiled.declared
+        path, found, mesh = own.trajectory, other.trajectory, other.mesh
+        states = path.states_at(mesh.node_fractions)
+        algebraics = path.algebraics_at(mesh.point_fractions)
+        for values, slots, given, known in (
+            (states, mine.states, found.states, held.states),
+            (algebraics, mine.algebraics, found.algebraics, held.algebraics),
+        ):
+            columns = {slot.name: k for k, slot in enumerate(known)}
+            for k, slot in enumerate(slots):
+                if slot.name in columns:
+                    values[:, k] = given[:, columns[slot.name]]
+        is_same = [slot.name for slot in mine.statics] == [slot.name for slot in held.statics]
+        statics = found.statics if is_same else path.statics
+        return replace(path, mesh=mesh, states=states, algebraics=algebraics, statics=statics)
 
     @cached_property
     def past_waypoints(self) -> MissionProblem | None:

@@ -1,4 +1,4 @@
-"""Shortest routes round keep-out zones, one per homotopy class, and cruise flight along a route.
+"""Shortest routes round zones and over terrain, one per homotopy class, and cruise along a route.
 
 Places beside every obstructing zone are joined where the straight line between them is free;
 Dijkstra's algorithm finds the shortest path through them.  A zone between start and goal is passed
@@ -23,7 +23,7 @@ cruise has its own.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from heapq import heappop, heappush
 from itertools import pairwise
 from math import sqrt
@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from pyomo_quad.flight.climbs import over_the_ground
 from pyomo_quad.flight.references import SampledPath, stops_of
 from pyomo_quad.flight.zones import (
     MARGIN_M,
@@ -124,7 +125,11 @@ def find_routes(
             for zone in zones_hit(airspace.keep_out, route.places, airspace.clearance)
         ]
         if not more:
-            return tuple(r for r in routes if r.length <= _LONGEST * routes[0].length)
+            return tuple(
+                replace(route, places=over_the_ground(route.places, airspace))
+                for route in routes
+                if route.length <= _LONGEST * routes[0].length
+            )
         relevant = [zone for zone in airspace.keep_out if zone in relevant or zone in more]
 
 
@@ -224,9 +229,7 @@ class _Graph:
         self._zones = relevant
         beside = [places_beside(zone, airspace.clearance, ends) for zone in relevant]
         places = np.vstack([ends, *beside])
-        low = -np.inf if airspace.floor is None else airspace.floor
-        high = np.inf if airspace.ceiling is None else airspace.ceiling
-        is_free = (places[:, 2] >= low) & (places[:, 2] <= high)
+        is_free = airspace.room_over_ground(places) >= 0.0
         for zone in airspace.keep_out:
             is_free &= zone.depth(places) + airspace.clearance <= ROUNDING
         if airspace.keep_in is not None:

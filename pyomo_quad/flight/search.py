@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import partial
@@ -27,8 +26,9 @@ USABLE_ENERGY = 0.1
 # estimate holds the breach of limits as it is, of which a usable plan may have as much.
 _PROMISING = FIGURES[Accuracy.QUICK].breach
 # Searches that end within so many seconds of the processor keep nothing on the way, and longer ones
-# spend at most this share of their time on flights of what they keep.
-_PATIENCE_S, _SHARE = 2.0, 0.2
+# spend at most this share of their time on flights of finished meshes: before there is a usable
+# plan, and for a better one.
+_PATIENCE_S, _SHARE, _SHARE_FOR_BETTER = 2.0, 0.2, 0.05
 # What can be flown near a coarse mesh, which takes seconds to find, is found after so many times
 # as long, or after this share of the time limit.
 _LONG, _SHARE_OF_LIMIT = 5.0, 0.3
@@ -165,9 +165,13 @@ class Search:
         if solution.error_estimate > _PROMISING:
             self._coarse = partial(flyable, solution)
             self._seek_usable()
-        elif self._waited_s >= _PATIENCE_S and self._flights_s <= _SHARE * self.spent_s:
-            with self._flying():
-                self.keep(flown(solution))
+            return
+        share = _SHARE if self.usable is None else _SHARE_FOR_BETTER
+        if self._waited_s >= _PATIENCE_S and self._flights_s <= share * self.spent_s:
+            began = time.thread_time()
+            self.keep(flown(solution))
+            self._flights_s += time.thread_time() - began
+            self.stage = Stage.REFINING
 
     def _seek_usable(self) -> None:
         """In a long search, make a usable plan from the last coarse solution."""
@@ -179,18 +183,10 @@ class Search:
         coarse, self._coarse = self._coarse, None
         self._searches += 1
         self.stage = Stage.USABLE
-        with self._flying():
-            for plan in coarse():
-                self.keep(plan)
-                if self.usable is not None:
-                    break
-
-    @contextmanager
-    def _flying(self) -> Iterator[None]:
-        """Context that assigns processor time to simulated flights."""
-        began = time.thread_time()
-        yield
-        self._flights_s += time.thread_time() - began
+        for plan in coarse():
+            self.keep(plan)
+            if self.usable is not None:
+                break
         self.stage = Stage.REFINING
 
     def _note(self, energy_J: float) -> None:

@@ -338,13 +338,19 @@ def _equal_shares(count: int) -> FloatArray:
     return np.linspace(0.0, 1.0, count + 1)[1:]
 
 
+# Part of a cell of terrain, by length, between samples: the height that a flight has above the
+# ground between them is missed by at most a thousandth of what the ground bends in a cell.
+_PART_OF_CELL = 1 / 20
+
+
 def _samples_near_zones(
     airspace: Airspace, dynamics: Dynamics, mesh: Mesh, states: FloatArray, spacing: float
 ) -> list[FloatArray]:
-    """Return the sample times in each element, as shares, that suffice to check all zones.
+    """Return the sample times in each element, as shares, that suffice to check zones and ground.
 
     Between two nodes, samples are at most `spacing` [m] apart where a path as long as their
-    distance may reach a zone.
+    distance may reach a zone, and a small part of a cell of the terrain where it may reach a limit
+    of the height above the ground: in a cell, the surface that limits the flight is one polynomial.
 
     The states are those planned at the nodes, shape (n_points + 1, n_states).
     """
@@ -353,15 +359,22 @@ def _samples_near_zones(
     depths = [np.full(len(places), -np.inf), *(zone.depth(places) for zone in airspace.keep_out)]
     depth = np.max(depths, axis=0) + airspace.clearance
     is_near = np.maximum(depth[:-1], depth[1:]) > -_REACH * gaps
+    apart = np.where(is_near, spacing, np.inf)
+    if airspace.ground is not None:
+        room = airspace.room_over_ground(places)
+        is_low = np.minimum(room[:-1], room[1:]) < _REACH * gaps
+        step = _PART_OF_CELL * airspace.ground.least_step
+        apart = np.minimum(apart, np.where(is_low, step, np.inf))
     nodes = mesh.node_fractions
     samples = []
     for e, (first, end) in enumerate(pairwise(mesh.first_node)):
         shares = (nodes[first : end + 1] - mesh.breakpoints[e]) / mesh.widths[e]
         close = [
-            np.linspace(shares[k], shares[k + 1], ceil(gaps[first + k] / spacing) + 1)[1:-1]
-            for k in np.flatnonzero(is_near[first:end])
+            np.linspace(shares[k], shares[k + 1], ceil(gaps[first + k] / apart[first + k]) + 1)
+            for k in np.flatnonzero(np.isfinite(apart[first:end]))
         ]
-        every = np.concatenate([_equal_shares(SAMPLES_PER_ELEMENT), *close])
+        inner = (row[1:-1] for row in close)
+        every = np.concatenate([_equal_shares(SAMPLES_PER_ELEMENT), *inner])
         samples.append(np.unique(np.round(every, _DIGITS)))
     return samples
 
@@ -427,7 +440,7 @@ def verify_controls(
     energy : float
         Objective of the plan [J].
     airspace : Airspace, optional
-        Airspace whose zones are checked with dense samples.
+        Airspace whose zones and terrain are checked with dense samples.
     passages : sequence of Passage, optional
         Places that the flight should pass, with times.
     accuracy : Accuracy, optional

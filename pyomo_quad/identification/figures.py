@@ -32,22 +32,7 @@ def identification_drawings(
     found: Identification, pack: PackIdentification | None = None
 ) -> tuple[Drawing, ...]:
     """List the figures of an identification."""
-    of_pack = (
-        ()
-        if pack is None
-        else (
-            Drawing(
-                name="voltages",
-                title="Voltage of the pack",
-                caption="Left: voltage of a cell in three flights, from just before the load: "
-                "measured, and computed by a fit without that flight; the resistance is read in "
-                "the rows before the dotted line. Right: error of each flight over the factor on "
-                "its pack's resistance, new and warm to old and cold.",
-                draw=lambda: draw_voltages(found, pack),
-            ),
-        )
-    )
-    return (
+    drawings = (
         Drawing(
             name="energies",
             title="Energy of each flight",
@@ -70,8 +55,19 @@ def identification_drawings(
             "airspeed, gusts and turns included; the bar spans half of them.",
             draw=lambda: draw_curve(found),
         ),
-        *of_pack,
     )
+    if pack is None:
+        return drawings
+    voltages = Drawing(
+        name="voltages",
+        title="Voltage of the pack",
+        caption="Left: voltage of a cell in three flights, from just before the load: "
+        "measured, and computed by a fit without that flight; the resistance is read in "
+        "the rows before the dotted line. Right: error of each flight over the factor on "
+        "its pack's resistance, new and warm to old and cold.",
+        draw=lambda: draw_voltages(found, pack),
+    )
+    return (*drawings, voltages)
 
 
 def draw_energies(found: Identification) -> Figure:

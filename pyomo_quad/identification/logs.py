@@ -166,10 +166,8 @@ def once_each(frame: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, str]]:
     for flight, rows in frame.groupby(FLIGHT, sort=False).indices.items():
         own = numbers.iloc[rows].assign(**{TIME: lambda f: f[TIME] - f[TIME].iloc[0]})
         key = sha256(own.to_numpy(dtype=np.float32).tobytes()).digest()
-        if key in first:
+        if first.setdefault(key, str(flight)) != str(flight):
             copies[str(flight)] = first[key]
-        else:
-            first[key] = str(flight)
     if copies:
         is_copy = frame[FLIGHT].astype(str).isin(copies)
         frame = frame[~is_copy].reset_index(drop=True)

@@ -1,4 +1,4 @@
-"""The airspace: floor, ceiling, fence and keep-out zones.
+"""The airspace: floor, ceiling, fence, edges of the terrain and keep-out zones.
 
 symbol | name | unit | meaning
 c_k | centre[zone, ball, axis] | m | centre of ball k of a zone, on the axes of the ball
@@ -22,6 +22,10 @@ at nearly the same distance, up to 0.14 w more is forbidden for each further fac
 The fence (`keep_in`) is a linear limit for each of its edges. It is exact everywhere, corners
 included, and has no clearance.
 
+Over terrain, floor and ceiling limit the height above the ground (`model.ground`), and flights stay
+where the ground is known, within the edges of its grid.  Zones have their own heights z: terrain
+moves neither their bottom nor their top.
+
 A flight cannot start, end or pass a waypoint on the surface of a zone, because no neighbourhood is
 free there. The declaration refuses it before any solve.
 """
@@ -35,6 +39,7 @@ from pyomo.core import Block, ConcreteModel, sqrt
 from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression, RelationalExpression
 
+from pyomo_quad.model.ground import height_above_ground
 from pyomo_quad.model.parameters import (
     Parameter,
     declare_parameters,
@@ -60,7 +65,7 @@ _TOUCHING_M = 5e-5
 
 @parameters_in("airspace")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters of floor, ceiling, fence and zones."""
+    """Return the parameters of floor, ceiling, fence, terrain and zones."""
     return _OF_ALL + (_OF_ZONES if scenario.airspace.keep_out else ())
 
 
@@ -78,6 +83,11 @@ def _fence_ends(scenario: Scenario) -> dict[int, float]:
     fence = scenario.airspace.keep_in
     edges = () if fence is None else fence.edges
     return {number: end for number, (_, end) in enumerate(edges, start=1)}
+
+
+def _edges(scenario: Scenario) -> dict[str, tuple[int, float, float]]:
+    ground = scenario.airspace.ground
+    return {} if ground is None else ground.edges
 
 
 def _normals(scenario: Scenario) -> dict[tuple[str, int, str], float]:
@@ -128,6 +138,12 @@ _OF_ALL = (
         value=_fence_ends,
         doc="distance of an edge of the fence along its normal",
     ),
+    Parameter(
+        name="terrain_end",
+        units=units.m,
+        value=lambda s: {name: end for name, (_, _, end) in _edges(s).items()},
+        doc="coordinate of an edge of the terrain",
+    ),
 )
 _OF_ZONES = (
     *fields_of("airspace", "clearance"),
@@ -176,13 +192,22 @@ def declare_airspace(m: ConcreteModel, scenario: Scenario) -> None:
 
         @b.Constraint(m.time, doc="least height [m]")
         def floor_limit(b: Block, t: float) -> RelationalExpression:
-            return b.parent_block().rigid_body.z[t] >= b.floor
+            return height_above_ground(m, t) >= b.floor
 
     if scenario.airspace.ceiling is not None:
 
         @b.Constraint(m.time, doc="largest height [m]")
         def ceiling_limit(b: Block, t: float) -> RelationalExpression:
-            return b.parent_block().rigid_body.z[t] <= b.ceiling
+            return height_above_ground(m, t, -1) <= b.ceiling
+
+    edges = _edges(scenario)
+    if edges:
+
+        @b.Constraint(list(edges), m.time, doc="inside of the terrain [m]")
+        def terrain_edge(b: Block, edge: str, t: float) -> RelationalExpression:
+            axis, side, _ = edges[edge]
+            out = b.parent_block().rigid_body.component(AXES[axis])[t] - b.terrain_end[edge]
+            return side * out <= 0.0 * units.m
 
     if scenario.airspace.keep_in is not None:
 

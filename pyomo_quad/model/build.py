@@ -13,6 +13,7 @@ from pyomo_quad.model import (
     aerodynamics,
     airspace,
     battery,
+    ground,
     homing,
     limits,
     mission,
@@ -44,8 +45,9 @@ def build_model(scenario: Scenario) -> ConcreteModel:
     ConcreteModel
         With ``time`` (start, one interior point, end; not discretised), ``clock`` and the
         blocks ``vehicle, rigid_body, rotors, wind, aerodynamics, power, battery, limits,
-        airspace, mission``, the integral ``energy`` and the ``objective``.  Suffix
-        ``scaling_factor`` holds one over the usual magnitude of each variable.
+        airspace, mission`` and, over terrain, ``ground``, the integral ``energy`` and the
+        ``objective``.  Suffix ``scaling_factor`` holds one over the usual magnitude of each
+        variable.
 
     Examples
     --------
@@ -145,6 +147,7 @@ def _vehicle_in_the_wind(scenario: Scenario) -> ConcreteModel:
     rotors.declare_rotors(m, scenario)
     rotors.declare_motors(m, scenario)
     declare_motion(m, scenario)
+    ground.declare_ground(m, scenario)
     wind.declare_wind(m, scenario)
     return m
 
@@ -235,6 +238,7 @@ def structure_key(scenario: Scenario) -> Hashable:
         scenario.wind.coupling,
         None if series is None else (series, scenario.wind.time_offset, longest),
         (scenario.wind.grid, scenario.wind.beyond),
+        scenario.airspace.ground,
         battery.may_lose_voltage(scenario),
         (scenario.mission, tuple(t / end for t in passages)) if passages else None,
         scenario.mission.aim is Aim.CHARGE,

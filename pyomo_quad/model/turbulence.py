@@ -39,6 +39,7 @@ from pyomo.core.expr import NumericExpression, RelationalExpression
 from pyomo.dae import DerivativeVar
 
 from pyomo_quad.collocation import Steps
+from pyomo_quad.model.ground import height_above_ground
 from pyomo_quad.model.parameters import (
     Parameter,
     add_parameters,
@@ -184,7 +185,7 @@ def _declare_scales(b: Block, m: ConcreteModel) -> None:
 
     @b.Expression(m.time, doc="h: height at which the laws are read [m]")
     def height(_b: Block, t: float) -> NumericExpression:
-        below = _HIGHEST - floored(m.rigid_body.z[t], _LOWEST, _HEIGHT_ROUNDING)
+        below = _HIGHEST - floored(height_above_ground(m, t), _LOWEST, _HEIGHT_ROUNDING)
         return _HIGHEST - floored(below, 0 * units.m, _HEIGHT_ROUNDING)
 
     @b.Expression(m.time, doc="standard deviation of u and v [m/s]")

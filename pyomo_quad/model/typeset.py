@@ -220,6 +220,10 @@ class _Writer:
             return f"e^{{{argument}}}", _POWER
         if node.name in _FUNCTIONS:
             return rf"\{node.name}\left({argument}\right)", _ATOM
+        if node.name in SYMBOLS:
+            # A table of the model; Pyomo appends an argument that identifies it.
+            arguments = ", ".join(map(self.text, node.args[:-1]))
+            return rf"{SYMBOLS[node.name]}\left({arguments}\right)", _ATOM
         return rf"\operatorname{{{node.name}}}\left({argument}\right)", _ATOM
 
     def _bracketed(self, node: NumericValue, needed: int) -> str:

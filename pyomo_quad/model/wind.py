@@ -13,11 +13,13 @@ law | factor at height h | source
 power | (h / h_r)^exponent | Justus and Mikhail (1976)
 logarithmic | ln(h / z_0) / ln(h_r / z_0), of roughness z_0 | Stull (1988), section 9.7
 
-with h the vehicle's height z above the ground. Below the larger of 0.1 m and z_0, where neither law
-is valid, the wind is constant: h is a smooth maximum of that height and z, increasing in z, and
-equal to z within 1e-12 m from half a metre above. A wind measured over heights is a cubic spline
-through the measurements between the lowest and the highest height, and constant beyond them, with
-the same smoothing.
+with h the vehicle's height above the ground: z, or over terrain the height over the smooth surface
+that is nowhere below the ground (`model.ground`). Below the larger of 0.1 m and z_0, where neither
+law is valid, the wind is constant: in place of h stands a smooth maximum of that height and h,
+increasing in h, and equal to h within 1e-12 m from half a metre above. A wind measured over heights
+is a cubic spline through the measurements between the lowest and the highest height, and constant
+beyond them, with the same smoothing. Its heights, too, are heights above the ground; those of a
+field are z.
 
 A wind measured over time is the cubic spline of the wind time through its rows. It is twice
 differentiable at any time, so that a plan may choose its times. After the last row it is constant.
@@ -40,6 +42,7 @@ from pyomo.core.base.units_container import UnitsError, units
 from pyomo.core.expr import NumericExpression
 
 from pyomo_quad.collocation import Table
+from pyomo_quad.model.ground import height_above_ground
 from pyomo_quad.model.parameters import (
     Parameter,
     declare_parameters,
@@ -212,7 +215,7 @@ def _declare_height(b: Block, m: ConcreteModel) -> None:
 
     @b.Expression(m.time, doc="height above the least height [m]")
     def height_above(b: Block, t: float) -> NumericExpression:
-        return b.parent_block().rigid_body.z[t] - b.least_height
+        return height_above_ground(m, t) - b.least_height
 
     @b.Expression(m.time, doc="height at which the wind is read [m]")
     def height(b: Block, t: float) -> NumericExpression:

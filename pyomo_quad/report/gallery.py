@@ -44,6 +44,7 @@ from pyomo_quad.report.paths import (
     script_json,
     view_data,
 )
+from pyomo_quad.report.relief import draw_heights
 from pyomo_quad.report.render import environment, fixed
 from pyomo_quad.report.signals import (
     BATTERY,
@@ -89,6 +90,8 @@ def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawin
     blowing = flights[1] if has_forecast and len(flights) > 1 else None
     mission, tolerance = plan.mission_flown, plan.scenario.solver.tolerance
     way = (_way(flights, mission),) if _has_way(plan.scenario) else ()
+    if plan.scenario.airspace.ground is not None:
+        way = (_heights(flights, mission), *way)
     mesh = partial(draw_mesh, plan.history, plan.mesh, tolerance, flights[0].duration_s)
     caption = "Left: error estimate on each mesh. Right: elements and degrees of the last mesh."
     return (
@@ -284,7 +287,9 @@ def _course(mission: "Scenario") -> str:
     if airspace.keep_out and airspace.clearance:
         said += " Dashed: their clearance."
     limits = (("floor", airspace.floor), ("ceiling", airspace.ceiling))
-    told = [f"{name} at {height:g} m" for name, height in limits if height is not None]
+    over = "" if airspace.ground is None else " above the ground"
+    said += "" if airspace.ground is None else " Brown: the terrain."
+    told = [f"{name} at {height:g} m{over}" for name, height in limits if height is not None]
     return f"{said} {' and '.join(told).capitalize()}." if told else said
 
 
@@ -312,6 +317,21 @@ def _way(flights: Sequence[StyledFlight], mission: "Scenario") -> Drawing:
     draw = partial(draw_way, distinct_paths(flights), mission)
     title = "Speed along the path"
     return Drawing("way", title, f"{caption}{left_out(flights)}", draw, needs)
+
+
+def _heights(flights: Sequence[StyledFlight], mission: "Scenario") -> Drawing:
+    airspace = mission.airspace
+    ground = airspace.ground
+    excess = 0.0 if ground is None else ground.surface(1).excess
+    caption = (
+        f"Brown: the ground under {flights[0].name}, as its limits see it: a smooth surface that "
+        f"is nowhere below the terrain, and above it by at most {excess:.2g} m."
+    )
+    if airspace.floor is not None or airspace.ceiling is not None:
+        caption += " Dashed: the least and the largest height above the ground."
+    draw = partial(draw_heights, distinct_paths(flights), airspace)
+    title = "Height above the ground"
+    return Drawing("heights", title, f"{caption}{left_out(flights)}", draw, _columns(POSITION))
 
 
 def left_out(flights: Sequence[StyledFlight]) -> str:

@@ -18,6 +18,7 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D  # type: ignore[import-untyped]
 
 from pyomo_quad.flight.columns import Column
 from pyomo_quad.report.labels import Label, write_labels
+from pyomo_quad.report.relief import draw_relief
 from pyomo_quad.report.signals import (
     ATTITUDE,
     BATTERY,
@@ -44,6 +45,7 @@ from pyomo_quad.report.style import (
 from pyomo_quad.report.zones import ZONE_COLOR, box_around, faces, outline
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.airspace import Airspace, KeepOut
+from pyomo_quad.scenario.wind import WindGrid
 
 _PROJECTIONS = ((0, 1, "from above"), (0, 2, "from the front"), (1, 2, "from the side"))
 BEAT_COUNT = 5  # markers at equal times along each path: a larger distance means a higher speed
@@ -69,6 +71,8 @@ _BESIDE: dict[str, Any] = {
 }
 # Inches: height of the map, and length of the arrow of its wind; m/s, the least wind that has one.
 _MAP_HEIGHT, _ARROW, _CALM = 3.1, 0.55, 0.05
+# Arrows of a wind field along each axis, at most twice as many.
+_MOST_ARROWS = 25
 WIND_COLOR = "#3a6ea5"  # as in the page's view
 # Distance of start and goal, relative to the path length, below which they share a marker.
 _SAME_PLACE = 0.01
@@ -99,7 +103,10 @@ def draw_path(flights: Sequence[StyledFlight], mission: Scenario | None = None) 
 
 
 def draw_map(flights: Sequence[StyledFlight], mission: Scenario) -> Figure:
-    """Draw paths from above with zones, waypoints and the mean wind, to one scale."""
+    """Draw paths from above with zones, waypoints and wind, to one scale.
+
+    The wind is that of a field at its least height and first time, or the mean along the flight.
+    """
     figure = Figure(figsize=(FULL_WIDTH, _MAP_HEIGHT))
     left, below, wide, high = 0.075, 0.21, 0.915, 0.76
     axes = figure.add_axes((left, below, wide, high))
@@ -115,7 +122,10 @@ def draw_map(flights: Sequence[StyledFlight], mission: Scenario) -> Figure:
         axes.plot(*end[:2, None], marker=shape, color=INK, markersize=7, linestyle="none")
         labels.insert(0, Label(text=name, x=float(end[0]), y=float(end[1])))
     write_labels(axes, labels)
-    _draw_mean_wind(axes, flights[0])
+    if mission.wind.grid is None:
+        _draw_mean_wind(axes, flights[0])
+    else:
+        _draw_wind_field(axes, mission.wind.grid, mission.wind.field_scale)
     axes.set(xlabel=axis_label(POSITION[0]), ylabel=axis_label(POSITION[1]))
     legend_below(figure, axes)
     return figure
@@ -153,6 +163,22 @@ def _draw_mean_wind(axes: Axes, flight: StyledFlight) -> None:
         color=WIND_COLOR,
         fontsize=8,
     )
+
+
+def _draw_wind_field(axes: Axes, grid: WindGrid, scale: float) -> None:
+    """Draw a wind field as arrows at grid points, or every few, with a key of their length."""
+    every_x, every_y = (1 + len(axis) // _MOST_ARROWS for axis in (grid.x, grid.y))
+    components = grid.components[:2].reshape(2, len(grid.x), len(grid.y), -1)
+    wind = scale * components[:, ::every_x, ::every_y, 0]
+    speed = float(np.nanmax(np.hypot(*wind)))
+    if speed < _CALM:
+        return
+    places = np.meshgrid(grid.x[::every_x], grid.y[::every_y], indexing="ij")
+    arrows = axes.quiver(
+        *places, *wind, color=WIND_COLOR, width=1.5e-3, alpha=0.6, zorder=0.5, pivot="mid"
+    )
+    text = f"wind of the field, up to {speed:.1f} m/s"
+    axes.quiverkey(arrows, 0.86, 1.04, speed, text, labelpos="W", fontproperties={"size": 8})
 
 
 def draw_space(
@@ -256,6 +282,8 @@ def _with_airspace(limits: np.ndarray, airspace: Airspace) -> np.ndarray:
     beyond = _MARGIN * room
     ends = ((airspace.floor, -beyond), (airspace.ceiling, beyond))
     heights = [(_UP, height + margin) for height, margin in ends if height is not None]
+    if airspace.ground is not None:
+        heights = []  # heights above the ground
     # Leave out a floor or ceiling beyond this distance.
     sides += [side for side in heights if furthest[_UP, 0] <= side[1] <= furthest[_UP, 1]]
     for axis, place in sides:
@@ -266,11 +294,12 @@ def _with_airspace(limits: np.ndarray, airspace: Airspace) -> np.ndarray:
 
 
 def draw_mission(axes: Axes, mission: Scenario, directions: tuple[int, int]) -> list[Label]:
-    """Draw zones, floor, ceiling and waypoints as seen along an axis; return their labels.
+    """Draw terrain, zones, limits of height and waypoints along an axis; return their labels.
 
     The labels of waypoints come first, then, from above, the names of zones.
     """
     airspace = mission.airspace
+    draw_relief(axes, airspace.ground, directions)
     names = []
     if airspace.keep_in is not None and set(directions) == {0, 1}:
         fence = [(c[directions[0]], c[directions[1]]) for c in airspace.keep_in.corners]
@@ -287,7 +316,7 @@ def draw_mission(axes: Axes, mission: Scenario, directions: tuple[int, int]) -> 
             x, y, _ = box_around(zone).mean(axis=0).tolist()
             names.append(Label(text=zone.name, x=x, y=y, color=ZONE_COLOR, is_centred=True))
     for name, height in (("floor", airspace.floor), ("ceiling", airspace.ceiling)):
-        if height is not None and directions[1] == _UP:
+        if height is not None and directions[1] == _UP and airspace.ground is None:
             axes.axhline(height, color=ZONE_COLOR, linewidth=1.0)
             axes.annotate(name, (0.0, height), xycoords=_AT_LEFT, color=ZONE_COLOR, **_BESIDE)
     passed: dict[tuple[float, float], list[str]] = {}

@@ -38,6 +38,7 @@ def box_around(zone: KeepOut) -> FloatArray:
     sides = {
         axis: (centre - ball.radius, centre + ball.radius)
         for ball in zone.balls
+        if ball.normal is None
         for axis, centre in zip(ball.axes, ball.centre, strict=True)
     }
     for axis, along in enumerate(zip(*(zone.corners or ()), strict=True)):

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from enum import StrEnum
+from functools import lru_cache
 from itertools import pairwise
 from math import atan2, hypot, tau
 from typing import TYPE_CHECKING, NamedTuple, Self
@@ -9,15 +10,18 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 from pydantic import model_validator
 
 from pyomo_quad.scenario.fields import Number, Part, Sound, Text, Triple, late_quantity, quantity
+from pyomo_quad.scenario.packed_arrays import unpacked
 
 if TYPE_CHECKING:
     from numpy import float64
     from numpy.typing import ArrayLike, NDArray
 
+    from pyomo_quad.scenario.surfaces import Surface
+
     FloatArray = NDArray[float64]
 
 _FAR = Sound(-1e5, 1e5, "coordinates lie within 100 km of the origin")
-_WIDE = Sound(1e-2, 1e5, "obstacles measure from 1 cm to 100 km")
+_WIDE = Sound(1e-2, 1e5, "sizes of obstacles")
 _ZONE_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
 _MOST_ZONES = 64
 
@@ -279,17 +283,71 @@ class KeepIn(Part):
         return np.asarray((ends - held @ normals.T).min(axis=-1))
 
 
+class TerrainGrid(Part):
+    """Heights of the ground on a rectilinear grid, read and validated from `airspace.terrain`."""
+
+    x: tuple[Number, ...] = quantity("m", "places along world x, rising")
+    y: tuple[Number, ...] = quantity("m", "places along world y, rising")
+    heights: Text = quantity(
+        "",
+        "z of the ground at each place: doubles in the order of x, y, least byte first, compressed "
+        "by zlib and written in base64",
+    )
+
+    @property
+    def elevations(self) -> "FloatArray":
+        """Height z of the ground, shape (len(x), len(y)) [m]."""
+        return unpacked(self.heights).reshape(len(self.x), len(self.y))
+
+    def surface(self, side: int) -> "Surface":
+        """Return the smooth surface that is nowhere below the ground (1) or nowhere above (-1)."""
+        return _surface(self, side)
+
+    @property
+    def least_step(self) -> float:
+        """Least distance of neighbours on either axis [m]."""
+        return min(after - at for axis in (self.x, self.y) for at, after in pairwise(axis))
+
+    @property
+    def edges(self) -> dict[str, tuple[int, float, float]]:
+        """Name of each edge -> axis that it ends, side, and coordinate on that axis [m]."""
+        return {
+            "west": (0, -1.0, self.x[0]),
+            "east": (0, 1.0, self.x[-1]),
+            "south": (1, -1.0, self.y[0]),
+            "north": (1, 1.0, self.y[-1]),
+        }
+
+
+@lru_cache(maxsize=8)
+def _surface(grid: TerrainGrid, side: int) -> "Surface":
+    from pyomo_quad.scenario.surfaces import surface_of  # noqa: PLC0415  see `Ball.coordinates`
+
+    return surface_of(grid.x, grid.y, grid.elevations, side)
+
+
 class Airspace(Part):
     """Limits of the airspace of a mission."""
 
-    floor: Number | None = quantity("m", "least height, none when absent", None, sound=_FAR)
-    ceiling: Number | None = quantity("m", "largest height, none when absent", None, sound=_FAR)
+    floor: Number | None = quantity(
+        "m",
+        "least height, none when absent; over terrain least height above the ground, clearance "
+        "when absent",
+        None,
+        sound=_FAR,
+    )
+    ceiling: Number | None = quantity(
+        "m",
+        "largest height, none when absent; over terrain largest height above the ground",
+        None,
+        sound=_FAR,
+    )
     clearance: Number = quantity(
         "m",
         "distance kept from every keep-out",
         0.0,
         ge=0,
-        sound=Sound(0, 1e4, "clearances are at most 10 km"),
+        sound=Sound(0, 1e4, "a larger clearance leaves no airspace near the mission"),
     )
     keep_out: tuple[KeepOut, ...] = quantity("", "zones to keep out of", (), max_length=_MOST_ZONES)
     keep_in: KeepIn | None = late_quantity(
@@ -301,6 +359,14 @@ class Airspace(Part):
         "height) and perhaps bottom, in m above mission.origin",
         None,
     )
+    terrain: Text | None = late_quantity(
+        "",
+        "file of the heights of the ground, flat at z = 0 when absent: NetCDF with CF names and "
+        "units, or CSV or Parquet with the columns x_m,y_m,height_m; altitudes above the sea where "
+        "mission.origin is given",
+        None,
+    )
+    ground: TerrainGrid | None = late_quantity("", "the ground read from terrain", None)
 
     @model_validator(mode="after")
     def _is_possible(self) -> Self:
@@ -314,12 +380,46 @@ class Airspace(Part):
             raise ValueError(f"keep_out has two zones named {twice}; name each zone once")
         return self
 
+    def height_above_ground(self, place: "ArrayLike", side: int = 1) -> "FloatArray":
+        """Return the heights of places (..., 3) above the surface that floor or ceiling count from.
+
+        With side 1, that of the floor, the surface is nowhere below the ground; with side -1, that
+        of the ceiling, it is nowhere above.
+        """
+        import numpy as np  # noqa: PLC0415  see `Ball.coordinates`
+
+        held = np.asarray(place, dtype=float)
+        if self.ground is None:
+            return np.asarray(held[..., 2])
+        return np.asarray(held[..., 2] - self.ground.surface(side).at(held))
+
+    def room_over_ground(self, places: "ArrayLike") -> "FloatArray":
+        """Return the distance of places (..., 3) from floor and ceiling, negative outside [m]."""
+        import numpy as np  # noqa: PLC0415  see `Ball.coordinates`
+
+        low = -np.inf if self.floor is None else self.floor
+        high = np.inf if self.ceiling is None else self.ceiling
+        over, under = (self.height_above_ground(places, side) for side in (1, -1))
+        return np.minimum(over - low, high - under)
+
     def complaints(self, place: Sequence[float]) -> Iterator[str]:
         """Yield the reasons why a place is outside the airspace, each with a remedy."""
-        if self.floor is not None and place[2] < self.floor:
-            yield f"is below airspace.floor = {self.floor:g} m; raise it or lower the floor"
-        if self.ceiling is not None and place[2] > self.ceiling:
-            yield f"is above airspace.ceiling = {self.ceiling:g} m; lower it or raise the ceiling"
+        over, told = self.height_above_ground(place), ""
+        if self.ground is not None:
+            told = f"{over:.4g} m above airspace.terrain, "
+            for name, (axis, side, end) in self.ground.edges.items():
+                if side * (place[axis] - end) > 0.0:
+                    yield (
+                        f"is beyond the {name} edge of airspace.terrain at {'xy'[axis]} = "
+                        f"{end:g} m; move it, or give more of the terrain"
+                    )
+        if self.floor is not None and over < self.floor:
+            yield f"is {told}below airspace.floor = {self.floor:g} m; raise it or lower the floor"
+        if self.ceiling is not None and self.height_above_ground(place, -1) > self.ceiling:
+            yield (
+                f"is {told}above airspace.ceiling = {self.ceiling:g} m; lower it or raise the "
+                "ceiling"
+            )
         outside = 0.0 if self.keep_in is None else -float(self.keep_in.room(place))
         if outside > 0.0:
             yield f"is outside the fence airspace.keep_in by {outside:.3g} m; move one of them"

@@ -20,7 +20,7 @@ from pyomo_quad.scenario.fields import (
 _VOLTAGE = not_negative(100, "cells of all chemistries have 1 to 5 V")
 _RESISTANCE = positive(1e-6, 100, "cells have from 0.1 mohm to some ohms")
 _TEMPERATURE = Sound(150, 500, "temperatures are in kelvin, 20 degrees Celsius are 293.15 K")
-_FACTOR = positive(0.05, 20, "a pack that lost nineteen twentieths of itself is scrap")
+_FACTOR = positive(0.05, 20, "capacity and resistance of usable batteries change less")
 
 
 class Relaxation(Part):

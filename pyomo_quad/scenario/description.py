@@ -9,6 +9,7 @@ import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -126,7 +127,7 @@ def _fields(table: BaseModel, prefix: FieldPath = ()) -> Iterator[tuple[FieldPat
 # Keys that `quantity` adds to a field for messages; editors do not know them.
 _NOTES = ("unit", "allowed", "example", "other_names", "sound", "is_late", "unit_keys")
 # Read from a named file, never written by hand.
-_DERIVED = ("series", "grid")
+_DERIVED = ("series", "grid", "ground")
 _LIMITS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
 
 
@@ -257,11 +258,31 @@ def _default(field: Mapping[str, Any]) -> str:
 
 def _allowed(field: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
     words = [field["allowed"]] if field.get("allowed") else []
-    words += [_of_type(option, definitions) for option in (field, *field.get("anyOf", ()))]
-    sound = field.get("sound")
-    if sound is not None:
-        words.append(f"{sound['low']:g} to {sound['high']:g}: {sound['because']}")
+    options = (field, *field.get("anyOf", ()))
+    words += [_of_type(option, definitions) for option in options if not _is_ranged(field, option)]
+    if "sound" in field:
+        ranged = next(option for option in options if _is_ranged(field, option))
+        words.append(_range(field["sound"], ranged))
     return "; ".join(filter(None, words))
+
+
+def _is_ranged(field: Mapping[str, Any], option: Mapping[str, Any]) -> bool:
+    """Return whether a plausible range applies to one type of a field."""
+    return "sound" in field and option.get("type") in {"number", "integer", "array"}
+
+
+def _range(sound: Mapping[str, Any], option: Mapping[str, Any]) -> str:
+    """Return the range that limits and plausibility leave to a number, and the reason."""
+    number = option.get("items", option)
+    low = max(sound["low"], number.get("minimum", -inf), number.get("exclusiveMinimum", -inf))
+    high = min(sound["high"], number.get("maximum", inf), number.get("exclusiveMaximum", inf))
+    words = f"{low:g} to {high:g}"
+    if low == number.get("exclusiveMinimum") or high == number.get("exclusiveMaximum"):
+        least = ">" if low == number.get("exclusiveMinimum") else "≥"
+        most = "<" if high == number.get("exclusiveMaximum") else "≤"
+        words = f"{least} {low:g}, {most} {high:g}"
+    each = "a list, each " if option.get("type") == "array" else ""
+    return f"{each}{words} ({sound['because']})"
 
 
 def _of_type(option: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
@@ -297,8 +318,10 @@ def shipped_scenarios() -> Mapping[str, Path]:
 def files_beside(template: str) -> dict[str, Path]:
     """Return the files that a shipped scenario names, by their names in it."""
     file = shipped_scenarios()[template]
-    named = tomllib.loads(file.read_text(encoding="utf-8")).get("wind", {}).get("field")
-    return {} if named is None else {named: file.parent / named}
+    tables = tomllib.loads(file.read_text(encoding="utf-8"))
+    fields = (("wind", "field"), ("airspace", "terrain"))
+    named = (tables.get(table, {}).get(field) for table, field in fields)
+    return {name: file.parent / name for name in named if name is not None}
 
 
 def refuse_no_name(text: str) -> None:

@@ -18,10 +18,11 @@ from pyomo_quad.scenario.schema import Scenario
 
 # Name in messages of a scenario that was not read from a file.
 _MAPPING = "scenario"
-# Parts of the wind that are read from a file -> the field that names the file.
+# Table, and its parts that are read from a file -> the field that names the file.
 _READ_FROM = {
-    "series": "a CSV file in wind.file",
-    "grid": "a NetCDF, CSV or Parquet file in wind.field",
+    ("wind", "series"): "a CSV file in wind.file",
+    ("wind", "grid"): "a NetCDF, CSV or Parquet file in wind.field",
+    ("airspace", "ground"): "a NetCDF, CSV or Parquet file in airspace.terrain",
 }
 _BARE_WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 
@@ -130,8 +131,8 @@ def with_overrides(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
 def _from_written(origin: ScenarioSource) -> Scenario:
     written = (*(path for path, _ in leaves(origin.document)), *origin.assignments)
     for path in written:
-        derived = next((name for name in _READ_FROM if name in path), None)
-        if path[0] == "wind" and derived is not None:
+        derived = next((key for key in _READ_FROM if key[0] == path[0] and key[1] in path), None)
+        if derived is not None:
             where = origin.label if path in origin.assignments else origin.source
             raise ScenarioError(
                 f"{where}: {shown(spell(path))[1:-1]} is not set by hand; name "

@@ -23,7 +23,7 @@ from pyomo_quad.scenario.messages import ScenarioError
 _FAR = Sound(-1e5, 1e5, "coordinates lie within 100 km of the origin")
 _TURNS = Sound(-1e4, 1e4, "headings are in radians, a turn is 6.283")
 _ALOFT = Sound(1e-3, 86_400, "flights last from 1 ms to one day")
-_NEAR = "distances within a mission are below 10 km"
+_NEAR = "distances within a mission"
 FREE = "free"
 #: Waypoints whose best order is looked for.
 MOST_ORDERED = 30
@@ -105,7 +105,7 @@ class ReturnFlight(Part):
         "1",
         "charge kept beyond that of the return, as a share of it",
         0.2,
-        sound=not_negative(10, "ten returns are enough"),
+        sound=not_negative(10, "a larger reserve is probably a typing error"),
     )
     airspeed: Number | None = quantity(
         "m/s",

@@ -429,6 +429,7 @@ def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
     tables = _with_assignments(origin, merge(filled.tables, own), indexed=True)
     tables = in_plain_terms(tables, own, provenance, origin.source)
     tables = _add_footprints(origin, tables, provenance)
+    tables = _add_terrain(origin, tables, provenance)
     try:
         tables = _add_wind_series(origin, tables, provenance)
         tables = _add_wind_fields(origin, tables, provenance)
@@ -584,6 +585,30 @@ def _add_footprints(
         airspace = {**airspace, "keep_out": [*zones, *read]}
         provenance["airspace.keep_out"] = f"file {shown(file)[1:-1]}"
     return {**tables, "airspace": in_convex_parts(airspace)}
+
+
+def _add_terrain(
+    origin: ScenarioSource, tables: dict[str, Any], provenance: dict[str, str]
+) -> dict[str, Any]:
+    """Add the heights of the ground, and the floor above it where none is given."""
+    airspace = table_at(tables, "airspace")
+    file = airspace.get("terrain")
+    if not isinstance(file, str):
+        return tables
+    if "floor" not in airspace and is_number(airspace.get("clearance", 0.0)):
+        tables = set_value(tables, ("airspace", "floor"), airspace.get("clearance", 0.0))
+        provenance["airspace.floor"] = "airspace.clearance over airspace.terrain"
+    if origin.is_resolved and "airspace.terrain" not in map(spell, origin.assignments):
+        return tables
+    # Imports pandas, which scenarios without terrain do without.
+    from pyomo_quad.scenario.terrain_file import read_terrain  # noqa: PLC0415
+
+    where = f"{whose(origin, provenance, ('airspace', 'terrain'))}: airspace.terrain = "
+    on_earth = origin_of_mission(tables, origin.source)
+    ground = read_terrain(origin.folder / file, where + shown(file), on_earth)
+    for part in ground:
+        provenance[f"airspace.ground.{part}"] = f"file {shown(file)[1:-1]}"
+    return set_value(tables, ("airspace", "ground"), ground)
 
 
 def _winds(

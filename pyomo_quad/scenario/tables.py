@@ -69,14 +69,14 @@ class Gains(Part):
         "when absent",
         None,
         lt=1.5,
-        sound=positive(1e-3, 1.5, "below 0.001 rad the vehicle cannot be steered"),
+        sound=positive(1e-3, 1.5, "a smaller tilt cannot steer the vehicle"),
     )
     thrust_share: Number = quantity(
         "1",
         "share of the thrust in excess of the weight that the position loop may use",
         0.7,
         le=1,
-        sound=positive(1e-3, 1, "below 0.001 the vehicle cannot be steered"),
+        sound=positive(1e-3, 1, "a smaller share of thrust cannot steer the vehicle"),
     )
     tilt_command: Number = _rate("tilt error to tilt rate, of the filter", 6.0)
     attitude: Number = _rate("roll and pitch error to rate (k3)", 6.0)
@@ -95,7 +95,7 @@ class Gains(Part):
         "rad/s^2",
         "bound of the adapted moment over the inertia",
         1.0,
-        sound=positive(1e-3, 1e8, "larger than any airframe reaches"),
+        sound=positive(1e-3, 1e8, "larger than the rotors of any vehicle can cause"),
     )
 
 
@@ -121,13 +121,13 @@ class Replanning(Part):
         "s",
         "time from one solve of the remaining mission to the next",
         0.2,
-        sound=positive(1e-2, 1e4, "a solve aboard takes at least 10 ms"),
+        sound=positive(1e-2, 1e4, "a solve on board takes at least 10 ms"),
     )
     solve_time: Number = quantity(
         "s",
         "time allowed for a solve; its plan starts where the vehicle will be then",
         0.06,
-        sound=not_negative(1e3, "plans that are older than 1000 s are useless"),
+        sound=not_negative(1e3, "an older plan is useless"),
     )
     clock: SolveTiming = quantity(
         "",
@@ -244,16 +244,14 @@ class Power(Part):
         "N*m",
         "efficiency: smallest torque used in f_r",
         0.0,
-        sound=not_negative(100, "rotors have smaller drag torques"),
+        sound=not_negative(100, "drag torques of rotors are smaller"),
     )
     efficiency_floor: Number = quantity(
         "1",
         "efficiency: smallest f_r",
         0.05,
         le=1,
-        sound=positive(
-            1e-4, 1, "a smaller efficiency means more than 10,000 times the useful power"
-        ),
+        sound=positive(1e-4, 1, "efficiencies are at most 1"),
     )
     air_density: Number = late_quantity(
         "kg/m^3",
@@ -367,7 +365,9 @@ class Limits(Part):
         "rad/s",
         "smallest rotor speed, eq. (10)",
         0.0,
-        sound=not_negative(FASTEST_ROTOR, "tips of the smallest rotors reach the speed of sound"),
+        sound=not_negative(
+            FASTEST_ROTOR, "the blade tips of a 1 cm rotor would exceed the speed of sound"
+        ),
     )
     rotor_speed_max: Number = quantity(
         "rad/s", "largest rotor speed, eq. (10)", gt=0, le=FASTEST_ROTOR

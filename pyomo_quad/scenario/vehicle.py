@@ -32,7 +32,7 @@ _WEIGHT = "multirotors weigh from 1 g to 10 t"
 #: kg, mass carried by a vehicle.
 CARRIED = not_negative(1e4, _WEIGHT)
 _ROTOR_DRAG = not_negative(1e2, "from about 1e-8 for a 1 cm rotor to about 1 for a 10 m rotor")
-_FITTED = Sound(-1e9, 1e9, "f_r is an efficiency between 0 and 1")
+_FITTED = Sound(-1e9, 1e9, "coefficients of a fit to f_r, which lies between 0 and 1")
 
 
 # m, from the centre of mass to the farthest rotor.
@@ -122,7 +122,7 @@ class Vehicle(Part):
     arm_length: Number = quantity(
         "m",
         "centre of mass to rotor shaft (l)",
-        sound=positive(1e-3, 100, "arms measure from 1 mm to 100 m"),
+        sound=positive(1e-3, 100, "lengths of arms"),
     )
     Ix: Number = quantity("kg*m^2", "moment of inertia about body x", sound=_INERTIA)
     Iy: Number = quantity("kg*m^2", "moment of inertia about body y", sound=_INERTIA)
@@ -169,13 +169,13 @@ class Vehicle(Part):
         "N*m",
         "dry friction of one motor (Tf)",
         0.0,
-        sound=not_negative(100, "rotor bearings have little friction"),
+        sound=not_negative(100, "friction of bearings is smaller"),
     )
     viscous_damping: Number = quantity(
         "N*m*s",
         "viscous friction of one motor (Df)",
         0.0,
-        sound=not_negative(1, "rotor bearings have little friction"),
+        sound=not_negative(1, "friction of bearings is smaller"),
     )
     drag_linear: Number = quantity(
         "kg/s",

@@ -4,11 +4,9 @@ The wind is a formula of time, or a measured series. The air density follows fro
 temperature, and the aerodynamic coefficients of the vehicle are proportional to it.
 """
 
-from base64 import b64decode, b64encode
 from collections.abc import Iterator, Mapping
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Self
-from zlib import compress, decompress
 
 from pydantic import ValidationError, model_validator
 
@@ -31,6 +29,7 @@ from pyomo_quad.scenario.fields import (
     title_field,
 )
 from pyomo_quad.scenario.messages import shown
+from pyomo_quad.scenario.packed_arrays import unpacked
 
 if TYPE_CHECKING:
     from numpy import bool_, float64
@@ -215,15 +214,7 @@ class WindGrid(Part):
     @property
     def components(self) -> "FloatArray":
         """Wind toward +x, +y and, if known, +z, with an array axis for each argument behind."""
-        import numpy as np  # noqa: PLC0415  reading a scenario does without it
-
-        held = np.frombuffer(decompress(b64decode(self.speeds)), dtype="<f8")
-        return held.reshape((-1, *map(len, self.axes)))
-
-    @staticmethod
-    def packed(components: "FloatArray") -> str:
-        """Encode wind components as the text of `speeds`."""
-        return b64encode(compress(components.astype("<f8").tobytes(), level=1)).decode("ascii")
+        return unpacked(self.speeds).reshape((-1, *map(len, self.axes)))
 
     def is_known(self, places: "ArrayLike", times: "ArrayLike") -> "NDArray[bool_]":
         """Return whether the grid points nearest to places, at given wind times, have a wind."""
@@ -259,7 +250,7 @@ class Wind(Part):
         "1/s",
         "acceleration over wind velocity in eq. (9)",
         1.0,
-        sound=not_negative(1e3, "the wind takes longer than 1 ms to carry a vehicle along"),
+        sound=not_negative(1e3, "a larger value carries the vehicle along within 1 ms"),
     )
     frequency_unit: FrequencyUnit = quantity(
         "", "unit of the frequencies: rad/s (as eq. 11) or hz", FrequencyUnit.RADIAN_PER_SECOND
@@ -275,7 +266,7 @@ class Wind(Part):
         "s",
         "wind time at the start of the mission",
         0.0,
-        sound=Sound(-LATEST_TIME, LATEST_TIME, "wind records cover at most thirty years"),
+        sound=Sound(-LATEST_TIME, LATEST_TIME, "thirty years"),
     )
     file: Text | None = quantity(
         "",
@@ -296,7 +287,7 @@ class Wind(Part):
         "1",
         "factor on the wind of the field",
         1.0,
-        sound=Sound(-1e3, 1e3, "a factor of 1000 turns a breath of 0.1 m/s into a hurricane"),
+        sound=Sound(-1e3, 1e3, "a larger factor is probably a typing error"),
     )
     beyond: Beyond = late_quantity(
         "",
@@ -324,7 +315,7 @@ class Wind(Part):
         "standard deviation of the error of the forecast wind direction",
         0.0,
         sound=not_negative(
-            1.6, "an error of more than a quarter turn leaves the direction unknown"
+            1.6, "a quarter turn is 1.57 rad; with a larger error the direction is unknown"
         ),
     )
     turbulence: Turbulence | None = late_quantity(

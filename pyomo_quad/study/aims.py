@@ -1,10 +1,10 @@
 """Least energy against least charge: solves of the same mission for each aim, on one mesh."""
 
-from time import thread_time
 from typing import TYPE_CHECKING
 
-from pyomo_quad.collocation import Iteration, Progress
+from pyomo_quad.collocation import Progress
 from pyomo_quad.flight import Plan, Planner
+from pyomo_quad.flight.deadline import Deadline
 from pyomo_quad.model.battery import CHARGE_STATE
 from pyomo_quad.scenario import Attitude
 from pyomo_quad.scenario.mission import Aim
@@ -64,7 +64,8 @@ def energy_and_charge(
     if scenario.mission.aim not in _AIMS:
         return AimColumn.of_rows(())
     other = next(aim for aim in _AIMS if aim is not scenario.mission.aim)
-    found = planned_alike(plan, planner, _briefly(progress), aim=other)
+    with Deadline(scenario, progress, longest_s=_LONGEST_S) as brief:
+        found = planned_alike(plan, planner, brief, aim=other)
     if found.verification is None:
         return AimColumn.of_rows(())
     rows = [
@@ -72,16 +73,6 @@ def energy_and_charge(
         for one in sorted((plan, found), key=lambda one: _AIMS.index(one.scenario.mission.aim))
     ]
     return AimColumn.of_rows(rows)
-
-
-def _briefly(progress: Progress | None) -> Progress:
-    """Return a progress callback that also ends a solve after a time limit."""
-    end = thread_time() + _LONGEST_S
-
-    def goes_on(iteration: Iteration) -> bool:
-        return thread_time() < end and (progress is None or progress(iteration) is not False)
-
-    return goes_on
 
 
 def charge_beyond_least(aims: "pd.DataFrame") -> float:

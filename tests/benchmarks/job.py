@@ -4,7 +4,8 @@
 
 Nothing but the public API of any age is used, and only this file is read from the newer checkout.
 JSON has the changes of a scenario and, as "accuracy", the one asked for, which older packages do
-not know.  The last line printed is the result.
+not know.  The last line printed is the result, with the seconds of Ipopt, of its callbacks and of
+SciPy's integrator, which are timed wherever a package calls them.
 """
 
 import json
@@ -13,7 +14,53 @@ import sys
 import time
 from pathlib import Path
 
+import cyipopt
 import numpy as np
+import scipy.integrate
+
+#: Processor seconds [s] of parts of the job, and numbers of solves and iterations.
+SPENT = dict.fromkeys(("ipopt_s", "callbacks_s", "flights_s"), 0.0) | {"solves": 0, "iterations": 0}
+
+
+def timed(function, part):
+    """Return a function whose processor seconds are added to a part of the job."""
+
+    def run(*given, **named):
+        began = time.process_time()
+        try:
+            return function(*given, **named)
+        finally:
+            SPENT[part] += time.process_time() - began
+
+    return run
+
+
+class TimedCallbacks:
+    """The callbacks that Ipopt is given, with the time that they take."""
+
+    def __init__(self, own):
+        self.own = own
+
+    def __getattr__(self, name):
+        return timed(getattr(self.own, name), "callbacks_s")
+
+    def intermediate(self, *given):
+        SPENT["iterations"] += given[1] > 0
+        return timed(self.own.intermediate, "callbacks_s")(*given)
+
+
+class TimedProblem(cyipopt.Problem):
+    """A problem that tells the time of its solves."""
+
+    def __new__(cls, *given, problem_obj=None, **named):
+        return super().__new__(cls, *given, problem_obj=TimedCallbacks(problem_obj), **named)
+
+    def __init__(self, *given, problem_obj=None, **named):
+        super().__init__(*given, problem_obj=TimedCallbacks(problem_obj), **named)
+
+    def solve(self, *given, **named):
+        SPENT["solves"] += 1
+        return timed(super().solve, "ipopt_s")(*given, **named)
 
 
 def scenario_of(file, told):
@@ -115,6 +162,8 @@ def replanning(file, told):
 
 
 if __name__ == "__main__":
+    cyipopt.Problem = TimedProblem
+    scipy.integrate.solve_ivp = timed(scipy.integrate.solve_ivp, "flights_s")
     import pyomo_quad
 
     name, checkout, scenario, told = sys.argv[1:]
@@ -122,4 +171,4 @@ if __name__ == "__main__":
         raise SystemExit(f"{pyomo_quad.__file__} is not of {checkout}; set PYTHONPATH.")
     found = globals()[name](scenario, json.loads(told))
     found["peak_MiB"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    print(json.dumps(found))
+    print(json.dumps(found | SPENT))

@@ -30,7 +30,9 @@ ABOUT = (
     "a run, the clock on the wall from the start of the process to its end. `usable` asks for "
     "accuracy quick, `standard` for standard and `proof` for proof; an older checkout that knows "
     "no accuracies is asked for its tolerance by default, 1e-6. The random missions are the first "
-    "of seed 2026 of the benchmark `robustness`, their seconds those of the median mission."
+    "of seed 2026 of the benchmark `robustness`, their seconds those of the median mission. Of the "
+    "second table, flights are SciPy's integrations, and the rest is mostly building, compiling "
+    "and the errors of meshes."
 )
 ROOT = Path(__file__).parents[2]
 SCRIPT = Path(__file__).with_name("job.py")
@@ -38,6 +40,8 @@ STRANGER = Path(__file__).with_name("stranger") / "delivery.toml"
 RESULTS = FOLDER / "jobs.jsonl"
 RANDOM_MISSIONS = 40
 TURNS = 3
+# Functions whose seconds are those of all that they do.
+_WHOLE = ("plan", "ducted_fan")
 # Runs longer than this are not repeated [s].
 LONG_S = 60.0
 # A run that takes longer on the clock is ended [s].
@@ -108,6 +112,11 @@ class Run:
     ended: str
     energy_J: float | None = None
     peak_MiB: float | None = None
+    ipopt_s: float | None = None
+    callbacks_s: float | None = None
+    flights_s: float | None = None
+    solves: int | None = None
+    iterations: int | None = None
 
 
 def commit_of(checkout):
@@ -178,9 +187,10 @@ def run_all(checkouts, minutes, jobs=JOBS, results=RESULTS):
 
 
 def measure(arguments):
-    """Return the table of jobs."""
+    """Return the table of jobs, and what the seconds of this commit went to."""
     checkouts = [ROOT] if arguments.beside is None else [arguments.beside.resolve(), ROOT]
-    return [table(run_all(checkouts, arguments.minutes), finished_runs(RESULTS))]
+    commits, runs = run_all(checkouts, arguments.minutes), finished_runs(RESULTS)
+    return [table(commits, runs), profile(commits[-1], runs)]
 
 
 def table(commits, runs, jobs=JOBS):
@@ -199,3 +209,27 @@ def table(commits, runs, jobs=JOBS):
         rows.append([name, *cells, job.wanted, "yes" if is_met else "no", "; ".join(ends)])
     header = ["job", *(f"{commit} s" for commit in commits), "wanted s", "reached"]
     return Table(name="jobs", title="Jobs", header=[*header, "ended"], rows=rows)
+
+
+def profile(commit, runs, jobs=JOBS):
+    """Return what the seconds of each job went to, the first run of a commit."""
+    rows = []
+    for name in (name for name, job in jobs.items() if job.function in _WHOLE):
+        done = [r for r in runs if (r.job, r.commit) == (name, commit) and r.solves]
+        if not done:
+            continue
+        found = done[0]
+        steps = found.ipopt_s - found.callbacks_s
+        rest = found.s - found.ipopt_s - found.flights_s
+        parts = (steps, found.callbacks_s, found.flights_s, max(rest, 0.0))
+        per_step = 1e3 * found.ipopt_s / max(found.iterations, 1)
+        shares = [f"{100.0 * part / found.s:.0f}" for part in parts]
+        rows.append([name, *shares, found.solves, found.iterations, f"{per_step:.0f}"])
+    header = ["job", "Ipopt and MUMPS %", "callbacks %", "flights %", "rest %", "solves"]
+    title = "What the seconds went to"
+    return Table(
+        name="jobs_profile",
+        title=title,
+        header=[*header, "iterations", "ms an iteration"],
+        rows=rows,
+    )

@@ -20,6 +20,7 @@ import numpy as np
 
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.baselines import fly_baseline
+from pyomo_quad.flight.corridors import steady_power
 from pyomo_quad.polar.polar import mean_wind
 from pyomo_quad.scenario import load_scenario
 from pyomo_quad.scenario.messages import PyomoQuadError
@@ -34,8 +35,9 @@ ABOUT = (
     "The mission of `scenarios/street.toml` in the wind of each of the 18 directions of "
     "`scenarios/winds`, 6 m/s undisturbed; the directions are those flown so far. *Field*: planned "
     "with the wind field. *Mean*: planned with the mean of the field everywhere. *Straight*: the "
-    "shortest clear way from rest to rest, as an autopilot flies it at 10 m/s over ground. Each is "
-    "flown in the field under the same adaptive controller; energies are those of these flights. "
+    "shortest clear way from rest to rest, as an autopilot flies it, at the ground speed of least "
+    "energy per metre in the mean wind. Each is flown in the field under the same adaptive "
+    "controller; energies are those of these flights. "
     "Plans have the accuracy `quick`, 0.1 % of energy. Limits are those of the scenario, which "
     "leave a controller no reserve. A plan counts only where it was verified."
     f"\n\n![{TITLE}]({FIGURE})"
@@ -46,7 +48,8 @@ DIRECTIONS_DEG = (40, 220, 120, 300, 0, 180, 80, 260, 160, 340, 20, 200, 100, 28
                   140, 320)  # fmt: skip
 WAYS = ("field", "mean", "straight")
 RESULTS = FOLDER / "fields.jsonl"
-STRAIGHT_SPEED_M_PER_S = 10.0
+# Ground speeds among which an autopilot chooses, m/s.
+SPEEDS_M_PER_S = np.arange(4.0, 19.0)
 LONGEST_SOLVE_S = 300
 
 
@@ -92,12 +95,21 @@ def in_mean_wind(told):
     return told.model_copy(update={"wind": load_scenario(written).wind})
 
 
+def cheapest_speed(told, planner):
+    """Return the ground speed of least energy per metre from start to goal in the mean wind."""
+    way = np.subtract(told.mission.goal.position, told.mission.start.position)[:2]
+    ground = SPEEDS_M_PER_S[:, None] * way / np.linalg.norm(way)
+    airspeeds = np.linalg.norm(ground - mean_wind(told), axis=1)
+    power = steady_power(planner.steady_flight(told))
+    return float(SPEEDS_M_PER_S[np.argmin(power(airspeeds) / SPEEDS_M_PER_S)])
+
+
 def fly(direction_deg, way, planner):
     """Plan a mission in one of the ways and fly it in the field."""
     told, began, planned = street(direction_deg), process_time(), nan
     try:
         if way == "straight":
-            settings = told.baseline.cruise_settings(STRAIGHT_SPEED_M_PER_S)
+            settings = told.baseline.cruise_settings(cheapest_speed(told, planner))
             flight = fly_cruise(told, settings, None, planner)
         else:
             plan = planner.solve(told if way == "field" else in_mean_wind(told))

@@ -98,6 +98,8 @@ def _going_on(at: FloatArray, values: FloatArray, degree: int) -> tuple[FloatArr
     knots = np.concatenate([*ends, inner, *starts])
     count = knots.size - degree - 1
     places = np.array([knots[k + 1 : k + 1 + degree].mean() for k in range(count)])
+    # The average of three equal knots may be off by a rounding error.
+    places = np.clip(places, knots[0], knots[-1])
     within = np.clip(places, first, last)
     beyond = (places - within).reshape(-1, *[1] * (values.ndim - 1))
     straight = spline(within) + beyond * spline(within, 1)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
@@ -145,42 +144,46 @@ class _Refinement(Generic[S]):
         error, is_damped = max(e.largest for e in errors), _are_damped(self.dampings)
         if self.reached is not None:
             self.reached.compare(solution, error)
-        finer = _next_meshes(solution, errors, self.tolerance, self.options, is_damped=is_damped)
+        finer = self._next_meshes(solution, errors, is_damped=is_damped)
         if finer is None:
-            return self._restarted(_with_state_error(solution, errors, self.before, self.tolerance))
+            return self._restarted(self._with_state_error(solution, errors))
         is_stuck = finer == _meshes(solution) and error > self.tolerance
         has_no_more = len(self.records) >= self.options.max_meshes
         if is_stuck or has_no_more or _is_lost(self.records):
-            ended = _given_up(solution, self.before, error, self.tolerance)
+            ended = self._given_up(solution, error)
             if self.reached is not None and self.reached.earned > self.tolerance and not is_stuck:
                 return _cut_off(self.reached)
-            ended = _with_state_error(ended, errors, self.before, self.tolerance)
+            ended = self._with_state_error(ended, errors)
             return _lost(ended, self.reached, self.tolerance)
         self._go_on(solution, errors, finer, is_damped=is_damped)
         return None
 
     def _solved(self) -> tuple[S, tuple[ErrorEstimate, ...], bool]:
         """Return the next solution with its errors, and whether its solve failed."""
-        change = _expected_change(self.before, self.tolerance)
+        change = self._expected_change()
         search = _MeshSolve(self.solve, self.meshes, self.start, self.dampings, change, self.gap)
         solved = first_success(Scope.MESH, search)
         self.dampings = search.dampings
-        solved, errors = _measured(
-            solved, self.sharpen, self.dampings, self.tolerance, self.options
-        )
+        solved, errors = self._measured(solved)
         error = max(e.largest for e in errors)
         self.records.append(_record(solved, error))
         self.tried.extend(solved.tried)
         done = {"history": tuple(self.records), "tried": tuple(self.tried)}
         solution = solved.updated(error_estimate=error, **done)
-        return _shown(solution, self.options), errors, solved.status.has_failed
+        return self._shown(solution), errors, solved.status.has_failed
 
     def _restarted(self, met: S) -> S | None:
-        """Return a solution within tolerance, None after a restart from better controls."""
-        left = MOST_RESTARTS - self.restarts
-        ended, better = _ended_or_better(met, self.reached, left, self.tolerance)
-        if better is None:
-            return ended
+        """Return a solution within tolerance, None after a restart from better controls.
+
+        A restart with a gain below the tolerance is the last: the Hamiltonian of a singular control
+        is so flat that rounding alone would produce lower values again and again.
+        """
+        if self.reached is not None and self.reached.gain(met) <= self.tolerance:
+            return self.reached.better(met)
+        parts = met.parts
+        better = improved_controls(parts[0], self.tolerance) if len(parts) == 1 else None
+        if better is None or self.restarts == MOST_RESTARTS:
+            return met if better is None else _doubted(met)
         self.reached = _Reached(met, earned=0.0 if self.reached is None else self.reached.gain(met))
         self.restarts += 1
         self.tried.append(RESTART)
@@ -197,13 +200,13 @@ class _Refinement(Generic[S]):
         is_damped: bool,
     ) -> None:
         """Prepare the solve on the next meshes."""
-        self.settled += is_damped and _has_settled(solution, self.tolerance)
+        self.settled += is_damped and self._has_settled(solution)
         is_stalled = self.settled >= _MANY_SETTLED
         if is_damped and (is_stalled or self.records[-1].iterations > _MANY_ITERATIONS):
             self.firmness = _firmer(self.firmness, self.settled)
         left = self.gap if is_stalled else 0.0
         if self.options.limits_move and not is_stalled:
-            left = _gap_to_leave(solution, errors, self.tolerance)
+            left = self._gap_to_leave(solution, errors)
         self._begin_at(solution.warm_start, finer, solution.parts)
         self.dampings = self._damped(solution.parts, gap=left, is_still=is_stalled)
 
@@ -216,13 +219,105 @@ class _Refinement(Generic[S]):
         weight = self.firmness * self.options.damping * self.tolerance
         return tuple(damping_of(part, weight, **how) for part in parts)
 
+    def _measured(self, solved: S) -> tuple[S, tuple[ErrorEstimate, ...]]:
+        """Return a solution and its errors, with a smaller barrier gap if the gap limits them.
 
-def _shown(solution: S, refinement: RefinementOptions) -> S:
-    """Pass a finished solution to `on_mesh`; if it returns False, mark the solution interrupted."""
-    is_finished = solution.status is Status.CONVERGED
-    if is_finished and refinement.on_mesh and refinement.on_mesh(solution) is False:
-        return solution.updated(status=Status.INTERRUPTED, message="stopped by the caller")
-    return solution
+        A gap that is left on purpose is smaller on the next mesh: it is reduced here only if all
+        other errors meet the tolerance.
+        """
+        errors = self._errors(solved)
+        is_left = any(d is not None and d.gap > 0.0 for d in self.dampings)
+        fine = self.tolerance if is_left else max(self.tolerance, errors[0].gap)
+        if self.sharpen and _is_held_by_the_barrier(solved, errors, self.tolerance, fine):
+            solved = self.sharpen(_sharper(self.dampings, self.tolerance), solved)
+            errors = self._errors(solved)
+        return solved, errors
+
+    def _errors(self, solution: Outcome) -> tuple[ErrorEstimate, ...]:
+        """Return the errors on each horizon; with several, the gap is not assigned to any."""
+        how: dict[str, Any] = {"tolerance": self.tolerance, "allowance": self.options.allowance}
+        errors = tuple(estimate_error(part, **how) for part in solution.parts)
+        return errors if len(errors) == 1 else tuple(replace(e, gap=0.0) for e in errors)
+
+    def _with_state_error(self, solution: S, errors: tuple[ErrorEstimate, ...]) -> S:
+        """Return a solution with its estimated state error, over all horizons together."""
+        change = _objective_change(solution.parts[0], self.tolerance)
+        change = change if np.isfinite(change) else 0.0
+        parts = zip(solution.parts, errors, self.before, strict=True)
+        found = [
+            state_error(part, error, last if junction_elements(part) else None, change)
+            for part, error, last in parts
+        ]
+        return solution.updated(state_error=max(found))
+
+    def _next_meshes(
+        self, solution: Outcome, errors: tuple[ErrorEstimate, ...], *, is_damped: bool
+    ) -> tuple[Mesh, ...] | None:
+        """Return the next meshes, None if the tolerance is met.
+
+        The meshes may be unchanged as long as damping still changes the objective.
+        """
+        parts = solution.parts
+        junctions = [junction_elements(part) for part in parts]
+        is_met = all(error.largest <= self.tolerance for error in errors)
+        has_settled = self._has_settled(solution)
+        if is_met and (has_settled or not (any(junctions) or is_damped)):
+            return None
+        are_left = has_settled or (self.options.limits_move and not is_met)
+        finer = []
+        for part, error, mine in zip(parts, errors, junctions, strict=True):
+            marks = Marks(
+                coarse=frozenset(np.flatnonzero(error.per_element > self.tolerance).tolist())
+                | (frozenset() if are_left else mine),
+                kept=mine,
+            )
+            finer.append(refined_mesh(part, error, marks, self.tolerance, self.options))
+        is_same = tuple(finer) == _meshes(solution)
+        return None if is_same and is_met and not is_damped else tuple(finer)
+
+    def _has_settled(self, solution: Outcome) -> bool:
+        """Return whether the last mesh changed the objective by little."""
+        return _objective_change(solution.parts[0], self.tolerance) <= _SETTLED * self.tolerance
+
+    def _given_up(self, solution: S, error: float) -> S:
+        records = self.records
+        why = "allow more meshes, elements or a higher degree, or ask for less."
+        if _is_lost(records):
+            why = (
+                f"the last two took {records[-2].iterations} and {records[-1].iterations} "
+                f"iterations and gained nothing; {_most_moved(solution, self.before)}begin from a "
+                "better guess, or let the controls' squares cost a little."
+            )
+        return solution.updated(
+            status=Status.TOLERANCE_NOT_MET,
+            message=(
+                f"refinement stopped after {len(records)} meshes with an estimated error of "
+                f"{error:.3g}, above the tolerance {self.tolerance:.3g}; {why}"
+            ),
+        )
+
+    def _shown(self, solution: S) -> S:
+        """Pass a finished solution to `on_mesh`; mark it interrupted if that returns False."""
+        is_finished = solution.status is Status.CONVERGED
+        if is_finished and self.options.on_mesh and self.options.on_mesh(solution) is False:
+            return solution.updated(status=Status.INTERRUPTED, message="stopped by the caller")
+        return solution
+
+    def _expected_change(self) -> float | None:
+        """Return the last change of the objective, which the next should not exceed."""
+        last = self.before[0]
+        if last is None:
+            return None
+        change = _objective_change(last, self.tolerance)
+        return change * last.nominal_objective if math.isfinite(change) else None
+
+    def _gap_to_leave(self, solution: Outcome, errors: tuple[ErrorEstimate, ...]) -> float:
+        """Return the relative gap that the barrier may leave where limits move."""
+        unknown = max(e.of_integrals for e in errors)
+        if any(part.restraint is not None for part in solution.parts):
+            # Bounds between the points hide that the mesh is too coarse for the optimum.
+            unknown = max(unknown, _objective_change(solution.parts[0], self.tolerance))
+        return max(min(_INEXACT * unknown, _MOST_INEXACT), _LEAST_INEXACT * self.tolerance)
 
 
 def _firmer(firmness: float, settled: int) -> float:
@@ -260,36 +355,6 @@ class _MeshSolve(Search[S], Generic[S]):
         return self.solve(self.meshes, start, self.dampings, change=change, **budget)
 
 
-def _measured(
-    solved: S,
-    sharpen: Callable[[tuple[Damping | None, ...], S], S] | None,
-    dampings: tuple[Damping | None, ...],
-    tolerance: float,
-    refinement: RefinementOptions,
-) -> tuple[S, tuple[ErrorEstimate, ...]]:
-    """Return a solution and its errors, with a smaller barrier gap if the gap limits them.
-
-    A gap that is left on purpose is smaller on the next mesh: it is reduced here only if all
-    other errors meet the tolerance.
-    """
-    errors = _errors(solved, tolerance, refinement)
-    is_left = any(d is not None and d.gap > 0.0 for d in dampings)
-    fine = tolerance if is_left else max(tolerance, errors[0].gap)
-    if sharpen is not None and _is_held_by_the_barrier(solved, errors, tolerance, fine):
-        solved = sharpen(_sharper(dampings, tolerance), solved)
-        errors = _errors(solved, tolerance, refinement)
-    return solved, errors
-
-
-def _gap_to_leave(solution: Outcome, errors: tuple[ErrorEstimate, ...], tolerance: float) -> float:
-    """Return the relative gap that the barrier may leave in the objective, where limits move."""
-    unknown = max(e.of_integrals for e in errors)
-    if any(part.restraint is not None for part in solution.parts):
-        # Bounds between the points hide that the mesh is too coarse for the optimum.
-        unknown = max(unknown, _objective_change(solution.parts[0], tolerance))
-    return max(min(_INEXACT * unknown, _MOST_INEXACT), _LEAST_INEXACT * tolerance)
-
-
 def _sharper(dampings: tuple[Damping | None, ...], tolerance: float) -> tuple[Damping | None, ...]:
     """Return dampings weak enough that their share of the objective is below the tolerance."""
     least = _LEAST_INEXACT * tolerance
@@ -300,32 +365,6 @@ def _sharper(dampings: tuple[Damping | None, ...], tolerance: float) -> tuple[Da
 
 def _are_damped(dampings: tuple[Damping | None, ...]) -> bool:
     return any(damping is not None and damping.controls.size > 0 for damping in dampings)
-
-
-def _with_state_error(
-    solution: S,
-    errors: tuple[ErrorEstimate, ...],
-    before: tuple[Solution | None, ...],
-    tolerance: float,
-) -> S:
-    """Return a solution with its estimated state error, over all horizons together."""
-    change = _objective_change(solution.parts[0], tolerance)
-    change = change if np.isfinite(change) else 0.0
-    parts = zip(solution.parts, errors, before, strict=True)
-    found = [
-        state_error(part, error, last if junction_elements(part) else None, change)
-        for part, error, last in parts
-    ]
-    return solution.updated(state_error=max(found))
-
-
-def _errors(
-    solution: Outcome, tolerance: float, refinement: RefinementOptions
-) -> tuple[ErrorEstimate, ...]:
-    """Return the errors on each horizon; with several horizons the gap is not assigned to any."""
-    estimate = partial(estimate_error, tolerance=tolerance, allowance=refinement.allowance)
-    errors = tuple(estimate(part) for part in solution.parts)
-    return errors if len(errors) == 1 else tuple(replace(e, gap=0.0) for e in errors)
 
 
 def _is_held_by_the_barrier(
@@ -402,22 +441,6 @@ def _cut_off(reached: _Reached[S]) -> S:
     return _doubted(reached.solution.updated(error_estimate=max(own, reached.earned)))
 
 
-def _ended_or_better(
-    met: S, reached: _Reached[S] | None, restarts: int, tolerance: float
-) -> tuple[S, Solution | None]:
-    """Return the final result, or better controls for a restart of a solution within tolerance.
-
-    A restart with a gain below the tolerance is the last: the Hamiltonian of a singular control is
-    so flat that rounding alone would produce lower values again and again.
-    """
-    if reached is not None and reached.gain(met) <= tolerance:
-        return reached.better(met), None
-    better = _improved(met, tolerance)
-    if better is not None and restarts == 0:
-        return _doubted(met), None
-    return met, better
-
-
 def _doubted(solution: S) -> S:
     """Return a solution with a warning that only small changes were tested."""
     return solution.updated(
@@ -429,57 +452,8 @@ def _doubted(solution: S) -> S:
     )
 
 
-def _improved(solution: Outcome, tolerance: float) -> Solution | None:
-    """Return better controls for a restart, None without any or with several horizons."""
-    parts = solution.parts
-    return improved_controls(parts[0], tolerance) if len(parts) == 1 else None
-
-
 def _meshes(solution: Outcome) -> tuple[Mesh, ...]:
     return tuple(part.mesh for part in solution.parts)
-
-
-def _next_meshes(
-    solution: Outcome,
-    errors: tuple[ErrorEstimate, ...],
-    tolerance: float,
-    refinement: RefinementOptions,
-    *,
-    is_damped: bool,
-) -> tuple[Mesh, ...] | None:
-    """Return the next meshes, None if the tolerance is met.
-
-    The meshes may be unchanged as long as damping still changes the objective.
-    """
-    parts = solution.parts
-    junctions = [junction_elements(part) for part in parts]
-    is_met = all(error.largest <= tolerance for error in errors)
-    has_settled = _has_settled(solution, tolerance)
-    if is_met and (has_settled or not (any(junctions) or is_damped)):
-        return None
-    are_left = has_settled or (refinement.limits_move and not is_met)
-    finer = []
-    for part, error, mine in zip(parts, errors, junctions, strict=True):
-        marks = Marks(
-            coarse=frozenset(np.flatnonzero(error.per_element > tolerance).tolist())
-            | (frozenset() if are_left else mine),
-            kept=mine,
-        )
-        finer.append(refined_mesh(part, error, marks, tolerance, refinement))
-    is_same = tuple(finer) == _meshes(solution)
-    return None if is_same and is_met and not is_damped else tuple(finer)
-
-
-def _expected_change(before: tuple[Solution | None, ...], tolerance: float) -> float | None:
-    """Return the last change of the objective, of which the next is expected to be no larger."""
-    last = before[0]
-    change = math.inf if last is None else _objective_change(last, tolerance)
-    return change * last.nominal_objective if last is not None and math.isfinite(change) else None
-
-
-def _has_settled(solution: Outcome, tolerance: float) -> bool:
-    """Return whether the last mesh changed the objective by little."""
-    return _objective_change(solution.parts[0], tolerance) <= _SETTLED * tolerance
 
 
 def _objective_change(solution: Solution, tolerance: float) -> float:
@@ -501,26 +475,6 @@ def _is_lost(records: Sequence[MeshRecord]) -> bool:
     last, now = records[-2:]
     is_long = min(last.iterations, now.iterations) > _LOST_ITERATIONS
     return is_long and now.error > _LEFT * last.error
-
-
-def _given_up(
-    solution: S, before: tuple[Solution | None, ...], error: float, tolerance: float
-) -> S:
-    history = solution.parts[0].history
-    why = "allow more meshes, elements or a higher degree, or ask for less."
-    if _is_lost(history):
-        why = (
-            f"the last two took {history[-2].iterations} and {history[-1].iterations} iterations "
-            f"and gained nothing; {_most_moved(solution, before)}begin from a better guess, or let "
-            "the controls' squares cost a little."
-        )
-    return solution.updated(
-        status=Status.TOLERANCE_NOT_MET,
-        message=(
-            f"refinement stopped after {len(history)} meshes with an estimated error of "
-            f"{error:.3g}, above the tolerance {tolerance:.3g}; {why}"
-        ),
-    )
 
 
 def _most_moved(solution: Outcome, before: tuple[Solution | None, ...]) -> str:

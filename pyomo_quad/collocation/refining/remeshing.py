@@ -112,7 +112,7 @@ class _Piece:
     end: float
     degree: int
     error: float
-    is_changed: bool
+    is_changed: bool = True
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,8 +167,7 @@ def refined_mesh(
         elif e in marks.coarse:
             pieces.extend(_finer(solution, e, error, tolerance, options))
         elif e in marks.kept:
-            piece = _Piece(mesh.breakpoints[e + 1], mesh.degrees[e], float(size), is_changed=True)
-            pieces.append(piece)
+            pieces.append(_Piece(mesh.breakpoints[e + 1], mesh.degrees[e], float(size)))
         else:
             pieces.append(_lowered(solution, e, float(size), tolerance, options))
     if len(solution.history) < _MERGING_MESHES:
@@ -203,16 +202,14 @@ def _isolated(mesh: Mesh, e: int, jump: float, size: float) -> list[_Piece]:
     start, end, degree = mesh.breakpoints[e], mesh.breakpoints[e + 1], mesh.degrees[e]
     if 1 in (mesh.degrees[e - 1], mesh.degrees[e + 1]):
         return _parts(mesh, e, _CORNER_PARTS, min(degree, _CORNER_DEGREE), size)
-    half = _SLIVER * (end - start)
-    edges = [(jump - half, max(degree, 2)), (jump + half, 1), (end, max(degree, 2))]
-    inside = [(b, d) for b, d in edges[:-1] if start + 0.5 * half < b < end - 0.5 * half]
-    if len(inside) == 2 or jump - start > end - jump:
-        return [_Piece(b, d, size, is_changed=True) for b, d in inside] + [
-            _Piece(end, edges[2][1] if len(inside) == 2 else 1, size, is_changed=True)
-        ]
-    return [_Piece(b, 1, size, is_changed=True) for b, _ in inside] + [
-        _Piece(end, edges[2][1], size, is_changed=True)
-    ]
+    half, wide = _SLIVER * (end - start), max(degree, 2)
+    edges = [(jump - half, wide), (jump + half, 1)]
+    inside = [(b, d) for b, d in edges if start + 0.5 * half < b < end - 0.5 * half]
+    ends = [*inside, (end, wide)]
+    if len(inside) < 2:
+        is_late = jump - start > end - jump
+        ends = [*inside, (end, 1)] if is_late else [*((b, 1) for b, _ in inside), (end, wide)]
+    return [_Piece(at, d, size) for at, d in ends]
 
 
 def _finer(
@@ -225,7 +222,7 @@ def _finer(
     mesh = solution.mesh
     degree, size = mesh.degrees[e], float(error.per_element[e])
     if mesh.widths[e] < 2.0 * options.smallest_width:
-        return [_Piece(mesh.breakpoints[e + 1], degree, size, is_changed=True)]
+        return [_Piece(mesh.breakpoints[e + 1], degree, size)]
     is_corner = error.is_held[e] or size in (error.restraint[e], error.switches[e])
     if size <= tolerance or is_corner:
         is_chased = error.is_held[e] and len(solution.history) > _CHASING_MESHES
@@ -245,7 +242,7 @@ def _finer(
         gain = _QUADRATURE_GAIN * decay
     wanted = degree + max(1, math.ceil(decades / max(gain, 1e-3)))
     if decay >= options.smooth_decay and wanted <= options.max_degree:
-        return [_Piece(mesh.breakpoints[e + 1], wanted, size, is_changed=True)]
+        return [_Piece(mesh.breakpoints[e + 1], wanted, size)]
     parts = min(_MOST_PARTS, max(2, math.ceil(10.0 ** (decades / (degree + 1.0)))))
     return _parts(mesh, e, parts, degree, size)
 
@@ -254,7 +251,7 @@ def _parts(mesh: Mesh, e: int, count: int, degree: int, size: float) -> list[_Pi
     """Split an element evenly."""
     edges = np.linspace(mesh.breakpoints[e], mesh.breakpoints[e + 1], count + 1)
     ends = [*(float(b) for b in edges[1:-1]), mesh.breakpoints[e + 1]]
-    return [_Piece(end, degree, size, is_changed=True) for end in ends]
+    return [_Piece(end, degree, size) for end in ends]
 
 
 def _merged(pieces: list[_Piece], solution: Solution, tolerance: float) -> list[_Piece]:

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.patches import Circle, Rectangle
+from matplotlib.quiver import Quiver, QuiverKey
 from PIL import Image
 
 from pyomo_quad.cli import main
@@ -19,7 +20,7 @@ from pyomo_quad.report.flight_figures import (
     draw_way,
 )
 from pyomo_quad.report.gallery import comparison_drawings
-from pyomo_quad.report.paths import draw_path, mean_wind_of
+from pyomo_quad.report.paths import draw_map, draw_path, mean_wind_of
 from pyomo_quad.report.report import write_run_report
 from pyomo_quad.report.style import styled_flights
 from pyomo_quad.report.tables import write_table
@@ -331,3 +332,16 @@ def test_the_front_of_a_real_mission_has_its_prices_for_slopes():
     for k, own in enumerate(price):
         cost = energy + own * duration
         assert np.all(cost >= cost[k] - 1e-4 * energy[k])
+
+
+def test_the_map_shows_a_wind_field_in_place_of_its_mean(run):
+    told = load_scenario("scenarios/street.toml")
+    (axes,) = draw_map(styled_flights(run.flights), told).axes
+    (arrows,) = (drawn for drawn in axes.collections if isinstance(drawn, Quiver))
+    (key,) = (drawn for drawn in axes.artists if isinstance(drawn, QuiverKey))
+    nearest = np.argmin(np.hypot(*(arrows.XY - [200.0, 20.0]).T))
+    place = [*arrows.XY[nearest], 15.0]
+    drawn = arrows.U[nearest], arrows.V[nearest]
+    assert drawn == pytest.approx(Planner().winds_at(told, place)[0], abs=1e-9)
+    assert pytest.approx(np.hypot(arrows.U, arrows.V).max()) == key.U
+    assert "m/s" in key.text.get_text()

@@ -73,7 +73,7 @@ def test_every_field_of_a_scenario_is_listed():
     absent = {"airspace.keep_in", "airspace.keep_out", "baseline.mpc", "mission.origin"}
     absent |= {"mission.waypoints", "wind.profile", "wind.turbulence"}
     absent |= {"battery.relaxation", "battery.thermal", "battery.health"}
-    assert held - set(listed) == {"wind.series", "wind.grid", *absent}
+    assert held - set(listed) == {"wind.series", "wind.grid", "airspace.ground", *absent}
     assert listed["mission.duration"].unit == "s"
     assert listed["solver.tolerance"].default == "1e-06"
     assert all(field.meaning for field in listed.values())

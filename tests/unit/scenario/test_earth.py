@@ -157,3 +157,15 @@ def test_a_wind_field_by_latitude_and_longitude_is_one_in_metres(tmp_path):
     wide.to_csv(tmp_path / "wide.csv", index=False)
     with pytest.raises(ScenarioError, match="spans so much of the earth that a corner is"):
         read_wind_field(tmp_path / "wide.csv", "wind.field", far)
+
+
+def test_heights_of_a_wind_field_above_the_sea_count_from_the_origin(tmp_path):
+    origin = GeodeticOrigin.model_validate(ZURICH)
+    axes = {"x": [0.0, 9.0], "y": [0.0, 9.0], "z": ZURICH["altitude"] + np.array([0.0, 20.0, 40.0])}
+    held = {name: (("x", "y", "z"), np.ones((2, 2, 3)), {"units": "m s-1"}) for name in "uv"}
+    data = xr.Dataset(held, axes)
+    for standard_name, first in (("altitude", 0.0), ("height", ZURICH["altitude"])):
+        data["z"].attrs = {"units": "m", "standard_name": standard_name}
+        data.to_netcdf(tmp_path / "w.nc")
+        grid = read_wind_field(tmp_path / "w.nc", "wind.field", origin)
+        assert grid["z"] == pytest.approx(first + np.array([0.0, 20.0, 40.0]))

@@ -33,7 +33,7 @@ def test_a_scenario_begun_from_each_is_its_own_and_is_allowed(
 
 
 def test_a_delivery_an_inspection_and_the_paper_are_there():
-    assert {"delivery", "inspection", "paper", "parcel"} <= set(shipped_scenarios())
+    assert {"delivery", "inspection", "paper", "parcel", "street"} <= set(shipped_scenarios())
 
 
 @pytest.mark.slow

@@ -86,6 +86,14 @@ def test_a_spline_goes_on_straight_beyond_its_range():
         assert float(spline.function([2.0 + beyond])[0]) == pytest.approx(end + beyond * slope)
 
 
+def test_a_spline_goes_through_points_at_any_distances():
+    generator = np.random.default_rng(0)
+    for _ in range(40):
+        points = np.cumsum(generator.uniform(1, 30, 9)) - 80.0
+        spline = Spline.through([points], np.sin(points), 3)
+        assert float(spline.function([points[4]])[0]) == pytest.approx(np.sin(points[4]), abs=1e-9)
+
+
 def test_a_table_of_a_state_is_read_as_its_spline():
     heights = np.linspace(0, 2000, 81)
     by_table = solve(falling(Table(heights, density(heights))), tolerance=1e-8)

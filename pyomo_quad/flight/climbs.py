@@ -1,0 +1,63 @@
+"""Routes raised over terrain: climbs and descents that keep a straight leg above the floor.
+
+A leg that is too low somewhere climbs straight from its start, or stays, until no line from there
+cuts what it must clear; then it is level at the greatest height that it must clear, and descends in
+the same way.  Where climb and descent meet at nearly that height, the leg has a single corner.
+"""
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pyomo_quad.flight.zones import zones_hit
+from pyomo_quad.scenario.airspace import Airspace
+
+FloatArray = NDArray[np.float64]
+
+# Parts of a cell of the terrain, by length, between places of a leg that are looked at.
+_LOOKS_PER_CELL = 4
+# m. Height above the floor of a raised leg, for flights beside it.
+_ABOVE_FLOOR_M = 0.5
+# A single corner is taken unless it is higher than the level part by more than this share of it.
+_HIGHER = 0.1
+
+
+def over_the_ground(places: FloatArray, airspace: Airspace) -> FloatArray:
+    """Return the corners of a route, shape (n, 3), with more of them where legs are too low.
+
+    The route stays as it is where a raised one cuts a zone.
+    """
+    if airspace.ground is None or airspace.floor is None:
+        return places
+    raised = [places[:1]]
+    for ends in pairwise(places):
+        raised += [_summits(np.array(ends), airspace, airspace.floor), ends[1][None]]
+    found = np.concatenate(raised)
+    return places if zones_hit(airspace.keep_out, found, airspace.clearance) else found
+
+
+def _summits(ends: FloatArray, airspace: Airspace, floor: float) -> FloatArray:
+    """Return the corners between the ends of a leg: none, one or two, shape (n, 3)."""
+    length = float(np.linalg.norm(np.diff(ends[:, :2], axis=0)))
+    step = airspace.ground.least_step if airspace.ground is not None else np.inf
+    shares = np.linspace(0.0, 1.0, 2 + int(_LOOKS_PER_CELL * length / step))[1:-1]
+    looked_at = ends[0] + shares[:, None] * (ends[1] - ends[0])
+    needed = looked_at[:, 2] - airspace.height_above_ground(looked_at) + floor + _ABOVE_FLOOR_M
+    if not (needed > looked_at[:, 2]).any():
+        return np.empty((0, 3))
+    first, last = ends[:, 2]
+    level = max(float(needed.max()), first, last)
+    climb = max(float(((needed - first) / shares).max()), 0.0)
+    descent = max(float(((needed - last) / (1 - shares)).max()), 0.0)
+    meeting = (last + descent - first) / (climb + descent)
+    top = first + climb * meeting
+    if 0.0 < meeting < 1.0 and top - level <= _HIGHER * (level - min(first, last)):
+        corners = [(meeting, top)]
+    else:
+        up = (level - first) / climb if climb > 0.0 else 0.0
+        down = 1.0 - ((level - last) / descent if descent > 0.0 else 0.0)
+        corners = [(share, level) for share in (up, down) if 0.0 < share < 1.0]
+    found = np.array([ends[0] + share * (ends[1] - ends[0]) for share, _ in corners])
+    found[:, 2] = [height for _, height in corners]
+    return found

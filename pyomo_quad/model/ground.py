@@ -1,0 +1,62 @@
+"""The ground: flat at z = 0, or terrain.
+
+symbol | name | unit | meaning
+U(x, y) | above | m | height of a smooth surface that is nowhere below the ground
+L(x, y) | below | m | height of a smooth surface that is nowhere above the ground
+z - U | height_limited_below | m | lower bound of the height above the ground, which floors limit
+z - L | height_limited_above | m | upper bound of the height above the ground, which ceilings limit
+
+The ground of `airspace.terrain` is bilinear between the points of its grid.  U and L are splines
+through values on the same grid (`scenario.surfaces`), twice differentiable with exact derivatives,
+and their work does not grow with the grid (`collocation.Table`).  They keep off the ground by at
+most `Surface.excess`, so that a flight at the floor may be higher above the ground by as much, and
+never lower.
+
+Over flat ground both heights are z, and no block is declared.
+"""
+
+from typing import Any
+
+from pyomo.core import Block, ConcreteModel, Expression
+from pyomo.core.base.units_container import units
+from pyomo.core.expr import NumericExpression
+
+from pyomo_quad.collocation import Table
+from pyomo_quad.scenario import Scenario
+
+# Side of a surface, in `TerrainGrid.surface` -> its table, and the height of the vehicle over it.
+_SURFACES = {1: ("above", "height_limited_below"), -1: ("below", "height_limited_above")}
+
+
+def declare_ground(m: ConcreteModel, scenario: Scenario) -> None:
+    """Declare the heights above the terrain, if there is one, in block `ground`.
+
+    Parameters
+    ----------
+    m : ConcreteModel
+        With `time` and `rigid_body`.
+    """
+    grid = scenario.airspace.ground
+    if grid is None:
+        return
+    b = m.ground = Block(doc="ground")
+    for side, (name, height) in _SURFACES.items():
+        if side < 0 and scenario.airspace.ceiling is None:
+            continue
+        surface = grid.surface(side)
+        lengths = {"units": units.m, "arg_units": [units.m, units.m]}
+        table = Table(surface.x, surface.y, surface.heights, **lengths)
+        b.add_component(name, table)
+
+        def above(b: Block, t: float, table: Table = table) -> NumericExpression:
+            body = b.parent_block().rigid_body
+            return body.z[t] - table(body.x[t], body.y[t])
+
+        doc = f"height over the smooth surface {name} the ground [m]"
+        b.add_component(height, Expression(m.time, rule=above, doc=doc))
+
+
+def height_above_ground(m: ConcreteModel, t: float, side: int = 1) -> Any:
+    """Return the height at a time above the surface that floor (1) or ceiling (-1) count from."""
+    b = m.component("ground")
+    return m.rigid_body.z[t] if b is None else b.component(_SURFACES[side][1])[t]

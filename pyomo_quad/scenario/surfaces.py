@@ -1,0 +1,158 @@
+"""Smooth surfaces above and below the ground, which is bilinear between the points of a grid.
+
+A `Surface` is a cubic spline that is nowhere below the ground, or nowhere above it.  It begins as
+the spline through the heights.  Spline and ground are polynomials in each cell, and their
+difference is at least the least of its Bernstein coefficients there.  Where that is negative, all
+B-spline coefficients that have a part in the cell are raised by as much: the Bernstein coefficients
+are averages of them, so that none stays negative.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import comb
+from typing import Any, Self
+
+import numpy as np
+from numpy import float64, intp
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[float64]
+
+# Height by which surfaces keep off the ground because of rounding errors [m].
+_ROUNDING_M = 1e-6
+_CUBIC = 3
+_FEWEST_POINTS = 4
+_THIRDS = np.linspace(0.0, 1.0, _CUBIC + 1)
+# Bernstein coefficients of a cubic from its values at thirds of a cell.
+_TO_BERNSTEIN = np.linalg.inv(
+    [[comb(_CUBIC, k) * s**k * (1 - s) ** (_CUBIC - k) for k in range(_CUBIC + 1)] for s in _THIRDS]
+)
+# Shares of what is lacking by which coefficients are raised in turn: what neighbours are raised by
+# often makes up for a part of it.
+_SHARES = (*(0.3,) * 10, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Surface:
+    """A cubic spline of x and y that does not cross the ground.
+
+    Attributes
+    ----------
+    x, y : ndarray
+        Points of the grid [m], at least four each.
+    heights : ndarray, shape (len(x), len(y))
+        Of the surface at the points of the grid [m]; the surface is the not-a-knot spline through
+        them.
+    excess : float
+        Bound of its distance from the ground [m].
+    """
+
+    x: FloatArray
+    y: FloatArray
+    heights: FloatArray
+    excess: float
+
+    def at(self, places: ArrayLike) -> FloatArray:
+        """Return the height of the surface at places (..., 2 or 3) [m], outside that of the border.
+
+        Outside of the grid the ground is not known; figures draw it as far as they reach.
+        """
+        from scipy.interpolate import NdBSpline  # noqa: PLC0415  see `_through`
+
+        held = np.asarray(places, dtype=float)[..., :2]
+        ends = np.array([[axis[0], axis[-1]] for axis in (self.x, self.y)])
+        return np.asarray(NdBSpline(*self._spline, _CUBIC)(np.clip(held, *ends.T)))
+
+    @cached_property
+    def _spline(self) -> tuple[tuple[FloatArray, FloatArray], FloatArray]:
+        return _through(self.x, self.y, self.heights)
+
+
+def surface_of(x: ArrayLike, y: ArrayLike, heights: FloatArray, side: int) -> Surface:
+    """Return a surface that is nowhere below the ground (side 1) or nowhere above it (side -1)."""
+    x, y, ground = _with_enough_points(np.array(x), np.array(y), heights)
+    knots, coefficients = _through(x, y, side * ground)
+    along_x, along_y = (_Axis.of(*pair) for pair in zip((x, y), knots, strict=True))
+    of_ground = along_y.line @ (along_x.line @ (side * ground)).T
+
+    def above(held: FloatArray) -> FloatArray:
+        """Return the Bernstein coefficients of spline less ground, first two axes of cells."""
+        found = (along_y.cubic @ (along_x.cubic @ held).T - of_ground).T
+        return found.reshape(x.size - 1, 4, y.size - 1, 4).swapaxes(1, 2)
+
+    for share in _SHARES:
+        lacking = share * np.maximum(0.0, -above(coefficients).min(axis=(2, 3)))
+        coefficients = coefficients + along_y.greatest(along_x.greatest(lacking).T).T
+    coefficients = coefficients + _ROUNDING_M
+    heights = along_y.at_points @ (along_x.at_points @ coefficients).T
+    excess = float(above(coefficients).max())
+    return Surface(x=x, y=y, heights=side * heights.T, excess=excess)
+
+
+def _with_enough_points(
+    x: FloatArray, y: FloatArray, ground: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the grid with points added on the same ground until a cubic spline has enough."""
+    axes = [x, y]
+    for number, axis in enumerate(axes):
+        if axis.size < _FEWEST_POINTS:
+            fine = np.interp(np.arange(0, axis.size - 0.9, 1 / 3), np.arange(axis.size), axis)
+            along = np.moveaxis(ground, number, -1)
+            rows = [np.interp(fine, axis, row) for row in along.reshape(-1, axis.size)]
+            found = np.reshape(rows, (*along.shape[:-1], fine.size))
+            axes[number], ground = fine, np.moveaxis(found, -1, number)
+    return axes[0], axes[1], ground
+
+
+def _through(
+    x: FloatArray, y: FloatArray, heights: FloatArray
+) -> tuple[tuple[FloatArray, FloatArray], FloatArray]:
+    """Return knots and coefficients of the not-a-knot spline through heights."""
+    from scipy.interpolate import make_interp_spline  # noqa: PLC0415  for terrain alone
+
+    first = make_interp_spline(x, heights, _CUBIC)
+    second = make_interp_spline(y, first.c, _CUBIC, axis=1)
+    # The axis of the coefficients is moved to the front.
+    return (first.t, second.t), np.moveaxis(second.c, 0, 1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Axis:
+    """The functions of the basis along one axis, of n points.
+
+    Attributes
+    ----------
+    cubic, line : sparse matrix, shape (4 n - 4, n)
+        To the Bernstein coefficients in each cell, from those of the spline, and from the ground.
+    at_points : sparse matrix, shape (n, n)
+        To the values at the points, from the coefficients of the spline.
+    first : ndarray of int, shape (n - 1,)
+        The first of the four coefficients that have a part in each cell.
+    """
+
+    cubic: Any
+    line: Any
+    at_points: Any
+    first: NDArray[intp]
+
+    @classmethod
+    def of(cls, points: FloatArray, knots: FloatArray) -> Self:
+        from scipy.interpolate import BSpline  # noqa: PLC0415  see `_through`
+        from scipy.sparse import block_diag, csr_array  # noqa: PLC0415  see `_through`
+
+        thirds = (points[:-1, None] + np.diff(points)[:, None] * _THIRDS).clip(max=points[-1])
+        straight = np.concatenate([points[:1], points, points[-1:]])
+        to_bernstein = block_diag([csr_array(_TO_BERNSTEIN)] * (points.size - 1), format="csr")
+        return cls(
+            cubic=to_bernstein @ BSpline.design_matrix(thirds.ravel(), knots, _CUBIC),
+            line=BSpline.design_matrix(thirds.ravel(), straight, 1),
+            at_points=BSpline.design_matrix(points, knots, _CUBIC),
+            first=np.searchsorted(knots[: 1 - _FEWEST_POINTS], points[:-1], "right") - 1 - _CUBIC,
+        )
+
+    def greatest(self, of_cells: FloatArray) -> FloatArray:
+        """Return the greatest value of the cells in which each coefficient has a part."""
+        found = np.zeros((of_cells.shape[0] + 1, *of_cells.shape[1:]))
+        for k in range(_CUBIC + 1):
+            np.maximum.at(found, self.first + k, of_cells)
+        return found
