@@ -56,7 +56,7 @@ Numbers = dict[str, float | Callable[[float], float]]
 
 _HORIZONTAL = "xy"
 # The mesh of the first plan where none is given, and its degree.
-_ELEMENT_S, _FEWEST, _MOST, _FIRST_DEGREE = 0.4, 8, 60, 4
+_ELEMENT_S, _FEWEST, _MOST, _FIRST_DEGREE = 1.25, 8, 24, 4
 # s. Shortest and longest elements of a re-plan's mesh, the ratio of neighbours, and the degree: of
 # half the points of elements of 0.3 to 2 s of degree 4, and 1 J of 15 kJ farther off.
 _SHORT_S, _LONG_S, _GROWTH, _DEGREE = 0.4, 2.5, 1.5, 3
