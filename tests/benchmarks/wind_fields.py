@@ -220,8 +220,9 @@ def measure(arguments):
     fly_all(arguments.minutes)
     flights = finished()
     draw(flights)
-    header = ["wind toward deg", "plan J", *(f"{way} J" for way in WAYS),
-              *(f"limits, {way}" for way in WAYS), *(f"saved over {w} %" for w in WAYS[1:])]  # fmt: skip
+    header = ["wind toward deg", "plan J"]
+    header += [f"{way} J" for way in WAYS] + [f"limits, {way}" for way in WAYS]
+    header += [f"saved over {way} %" for way in WAYS[1:]]
     seconds = [
         [way, len(spent), f"{np.median(spent):.0f}", f"{max(spent):.0f}"]
         for way in WAYS
