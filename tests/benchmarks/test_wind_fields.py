@@ -9,12 +9,14 @@ def flown(way, energy, broken=""):
     return Flown(40, way, energy, energy, 30.0, not isnan(energy), 0.1, broken, "lost", 1.0)
 
 
-def test_a_row_tells_savings_limits_and_what_is_missing():
-    flights = [flown("field", 900.0), flown("straight", 1000.0, "tilt limit by 1 %")]
+def test_a_row_tells_limits_and_what_is_missing_and_saves_over_sound_flights_only():
+    flights = [flown("field", 900.0), flown("straight", 1000.0)]
     (row,) = rows_of(flights)
-    assert row == [40, "900", "-", "1000", "kept", "-", "tilt limit by 1 %", "-", "10.0"]
+    assert row == [40, "900", "900", "-", "1000", "kept", "-", "kept", "-", "10.0"]
+    (row,) = rows_of([*flights, flown("mean", 950.0, "tilt limit by 1 %")])
+    assert (row[6], row[8]) == ("tilt limit by 1 %", "-")
     (row,) = rows_of([*flights, flown("mean", nan)])
-    assert (row[5], row[7]) == ("lost", "-")
+    assert (row[6], row[8]) == ("lost", "-")
 
 
 def test_every_direction_has_its_wind():

@@ -39,7 +39,9 @@ ABOUT = (
     "energy per metre in the mean wind. Each is flown in the field under the same adaptive "
     "controller; energies are those of these flights. "
     "Plans have the accuracy `quick`, 0.1 % of energy. Limits are those of the scenario, which "
-    "leave a controller no reserve. A plan counts only where it was verified."
+    "leave a controller no reserve. A plan counts only where it was verified: its controls alone, "
+    "flown in the wind it was made for, keep all limits. Savings are those of the plan with the "
+    "field over flights that arrive and keep all limits."
     f"\n\n![{TITLE}]({FIGURE})"
 )
 SCENARIO = Path(__file__).parents[2] / "scenarios" / "street.toml"
@@ -175,8 +177,15 @@ def rows_of(flights):
         ways = [by_key.get((direction, way)) for way in WAYS]
         energies = ["-" if w is None or np.isnan(w.flown_J) else f"{w.flown_J:.0f}" for w in ways]
         limits = ["-" if w is None else _ending(w) for w in ways]
-        savings = [_saving(ways[0], other) for other in ways[1:]]
-        yield [direction, *energies, *limits, *savings]
+        planned = ways[0].planned_J if ways[0] else nan
+        savings = [_saving(planned, other) for other in ways[1:]]
+        yield [
+            direction,
+            "-" if np.isnan(planned) else f"{planned:.0f}",
+            *energies,
+            *limits,
+            *savings,
+        ]
 
 
 def _ending(flown):
@@ -187,11 +196,11 @@ def _ending(flown):
     )
 
 
-def _saving(field, other):
-    """Return the share of another flight's energy that planning with the field saves."""
-    if field is None or other is None or np.isnan(field.flown_J + other.flown_J):
+def _saving(planned_J, other):
+    """Return the share of a sound flight's energy that the plan with the field saves."""
+    if np.isnan(planned_J) or other is None or not is_sound(other):
         return "-"
-    return f"{100.0 * (1.0 - field.flown_J / other.flown_J):.1f}"
+    return f"{100.0 * (1.0 - planned_J / other.flown_J):.1f}"
 
 
 def draw(flights, folder=FOLDER):
@@ -211,8 +220,9 @@ def measure(arguments):
     fly_all(arguments.minutes)
     flights = finished()
     draw(flights)
-    header = ["wind toward deg", *(f"{way} J" for way in WAYS), *(f"limits, {w}" for w in WAYS),
-              *(f"saved over {w} %" for w in WAYS[1:])]  # fmt: skip
+    header = ["wind toward deg", "plan J"]
+    header += [f"{way} J" for way in WAYS] + [f"limits, {way}" for way in WAYS]
+    header += [f"saved over {way} %" for way in WAYS[1:]]
     seconds = [
         [way, len(spent), f"{np.median(spent):.0f}", f"{max(spent):.0f}"]
         for way in WAYS
