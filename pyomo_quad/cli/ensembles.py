@@ -44,11 +44,12 @@ def fly_many(
     refuse_output_folder(folder)
     watch = Stopwatch()
     often = partial(fly_plan_often, mission, plan.held, planner=planner, flights=flights, seed=seed)
+    asked = [mission.baseline.cruise_settings(speed) for speed in cruises]
     cruising = partial(fly_cruise_often, mission, planner=planner, flights=flights, seed=seed)
     with report_folder(folder) as aside:
         with watch.phase("fly"), Deadline(mission):
             flown = make_flight(mission, often)
-            rivals = [make_flight(mission, partial(cruising, speed)) for speed in cruises]
+            rivals = [make_flight(mission, partial(cruising, settings)) for settings in asked]
         savings = [Saving.of(flown, rival) for rival in rivals]
         summary = write_ensemble(aside, flown, savings, figures)
     answer(_lines(flown, savings), summary, folder, is_quiet=is_quiet, as_json=as_json)

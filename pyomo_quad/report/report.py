@@ -53,7 +53,7 @@ from pyomo_quad.study.comparison import (
     way_flown,
 )
 from pyomo_quad.study.front import FrontColumn
-from pyomo_quad.study.headline import cruise_words, headline_of, legend_of, settled_of
+from pyomo_quad.study.headline import headline_of, legend_of, settled_of
 from pyomo_quad.study.limits_kept import limit_lines
 
 if TYPE_CHECKING:
@@ -334,7 +334,6 @@ def _run_values(result: "RunResult", replanned: "pd.DataFrame") -> dict[str, Any
         "REPLANNING_NAME": REPLANNING_NAME,
         "headline": headline_of(result),
         "settled_of": settled_of,
-        "cruise_words": cruise_words,
         "legend_of": legend_of,
         "limit_lines": tuple(limit_lines(result.plan, result.flights)),
         "often_words": "" if result.often is None else result.often.words,

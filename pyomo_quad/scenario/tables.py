@@ -151,6 +151,11 @@ class CruiseSettings:
     acceleration: float
     jerk: float
 
+    @property
+    def words(self) -> str:
+        """The settings in words, such as "9.2 m/s, 4.1 m/s² and 31 m/s³"."""
+        return f"{self.speed:.3g} m/s, {self.acceleration:.3g} m/s² and {self.jerk:.3g} m/s³"
+
 
 class Baseline(Part):
     """Flights for comparison, and settings of the controller."""

@@ -4,7 +4,6 @@ A seed determines the winds, so that flights along another reference, such as an
 meet the same winds.
 """
 
-import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,7 +24,7 @@ from pyomo_quad.flight.references import ReferencePath
 from pyomo_quad.flight.routes import SETTLINGS_S, cruise_at
 from pyomo_quad.flight.weather import draw
 from pyomo_quad.scenario import Scenario
-from pyomo_quad.scenario.tables import Reference
+from pyomo_quad.scenario.tables import CruiseSettings, Reference
 from pyomo_quad.study.processes import side_by_side
 from pyomo_quad.version import __version__
 
@@ -192,16 +191,23 @@ def fly_plan_often(
 
 
 def fly_cruise_often(
-    scenario: Scenario, speed: float, *, planner: Planner, flights: int, seed: int
+    scenario: Scenario,
+    settings: CruiseSettings,
+    *,
+    planner: Planner,
+    flights: int,
+    seed: int,
+    least_s: float = 0.0,
 ) -> Ensemble:
     """Simulate an autopilot's cruise many times, in the same random winds as the plan.
 
-    It waits at the goal until half of the flights have arrived, at most the last of `SETTLINGS_S`.
+    It waits at the goal until half of the flights have arrived, at most the last of `SETTLINGS_S`,
+    and to the end of `least_s`.
     """
     for settling_s in SETTLINGS_S:
-        told = cruise_at(scenario, speed, settling_s)
+        told = cruise_at(scenario.cruising(settings), settling_s=settling_s, least_s=least_s)
         path = reference_path(told, Reference.CRUISE)
-        name = baseline_name(Reference.CRUISE, speed)
+        name = baseline_name(Reference.CRUISE, settings.speed)
         flown = _flown(name, told, path, planner=planner, flights=flights, seed=seed)
         if 2 * flown.held.count >= flights:
             break
@@ -267,17 +273,27 @@ class Saving:
         return cls(rival=rival, percent=(low, middle, high), both_held=both)
 
 
-def _short(name: str) -> str:
-    """Return the name of a cruise with two decimals of its speed."""
-    return re.sub(r"(\.\d\d)\d+", r"\1", name)
-
-
 @dataclass(frozen=True, kw_only=True)
 class InTurbulence:
-    """Flights of a run in turbulence: along its plan, and of an autopilot in the same winds."""
+    """Flights of a run in turbulence: along its plan, and of an autopilot in the same winds.
+
+    Attributes
+    ----------
+    flown : Ensemble
+    saving : Saving or None
+        Against the autopilot, None where none flew.
+    autopilot : str
+        The autopilot and its settings in words.
+    """
 
     flown: Ensemble
-    savings: tuple[Saving, ...]
+    saving: Saving | None = None
+    autopilot: str = ""
+
+    @property
+    def savings(self) -> tuple[Saving, ...]:
+        """The saving, if an autopilot flew."""
+        return () if self.saving is None else (self.saving,)
 
     @property
     def words(self) -> str:
@@ -288,12 +304,13 @@ class InTurbulence:
             f"In turbulence, {held.count} of {held.of} simulated flights arrive and keep every "
             f"limit: {held}{broken}."
         )
-        for saving in self.savings:
-            low, middle, high = saving.percent
+        if self.saving is not None:
+            low, middle, high = self.saving.percent
+            rate = f"{abs(middle):.1f} % {'less' if middle >= 0.0 else 'more'} energy"
             found += (
-                f" In the same turbulence the plan saves {middle:.1f} % against "
-                f"{_short(saving.rival.name)} (median; {low:.1f} to {high:.1f} % in 90 % of the "
-                "flights)."
+                f" They take {rate} than {self.autopilot} in the same turbulence (median; "
+                f"{low:.1f} to {high:.1f} % saved in 90 % of the winds), of whose flights "
+                f"{100.0 * self.saving.rival.held.value:.1f} % keep every limit."
             )
         return found
 
@@ -305,13 +322,17 @@ _FLOWN_S, _MOST_FLIGHTS = 10_000.0, 1000
 _SEED = 1
 
 
-def fly_in_turbulence(plan: Plan, cruise: float | None, *, planner: Planner) -> InTurbulence | None:
+def fly_in_turbulence(
+    plan: Plan, cruise: CruiseSettings | None, autopilot: str = "an autopilot", *, planner: Planner
+) -> InTurbulence | None:
     """Simulate plan and autopilot in many winds; None if the scenario has no turbulence.
 
     Parameters
     ----------
-    cruise : float or None
-        Speed of the autopilot [m/s]; None flies none.
+    cruise : CruiseSettings or None
+        Settings of the autopilot; None flies none.
+    autopilot : str
+        Name of the autopilot in words.
     """
     mission = plan.mission_flown
     if mission.wind.turbulence is None or not plan.is_flyable:
@@ -319,9 +340,13 @@ def fly_in_turbulence(plan: Plan, cruise: float | None, *, planner: Planner) -> 
     flights = min(_MOST_FLIGHTS, round(_FLOWN_S / plan.duration_s) or 1)
     flown = fly_plan_often(mission, plan.trajectories, planner=planner, flights=flights, seed=_SEED)
     if cruise is None:
-        return InTurbulence(flown=flown, savings=())
-    rival = fly_cruise_often(mission, cruise, planner=planner, flights=flights, seed=_SEED)
-    return InTurbulence(flown=flown, savings=(Saving.of(flown, rival),))
+        return InTurbulence(flown=flown)
+    least_s = 0.0 if plan.scenario.mission.is_free else plan.duration_s
+    rival = fly_cruise_often(
+        mission, cruise, planner=planner, flights=flights, seed=_SEED, least_s=least_s
+    )
+    named = f"{autopilot} (at most {cruise.words})"
+    return InTurbulence(flown=flown, saving=Saving.of(flown, rival), autopilot=named)
 
 
 def ensemble_summary(flown: Ensemble, savings: Sequence[Saving] = ()) -> dict[str, Any]:

@@ -58,12 +58,18 @@ class Headline:
 
     @property
     def words(self) -> str:
-        """The headline: energy and time, saving, flights in turbulence, price of the margins."""
+        """The headline: energy and time, saving, flights in turbulence, price of the margins.
+
+        Where an autopilot flew in the same turbulence as the plan, the saving is that of these
+        flights: one flight in turbulence does not compare with a plan in the mean wind.
+        """
         charge = ""
         if self.battery_percent is not None:
             charge = f" ({self.battery_percent:.2f} % of the battery)"
         plan = f"The plan takes {self.energy_J:.2f} J{charge} and {self.duration_s:.4g} s"
-        return " ".join(filter(None, (f"{plan}: {self._saving}.", self._share, self._price)))
+        if self.often is None or self.often.saving is None:
+            plan = f"{plan}: {self._saving}"
+        return " ".join(filter(None, (f"{plan}.", self._share, self._price)))
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -93,7 +99,7 @@ class Headline:
         at_most = ""
         if self.settings is not None:
             who = "an autopilot tuned for least energy ("
-            at_most = f", at most {cruise_words(self.settings)}"
+            at_most = f", at most {self.settings.words}"
         saving = float(self.rival[ComparisonColumn.SAVING])
         found = f"{abs(saving):.2f} % {'less' if saving >= 0.0 else 'more'} energy"
         return f"{found} than {who}{spent:.2f} J, {duration:.4g} s{at_most})"
@@ -121,13 +127,6 @@ class Headline:
         if not risk.is_had:
             return f"A risk of {asked} was not reached; the margins cost {cost}."
         return f"Margins that keep the risk of a broken limit at or below {asked} cost {cost}."
-
-
-def cruise_words(settings: "CruiseSettings") -> str:
-    """Return the limits of an autopilot in words, such as "9.2 m/s, 4.1 m/s² and 31 m/s³"."""
-    return (
-        f"{settings.speed:.3g} m/s, {settings.acceleration:.3g} m/s² and {settings.jerk:.3g} m/s³"
-    )
 
 
 def headline_of(result: "RunResult") -> Headline | None:

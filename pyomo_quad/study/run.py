@@ -326,12 +326,14 @@ def _often(
     plan: Plan, planner: Planner, tuning: Tuning | None, references: Sequence[Reference]
 ) -> tuple[InTurbulence | None, tuple[str, ...]]:
     """Return the flights in turbulence, or the reason why they failed."""
-    speeds = plan.scenario.baseline.cruise_speeds or ()
+    baseline = plan.scenario.baseline
+    cruise, autopilot = None, "an autopilot"
     if tuning is not None:
-        speeds = (tuning.settings.speed,)
-    speed = speeds[0] if speeds and Reference.CRUISE in references else None
+        cruise, autopilot = tuning.settings, "an autopilot tuned for least energy"
+    elif baseline.cruise_speeds and Reference.CRUISE in references:
+        cruise = baseline.cruise_settings(baseline.cruise_speeds[0])
     try:
-        return fly_in_turbulence(plan, speed, planner=planner), ()
+        return fly_in_turbulence(plan, cruise, autopilot, planner=planner), ()
     except (EngineError, ScenarioError) as error:
         return None, (f"no flights in turbulence: {error}",)
 
