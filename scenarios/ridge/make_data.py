@@ -1,6 +1,6 @@
 """Make the terrain and the wind of scenarios/ridge.toml: a ridge of three hills, and air over it.
 
-Each hill is a bell (Smith 1980, eq. (29)), and their sum is the ridge:
+Each hill is a bell (Smith 1980), and their sum is the ridge:
 
     h(x, y) = sum_k H_k / (1 + r_k^2 / a^2)^(3/2),    r_k^2 = (x - x_k)^2 + (y - y_k)^2
 
@@ -17,7 +17,7 @@ the plain.  It is linear in the slope (at most 0.3 here), has neither boundary l
 below the ground, where no flight reads it, it is only a smooth continuation.
 
 Smith, R. B., "Linear theory of stratified hydrostatic flow past an isolated mountain", Tellus 32
-(1980), 348-364, doi:10.3402/tellusa.v32i4.10590.
+(1980), 348-364.
 
 Run `python scenarios/ridge/make_data.py` to write `terrain.nc` and `wind.nc` beside it.
 """
