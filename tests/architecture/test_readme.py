@@ -34,7 +34,8 @@ def rows(name):
 def phrases():
     """Return what the README must say, from reports and package files."""
     told = json.loads((ROOT / "reports/delivery/summary.json").read_text(encoding="utf-8"))
-    rival, tuned = told["headline"]["against"], told["headline"]["autopilot"]
+    often, tuned = told["turbulence"], told["headline"]["autopilot"]
+    (rival,) = often["savings"]
     (model,) = (row for row in rows("m100/models.csv") if row["model"].startswith("momentum"))
     calm = json.loads((ROOT / "reports/paper_calm/summary.json").read_text(encoding="utf-8"))
     counts = {
@@ -49,8 +50,9 @@ def phrases():
     return [
         f"**{told['energy_J']:.0f} J in {told['duration_s']:.1f} s**",
         f"({tuned['speed']:.1f} m/s, {tuned['acceleration']:.1f} m/s², {tuned['jerk']:.1f} m/s³)",
-        f"**{rival['energy_J']:.0f} J in {rival['duration_s']:.1f} s**",
-        f"over that autopilot | {rival['saving_percent']:.1f} % |",
+        f"{often['held']} of {often['flights']} simulated flights",
+        f"**{rival['energy_J']['50_percent']:.0f} J** in the same turbulence",
+        f"over that autopilot | {rival['saving_percent']['50_percent']:.1f} % |",
         f"held out of the fit | {float(model['mean_absolute_error_percent']):.2f} % |",
         f"in the paper's first mission | {calm['certificate']['gap_percent']:.2f} % |",
         f"solved or proven infeasible, out of {total} | {total - counts['lost']} |",
