@@ -41,6 +41,10 @@ FloatArray = NDArray[np.float64]
 _OFF_NOUGHT = 1e-9
 
 
+# Standard deviation beyond which a flight is lost, in the unit of each state: m, rad, m/s, rad/s.
+_LOST = 1e6
+
+
 @dataclass(frozen=True, kw_only=True)
 class Spread:
     """Normal distribution of the states of flights in turbulence over time.
@@ -94,14 +98,14 @@ def spread_along(scenario: Scenario, plan: Plan, planner: Planner) -> Spread:
     transitions, driven = discrete(A, B, step)
     n_noise = len(NOISE)
     noise = driven[:, :, :n_noise] / np.sqrt(step)
-    covariance, onward = propagated(
-        mean.start_covariance, transitions, noise, driven[:, :, n_noise:]
+    covariance, onward = without_overflow(
+        *propagated(mean.start_covariance, transitions, noise, driven[:, :, n_noise:])
     )
     n_states = len(mean.dynamics.state_names)
     own = slice(0, n_states)
     return Spread(
         t=times[::2],
-        states=joint[::2, own],
+        states=np.nan_to_num(joint[::2, own], nan=_LOST, posinf=_LOST, neginf=-_LOST),
         controls=mean.loop.controls(times[::2], joint[::2], commands[::2]),
         covariance=covariance[:, own, own],
         onward=onward[:, own, own],
@@ -146,13 +150,32 @@ def propagated(
     # Responses of the states to each constant, which acts with one value in all steps.
     answers = [np.zeros((n_x, n_constants))]
     between = []
-    for F, G, H in zip(transitions, noise, constants, strict=True):
-        between.append(gusts[-1] @ F.T)
-        gusts.append(F @ gusts[-1] @ F.T + G @ G.T)
-        answers.append(F @ answers[-1] + H)
-    sums = np.array([P + S @ S.T for P, S in zip(gusts, answers, strict=True)])
-    pairs = zip(between, answers[:-1], answers[1:], strict=True)
-    return sums, np.array([P + S @ T.T for P, S, T in pairs]).reshape(n, n_x, n_x)
+    # `without_overflow` bounds the spread of a flight that cannot be followed.
+    with np.errstate(over="ignore", invalid="ignore"):
+        for F, G, H in zip(transitions, noise, constants, strict=True):
+            between.append(gusts[-1] @ F.T)
+            gusts.append(F @ gusts[-1] @ F.T + G @ G.T)
+            answers.append(F @ answers[-1] + H)
+        sums = np.array([P + S @ S.T for P, S in zip(gusts, answers, strict=True)])
+        pairs = zip(between, answers[:-1], answers[1:], strict=True)
+        return sums, np.array([P + S @ T.T for P, S, T in pairs]).reshape(n, n_x, n_x)
+
+
+def without_overflow(covariance: FloatArray, onward: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return covariances and lag-one covariances without overflow.
+
+    Along a plan that the controller cannot follow, the spread grows without limit.  From the time
+    at which a standard deviation exceeds `_LOST`, all are `_LOST`, and every limit is broken.
+    """
+    variance = np.diagonal(covariance, axis1=1, axis2=2)
+    is_lost = ~np.isfinite(covariance).all(axis=(1, 2)) | (variance > _LOST**2).any(axis=1)
+    if not is_lost.any():
+        return covariance, onward
+    first, n_x = int(np.argmax(is_lost)), covariance.shape[1]
+    kept, kept_onward = covariance.copy(), onward.copy()
+    kept[first:] = _LOST**2 * np.eye(n_x)
+    kept_onward[max(first - 1, 0) :] = 0.0
+    return kept, kept_onward
 
 
 class _MeanFlight:

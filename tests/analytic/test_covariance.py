@@ -8,7 +8,13 @@ from scipy.linalg import solve_continuous_lyapunov
 
 from pyomo_quad.collocation.program.compiled import MappedFunction
 from pyomo_quad.flight.baselines import fly_reference
-from pyomo_quad.flight.covariance import _MeanFlight, discrete, propagated, spread_along
+from pyomo_quad.flight.covariance import (
+    _MeanFlight,
+    discrete,
+    propagated,
+    spread_along,
+    without_overflow,
+)
 from pyomo_quad.flight.weather import problem_in_turbulence
 from pyomo_quad.model import parameter_values
 from pyomo_quad.model.turbulence import FILTER_STATES, NOISE, NOISE_STEP, Gusts
@@ -163,3 +169,20 @@ def test_flights_in_light_turbulence_spread_as_the_linear_covariance_says():
 @pytest.mark.slow
 def test_a_thousand_flights_in_light_turbulence_spread_within_15_percent():
     compare_with_flights(12.0, (30.0, 8.0, 12.0), count=1000, within=0.15)
+
+
+def test_a_spread_that_grows_without_limit_stays_finite_and_is_lost():
+    growing = np.full((60, 2, 2), 1e9) * np.eye(2)
+    held = propagated(np.eye(2), growing, np.zeros((60, 2, 1)), np.zeros((60, 2, 1)))
+    assert not np.isfinite(held[0]).all()
+    covariance, onward = without_overflow(*held)
+    assert np.isfinite(covariance).all()
+    assert np.isfinite(onward).all()
+    assert covariance[0] == pytest.approx(np.eye(2))
+    assert np.linalg.eigvalsh(covariance[-1]) == pytest.approx([1e12, 1e12])
+
+
+def test_a_spread_that_stays_bounded_is_left_as_it_is():
+    steady = np.full((60, 2, 2), 0.5) * np.eye(2)
+    held = propagated(np.eye(2), steady, np.ones((60, 2, 1)), np.zeros((60, 2, 1)))
+    assert all(one is other for one, other in zip(without_overflow(*held), held, strict=True))
