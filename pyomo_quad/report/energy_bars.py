@@ -46,7 +46,7 @@ def draw_energy_split(flights: Sequence[StyledFlight], hover_energy_J: float) ->
         longest.append(max(hover, flight.energy_J))
     _write_values(whole, [flight.energy_J for flight in flights], longest)
     _make_room(whole, longest)
-    whole.set(title="Total energy; grey: hovering for the same time", xlabel="Energy (J)")
+    whole.set(title="Total energy; grey: hovering", xlabel="Energy (J)")
     least, title = hover_energy_J, "Above hovering"
     if not take_one_time(flights):
         least, title = flights[0].energy_J, f"More than {flights[0].name}"

@@ -25,6 +25,7 @@ from pyomo_quad.flight.routes import SETTLINGS_S, cruise_at
 from pyomo_quad.flight.weather import draw
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.tables import CruiseSettings, Reference
+from pyomo_quad.study.autopilot import TUNED_CRUISE
 from pyomo_quad.study.processes import side_by_side
 from pyomo_quad.version import __version__
 
@@ -197,18 +198,19 @@ def fly_cruise_often(
     planner: Planner,
     flights: int,
     seed: int,
+    name: str = "",
     least_s: float = 0.0,
 ) -> Ensemble:
     """Simulate an autopilot's cruise many times, in the same random winds as the plan.
 
     It waits at the goal until half of the flights have arrived, at most the last of `SETTLINGS_S`,
-    and to the end of `least_s`.
+    and to the end of `least_s`.  Without a name, the flights are named after the speed.
     """
+    named = name or baseline_name(Reference.CRUISE, settings.speed)
     for settling_s in SETTLINGS_S:
         told = cruise_at(scenario.cruising(settings), settling_s=settling_s, least_s=least_s)
         path = reference_path(told, Reference.CRUISE)
-        name = baseline_name(Reference.CRUISE, settings.speed)
-        flown = _flown(name, told, path, planner=planner, flights=flights, seed=seed)
+        flown = _flown(named, told, path, planner=planner, flights=flights, seed=seed)
         if 2 * flown.held.count >= flights:
             break
     return flown
@@ -323,7 +325,7 @@ _SEED = 1
 
 
 def fly_in_turbulence(
-    plan: Plan, cruise: CruiseSettings | None, autopilot: str = "an autopilot", *, planner: Planner
+    plan: Plan, cruise: CruiseSettings | None, *, is_tuned: bool = False, planner: Planner
 ) -> InTurbulence | None:
     """Simulate plan and autopilot in many winds; None if the scenario has no turbulence.
 
@@ -331,8 +333,8 @@ def fly_in_turbulence(
     ----------
     cruise : CruiseSettings or None
         Settings of the autopilot; None flies none.
-    autopilot : str
-        Name of the autopilot in words.
+    is_tuned : bool
+        Whether these are the settings of least energy.
     """
     mission = plan.mission_flown
     if mission.wind.turbulence is None or not plan.is_flyable:
@@ -343,10 +345,17 @@ def fly_in_turbulence(
         return InTurbulence(flown=flown)
     least_s = 0.0 if plan.scenario.mission.is_free else plan.duration_s
     rival = fly_cruise_often(
-        mission, cruise, planner=planner, flights=flights, seed=_SEED, least_s=least_s
+        mission,
+        cruise,
+        planner=planner,
+        flights=flights,
+        seed=_SEED,
+        name=TUNED_CRUISE if is_tuned else "",
+        least_s=least_s,
     )
-    named = f"{autopilot} (at most {cruise.words})"
-    return InTurbulence(flown=flown, saving=Saving.of(flown, rival), autopilot=named)
+    tuned = " tuned for least energy" if is_tuned else ""
+    words = f"an autopilot{tuned} (at most {cruise.words})"
+    return InTurbulence(flown=flown, saving=Saving.of(flown, rival), autopilot=words)
 
 
 def ensemble_summary(flown: Ensemble, savings: Sequence[Saving] = ()) -> dict[str, Any]:

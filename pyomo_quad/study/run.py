@@ -327,13 +327,11 @@ def _often(
 ) -> tuple[InTurbulence | None, tuple[str, ...]]:
     """Return the flights in turbulence, or the reason why they failed."""
     baseline = plan.scenario.baseline
-    cruise, autopilot = None, "an autopilot"
-    if tuning is not None:
-        cruise, autopilot = tuning.settings, "an autopilot tuned for least energy"
-    elif baseline.cruise_speeds and Reference.CRUISE in references:
+    cruise = None if tuning is None else tuning.settings
+    if tuning is None and baseline.cruise_speeds and Reference.CRUISE in references:
         cruise = baseline.cruise_settings(baseline.cruise_speeds[0])
     try:
-        return fly_in_turbulence(plan, cruise, autopilot, planner=planner), ()
+        return fly_in_turbulence(plan, cruise, is_tuned=tuning is not None, planner=planner), ()
     except (EngineError, ScenarioError) as error:
         return None, (f"no flights in turbulence: {error}",)
 
