@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.exports.ground_station import (
     WAYPOINT_FILE_HEADER,
     Legs,
@@ -40,8 +40,6 @@ from pyomo_quad.scenario import ScenarioError
 from pyomo_quad.scenario.earth import GLOBE, GeodeticOrigin
 from pyomo_quad.scenario.fields import number_in_text
 from pyomo_quad.scenario.messages import shown
-
-FloatArray = NDArray[np.float64]
 
 #: Rates [Hz] below which PX4 leaves its offboard mode, and above which no link carries the stream.
 SLOWEST_STREAM_HZ, FASTEST_STREAM_HZ = 2.0, 1000.0

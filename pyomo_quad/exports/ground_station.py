@@ -15,14 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.exports.motion import Motion
 from pyomo_quad.flight.flight import POSITION_STATES
 from pyomo_quad.report.folder import MARK
 from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.airspace import ENDLESS_M, KeepOut, Shape
 from pyomo_quad.scenario.earth import GeodeticOrigin
-
-FloatArray = NDArray[np.float64]
 
 
 class Command(IntEnum):

@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import PPoly, make_interp_spline
 from scipy.spatial.transform import Rotation
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import Mesh, TranscriptionError, interpolate, interpolate_rates
 from pyomo_quad.flight import Plan
 from pyomo_quad.flight.columns import ALL_COLUMNS, TIME
@@ -28,7 +29,6 @@ from pyomo_quad.scenario.messages import PyomoQuadError, printable, shown
 if TYPE_CHECKING:
     import pandas as pd
 
-FloatArray = NDArray[np.float64]
 
 ATTITUDE_STATES = ("rigid_body.phi", "rigid_body.theta", "rigid_body.psi")
 RATE_STATES = ("rigid_body.p", "rigid_body.q", "rigid_body.r")

@@ -7,8 +7,8 @@ from math import inf, nan, sqrt
 from time import perf_counter
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import ClosedLoop, Dynamics, SolveError, Violation
 from pyomo_quad.flight.columns import flight_frame
 from pyomo_quad.flight.controller import (
@@ -51,8 +51,6 @@ from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 from pyomo_quad.scenario.mission import Hover
 from pyomo_quad.scenario.tables import Reference
 from pyomo_quad.scenario.vehicle import Vehicle
-
-FloatArray = NDArray[np.float64]
 
 _RIGID_BODY = "rigid_body."
 _ROTOR_SPEED = "rotors.omega["

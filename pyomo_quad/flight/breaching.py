@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from math import pi
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import Dynamics
 from pyomo_quad.flight.covariance import Spread
 from pyomo_quad.flight.flight import (
@@ -22,8 +22,6 @@ from pyomo_quad.flight.flight import (
 from pyomo_quad.flight.margins import FIELDS, HOLD, RADIUS, SPEED
 from pyomo_quad.model.mission import HOVERING_M, HOVERING_M_PER_S
 from pyomo_quad.scenario import Scenario
-
-FloatArray = NDArray[np.float64]
 
 # A deviation below this share of the larger of 1 and the limit is rounding.
 _ROUNDING = 1e-9

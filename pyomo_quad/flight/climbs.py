@@ -8,12 +8,10 @@ the same way.  Where climb and descent meet at nearly that height, the leg has a
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.flight.zones import zones_hit
 from pyomo_quad.scenario.airspace import Airspace
-
-FloatArray = NDArray[np.float64]
 
 # Parts of a cell of the terrain, by length, between places of a leg that are looked at.
 _LOOKS_PER_CELL = 4

@@ -10,9 +10,6 @@ from dataclasses import dataclass, replace
 from math import degrees
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
 from pyomo_quad.scenario.vehicle import MOST_ROTORS
 
 if TYPE_CHECKING:
@@ -21,9 +18,9 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
+    from pyomo_quad.arrays import FloatArray
     from pyomo_quad.collocation import Dynamics
 
-FloatArray = NDArray[np.float64]
 
 TIME = "time_s"
 ENERGY = "energy_J"

@@ -14,15 +14,12 @@ from math import acos, exp, inf, tan
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import Dynamics, Law
 from pyomo_quad.flight.references import ReferencePath, Setpoint
 from pyomo_quad.scenario import Attitude, Scenario
 from pyomo_quad.scenario.tables import Limits
-
-FloatArray = NDArray[np.float64]
-
 
 Vector = Sequence[float]
 

@@ -29,14 +29,13 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import SolveError
 from pyomo_quad.flight.routes import Journey, Route
 from pyomo_quad.flight.steady import SteadyFlight
 from pyomo_quad.flight.zones import MARGIN_M, are_blocked
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.wind import Beyond, WindCoupling
-
-FloatArray = NDArray[np.float64]
 
 # Largest number of corridors, their largest cost relative to the cheapest (a route of straight
 # legs in steady flight is misjudged by a few per cent), and their separation relative to the way.

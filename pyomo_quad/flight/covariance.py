@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from math import ceil
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import ClosedLoop, Dynamics
 from pyomo_quad.flight.baselines import fly, reference_path, start_state
 from pyomo_quad.flight.controller import (
@@ -35,8 +35,6 @@ from pyomo_quad.model.turbulence import (
 )
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.tables import Reference
-
-FloatArray = NDArray[np.float64]
 
 _OFF_NOUGHT = 1e-9
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 from math import ceil
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import ClosedLoop, Dynamics, SteppedFlights, SteppedLoops
 from pyomo_quad.flight.baselines import broken_under_control, start_state, wanted_at_goal
 from pyomo_quad.flight.columns import ENERGY
@@ -44,8 +44,6 @@ from pyomo_quad.flight.verification import (
     has_balance,
 )
 from pyomo_quad.scenario import Scenario
-
-FloatArray = NDArray[np.float64]
 
 #: s, longest step of the integration, over which the noise of turbulence is constant.
 LONGEST_STEP_S = 0.02

@@ -4,8 +4,8 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.flight.columns import TIME, WIND, column_of
 from pyomo_quad.flight.flight import VELOCITY_STATES
 from pyomo_quad.scenario import Scenario
@@ -13,7 +13,6 @@ from pyomo_quad.scenario import Scenario
 if TYPE_CHECKING:
     from pyomo_quad.flight.plan import Plan
 
-FloatArray = NDArray[np.float64]
 
 _SPEEDS = tuple(column_of(name).name for name in VELOCITY_STATES)
 # Of a limit, by which a plan that is held to it may exceed it between its points.

@@ -7,7 +7,6 @@ from math import nan
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pyomo_quad.collocation import Summarised
 from pyomo_quad.flight.limit_words import breach_words
@@ -18,9 +17,9 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
+    from pyomo_quad.arrays import FloatArray
     from pyomo_quad.collocation import Dynamics, Violation
 
-FloatArray = NDArray[np.float64]
 
 ARRIVAL_DISTANCE_M = 0.05
 """Miss beyond which a flight has not arrived: a seventh of the paper's vehicle from rotor to

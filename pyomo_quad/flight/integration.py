@@ -6,10 +6,11 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
-FloatArray = NDArray[np.float64]
+from pyomo_quad.arrays import FloatArray
+
 Rates = Callable[[float, FloatArray], FloatArray]
 
 # Distance inside its piece at which an end of the piece is evaluated, relative to the piece.

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-    from pyomo_quad.flight.steady import FloatArray, SteadyFlight
+    from pyomo_quad.arrays import FloatArray
+    from pyomo_quad.flight.steady import SteadyFlight
     from pyomo_quad.scenario import Scenario
     from pyomo_quad.scenario.airspace import Airspace
 

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-FloatArray = NDArray[np.float64]
+from pyomo_quad.arrays import FloatArray
+
 IntArray = NDArray[np.intp]
 _Order = tuple[int, ...]
 

@@ -27,11 +27,11 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import Dynamics, SolveError, control_polynomial
 from pyomo_quad.flight.baselines import (
     LONGEST_STEP,
@@ -57,7 +57,6 @@ from pyomo_quad.flight.references import ReferencePath
 from pyomo_quad.scenario import Reference, Scenario, ScenarioError
 from pyomo_quad.scenario.wind import WindAxis, WindCoupling
 
-FloatArray = NDArray[np.float64]
 Answer = tuple[Sequence[float], Sequence[float]]
 """Rotor accelerations of a law, and the rates of its own states."""
 OutsideLaw = Callable[[float, FloatArray, Sequence[float]], Answer]

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Any, BinaryIO, Final, Literal, NoRe
 from zipfile import ZipFile
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import AllowInfNan, ConfigDict, ValidationError
 
 from pyomo_quad.collocation import (
@@ -42,7 +41,9 @@ if TYPE_CHECKING:
 
     import pandas as pd
     import xarray as xr
+    from numpy.typing import NDArray
 
+    from pyomo_quad.arrays import FloatArray
     from pyomo_quad.collocation import Dynamics, Iteration, Solution
     from pyomo_quad.flight.failure import Failure
     from pyomo_quad.presentation import Picture
@@ -343,9 +344,6 @@ def _refuse(path: Path, line: str) -> NoReturn:
 
 def _not_a_plan(path: Path) -> str:
     return f"{path}: is not a plan written by Plan.save of this version."
-
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

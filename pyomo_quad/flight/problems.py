@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Hashable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from pyomo_quad.collocation import Dynamics, Problem, compile
 from pyomo_quad.flight.baselines import declared_start
@@ -23,7 +22,11 @@ from pyomo_quad.model.limits import without_reserve
 from pyomo_quad.model.wind import still_air
 from pyomo_quad.scenario import Scenario
 
-FloatArray = NDArray[np.float64]
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from pyomo_quad.arrays import FloatArray
+
 Builder = Callable[[Scenario], Any]
 
 _WIND = ("wind.velocity_x", "wind.velocity_y")

@@ -9,14 +9,10 @@ from math import isfinite
 
 import numpy as np
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import Dynamics, SolveError, TranscriptionError
 from pyomo_quad.flight.baselines import declared_start, wanted_at_goal
-from pyomo_quad.flight.flight import (
-    ARRIVAL_DISTANCE_M,
-    FloatArray,
-    Flown,
-    terminal_miss_of,
-)
+from pyomo_quad.flight.flight import ARRIVAL_DISTANCE_M, Flown, terminal_miss_of
 from pyomo_quad.flight.plan import Trajectories
 from pyomo_quad.flight.planning import Builder, Planner
 from pyomo_quad.flight.verification import (

@@ -25,12 +25,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.scenario import ScenarioError
 from pyomo_quad.scenario.mission import Mission
-
-FloatArray = NDArray[np.float64]
 
 # Coefficients of rising powers of t/T, from 0 at t = 0 to 1 at t = T.
 _QUINTIC = Polynomial((0, 0, 0, 10, -15, 6))

@@ -16,8 +16,8 @@ from itertools import accumulate, pairwise
 from math import ceil, floor, log
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import (
     Mesh,
     Problem,
@@ -51,7 +51,6 @@ from pyomo_quad.model.wind import still_air
 from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.tables import Knowledge
 
-FloatArray = NDArray[np.float64]
 Numbers = dict[str, float | Callable[[float], float]]
 
 _HORIZONTAL = "xy"

@@ -29,9 +29,9 @@ from math import inf
 from time import perf_counter, process_time
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import (
     Dynamics,
     Solution,
@@ -65,7 +65,6 @@ from pyomo_quad.flight.remaining import Belief, Course, Replanner, with_mass
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.tables import Knowledge, Replanning, SolveTiming
 
-FloatArray = NDArray[np.float64]
 Computer = Callable[[float], float]
 """Processor seconds that a solve took here -> seconds that it takes aboard."""
 

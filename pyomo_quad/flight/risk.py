@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import Progress, SolveError, SolverOptions
 from pyomo_quad.flight.baselines import reference_path
 from pyomo_quad.flight.breaching import (
@@ -49,8 +49,6 @@ from pyomo_quad.scenario import Attitude, Scenario
 from pyomo_quad.scenario.mission import Aim
 from pyomo_quad.scenario.tables import Reference
 from pyomo_quad.scenario.wind import Intensity, Turbulence, WindCoupling
-
-FloatArray = NDArray[np.float64]
 
 # Of a plan that chooses its duration, where the scenario states none.
 _USUAL_RISK = 0.01

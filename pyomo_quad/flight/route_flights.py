@@ -11,8 +11,8 @@ from math import inf
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import Mesh, Solution, SolveError, Status
 from pyomo_quad.flight.corridors import corridor_journeys, estimate_of, has_corridors
 from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
@@ -24,8 +24,6 @@ from pyomo_quad.flight.verdict import energy_of
 from pyomo_quad.flight.zones import Side, sides_passed
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.accuracy import Accuracy
-
-FloatArray = NDArray[np.float64]
 
 # Least number of elements on which the flights along all routes are compared.
 _ROUTE_ELEMENTS = 20

@@ -30,10 +30,10 @@ from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.flight.climbs import over_the_ground
 from pyomo_quad.flight.references import SampledPath, stops_of
 from pyomo_quad.flight.zones import (
@@ -49,7 +49,6 @@ from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.airspace import Airspace, KeepOut
 from pyomo_quad.scenario.tables import CruiseSettings
 
-FloatArray = NDArray[np.float64]
 Place = tuple[float, float, float]
 
 #: Largest number of routes, the shortest of as many classes, and their largest length relative to

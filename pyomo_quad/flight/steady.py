@@ -15,7 +15,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, least_squares
 
@@ -28,10 +27,12 @@ from pyomo_quad.model.battery_circuit import CIRCUIT_STATES
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from numpy.typing import ArrayLike
+
+    from pyomo_quad.arrays import FloatArray
     from pyomo_quad.collocation import Dynamics
     from pyomo_quad.scenario import Scenario
 
-FloatArray = NDArray[np.float64]
 
 ROLL, PITCH, _YAW = "rigid_body.phi", "rigid_body.theta", "rigid_body.psi"
 _ROTOR_SPEED = "rotors.omega["

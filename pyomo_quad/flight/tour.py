@@ -32,8 +32,7 @@ from pyomo_quad.scenario.mission import Hover, Order
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
-    from numpy.typing import NDArray
-
+    from pyomo_quad.arrays import FloatArray
     from pyomo_quad.collocation import Solution
     from pyomo_quad.flight.candidate import Start
     from pyomo_quad.flight.plan import Plan
@@ -42,7 +41,6 @@ if TYPE_CHECKING:
     from pyomo_quad.flight.search import Search
     from pyomo_quad.scenario import Scenario
 
-    FloatArray = NDArray[np.float64]
     LegSolver = Callable[[Scenario, Mesh, Route | None], Solution]
     _Leg = tuple[int, int]
 

@@ -15,7 +15,6 @@ from pyomo_quad.flight.deadline import keep_time
 from pyomo_quad.flight.flight import (
     HELD_BREACH,
     POSITION_STATES,
-    FloatArray,
     Flown,
     broken_limits,
     position_miss,
@@ -28,6 +27,7 @@ from pyomo_quad.scenario.accuracy import FIGURES, USABLE, Accuracy, Figures
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from pyomo_quad.arrays import FloatArray
     from pyomo_quad.scenario import Scenario
     from pyomo_quad.scenario.airspace import Airspace
 

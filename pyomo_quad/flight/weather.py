@@ -5,9 +5,9 @@ is an independent normal number with the standard deviation stated in the scenar
 """
 
 from math import cos, hypot, sin
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pyomo_quad.collocation import Dynamics, Problem, compile
 from pyomo_quad.flight.caches import IN_TURBULENCE
@@ -25,7 +25,8 @@ from pyomo_quad.model.turbulence import (
 )
 from pyomo_quad.scenario import Scenario
 
-FloatArray = NDArray[np.float64]
+if TYPE_CHECKING:
+    from pyomo_quad.arrays import FloatArray
 
 
 def vehicle_flown(planner: Planner, scenario: Scenario) -> Dynamics:

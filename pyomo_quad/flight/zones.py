@@ -15,9 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.scenario.airspace import Ball, KeepOut
-
-FloatArray = NDArray[np.float64]
 
 #: m. Distance of places from a zone with its clearance; a narrower gap counts as closed.
 MARGIN_M = 0.15

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.identification.columns import (
     AIR_VELOCITY,
     CRUISE,
@@ -28,7 +29,6 @@ from pyomo_quad.scenario import ScenarioError
 from pyomo_quad.scenario.wind import SEA_LEVEL_DENSITY
 
 # Logs of the PX4 autopilot: unit, topics and fields, the name in the newest firmware first.
-FloatArray = NDArray[np.float64]
 Topic = dict[str, FloatArray]
 _MICROSECONDS = 1e-6
 _POSITION, _BATTERY, _LANDED = "vehicle_local_position", "battery_status", "vehicle_land_detected"
@@ -112,7 +112,7 @@ def read_ulog(file: Path) -> pd.DataFrame:
     return averaged
 
 
-def _field(topics: dict[str, Topic], topic: str, *names: str) -> NDArray[np.float64]:
+def _field(topics: dict[str, Topic], topic: str, *names: str) -> FloatArray:
     """Return the field of a topic under the first of the given names that exists."""
     if topic not in topics:
         raise ScenarioError(f"has no topic {topic}; log it.")
@@ -199,7 +199,7 @@ def _ardupilot_by_second(messages: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
     battery = _first_of(messages[_EKF_BATTERY], _EKF_BATTERY, "Volt", "Curr")
     times = motion["TimeUS"].to_numpy(float)
 
-    def at(message: pd.DataFrame, values: pd.Series) -> NDArray[np.float64]:
+    def at(message: pd.DataFrame, values: pd.Series) -> FloatArray:
         return np.interp(times, message["TimeUS"].to_numpy(float), values.to_numpy(float))
 
     if not (battery["Curr"] > 0.0).any():
@@ -225,7 +225,7 @@ def _ardupilot_by_second(messages: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
     )
 
 
-def _is_flying(events: pd.DataFrame, times: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _is_flying(events: pd.DataFrame, times: FloatArray) -> NDArray[np.bool_]:
     """Return whether the land detector reports flight; true without a detector."""
     if not {"TimeUS", "Id"} <= set(events):
         return np.ones(len(times), dtype=bool)

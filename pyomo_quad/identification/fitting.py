@@ -16,17 +16,10 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.identification.columns import AIR_VELOCITY, CRUISE, FLIGHT, PHASE, POWER, TIME
 from pyomo_quad.identification.motion import LoggedMotion
-from pyomo_quad.identification.validation import (
-    SEED,
-    FloatArray,
-    Rows,
-    Trial,
-    cross_validated,
-    folds,
-    trials,
-)
+from pyomo_quad.identification.validation import SEED, Rows, Trial, cross_validated, folds, trials
 from pyomo_quad.scenario import Scenario, ScenarioError, library_entry, library_names
 from pyomo_quad.scenario.tables import Vehicle
 

@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import Dynamics, Instants
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.flight import VELOCITY_STATES
@@ -27,8 +28,6 @@ from pyomo_quad.identification.columns import (
     VELOCITY,
 )
 from pyomo_quad.scenario import PowerModel, Scenario, ScenarioError, scenario_from_mapping
-
-FloatArray = NDArray[np.float64]
 
 _MASS, _DENSITY = "vehicle.mass", "power.air_density"
 _TURNED = ("rigid_body.phi", "rigid_body.theta")

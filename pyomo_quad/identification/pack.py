@@ -15,6 +15,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import SteppedLoops
 from pyomo_quad.collocation import compile as compile_model
 from pyomo_quad.flight.baselines import declared_start
@@ -22,8 +23,6 @@ from pyomo_quad.identification.columns import CURRENT, FLIGHT, TIME, VOLTAGE
 from pyomo_quad.identification.validation import folds
 from pyomo_quad.model.battery import CHARGE_STATE, build_pack
 from pyomo_quad.scenario import Scenario
-
-FloatArray = NDArray[np.float64]
 
 #: Fields of the battery that are fitted, and the parameter of the model that each one is.
 FITTED = {

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.identification.columns import DENSITY, FLIGHT, PAYLOAD
 from pyomo_quad.identification.figures import identification_drawings
 from pyomo_quad.identification.fitting import Identification, changes
@@ -17,7 +18,6 @@ from pyomo_quad.identification.validation import (
     ERROR,
     MEASURED_ENERGY,
     PREDICTED_ENERGY,
-    FloatArray,
     Scores,
     energies,
     scores,

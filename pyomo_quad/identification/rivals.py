@@ -15,10 +15,10 @@ from dataclasses import asdict, dataclass
 import numpy as np
 import pandas as pd
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.identification.columns import DENSITY, FLYING, PAYLOAD, PHASE, POWER
 from pyomo_quad.identification.fitting import Identification
 from pyomo_quad.identification.validation import (
-    FloatArray,
     Rows,
     Scores,
     Trial,

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import SolveError
 from pyomo_quad.flight import Planner
 from pyomo_quad.identification.columns import (
@@ -31,7 +32,6 @@ from pyomo_quad.identification.columns import (
 from pyomo_quad.identification.fitting import Fit, FittedParameter, confounded, undetermined
 from pyomo_quad.identification.logs import LEAST_POWER_PER_KG, MOST_POWER_PER_KG
 from pyomo_quad.identification.motion import LoggedMotion
-from pyomo_quad.identification.validation import FloatArray
 from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.messages import printable
 

@@ -11,9 +11,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.identification.columns import CRUISE, FLIGHT, PAYLOAD, PHASE, POWER, TIME, VELOCITY
 
-FloatArray = NDArray[np.float64]
 Rows = NDArray[np.bool_]
 Fitted = Callable[[Rows], FloatArray]
 """Rows to fit to -> the power of every row, W, by that fit."""

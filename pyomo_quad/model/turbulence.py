@@ -31,13 +31,13 @@ from math import atan2, ceil, sqrt
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pyomo.core import Block, ConcreteModel, Constraint, Expression, Param, Var, cos, sin
 from pyomo.core import sqrt as root
 from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression, RelationalExpression
 from pyomo.dae import DerivativeVar
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import Steps
 from pyomo_quad.model.ground import height_above_ground
 from pyomo_quad.model.parameters import (
@@ -48,8 +48,6 @@ from pyomo_quad.model.parameters import (
 )
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.wind import Wind
-
-FloatArray = NDArray[np.float64]
 
 _SPEED = units.m / units.s
 _FOOT = 0.3048 * units.m

@@ -36,11 +36,11 @@ from math import sin as sine
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pyomo.core import Block, ConcreteModel, Expression, Param, exp, log, sin
 from pyomo.core.base.units_container import UnitsError, units
 from pyomo.core.expr import NumericExpression
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import Table
 from pyomo_quad.model.ground import height_above_ground
 from pyomo_quad.model.parameters import (
@@ -52,8 +52,6 @@ from pyomo_quad.model.parameters import (
 from pyomo_quad.model.wind_field import COMPONENTS, FIELD_UNIT, declare_field, smooth_positive
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.wind import FrequencyUnit, Wind, WindAxis, WindLaw, WindSeries
-
-FloatArray = NDArray[np.float64]
 
 HARMONICS = (1, 2, 3)
 _CUBIC = 3

@@ -24,13 +24,12 @@ from pyomo.core import Block, ConcreteModel, Expression, exp, sqrt
 from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import Table
 from pyomo_quad.model.parameters import Parameter
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.messages import shown
 from pyomo_quad.scenario.wind import Beyond, WindGrid
-
-FloatArray = NDArray[np.float64]
 
 COMPONENTS = ("velocity_x", "velocity_y", "velocity_z")
 FIELD_UNIT = Parameter(

@@ -6,15 +6,13 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import Dynamics
 from pyomo_quad.flight.columns import ROTORS
 from pyomo_quad.paper.experiments import Experiment, paper_scenario
 from pyomo_quad.paper.readings import Reading
 from pyomo_quad.scenario import Scenario
-
-FloatArray = NDArray[np.float64]
 
 #: Bounds on the rotor acceleration for which the floors are computed, rad/s².
 BOUNDS = (10, 30, 100, 200, 300, 500, 600, 700, 800, 900, 1000, 1100, 1150, 1250, 1500, 2000, 3000)

@@ -8,13 +8,13 @@ from itertools import product
 from time import perf_counter
 from typing import Any, NamedTuple
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.steady import battery_shortfalls
 from pyomo_quad.paper import experiments
 from pyomo_quad.paper.readings import Reading, TrialOutcome, mesh_trials, run_trial
 from pyomo_quad.paper.rotor_map import (
     EfficiencyMap,
-    FloatArray,
     chattering_floors,
     critical_acceleration,
     sample_efficiency_map,

@@ -11,18 +11,16 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import SolveError
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.steady import SteadyFlight, Trim
 from pyomo_quad.model.wind_field import mean_of_field
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.wind import USUAL_HEIGHT
-
-FloatArray = NDArray[np.float64]
 
 #: Columns of `Polar.winds` and `Polar.reach`.
 WIND, ANGLE = "wind_m_s", "angle_to_wind_deg"

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.flight import Planner
 from pyomo_quad.model.wind_field import is_wind_known
 from pyomo_quad.polar.polar import COURSE, REACH, SteadyCurve, steady_curve
@@ -27,8 +27,6 @@ from pyomo_quad.report.document import Drawing, write_study
 from pyomo_quad.report.style import FULL_WIDTH, INK, MUTED, SERIES_STYLES
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.version import __version__
-
-FloatArray = NDArray[np.float64]
 
 #: Files of a report.
 TABLE_NAME, OUTLINE_NAME = "reach.csv", "reach.geojson"

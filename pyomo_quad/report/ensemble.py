@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.flight.columns import ENERGY as ENERGY_TRACK
 from pyomo_quad.flight.ensemble import OFF, SPEED, TILT
 from pyomo_quad.report import Figures
@@ -30,8 +30,6 @@ from pyomo_quad.study.ensemble import (
     Saving,
     ensemble_summary,
 )
-
-FloatArray = NDArray[np.float64]
 
 FLIGHTS_NAME, BANDS_NAME = "flights.csv", "bands.csv"
 #: Number of paths in the figure; more paths could not be distinguished.

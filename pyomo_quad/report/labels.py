@@ -6,11 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patheffects import withStroke
-from numpy.typing import NDArray
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.report.style import INK
-
-FloatArray = NDArray[np.float64]
 
 _FONT_SIZE = 7.0  # points
 # Mean width and height of a letter, relative to the font size.

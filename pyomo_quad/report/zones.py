@@ -5,14 +5,12 @@ from itertools import pairwise
 
 import numpy as np
 from matplotlib.patches import Circle, Patch, Polygon, Rectangle
-from numpy.typing import NDArray
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.scenario.airspace import KeepOut, Shape
 
 ZONE_COLOR = "#a33a2a"  # as in the page's view
 _ROUND = 36  # corners of a circle
-
-FloatArray = NDArray[np.float64]
 
 
 def outline(zone: KeepOut, directions: tuple[int, int], clearance: float = 0.0) -> Patch:

@@ -13,12 +13,11 @@ from pyomo_quad.scenario.fields import Number, Part, Sound, Text, Triple, late_q
 from pyomo_quad.scenario.packed_arrays import unpacked
 
 if TYPE_CHECKING:
-    from numpy import float64
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
+    from pyomo_quad.arrays import FloatArray
     from pyomo_quad.scenario.surfaces import Surface
 
-    FloatArray = NDArray[float64]
 
 _FAR = Sound(-1e5, 1e5, "coordinates lie within 100 km of the origin")
 _WIDE = Sound(1e-2, 1e5, "sizes of obstacles")

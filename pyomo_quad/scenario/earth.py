@@ -15,10 +15,10 @@ from pyomo_quad.scenario.fields import Number, Part, is_number, quantity
 from pyomo_quad.scenario.messages import ScenarioError, shown
 
 if TYPE_CHECKING:
-    from numpy import float64
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
-    FloatArray = NDArray[float64]
+    from pyomo_quad.arrays import FloatArray
+
 
 #: Name of a coordinate on the globe -> least and greatest value, and unit.
 GLOBE = {

@@ -9,12 +9,12 @@ fence-2 and so on.
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from pyomo_quad.scenario.airspace import ENDLESS_M, Shape
 from pyomo_quad.scenario.earth import GeodeticOrigin
 from pyomo_quad.scenario.fields import is_number
-from pyomo_quad.scenario.messages import ScenarioError, shown
+from pyomo_quad.scenario.messages import ScenarioError, refuse, shown
 
 _LARGEST_BYTES = 20_000_000
 _MOST_FEATURES = 1000
@@ -160,7 +160,7 @@ def read_footprints(file: Path, place: str, origin: GeodeticOrigin | None) -> li
     """
     features = _features(file, place)
     if origin is None:
-        _refuse(place, "is by latitude and longitude; give mission.origin")
+        refuse(place, "is by latitude and longitude; give mission.origin")
     zones: list[dict[str, Any]] = []
     for number, feature in enumerate(features, start=1):
         properties = feature.get("properties") if isinstance(feature, Mapping) else None
@@ -186,10 +186,6 @@ def read_footprints(file: Path, place: str, origin: GeodeticOrigin | None) -> li
     return zones
 
 
-def _refuse(place: str, reason: str) -> NoReturn:
-    raise ScenarioError(f"{place}; {reason}.") from None
-
-
 def _as_name(text: str) -> str:
     """Return a text as the name of a zone, with underscores for other characters."""
     kept = "".join(c if c.isascii() and (c.isalnum() or c in "_.-") else "_" for c in text)
@@ -199,19 +195,19 @@ def _as_name(text: str) -> str:
 def _features(file: Path, place: str) -> list[Any]:
     try:
         if file.stat().st_size > _LARGEST_BYTES:
-            _refuse(place, f"larger than {_LARGEST_BYTES} bytes; cut out what is flown past")
+            refuse(place, f"larger than {_LARGEST_BYTES} bytes; cut out what is flown past")
         held = json.loads(file.read_text(encoding="utf-8-sig"))
     except OSError as error:
-        _refuse(place, f"cannot be read ({error.strerror or error}); give an existing file")
+        refuse(place, f"cannot be read ({error.strerror or error}); give an existing file")
     except (ValueError, RecursionError) as error:
         if isinstance(error, ScenarioError):
             raise
-        _refuse(place, "is not JSON; save it as GeoJSON")
+        refuse(place, "is not JSON; save it as GeoJSON")
     features = held.get("features") if isinstance(held, Mapping) else None
     if not isinstance(features, list):
-        _refuse(place, "is no FeatureCollection of GeoJSON; save it as one")
+        refuse(place, "is no FeatureCollection of GeoJSON; save it as one")
     if len(features) > _MOST_FEATURES:
-        _refuse(place, f"has {len(features)} features; must have at most {_MOST_FEATURES}")
+        refuse(place, f"has {len(features)} features; must have at most {_MOST_FEATURES}")
     return features
 
 
@@ -221,7 +217,7 @@ def _height(
     value = next((told[name] for name in names if told.get(name) is not None), otherwise)
     if not is_number(value) or not abs(value) <= ENDLESS_M:
         said = f"{names[0]} = {shown(value)}" if value is not None else f"no {names[0]}"
-        _refuse(where, f"has {said}; give {names[0]} or {names[1]} in m above the origin")
+        refuse(where, f"has {said}; give {names[0]} or {names[1]} in m above the origin")
     return float(value)
 
 
@@ -231,12 +227,10 @@ def _polygons(feature: Any, where: str) -> Iterator[list[Any]]:  # noqa: ANN401 
     told = geometry if isinstance(geometry, Mapping) else {}
     kind, held = told.get("type"), told.get("coordinates")
     if kind not in {_POLYGON, _MULTIPOLYGON} or not isinstance(held, list) or not held:
-        _refuse(
-            where, f"is {shown(kind or 'no geometry')}; must be a {_POLYGON} or {_MULTIPOLYGON}"
-        )
+        refuse(where, f"is {shown(kind or 'no geometry')}; must be a {_POLYGON} or {_MULTIPOLYGON}")
     for rings in [held] if kind == _POLYGON else held:
         if not isinstance(rings, list) or not rings:
-            _refuse(where, f"has a {_POLYGON} without a ring; correct it")
+            refuse(where, f"has a {_POLYGON} without a ring; correct it")
         yield rings
 
 
@@ -251,9 +245,9 @@ def _in_metres(rings: list[Any], origin: GeodeticOrigin, where: str) -> tuple[_R
         except (TypeError, ValueError, LookupError):
             globe = []
         if len(globe) < 4 or globe[0] != globe[-1]:
-            _refuse(where, "has a ring that is not closed, or of fewer than 3 corners; correct it")
+            refuse(where, "has a ring that is not closed, or of fewer than 3 corners; correct it")
         if any(not (abs(lat) <= 90.0 and abs(lon) <= 180.0) for lat, lon, _ in globe):
-            _refuse(
+            refuse(
                 where,
                 "has a corner beyond 90 degrees of latitude or 180 of longitude; GeoJSON gives "
                 "longitude first, in degrees",
@@ -261,5 +255,5 @@ def _in_metres(rings: list[Any], origin: GeodeticOrigin, where: str) -> tuple[_R
         found.append([(float(x), float(y)) for x, y, _ in origin.local(globe[:-1])])
     polygon = Polygon(found[0], found[1:])
     if not polygon.is_valid or polygon.area <= 0.0:
-        _refuse(where, "has a polygon that crosses itself or encloses nothing; correct it")
+        refuse(where, "has a polygon that crosses itself or encloses nothing; correct it")
     return found[0], found[1:]

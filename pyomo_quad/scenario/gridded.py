@@ -6,17 +6,15 @@ The file may be untrusted: it is data only, bounded in size, and checked complet
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.scenario.earth import GeodeticOrigin
-from pyomo_quad.scenario.messages import ScenarioError, printable, shown
+from pyomo_quad.scenario.messages import printable, refuse, shown
 from pyomo_quad.scenario.wind import LATEST_TIME
-
-FloatArray = NDArray[np.float64]
 
 _LARGEST_BYTES = 200_000_000
 _MOST_VALUES = 5_000_000
@@ -160,11 +158,6 @@ def _on_middle_lines(
                 "metres; cut out the region that is flown",
             )
     return {"x": x, "y": y}
-
-
-def refuse(place: str, reason: str) -> NoReturn:
-    """Refuse a file, in one line that begins with the field that names it."""
-    raise ScenarioError(f"{place}; {reason}.") from None
 
 
 def _told(error: Exception) -> str:

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from types import UnionType
-from typing import Any, Literal, Union, get_args, get_origin
+from typing import Any, Literal, NoReturn, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
@@ -277,3 +277,8 @@ class FeasibilityError(PyomoQuadError, ValueError):
 
 class OutputError(PyomoQuadError, RuntimeError):
     """The results cannot be written to the requested folder."""
+
+
+def refuse(place: str, reason: str) -> NoReturn:
+    """Refuse a file, in one line that begins with the field that names it."""
+    raise ScenarioError(f"{place}; {reason}.") from None

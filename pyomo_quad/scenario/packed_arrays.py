@@ -5,10 +5,7 @@ from typing import TYPE_CHECKING
 from zlib import compress, decompress
 
 if TYPE_CHECKING:
-    from numpy import float64
-    from numpy.typing import NDArray
-
-    FloatArray = NDArray[float64]
+    from pyomo_quad.arrays import FloatArray
 
 
 def packed(values: "FloatArray") -> str:

@@ -13,10 +13,10 @@ from math import comb
 from typing import Any, Self
 
 import numpy as np
-from numpy import float64, intp
+from numpy import intp
 from numpy.typing import ArrayLike, NDArray
 
-FloatArray = NDArray[float64]
+from pyomo_quad.arrays import FloatArray
 
 # Height by which surfaces keep off the ground because of rounding errors [m].
 _ROUNDING_M = 1e-6

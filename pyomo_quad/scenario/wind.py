@@ -32,10 +32,11 @@ from pyomo_quad.scenario.messages import shown
 from pyomo_quad.scenario.packed_arrays import unpacked
 
 if TYPE_CHECKING:
-    from numpy import bool_, float64
+    from numpy import bool_
     from numpy.typing import ArrayLike, NDArray
 
-    FloatArray = NDArray[float64]
+    from pyomo_quad.arrays import FloatArray
+
 
 #: m/s. A third above the strongest gust measured, on Barrow Island in 1996 (WMO).
 LARGEST_WIND = 150.0

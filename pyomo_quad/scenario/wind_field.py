@@ -12,8 +12,8 @@ from pyomo_quad.scenario.gridded import (
     check_axes,
     in_metres,
     read_gridded,
-    refuse,
 )
+from pyomo_quad.scenario.messages import refuse
 from pyomo_quad.scenario.packed_arrays import packed
 from pyomo_quad.scenario.wind import LARGEST_WIND, STRONGEST_GUST
 

@@ -5,10 +5,9 @@ from collections.abc import Mapping
 from itertools import pairwise
 from math import isfinite
 from pathlib import Path
-from typing import NoReturn
 
 from pyomo_quad.scenario.fields import number_in_text
-from pyomo_quad.scenario.messages import ScenarioError, shown
+from pyomo_quad.scenario.messages import ScenarioError, refuse, shown
 from pyomo_quad.scenario.wind import LARGEST_WIND, LATEST_TIME, STRONGEST_GUST
 
 WIND_COLUMNS = ("time_s", "wind_x_m_per_s", "wind_y_m_per_s")
@@ -78,14 +77,14 @@ def _heights(columns: Mapping[str, tuple[float, ...]], place: str) -> tuple[floa
     heights = every[: times.count(times[0])]
     for lower, higher in pairwise(heights):
         if higher <= lower:
-            _refuse(place, f"height {higher:g} m follows {lower:g} m; heights must rise")
+            refuse(place, f"height {higher:g} m follows {lower:g} m; heights must rise")
     if not _FEWEST_HEIGHTS <= len(heights) <= _MOST_HEIGHTS:
-        _refuse(place, f"{len(heights)} heights; must have {_FEWEST_HEIGHTS} to {_MOST_HEIGHTS}")
+        refuse(place, f"{len(heights)} heights; must have {_FEWEST_HEIGHTS} to {_MOST_HEIGHTS}")
     blocks = range(0, len(every), len(heights))
     for first in blocks:
         block = slice(first, first + len(heights))
         if every[block] != heights or len(set(times[block])) > 1:
-            _refuse(
+            refuse(
                 place,
                 f"the rows of {times[first]:g} s are not for the heights of {times[0]:g} s; every "
                 "time must have the same heights, in the same order",
@@ -95,14 +94,14 @@ def _heights(columns: Mapping[str, tuple[float, ...]], place: str) -> tuple[floa
 
 def _check_times(times: tuple[float, ...], place: str) -> None:
     if len(times) < _FEWEST_ROWS:
-        _refuse(place, f"{len(times)} times; must have at least {_FEWEST_ROWS}")
+        refuse(place, f"{len(times)} times; must have at least {_FEWEST_ROWS}")
     steps = [later - earlier for earlier, later in pairwise(times)]
     usual = sorted(steps)[len(steps) // 2]
     for row, step in enumerate(steps):
         if step <= 0:
-            _refuse(place, f"time {times[row + 1]:g} s follows {times[row]:g} s; times must rise")
+            refuse(place, f"time {times[row + 1]:g} s follows {times[row]:g} s; times must rise")
         if step > _GAP_STEPS * usual:
-            _refuse(
+            refuse(
                 place,
                 f"gap of {step:g} s after {times[row]:g} s; "
                 f"steps must be <= {_GAP_STEPS * usual:g} s, fill the gap",
@@ -113,7 +112,7 @@ def _check_cover(
     times: tuple[float, ...], start: float, field: str, duration: float, place: str
 ) -> None:
     if times[0] > start or times[-1] - start < duration:
-        _refuse(
+        refuse(
             place,
             f"wind from {times[0]:g} to {times[-1]:g} s does not cover the mission from "
             f"{start:g} to {start + duration:g} s; give a longer file or shorten {field}",
@@ -124,27 +123,27 @@ def _read_rows(file: Path, place: str) -> tuple[tuple[str, ...], _Rows]:
     """Return the key columns (time, height or both), and the rows of numbers."""
     try:
         if file.stat().st_size > _LARGEST_FILE_BYTES:
-            _refuse(place, f"larger than {_LARGEST_FILE_BYTES} bytes; thin the series out")
+            refuse(place, f"larger than {_LARGEST_FILE_BYTES} bytes; thin the series out")
         with file.open(newline="", encoding="utf-8-sig") as stream:
             reader = csv.reader(stream)
             header = tuple(cell.strip() for cell in next(reader, []))
             keys = next((keys for keys in _KEYS if header == (*keys, *_WIND_SPEEDS)), None)
             if keys is None:
-                _refuse(
+                refuse(
                     place,
                     f"first line must be {','.join(WIND_COLUMNS)}, with {HEIGHT_COLUMN} in place "
                     f"of or after {_TIME_COLUMN} for a wind by height",
                 )
             rows = [_read_row(keys, cells, reader.line_num, place) for cells in reader if cells]
     except OSError as error:
-        _refuse(place, f"cannot be read ({error.strerror or error}); give an existing CSV file")
+        refuse(place, f"cannot be read ({error.strerror or error}); give an existing CSV file")
     except (UnicodeDecodeError, csv.Error, ValueError) as error:
         if isinstance(error, ScenarioError):
             raise
-        _refuse(place, "is not a CSV text file; save it as comma-separated UTF-8 text")
+        refuse(place, "is not a CSV text file; save it as comma-separated UTF-8 text")
     fewest = _FEWEST_ROWS if _TIME_COLUMN in keys else _FEWEST_HEIGHTS
     if not fewest <= len(rows) <= _MOST_ROWS:
-        _refuse(place, f"{len(rows)} rows; must have {fewest} to {_MOST_ROWS}")
+        refuse(place, f"{len(rows)} rows; must have {fewest} to {_MOST_ROWS}")
     return keys, rows
 
 
@@ -155,12 +154,12 @@ def _read_row(keys: tuple[str, ...], cells: list[str], line: int, place: str) ->
     except ValueError:
         numbers = ()
     if len(numbers) != count:
-        _refuse(place, f"line {line} must hold {count} numbers")
+        refuse(place, f"line {line} must hold {count} numbers")
     if not all(isfinite(number) for number in numbers):
-        _refuse(place, f"line {line} holds a number that is not finite; remove or fill it")
+        refuse(place, f"line {line} holds a number that is not finite; remove or fill it")
     strongest = max(map(abs, numbers[-len(_WIND_SPEEDS) :]))
     if strongest > LARGEST_WIND:
-        _refuse(
+        refuse(
             place,
             f"line {line} has a wind of {strongest:g} m/s; must be within {LARGEST_WIND:g} m/s: "
             f"{STRONGEST_GUST}",
@@ -169,12 +168,8 @@ def _read_row(keys: tuple[str, ...], cells: list[str], line: int, place: str) ->
         most, unit = (LATEST_TIME, "s") if key == _TIME_COLUMN else (_FARTHEST_HEIGHT, "m")
         if abs(number) > most:
             kind = key.partition("_")[0]
-            _refuse(
+            refuse(
                 place,
                 f"line {line} is of {number:g} {unit}; {kind}s must be within {most:g} {unit}",
             )
     return numbers
-
-
-def _refuse(place: str, reason: str) -> NoReturn:
-    raise ScenarioError(f"{place}; {reason}.") from None

@@ -13,9 +13,9 @@ from math import inf, log
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import Dynamics, EngineError
 from pyomo_quad.flight import Flight, Plan, Planner
 from pyomo_quad.flight.baselines import (
@@ -42,7 +42,6 @@ from pyomo_quad.study.tables import TableColumn
 if TYPE_CHECKING:
     import pandas as pd
 
-FloatArray = NDArray[np.float64]
 
 TUNED_CRUISE = f"{baseline_name(Reference.CRUISE)} tuned"
 """Name of the flight of an autopilot whose settings are tuned for least energy."""

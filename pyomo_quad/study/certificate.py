@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.polynomial import Chebyshev
-from numpy.typing import NDArray
 from scipy.linalg import null_space
 from scipy.optimize import OptimizeResult, minimize
 
@@ -26,7 +25,8 @@ from pyomo_quad.study.pairs import POWER_TOLERANCE, Pairs, bound_of_pairs, wind_
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-FloatArray = NDArray[np.float64]
+    from pyomo_quad.arrays import FloatArray
+
 
 _GAUSS_NODES = 6  # of each panel
 _PANELS = 16  # for integrals of the conjugate over the flight, which is piecewise smooth

@@ -5,8 +5,8 @@ from math import isclose, isfinite, nan
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import Dynamics
 from pyomo_quad.flight.baselines import (
     ClosedLoopFlight,
@@ -33,7 +33,6 @@ from pyomo_quad.study.tables import TableColumn
 if TYPE_CHECKING:
     import pandas as pd
 
-FloatArray = NDArray[np.float64]
 
 ERROR_WITH = "position_error_with_adaptation_m"
 ERROR_WITHOUT = "position_error_without_adaptation_m"

@@ -12,8 +12,8 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import Summarised
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.baselines import baseline_name, path_of, reference_path
@@ -32,7 +32,6 @@ from pyomo_quad.version import __version__
 if TYPE_CHECKING:
     import pandas as pd
 
-FloatArray = NDArray[np.float64]
 
 #: Confidence level of the interval of a share.
 CONFIDENCE = 0.95

@@ -31,7 +31,6 @@ from math import inf
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize
 
 from pyomo_quad.model.mission import HOVERING_M, HOVERING_M_PER_S
@@ -39,9 +38,11 @@ from pyomo_quad.model.mission import HOVERING_M, HOVERING_M_PER_S
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from numpy.typing import NDArray
+
+    from pyomo_quad.arrays import FloatArray
     from pyomo_quad.scenario import Scenario
 
-FloatArray = NDArray[np.float64]
 _NODES = 48  # of the Gauss quadrature over a leg: the conjugate is piecewise linear
 _ITERATIONS = 200  # of L-BFGS in each search
 # Smoothing of the length of a price vector, which has no slope at zero, N s/J.

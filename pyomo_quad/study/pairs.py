@@ -38,7 +38,6 @@ from math import inf
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq, linprog
 
 from pyomo_quad.collocation import Dynamics, Enclosure, symbols
@@ -48,9 +47,11 @@ from pyomo_quad.scenario import PowerModel, Scenario
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.typing import NDArray
+
+    from pyomo_quad.arrays import FloatArray
     from pyomo_quad.study.legs import Leg
 
-FloatArray = NDArray[np.float64]
 # A CasADi expression or a number.
 Symbol = Any
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.flight import Planner
 from pyomo_quad.identification.columns import DENSITY, PAYLOAD, POWER
 from pyomo_quad.identification.motion import vehicle_scenario
@@ -25,8 +25,6 @@ from pyomo_quad.scenario import PowerModel, Scenario, library_entry, library_nam
 from pyomo_quad.vehicles.owner import Known, estimate_vehicle
 from pyomo_quad.vehicles.pack import pack_of
 from pyomo_quad.vehicles.propulsion import propeller_of
-
-FloatArray = NDArray[np.float64]
 
 #: Columns of the table of data sheets.
 SHEET, MEASURED, ESTIMATED, SHEET_ERROR = "vehicle", "measured_W", "estimated_W", "error_percent"

@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pyomo_quad.arrays import FloatArray
 from pyomo_quad.flight import Planner
 from pyomo_quad.identification.steady import level_powers
 from pyomo_quad.vehicles.files import scenario_of
@@ -19,7 +19,6 @@ from pyomo_quad.vehicles.owner import (
     EstimatedVehicle,
 )
 
-FloatArray = NDArray[np.float64]
 Numbers = Mapping[str, float]
 _Change = Callable[[float], Numbers]
 

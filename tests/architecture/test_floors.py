@@ -10,6 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from tests.architecture import test_sizes
 
 FLOORS = {
+    "arrays": -1,
     "presentation": 0,
     "scenario": 0,
     "collocation": 0,
