@@ -32,10 +32,10 @@ class Presenter(Protocol):
     """Functions that draw and report plans and runs."""
 
     def picture_of_plan(self, plan: Any, what: str) -> Picture:  # noqa: ANN401
-        """Draw a figure of a plan, or a column of its table."""
+        """Draw the figure named `what` of a plan, or the column named `what` of its table."""
 
     def picture_of_run(self, result: Any, what: str) -> Picture:  # noqa: ANN401
-        """Draw a figure of a run, or a column of its plan's table."""
+        """Draw the figure named `what` of a run, or the column named `what` of its plan's table."""
 
     def report_plan(self, plan: Any, folder: str | Path, figures: str) -> Path:  # noqa: ANN401
         """Write the report of a plan into a folder and return its text file."""

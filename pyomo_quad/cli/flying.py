@@ -114,7 +114,7 @@ def write_flight(
 
 
 def verdict(scenario: Scenario, flight: Flight) -> str:
-    """Return the result of a flight in one sentence."""
+    """Return in one sentence whether a flight arrived, its energy, and whether it is confirmed."""
     end = "arrived" if has_arrived(flight) else "did not arrive"
     confirmed = "confirmed" if flight.is_verified else "not confirmed"
     why = f": {flight.doubt}" if flight.doubt else ""

@@ -337,7 +337,7 @@ def _flight(run: Path) -> "tuple[StyledFlight, float, Scenario | None]":
 
 
 def _mission(summary: dict[str, Any]) -> Scenario | None:
-    """Return a report's scenario with its passing times, None if this version cannot read it."""
+    """Return a report's scenario with passing times, None if this version cannot read it."""
     try:
         scenario = Scenario.model_validate(summary["scenario_resolved"])
         return scenario.lasting(summary["duration_s"], summary.get("passing_times_s", ()))

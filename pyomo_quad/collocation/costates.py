@@ -73,13 +73,16 @@ class Costates:
 
 @lru_cache(maxsize=64)
 def _roughness(degree: int) -> FloatArray:
-    """Return the matrix that maps nodal values to residuals of a fit of degree - 2."""
+    """Return the matrix from nodal values to the residuals of a polynomial fit of degree - 2."""
     smooth = legendre.legvander(2.0 * radau_rule(degree).nodes - 1.0, max(degree - 2, 0))
     return np.asarray(np.eye(degree + 1) - smooth @ np.linalg.pinv(smooth))
 
 
 def _by_degree(mesh: Mesh) -> list[tuple[int, np.ndarray, np.ndarray]]:
-    """Return each degree with its elements, shape (k,), and their points, shape (k, degree)."""
+    """Return each polynomial degree, with the indices of its elements and of their points.
+
+    Shapes (k,) and (k, degree), where k elements of the mesh have that degree.
+    """
     degrees = np.asarray(mesh.degrees)
     groups = []
     for degree in sorted(set(mesh.degrees)):
@@ -97,23 +100,23 @@ def costates_of(
     timeline: Timeline,
     objective: float,
 ) -> Costates:
-    """Map the multipliers of a solution to costates and Hamiltonian.
+    """Map the multipliers of a solution to costates and Hamiltonian (covector mapping).
 
     Parameters
     ----------
     program : Transcription
-        The program on a mesh.
+        The nonlinear program on one mesh.
     z : ndarray
-        The solution.
+        Its unknowns at the solution.
     multipliers : Multipliers
         Multipliers as Ipopt returns them for the unscaled program.
     bounds : Bounds
-        Bounds of the program. The multiplier of a state's bound at a single time acts at that time,
-        not on the element before it.
+        Bounds of the unknowns and rows. The multiplier of a state's bound at a single
+        time acts at that time, and is left out of the element before it.
     timeline : Timeline
         Physical times of the horizon.
     objective : float
-        Size of the objective.
+        Magnitude of the objective's terms, the reference of the smallest costate that counts.
     """
     mesh = program.mesh or Mesh.uniform(1, 1)
     by_rate, by_state = _products(program, z, program.path_weights(z, multipliers.rows))

@@ -256,7 +256,7 @@ def diagnose(
 
 
 def _least_slacks(solution: Solution, soft: SoftRows, progress: Progress | None) -> IpoptResult:
-    """Minimise the sum of the families' slacks, which are the last unknowns of the result.
+    """Minimise the sum of the slacks, one per family of limits; they end the result's unknowns.
 
     The excess of each soft row of the program is an unknown, and at most the slack of its family.
     Soft limits of unknowns become rows, and replace the unknowns' bounds.

@@ -278,7 +278,7 @@ class Dynamics:
         return Instants(inputs=inputs, read=self._formulation.evaluator, numbers=self._with_numbers)
 
     def _with_numbers(self, data: FloatArray, numbers: Mapping[str, ArrayLike]) -> FloatArray:
-        """Return a table of data with the columns of some parameters replaced."""
+        """Return a table of input data with the columns of some parameters set to other numbers."""
         names = self.parameter_names
         changed = data.copy()
         for name, column in numbers.items():
@@ -397,7 +397,7 @@ class Dynamics:
         ]
 
     def limits_of(self, instants: Instants) -> list[LimitValues]:
-        """Return each limit over time, a path inequality or a bound, with the values it limits."""
+        """Return each path inequality and bound over time, with its values along a given flight."""
         compiled = self._formulation.compiled
         declared, n_states = compiled.declared, len(compiled.declared.states)
         rates, all_states, algebraics, statics, data = instants.inputs
@@ -663,7 +663,7 @@ def written_law(dynamics: Dynamics, law: Law, sizes: tuple[int, int, int]) -> An
 
 
 def joint_sizes(dynamics: Dynamics, n_command: int, n_own: int) -> tuple[int, int, int]:
-    """Return the sizes of moment, joint state and command."""
+    """Return the lengths of time-dependent inputs, joint state and command of a closed loop."""
     moment = len(dynamics.moment(dynamics.start))
     return moment, len(dynamics.state_names) + n_own + 1, n_command
 
@@ -671,7 +671,7 @@ def joint_sizes(dynamics: Dynamics, n_command: int, n_own: int) -> tuple[int, in
 def closed(
     dynamics: Dynamics, law: Law, sizes: tuple[int, int, int], numbers: Mapping[str, Any]
 ) -> tuple[list[Any], Any, Any]:
-    """Return symbolic inputs, rates of the joint state, and controls of a closed loop.
+    """Return the symbols of a closed loop's inputs, the rates of its joint state, and its controls.
 
     `numbers` replaces parameters, by full name, by symbols.
     """

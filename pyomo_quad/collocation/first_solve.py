@@ -35,16 +35,17 @@ _COARSE_MESH = Mesh.uniform(elements=4, degree=3)
 
 @dataclass(kw_only=True)
 class FirstSolve(Search[S], Generic[S]):
-    """Search for a first solution by strategies, on one horizon or several.
+    """Search for a first solution by trying strategies in order, on one horizon or several.
 
     Attributes
     ----------
     solve : callable
-        (mesh, start, options=, is_scaled=) -> solution of one mesh.
+        (mesh, start, options=, is_scaled=) -> solution on that one mesh.
     finish : callable
-        (solve, mesh, start) -> the solution, refined if a tolerance is given.
+        (solve, mesh, start) -> the solution, on refined meshes if a tolerance is given.
     judge : callable
-        Failed solution -> the same with the verdict of its least violation.
+        Failed solution -> the same, with a message on which equations cannot be met together (from
+        the elastic program, which minimises the constraint violation).
     mesh : Mesh, list of Mesh, or None
         The initial mesh.
     start : Start
@@ -61,12 +62,12 @@ class FirstSolve(Search[S], Generic[S]):
 
     @cached_property
     def judged(self) -> S:
-        """Failed solution of the requested solve, with the verdict of its elastic program."""
+        """Failed requested solve, with the verdict of its elastic program on its feasibility."""
         return self.judge(self.failed)
 
     @property
     def failed(self) -> S:
-        """Failed solution of the requested solve."""
+        """Result of the solve that the caller requested, which failed."""
         if self.first is None:
             raise LookupError("no solve has failed yet")
         return self.first
@@ -79,7 +80,7 @@ class FirstSolve(Search[S], Generic[S]):
         return fact is Fact.JUDGED and is_judged
 
     def attempt(self, strategy: Strategy) -> S | None:
-        """Solve by one strategy."""
+        """Solve with a strategy's initial point, mesh and settings; None if it does not apply."""
         own = partial(
             self.solve, options=strategy.settings(self.options), is_scaled=strategy.is_scaled
         )
@@ -105,7 +106,7 @@ class FirstSolve(Search[S], Generic[S]):
         )
 
     def failure(self, last: S) -> S:
-        """Return the failed solution of the requested solve, with its verdict."""
+        """Return the failed requested solve, with the verdict on its feasibility."""
         del last
         return self.judged
 
@@ -166,7 +167,7 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
         return self.simulate and self.simulate()
 
     def _ended(self, found: Solution) -> Solution:
-        """Return a result with a message if it diverged or has redundant equations."""
+        """Return a result, with a message if it is unbounded or has redundant equations."""
         diverged = found.status.has_failed and found.ipopt_code == DIVERGED_CODE
         return without_bound(found) if diverged else with_surplus(found)
 

@@ -85,7 +85,7 @@ class Evaluator:
 
     @classmethod
     def of(cls, compiled: CompiledModel, writer: TemplateWriter) -> Evaluator:
-        """Return the evaluator of a compiled model's components."""
+        """Return an evaluator of all components of a compiled model."""
         d = compiled.declared
         states = (*d.states, *d.outputs)
         inputs = (
@@ -221,7 +221,7 @@ class OutputStates:
         return casadi.Function("output_starts", [parameters], [stacked(values)])
 
     def start(self, parameters: FloatArray, fixed: dict[tuple[str, float], float]) -> FloatArray:
-        """Return the values at the start of the horizon, shape (n_outputs,)."""
+        """Return the output states at the start of the horizon, shape (n_outputs,)."""
         held = np.asarray(self._starts(parameters)).ravel()
         return np.array(
             [fixed.get((s.name, 0.0), held[k]) for k, s in enumerate(self._slots)], dtype=float
@@ -366,11 +366,11 @@ class Formulation:
         return np.array([[fraction, *at(fraction)] for fraction in fractions.tolist()])
 
     def data_of(self, instance: Instance, fractions: FloatArray) -> Data:
-        """Return the data of the equations at fractions of the horizon."""
+        """Return parameter values, and time-dependent parameters at fractions of the horizon."""
         return Data(parameters=instance.parameters, signals=self.signals(instance, fractions))
 
     def data_at_starts(self, instance: Instance) -> FloatArray:
-        """Return the data of the equations at the start and just after each jump."""
+        """Return fraction, signals and parameters, row by row: at the start, after each jump."""
         after = np.array(instance.jumps) + 2.0 * BESIDE
         return self.data_of(instance, np.concatenate([np.zeros(1), after])).at_points()
 

@@ -279,7 +279,7 @@ def scattered(program: Transcription, bounds: Bounds, z: FloatArray, seed: int) 
 
 
 def _inside(number: float, bounds: Bounds, column: int) -> float:
-    """Move a number inside its bounds; without a value, use the middle of two finite bounds."""
+    """Move an initial value inside its bounds; NaN becomes the middle of two finite bounds."""
     lower, upper = bounds.lower[column], bounds.upper[column]
     if lower <= number <= upper:
         return number

@@ -172,7 +172,7 @@ def sampled_deviation(motion: Motion, rate_hz: float) -> float:
 
 
 def _between(motion: Motion, t: FloatArray, place: FloatArray, velocity: FloatArray) -> float:
-    """Return the largest distance of a cubic Hermite spline through rows from the plan [m]."""
+    """Return the largest distance [m] from the plan of a spline through a stream's samples."""
     between = np.unique(np.concatenate([t, t[:-1] + np.diff(t) / 2.0]))
     drawn = CubicHermiteSpline(t, place, velocity)(between)
     return float(np.linalg.norm(drawn - motion.position(between), axis=1).max())
@@ -184,7 +184,7 @@ def _north_east_down(values: FloatArray) -> FloatArray:
 
 
 def _wrapped(angle: FloatArray) -> FloatArray:
-    """Wrap angles to the range from -pi to pi."""
+    """Wrap angles [rad] to the range from -pi to pi."""
     return np.asarray(np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi)
 
 

@@ -375,7 +375,7 @@ def _place_of(
 
 
 def _towards(heading: float | None) -> float | None:
-    """Return a heading in degrees from north, clockwise, as an angle from east [rad]."""
+    """Convert a heading [deg clockwise from north] to an angle from east [rad]."""
     return None if heading is None else remainder(radians(90.0 - heading), tau)
 
 

@@ -169,7 +169,7 @@ def mission(
 
 
 def waypoint_file(mission_of_plan: Mapping[str, Any]) -> str:
-    """Return a plan file's mission in Mission Planner's format.
+    """Convert a QGroundControl plan (a mapping) to Mission Planner's text format of waypoints.
 
     Fence and rally points have files of their own there, and are left out.
     """
@@ -234,13 +234,13 @@ def _item(command: Command, frame: Frame, params: list[Any]) -> dict[str, Any]:
 
 
 def _globe(places: Sequence[Sequence[float]], origin: GeodeticOrigin) -> list[list[float]]:
-    """Return latitude, longitude and height of places, shape (n, 3)."""
+    """Convert positions [m] to latitude [deg], longitude [deg] and height [m], one row each."""
     rows: list[list[float]] = origin.geodetic(np.reshape(places, (-1, 3))).tolist()
     return rows
 
 
 def _fence(scenario: Scenario, origin: GeodeticOrigin) -> dict[str, Any]:
-    """Return the fence: inclusion polygon, and zones without a top as exclusions."""
+    """Return QGroundControl's geofence: inclusion polygon, zones without a top as exclusions."""
     airspace = scenario.airspace
     rings = [] if airspace.keep_in is None else [(True, airspace.keep_in.corners)]
     endless = [zone for zone in airspace.keep_out if _is_endless(zone)]

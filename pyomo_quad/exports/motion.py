@@ -386,7 +386,7 @@ def piece_deviation(
 
 
 def _counts(most: int) -> Iterator[int]:
-    """Yield increasing numbers of pieces to try."""
+    """Yield increasing numbers of polynomial pieces to try in a fit."""
     pieces = _FIRST_PIECES
     while pieces < most:
         yield pieces

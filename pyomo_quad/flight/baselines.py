@@ -188,7 +188,7 @@ def fly(
     tolerance: float = _TOLERANCE,
     last: FloatArray | None = None,
 ) -> ClosedLoopFlight:
-    """Simulate a vehicle under the adaptive controller along a reference.
+    """Simulate a vehicle whose adaptive controller follows a reference path.
 
     Parameters
     ----------
@@ -201,7 +201,8 @@ def fly(
     tolerance : float, optional
         Relative and absolute tolerance of the integrator.
     last : ndarray, shape (22,), optional
-        The `CONTROLLER_STATES` with which another reference was followed until the first time.
+        States of the controller (`CONTROLLER_STATES`) at the first time, if it followed another
+        reference until then; started afresh by default.
 
     Raises
     ------
@@ -348,7 +349,7 @@ def fly_reference(
     rate_hz: float = RATE_HZ,
     tolerance: float = _TOLERANCE,
 ) -> ClosedLoopFlight:
-    """Simulate a mission under feedback and return the states of the controller too.
+    """Simulate a mission under feedback; return its samples with the states of the controller.
 
     Parameters
     ----------
@@ -549,7 +550,7 @@ def _yaw_acceleration(
 def _doubts(
     dynamics: Dynamics, flown_twice: Sequence[tuple[Flown, Flown]], flown: Flown
 ) -> Iterator[str]:
-    """Yield the reasons why a second integrator or the battery does not confirm a flight."""
+    """Yield the reasons why a flight is not confirmed: second integrator, or battery shortfall."""
     columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
     ends = np.array([[flown.states[-1, columns] for flown in pair] for pair in flown_twice])
     spent = np.array([[flown.energy[-1] for flown in pair] for pair in flown_twice])

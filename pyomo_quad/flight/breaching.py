@@ -197,11 +197,11 @@ class Miss:
         return float(min((self.off > self.within).mean(axis=1).sum(), 1.0))
 
     def shrunk(self, share: float) -> "Miss":
-        """Return the miss with all deviations of the flights scaled by a factor."""
+        """Return this miss with all distances or speeds multiplied by a factor."""
         return replace(self, off=share * self.off)
 
     def excess(self, share: float) -> float:
-        """Return the reduction of distance or speed that lowers the probability to a share."""
+        """Return the decrease of distance [m] or speed [m/s] needed for a miss probability."""
         most = np.quantile(self.off, 1.0 - share / len(self.off), axis=1).max()
         return max(float(most) - self.within, 0.0)
 

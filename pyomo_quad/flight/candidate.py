@@ -97,7 +97,7 @@ class Candidate:
 
     @property
     def found(self) -> Solution:
-        """Present solution; raises an error before any strategy has made one."""
+        """Present solution of the mission; raises an error before any strategy has made one."""
         if self.solution is None:
             raise RuntimeError("no strategy has solved the mission yet")
         return self.solution
@@ -141,7 +141,7 @@ class Candidate:
 
     @staticmethod
     def _held_by(mission: MissionProblem, similar: Solution) -> Trajectory:
-        """Return a similar problem's trajectory with the static variables in a mission's order."""
+        """Return a similar problem's trajectory, with static variables in a mission's order."""
         slots = similar.problem.compiled.declared.statics
         held = dict(zip((slot.name for slot in slots), similar.trajectory.statics, strict=True))
         statics = [held[slot.name] for slot in mission.problem.compiled.declared.statics]
@@ -233,13 +233,13 @@ class Candidate:
         return self._retried(plain.trajectory)
 
     def restore(self) -> str | None:
-        """Diagnose the failure; retry from the point of the elastic problem if it is feasible."""
+        """Diagnose the failure by an elastic problem; retry from its optimum where feasible."""
         self.diagnosis = diagnose(self.found, progress=self.search)
         feasible = self.diagnosis.feasible_point
         return None if feasible is None else self._retried(feasible)
 
     def may_be_slower(self) -> bool:
-        """Return whether the mission failed without proof and its duration may be too short."""
+        """Return whether a failed mission, not proven infeasible, may have too short a duration."""
         is_infeasible = self.diagnosis is not None and self.diagnosis.is_infeasible
         return self.has_failed() and not is_infeasible and not self.mission.told.mission.is_free
 
@@ -258,7 +258,7 @@ class Candidate:
         return self.has_failed() and self.slower is not None
 
     def speed_up(self) -> str | None:
-        """Retry from the solution of the longer duration."""
+        """Retry in the mission's duration, from the solution of the longer duration."""
         return None if self.slower is None else self._retried(self.slower)
 
     def find_shortest(self) -> str:
@@ -289,7 +289,7 @@ class Candidate:
         return solution.status.value
 
     def judge(self) -> None:
-        """Record the cause of the failure; the status is infeasible only with a proof."""
+        """Record why the mission failed; the status becomes infeasible only if that is proven."""
         if self.diagnosis is None:
             return
         is_infeasible = self.diagnosis.is_infeasible
@@ -366,7 +366,7 @@ class Candidate:
         return plan.energy <= GIVEN_SHARE * greatest * plan.duration_s
 
     def hold_pack(self, carry_out: Callable[[Candidate], None]) -> str:
-        """Plan again within the capability of the battery, and keep a verified plan."""
+        """Plan again within the power that the battery can give, and keep the plan if verified."""
         limits = self.scenario.limits.model_copy(update={"battery_power_share_max": GIVEN_SHARE})
         within = self.mission.told.model_copy(update={"limits": limits})
         gentler = replace(

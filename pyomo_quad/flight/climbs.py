@@ -36,7 +36,7 @@ def over_the_ground(places: FloatArray, airspace: Airspace) -> FloatArray:
 
 
 def _summits(ends: FloatArray, airspace: Airspace, floor: float) -> FloatArray:
-    """Return the corners between the ends of a leg: none, one or two, shape (n, 3)."""
+    """Return the corners that raise a leg over terrain, without its ends: shape (n, 3), n <= 2."""
     length = float(np.linalg.norm(np.diff(ends[:, :2], axis=0)))
     step = airspace.ground.least_step if airspace.ground is not None else np.inf
     shares = np.linspace(0.0, 1.0, 2 + int(_LOOKS_PER_CELL * length / step))[1:-1]

@@ -240,7 +240,7 @@ class Allocation:
 def _steps_within(
     values: Sequence[float], direction: Sequence[float], low: float, high: float
 ) -> tuple[float, float]:
-    """Return how far values may move along a direction, backward and forward, within limits."""
+    """Return the largest steps along a direction, backward and forward, within limits of values."""
     ways = [(value, share) for value, share in zip(values, direction, strict=True) if share != 0.0]
     back = [((low if share > 0 else high) - value) / share for value, share in ways]
     forth = [((high if share > 0 else low) - value) / share for value, share in ways]
@@ -316,7 +316,7 @@ def braking_rate(error: float, gain: float, acceleration_max: float) -> float:
 
 
 def project(estimate: Sequence[float], rate: Sequence[float], bound: float) -> list[float]:
-    """Keep an estimate inside a ball by removing the outward part of its rate (projection).
+    """Limit an estimate's rate so that the estimate stays in a ball (projection operator).
 
     Smooth projection of Krstic, Kanellakopoulos and Kokotovic (1995): see
     docs/theory/controller.md, eq. (6).
@@ -517,7 +517,7 @@ def _size(vector: Sequence[float]) -> float:
 
 
 def followed_tilt(believed: Scenario) -> float:
-    """Return the largest tilt that the controller commands [rad].
+    """Return the tilt limit of the controller's commands [rad].
 
     Unless `baseline.gains.tilt_max` is less, both angles at their limits give it; no more, though,
     than leaves the thrust at its largest to carry the weight.

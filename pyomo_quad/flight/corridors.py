@@ -168,7 +168,7 @@ def has_corridors(told: Scenario) -> bool:
 
 
 def estimate_of(journey: Journey) -> float | None:
-    """Return the energy of steady flight along a journey [J], None where it is not known."""
+    """Return the energy of steady flight along a journey [J], None outside the known wind."""
     known = [route.estimate_J for route in journey if route.estimate_J is not None]
     return sum(known) if len(known) == len(journey) else None
 

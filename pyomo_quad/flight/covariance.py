@@ -230,7 +230,7 @@ class _MeanFlight:
         return by_joint, np.concatenate([by_moment[:, :, columns], by_unknowns], axis=2)
 
     def _by_unknowns(self, t: FloatArray, joint: FloatArray, commands: FloatArray) -> FloatArray:
-        """Return derivatives by the uncertain parameters, by central differences."""
+        """Return the derivatives of the joint rates by the uncertain parameters (differences)."""
         n_states = len(self.dynamics.state_names)
         states, controls = joint[:, :n_states], self.loop.controls(t, joint, commands)
         found = np.zeros((*joint.shape, len(self._unknowns)))

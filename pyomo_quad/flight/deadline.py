@@ -43,7 +43,7 @@ class _Watch:
         return replace(self, end=min(self.end, now + limit_s), seen=now, process=os.getpid())
 
     def look(self) -> bool:
-        """Return whether the time limit has passed."""
+        """Check the clock; return whether the time limit has passed."""
         now = time.thread_time()
         if os.getpid() != self.process:
             # In a copied process the clock starts anew, with the time that was left at the copy.

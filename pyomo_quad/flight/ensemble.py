@@ -82,7 +82,7 @@ class Draws:
     start: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def part(self, chosen: slice) -> "Draws":
-        """Return the random numbers of a subset of the flights."""
+        """Return the random numbers of some of the flights, by position."""
         return Draws(
             count=len(range(self.count)[chosen]),
             numbers={name: values[chosen] for name, values in self.numbers.items()},
@@ -112,13 +112,13 @@ class Ending:
 
     @property
     def has_held(self) -> bool:
-        """Whether the flight arrived and kept every limit."""
+        """Whether the simulated flight reached its goal and broke no limit of the mission."""
         return not self.broken
 
 
 @dataclass(frozen=True, kw_only=True)
 class FlownOften:
-    """Tracks of many flights at common times, with the end of each flight.
+    """Sampled quantities of many simulated flights at common times, and the end of each flight.
 
     Attributes
     ----------

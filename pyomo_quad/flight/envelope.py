@@ -37,7 +37,7 @@ def departures(plan: "Plan") -> tuple[str, ...]:
 
 
 def departures_of(scenario: Scenario, flown: Mapping[str, FloatArray]) -> Iterator[str]:
-    """Yield the `departures` of a flight from the columns of its table."""
+    """Yield the quantities in which a flight's table leaves the vehicle's validated range."""
     validated, carried = scenario.vehicle.validated, scenario.vehicle.payload
     if validated.payload is not None and carried > validated.payload:
         yield f"payload {carried:g} kg, {validated.payload:g} kg confirmed"

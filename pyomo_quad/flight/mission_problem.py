@@ -116,9 +116,11 @@ class MissionProblem:
         return self.solve(next(iter(self.easier), None), **{"tolerance": None} | chosen)
 
     def solve_from(self, guess: Any = None, mesh: Mesh | None = None) -> Solution:
-        """Solve from a guess by way of easier parameters, each solve starting at the last solution.
+        """Solve from an initial guess by continuation, from easier parameters to the mission's own.
 
-        A finer mesh on which that fails is begun anew, from the solution under the easiest.
+        Each solve starts at the solution of the one before. If a later solve fails on a
+        refined mesh, the easiest parameters are solved on that mesh, and the continuation
+        is repeated from there.
         """
         solution, easiest = self._by_way_of(self.easier, guess, mesh or self.arguments["mesh"])
         for _ in range(_MOST_RETURNS):
@@ -138,7 +140,7 @@ class MissionProblem:
         mesh: Mesh,
         reached: Solution | None = None,
     ) -> tuple[Solution, Solution | None]:
-        """Return the final solution and the first intermediate solution of the sequence."""
+        """Solve by continuation in the parameters; return the last and the first solution found."""
         first = reached
         for numbers in easier:
             if reached is None:

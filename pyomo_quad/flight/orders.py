@@ -210,7 +210,7 @@ def nearest_first(costs: FloatArray) -> IntArray:
 
 
 def _descended(costs: FloatArray, neighbours: IntArray, order: IntArray) -> IntArray:
-    """Return the local optimum that steepest descent reaches from an order."""
+    """Return the local optimum that steepest descent finds from a first order of waypoints."""
     cost = _cost(costs, order[None])[0]
     while True:
         beside = order[neighbours]

@@ -241,7 +241,7 @@ class OutsidePlant:
         return np.array([*s, *x[self._others], *own, 0.0])
 
     def read(self, joint: FloatArray) -> FloatArray:
-        """Return the declared states in a joint state."""
+        """Convert a joint state of RotorPy's vehicle and the controller to the declared states."""
         x = np.empty(len(self.dynamics.state_names))
         x[self._place] = joint[:6]
         attitude = Rotation.from_quat(joint[_QUATERNION]) * self._turn.inv()
@@ -257,7 +257,7 @@ class OutsidePlant:
         return np.asarray(self._turn.apply(vector))
 
     def seen(self, x: FloatArray) -> dict[str, FloatArray]:
-        """Return declared states in the format of RotorPy's controllers."""
+        """Convert declared states to the dictionary that RotorPy's controllers read."""
         s = self.started(x, ())
         return {
             "x": s[_POSITION],
@@ -268,13 +268,13 @@ class OutsidePlant:
         }
 
     def ours(self, theirs: FloatArray) -> FloatArray:
-        """Return values per rotor, reordered for the declared rotors."""
+        """Return one value per rotor, from RotorPy's order of rotors to the declared order."""
         ordered = np.empty_like(theirs)
         ordered[self._order] = theirs
         return ordered
 
     def own(self, joint: FloatArray) -> list[float]:
-        """Return the controller's states in a joint state."""
+        """Return the controller's part of a joint state (vehicle, controller, energy)."""
         return joint[_SIZE + len(self._others) : -1].tolist()
 
     def rates(self, t: float, joint: FloatArray, law: OutsideLaw) -> FloatArray:
@@ -293,7 +293,7 @@ class OutsidePlant:
         return np.array([*slope, *declared[self._others], *own_rates, power])
 
     def _of_rotors(self, s: FloatArray, alpha: FloatArray) -> FloatArray:
-        """Return the rotors' moment on the body, less the rate of their momentum [N m]."""
+        """Return the rotors' moment on the body, less the rate of their angular momentum [N m]."""
         directions = self._vehicle.rotor_dir
         spin, gathering = directions @ s[_SPEEDS], directions @ alpha
         p, q, _ = s[_BODY_RATES]
@@ -364,7 +364,7 @@ class OutsidePlant:
         return slope
 
     def _held(self, law: OutsideLaw, t: float, joint: FloatArray) -> OutsideLaw:
-        """Return a law that holds the present command; the motors follow with their lag."""
+        """Return a law that applies a constant rotor command; motors follow with their lag."""
         x, lag = self.read(joint), self.parameters["tau_m"]
         command = x[self._rotors] + lag * np.asarray(law(t, x, self.own(joint))[0], dtype=float)
 

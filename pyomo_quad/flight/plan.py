@@ -500,7 +500,7 @@ class Plan(Summarised):
 
     @property
     def reached(self) -> str:
-        """Progress of a search that ended early, as a sentence."""
+        """Sentence on how far an interrupted search came: mesh, energy, iteration, error."""
         asked = self.scenario.solver.tolerance
         parts = [
             f"mesh {max(len(self.history), 1)} with {self.mesh.points} points",
@@ -524,7 +524,7 @@ class Plan(Summarised):
         return self.solution.dynamics
 
     def owed_energy(self, final: Mapping[str, float]) -> float:
-        """Estimate the energy to complete the mission from another end state [J].
+        """Estimate the energy to complete the mission from an end state off the goal [J].
 
         The costate is the decrease of the least energy per unit by which the end state is further
         on. Its product with the distance from the planned end is therefore the missing energy, to
@@ -547,7 +547,7 @@ class Plan(Summarised):
 
     @property
     def end_prices(self) -> dict[str, float]:
-        """Costates at the end, by state: energy saved per unit of the state."""
+        """Costates at the end: derivatives of the energy to complete by each state, by its name."""
         held = self.trajectories
         return dict(zip(held.costate_names, held.costates[-1].tolist(), strict=True))
 

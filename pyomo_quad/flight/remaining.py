@@ -102,7 +102,7 @@ class Belief:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Remainder:
-    """Part of the mission that remains after some of its waypoints."""
+    """Part of a mission that remains after a number of its waypoints, with its compiled problem."""
 
     problem: Problem
     begin: float
@@ -119,7 +119,7 @@ class Remainder:
 
     @property
     def planned_until(self) -> float:
-        """Time after which re-planning ends [s]."""
+        """Time after which no re-plan is made before the next waypoint or the end [s]."""
         if not self.passages:
             return self.end - min(_LAST, _LAST_SHARE * (self.end - self.begin))
         ahead = self.passages[0] - self.begin
@@ -134,7 +134,7 @@ class Remainder:
         )
 
     def mesh(self, t: float) -> Mesh:
-        """Return a mesh with short elements beside now, passages and the end, and long between.
+        """Return a re-plan's mesh: short elements at the present, the waypoints and the end.
 
         It shrinks with the time that is left, until a fifth is gone: a solve on a known mesh need
         not find the structure of its equations.
@@ -172,7 +172,7 @@ def _graded(start: float, stop: float) -> list[float]:
 
 @dataclass(frozen=True, kw_only=True)
 class Course:
-    """Plan that is being flown, with the estimates and the remaining mission behind it."""
+    """Plan that is being flown, its reference path, and the mass and wind that it was made for."""
 
     plan: Trajectories
     path: SampledPath
@@ -347,7 +347,7 @@ class Replanner:
         return Course(plan=plan, path=path, belief=self.belief, estimate=np.zeros(3))
 
     def is_off(self, course: Course, t: float, state: FloatArray) -> bool:
-        """Return whether a flight is farther from its plan than the margins of the limits."""
+        """Return whether a flight is nearer to any limit than its plan by more than the margin."""
         now, limits = np.array([t]), self.dynamics.control_limits(HELD_BREACH)
         planned = self._states(course.plan, t)
         controls = course.plan.controls_at(now, limits)
@@ -364,7 +364,7 @@ class Replanner:
     def begun(
         self, course: Course, start: float, end: float, state: FloatArray, unexplained: FloatArray
     ) -> FloatArray:
-        """Return the future state from which the next re-plan begins.
+        """Predict the state in which the next re-plan takes over from the present plan.
 
         A flight near its plan goes on from the plan's own state: the controller corrects what it is
         off, and a re-plan from where it is would follow each of its lags.  A flight farther off
@@ -420,7 +420,11 @@ def _remainders(believed: Scenario) -> tuple[Remainder, ...]:
 
 
 def _ahead(believed: Scenario, k: int) -> Scenario:
-    """Return the mission after k waypoints, up to its goal or the next hold.
+    """Return the mission that remains after k waypoints, ended at the next hold if there is one.
+
+    A re-plan need not look past a hold: the vehicle hovers there, whatever the later mission
+    is. The goal then becomes the hold's position, reached some time after the start of the
+    hold.
 
     A hold separates what is before it from what is behind: the vehicle hovers, whatever follows.
     """

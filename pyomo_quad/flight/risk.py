@@ -128,7 +128,7 @@ def plan_at_risk(
 def _again(
     planner: Planner, plan: Plan, held: Scenario, progress: Progress | None, *, is_rough: bool
 ) -> Plan:
-    """Solve a plan's problem again with other limits, warm-started from the plan.
+    """Solve a plan's scenario with other limits, with the plan's solution as warm start.
 
     A rough plan is on the mesh of the other, and no flight has verified it.
     """
@@ -167,12 +167,16 @@ class _Tried:
 
     @property
     def missing_places(self) -> float:
-        """Probability that a flight misses a place for lack of rotor reserve."""
+        """Probability that a flight misses a waypoint, hold or goal for lack of rotor reserve.
+
+        Counts only misses that no margin of a scenario field makes rarer, such as at the
+        goal.
+        """
         return sum(miss.probability for miss in self.missed if not miss.field)
 
     @property
     def astray(self) -> float:
-        """Distance from the plan at the end of the flight without gusts [m]."""
+        """Distance from the goal at the end of the mean flight, without gusts [m]."""
         columns = [self.spread.dynamics.state_names.index(name) for name in POSITION_STATES]
         goal = np.array(self.plan.scenario.mission.goal.position)
         return float(np.linalg.norm(self.spread.states[-1, columns] - goal))
@@ -220,7 +224,7 @@ class _Search:
         return self._stated(tried, counts, failed)
 
     def unfinished(self, why: str) -> Plan:
-        """Return the last flyable plan, which no test flights have judged."""
+        """Return the last flyable plan of a stopped search; no flights have tested it."""
         plan, margins = self._last
         taken = RiskTaken(
             asked=self._risk,
@@ -266,7 +270,7 @@ class _Search:
         return self._tried(owned, tried.margins)
 
     def _owned(self, plan: Plan, margins: Mapping[str, float]) -> Plan:
-        """Return a plan with margins as a plan of the original scenario."""
+        """Return a plan that was made with tightened limits as a plan of the original scenario."""
         times = passing_times(self._scenario, plan.passing_times_s, margins.get(HOLD, 0.0))
         return replace(plan, scenario=self._scenario, passing_times_s=times)
 
@@ -317,7 +321,7 @@ class _Search:
         return is_there and tried.astray <= _ASTRAY_M
 
     def _reserve(self, share: float) -> dict[str, float]:
-        """Return the margins that reserve a share of rotor limits, tilt and free duration."""
+        """Return the margins that keep a share of rotor speed, tilt and duration in reserve."""
         margins = {name: share * greatest_margin(self._scenario, name) for name in AUTHORITY}
         for name, more in self._steeper_than_the_controller().items():
             margins[name] = max(margins[name], more)
@@ -339,7 +343,7 @@ class _Search:
         }
 
     def _settled(self, tried: _Tried) -> _Tried:
-        """Iterate plan and margins until the margins match the covariance along the plan."""
+        """Iterate plan and margins until the margins suit the spread of flights along the plan."""
         for _ in range(_PLANS):
             wanted = self._margins(tried)
             if self._is_stopped() or self._agree(tried.margins, wanted):
@@ -381,7 +385,7 @@ class _Search:
         return margins
 
     def _agree(self, held: Mapping[str, float], wanted: Mapping[str, float]) -> bool:
-        """Return whether a plan's margins are the margins that its covariance requires."""
+        """Return whether a plan's margins are close to those that its flights' spread requires."""
         for name in {*held, *wanted}:
             one, other = held.get(name, 0.0), wanted.get(name, 0.0)
             table, _, key = name.partition(".")

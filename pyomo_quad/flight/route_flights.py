@@ -105,7 +105,7 @@ class RouteFlights:
         )
 
     def _near(self, known: dict[int, Solution]) -> list[int]:
-        """Return the flights near the least energy, solved again on the next mesh."""
+        """Keep the flights near the least energy, and solve those again on a finer mesh."""
         near = _nearest(known, self._near_on_first, _MOST_ON_NEXT)
         if len(near) < 2:
             return near

@@ -145,7 +145,7 @@ class Search:
         flown: Callable[[Solution], Plan],
         flyable: Callable[[Solution], Iterator[Plan]],
     ) -> None:
-        """Simulate the controls of a finished mesh if promising, and keep a usable plan.
+        """Try a mesh's solution as a usable plan: simulate its controls if it is promising.
 
         From a mesh that is too coarse for that, what can be flown is found first where the search
         lasts long, if need be in the middle of a solve, unless there is a usable plan already.  A
@@ -203,7 +203,7 @@ class Search:
             self.usable = found
 
     def ended(self, plan: Plan) -> Plan:
-        """Return the final plan of the search: the last one, or the best usable one."""
+        """Return the plan that a search ends with: the last plan, or the best usable one."""
         plan = as_usable(self._given_up(replace(plan, attempts=tuple(self.record))))
         if plan.is_flyable or plan.status is PlanStatus.INFEASIBLE or self.usable is None:
             return plan

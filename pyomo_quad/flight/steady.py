@@ -158,13 +158,13 @@ class SteadyFlight:
         return Trim(states=states, controls=controls, power_W=float(power))
 
     def reading(self, names: tuple[str, ...], trim: Trim) -> FloatArray:
-        """Return scalar quantities of the model in a steady flight, by full name."""
+        """Return the values of named model components in a steady flight, in order."""
         return self._rows(tuple((n, None) for n in names), trim.states[None], trim.controls[None])[
             0
         ]
 
     def held_in(self, trim: Trim) -> dict[str, float]:
-        """Return the states of a trim by name, without position and velocity."""
+        """Return the states that a steady flight keeps constant, other than velocity, by name."""
         moved = {*self._dynamics.states_used_up, *POSITION_STATES, *VELOCITY_STATES}
         named = dict(zip(self._dynamics.state_names, trim.states.tolist(), strict=True))
         held = {name: value for name, value in named.items() if name not in moved}

@@ -158,7 +158,7 @@ class LegTable:
         return self._solve(alone, _LEG_MESH, way if way.sides else None)
 
     def _features(self, leg: _Leg) -> list[float]:
-        """Return the regressors of a leg's energy, eq. (1)."""
+        """Return the regressors that predict a leg's energy from its route, eq. (1)."""
         here, there = (np.array(self._scenario.mission.positions[k]) for k in leg)
         (dx, dy, dz), height = there - here, float(here[2] + there[2]) / 2.0
         length = self._ways[leg].length

@@ -37,7 +37,7 @@ _CLEARANCE = "airspace.clearance"
 def flyable_from(
     problem: Problem, arguments: dict[str, Any], coarse: Solution, airspace: Airspace
 ) -> Iterator[Solution]:
-    """Yield trajectories near a coarse optimum that satisfy the equations on ever finer meshes.
+    """Yield flyable trajectories near a coarse optimum: the equations hold on ever finer meshes.
 
     Between the points of coarse elements a course cuts the corners of zones: by as much as the
     coarse one does, the clearance is widened.

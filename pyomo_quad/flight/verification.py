@@ -263,7 +263,7 @@ class Verification:
 
     @property
     def is_fed(self) -> bool:
-        """Whether the battery can supply power, charge and voltage of the flight."""
+        """Whether the battery can supply the power, charge and voltage that the flight needs."""
         return max(self.battery_imbalance, self.voltage_lacking) <= BALANCE_TOLERANCE
 
     @property
@@ -322,12 +322,12 @@ def shares_lacking(dynamics: Dynamics, flown: Flown) -> tuple[float, float]:
 
 
 def has_balance(dynamics: Dynamics) -> bool:
-    """Return whether the model has a battery with a power balance."""
+    """Return whether the model declares an equation between battery power and the rotors' power."""
     return all(dynamics.has(name) for name in _BALANCE)
 
 
 def balance_lacking(balance: FloatArray) -> tuple[float, float]:
-    """Return the `shares_lacking` along a flight."""
+    """Return the `shares_lacking` of power and charge, from sampled battery quantities."""
     power, voltage, current, charge = balance.T
     lacking = np.abs(power - voltage * current) / np.maximum(1.0, np.abs(power))
     return float(np.max(lacking)), float(-np.min(charge) / 100.0)
@@ -412,7 +412,7 @@ class Passage:
 
 
 def _passing_miss(dynamics: Dynamics, flown: Flown, passage: Passage) -> float:
-    """Return by how much a flight's distance from a place exceeds the allowed distance [m]."""
+    """Return by how much a flight misses a passage: distance beyond the allowed radius [m]."""
     nearest = int(np.argmin(np.abs(flown.t - passage.time_s)))  # an element ends there
     columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
     off = np.linalg.norm(flown.states[nearest, columns] - passage.position)

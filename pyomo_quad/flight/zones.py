@@ -135,7 +135,7 @@ def _section(zone: KeepOut, ends: FloatArray, clearance: float) -> _Section | No
 
 
 def _passage(zone: KeepOut, ends: FloatArray, clearance: float) -> tuple[float, float]:
-    """Return the fraction of a leg where it passes a zone, and the clearance that touches the leg.
+    """Return where a leg passes a zone (fraction of the leg), and the clearance touching the leg.
 
     The fraction is the middle of the part of the leg within the zone and its clearance or, if there
     is none, within the least clearance that reaches the leg.

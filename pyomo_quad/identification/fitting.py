@@ -172,7 +172,7 @@ class Fit:
         return mean, np.flatnonzero(rows)[first]
 
     def over(self, rows: Rows, start: FloatArray | None = None) -> FloatArray:
-        """Fit the parameters to some rows."""
+        """Fit the parameters to the powers of some rows of the log; return their values."""
         if not self.names:
             return self.base
         measured, _ = self.windows(self._measured, rows)
@@ -194,7 +194,7 @@ class Fit:
         return np.column_stack(columns) if columns else np.zeros((len(at), 0))
 
     def drawn_anew(self, values: FloatArray) -> FloatArray:
-        """Return bootstrap fits, to flights drawn with replacement, shape (draws, n).
+        """Return the parameters of bootstrap fits, to flights drawn with replacement: (draws, n).
 
         Each is a robust fit of the equations linearised about the fit to all flights, which is
         exact for parameters that enter linearly.
@@ -218,7 +218,7 @@ class Fit:
         return np.array(found)
 
     def applied(self, values: FloatArray) -> Scenario:
-        """Return the scenario with fitted values."""
+        """Return the scenario with fitted values of its vehicle's parameters."""
         named = zip(self.names, values.tolist(), strict=True)
         return self._scenario.with_values({f"vehicle.{name}": value for name, value in named})
 
@@ -297,7 +297,7 @@ def undetermined(fit: Fit) -> tuple[str, ...]:
 
 
 def _size(fit: Fit) -> FloatArray:
-    """Return the size below which each parameter is negligible."""
+    """Return the magnitude below which each fitted parameter counts as zero."""
     return np.array([_SMALL_DRAG if name in _OF_MOTION else _SHARE for name in fit.names])
 
 

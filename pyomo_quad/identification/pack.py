@@ -231,7 +231,7 @@ class Circuit:
         return voltage, open_circuit
 
     def whole(self, record: Record, values: FloatArray, factor: FloatArray) -> FloatArray:
-        """Return the computed voltage per cell of every row."""
+        """Return the computed voltage per cell at every row of the record [V]."""
         return self.voltages(record, values, factor, len(record.power))[0]
 
     def charge(self, record: Record, values: FloatArray, factor: FloatArray) -> FloatArray:
@@ -386,7 +386,7 @@ def with_circuit(scenario: Scenario) -> Scenario:
 
 
 def _as_given(scenario: Scenario) -> list[float]:
-    """Return the previous values of the fields, tiny numbers where the base has none."""
+    """Return the base scenario's values of the fitted fields, tiny numbers where it has none."""
     pack = scenario.battery
     slow = (_NEARLY_NONE, 1.0)
     if pack.relaxation is not None:
@@ -410,7 +410,7 @@ def _error_per_cell(record: Record, computed: FloatArray, axis: int | None = Non
 
 
 def _rows(record: Record, computed: FloatArray) -> pd.DataFrame:
-    """Return time, measured and computed voltage per cell of each row, flight by flight."""
+    """Return a table of measured and computed voltage per cell over time, flight by flight [V]."""
     flights = np.broadcast_to(np.array(record.names, dtype=object), record.power.shape)
     times = np.broadcast_to(record.step * np.arange(len(computed))[:, None], record.power.shape)
     kept = record.is_logged.T

@@ -88,7 +88,7 @@ class Measure:
 
 
 def measures(models: pd.DataFrame, tried: Sequence[Trial]) -> tuple[Measure, ...]:
-    """Return the errors by which models are compared, from `model_table`."""
+    """Return error of the declared equations and of the best published model, by kind of error."""
     *rivals, own = models.to_dict("records")
     columns = {
         "mean_absolute_error_percent": ("energy of a flight", "%"),

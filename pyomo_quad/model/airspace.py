@@ -243,7 +243,10 @@ def _declare_keep_outs(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _beyond(away: Any, radius: Any, rounding: Any) -> Any:
-    """Return the distance from a ball's surface, given the squared distance from its centre."""
+    """Return the distance outside a ball's surface, rounded smoothly, from the squared distance.
+
+    ``away`` is the squared distance from the ball's centre.
+    """
     return sqrt(away + rounding**2) - sqrt(radius**2 + rounding**2)
 
 
@@ -274,7 +277,7 @@ def _refuse_touching(scenario: Scenario) -> None:
 
 
 def _room(zone: KeepOut, clearance: float, place: Sequence[float]) -> float:
-    """Return the distance of a place from a zone by the formula of the constraint [m]."""
+    """Return the distance of a place from a zone, smoothed as in the path constraint [m]."""
     distances = [
         _beyond(
             float(np.sum((ball.coordinates(place) - ball.centre) ** 2)),

@@ -79,7 +79,7 @@ _CELL = (
 
 @parameters_in("battery")
 def _parameters(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters of block `battery` for a scenario."""
+    """Return the declarations of the parameters of the model's block `battery`, for a scenario."""
     return _CELL + circuit.parameters_of(scenario)
 
 

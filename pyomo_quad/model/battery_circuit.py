@@ -175,7 +175,7 @@ def slow_resistance(b: Block, t: float) -> NumericExpression:
 
 
 def relaxation_balance(b: Block, t: float) -> RelationalExpression:
-    """RC pair: the relaxation voltage tends to its resistance times the current [V].
+    """RC pair: the relaxation voltage tends to the battery current times the pair's resistance [V].
 
     See docs/theory/battery.md, eq. (8).
     """

@@ -80,7 +80,7 @@ def declare_limits(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _left(b: Block, most: NumericExpression) -> NumericExpression:
-    """Return the part of a limit that is left to plans, without the reserve."""
+    """Return the upper limit of rotor speed or thrust that a plan may use, less the reserve."""
     reserve = b.component(_RESERVE)
     return most if reserve is None else (1 - reserve) * most
 

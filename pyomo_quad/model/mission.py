@@ -77,7 +77,7 @@ _TURNING = Parameter(
 
 
 def _passed(field: str, scenario: Scenario) -> dict[int, float]:
-    """Return the values of a waypoint field that is set, by the number of the waypoint."""
+    """Return a waypoint field's values that differ from the default, by the waypoint's number."""
     default = Waypoint.model_fields[field].default
     values = {k: getattr(w, field) for k, w in enumerate(scenario.mission.waypoints)}
     return {k: number for k, number in values.items() if number != default}
@@ -270,7 +270,7 @@ def _declare_end(
 
 
 def _goal_of_turning(b: Block) -> tuple[Any, ...]:
-    """Return the goal conditions on the heading, which are redundant if the heading is constant."""
+    """Return the goal conditions on yaw and yaw rate, redundant where the heading is constant."""
     return b.goal_place["psi"], b.goal_rest["r"]
 
 

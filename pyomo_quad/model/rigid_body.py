@@ -88,7 +88,7 @@ def _straight_line(start: float, goal: float, duration: float) -> Callable[[Bloc
 
 
 def _from_place_to_place(scenario: Scenario, axis: int) -> Callable[[Block, float], float]:
-    """Return an initial guess along one axis, linear in time between places."""
+    """Return a guess of one coordinate, linear in time between start, waypoints and goal."""
     places = [position[axis] for position in scenario.mission.positions]
     times = [0.0, *scenario.nominal_times]
     stays = [places[0], *(place for place in places[1:-1] for _ in range(2)), places[-1]]

@@ -90,7 +90,7 @@ def _arguments(b: Block, grid: WindGrid, t: float) -> list[Any]:
 
 
 def _led_back(argument: Any, axis: FloatArray, unit: Any) -> Any:
-    """Return an argument clipped smoothly to the range of its grid axis."""
+    """Clip a coordinate smoothly to the range of its grid axis."""
     width = _PASSING_STEPS * float(np.diff(axis).min()) * unit
     first, last = float(axis[0]) * unit, float(axis[-1]) * unit
     above = first + smooth_positive(argument - first, width)
@@ -98,7 +98,7 @@ def _led_back(argument: Any, axis: FloatArray, unit: Any) -> Any:
 
 
 def _filled(grid: WindGrid) -> tuple[list[FloatArray], FloatArray]:
-    """Return axes and components of a grid with its missing values filled in, for a spline."""
+    """Return axes and wind components of a grid, with missing values filled in for a spline."""
     from scipy.interpolate import BarycentricInterpolator  # noqa: PLC0415  for fields alone
     from scipy.ndimage import distance_transform_edt  # noqa: PLC0415  for fields alone
 

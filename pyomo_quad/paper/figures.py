@@ -68,7 +68,7 @@ _MOTION_FIGURES = {Experiment.CALM: (3, 4), Experiment.WIND: (5, 6)}
 
 
 def paper_drawings(study: PaperStudy) -> tuple[Drawing, ...]:
-    """List the counterparts of the paper's figures."""
+    """List the figures of this package that reproduce the paper's figures 1 to 7."""
     return (
         *_power(study),
         *_motion(study, Experiment.CALM),

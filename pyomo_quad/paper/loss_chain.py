@@ -50,7 +50,7 @@ class EnergyChain:
 
     @property
     def passed(self) -> float:
-        """Energy that leaves the windings, J."""
+        """Electrical energy of the motors less the copper loss in their windings [J]."""
         return self.electrical - self.copper_loss
 
 

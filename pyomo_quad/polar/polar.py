@@ -111,7 +111,7 @@ class SteadyCurve:
 
 
 def _least(cost: Callable[[FloatArray | float], FloatArray], trials: FloatArray) -> float:
-    """Return the argument of least cost, refined between the neighbours of the best sample."""
+    """Return the argument of least cost, refined by the neighbours of the best sample."""
     best = int(np.argmin(cost(trials)))
     low, high = trials[max(0, best - 1)], trials[min(len(trials) - 1, best + 1)]
     found = minimize_scalar(

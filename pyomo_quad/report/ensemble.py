@@ -115,7 +115,7 @@ def draw_many_paths(flown: Ensemble, margin: float = 0.0) -> Figure:
 
 
 def _beside(path: FloatArray, off: float) -> FloatArray:
-    """Return a plane path shifted to its left by a distance."""
+    """Return a path in a plane, shifted to its left by a margin."""
     along = np.gradient(path, axis=0)
     length = np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
     return path + off * np.column_stack([-along[:, 1], along[:, 0]]) / length

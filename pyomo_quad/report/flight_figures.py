@@ -349,7 +349,7 @@ _LEG_ROW = 0.2  # inches
 
 
 def draw_way(flights: Sequence[StyledFlight], mission: "Scenario") -> Figure:
-    """Draw the speed over the path length, and the energy of each leg of the first flight.
+    """Draw the speed over the length of the path, and the energy of each leg of the first flight.
 
     ``mission`` has the passing times of that flight.
     """

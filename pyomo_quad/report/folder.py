@@ -186,7 +186,7 @@ def final_folder(path: str | Path) -> Path:
 
 
 def _unused(path: Path) -> Path:
-    """Return a path after a check that nothing exists there yet."""
+    """Return a path, or raise an error if something exists there."""
     if os.path.lexists(path):
         raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST))
     return path
@@ -259,7 +259,7 @@ def _is_of_a_run(folder: Path) -> bool:
 
 
 def _remove(folder: Path) -> None:
-    """Delete a folder, its manifest last, so that an interrupted deletion can be recognised."""
+    """Delete a run's folder, its manifest last, so that an interrupted deletion is recognised."""
     for entry in folder.iterdir():
         if entry.name == MANIFEST_NAME:
             continue

@@ -279,7 +279,7 @@ def _path(flights: Sequence[StyledFlight], mission: "Scenario | None") -> Drawin
 
 
 def _course(mission: "Scenario") -> str:
-    """Return the sentences on waypoints, zones and limits in the figure of the paths."""
+    """Return the caption's sentences on waypoints, zones, floor and ceiling in a map of paths."""
     airspace, said = mission.airspace, ""
     if mission.mission.waypoints:
         said += " Crosses: waypoints, with the times at which the plan passes them."
@@ -300,7 +300,7 @@ def _zones(mission: "Scenario") -> str:
 
 
 def _has_way(scenario: "Scenario") -> bool:
-    """Return whether a mission has a free duration, waypoints, zones or a speed limit."""
+    """Return whether to draw speed over path length: a mission with waypoints, zones or similar."""
     mission, airspace = scenario.mission, scenario.airspace
     has_more = mission.is_free or mission.waypoints or airspace.keep_out
     return bool(has_more or scenario.limits.speed_max)
@@ -393,7 +393,7 @@ def _wind(optimum: StyledFlight, blowing: StyledFlight | None) -> tuple[Drawing,
 
 
 def _own_floors(flights: Sequence[StyledFlight]) -> str:
-    """Return the warning that flights of different durations cannot be compared above hovering."""
+    """Return the caption's warning if durations differ: energies above hovering do not compare."""
     if take_one_time(flights):
         return ""
     return (
@@ -403,7 +403,7 @@ def _own_floors(flights: Sequence[StyledFlight]) -> str:
 
 
 def _cut(flights: Sequence[StyledFlight]) -> str:
-    """Return the sentence that names the flights with cut-off peaks of power, and their ranges."""
+    """Return the caption's sentence on power peaks above the panel, "" without any."""
     if POWER.name not in flights[0].frame:
         return ""
     peaks = [
@@ -415,7 +415,7 @@ def _cut(flights: Sequence[StyledFlight]) -> str:
 
 
 def _coinciding(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
-    """Return the sentence that names flights whose energy curve is that of the optimum."""
+    """Return the caption's sentence on flights whose energy curve the optimum's curve covers."""
     if ENERGY.name not in flights[0].frame:
         return ""
     same = coinciding_flights(flights, hover_energy_J / flights[0].duration_s)
@@ -425,7 +425,10 @@ def _coinciding(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
 
 
 def _undercut(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
-    """Return the explanation of bars shorter than hovering, empty without such bars."""
+    """Return the caption's sentence on flights that need less energy than hovering for as long.
+
+    "" if no energy bar ends below the mark of the hover energy.
+    """
     hover_power = hover_energy_J / flights[0].duration_s
     is_below = any(flight.energy_J < hover_power * flight.duration_s for flight in flights)
     return " Colour inside the grey: energy saved compared with hovering." if is_below else ""

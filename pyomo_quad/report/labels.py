@@ -72,7 +72,7 @@ def write_labels(axes: Axes, labels: Sequence[Label]) -> None:
 
 
 def _shifts(size: FloatArray) -> Iterable[FloatArray]:
-    """Yield the distances of a label's middle from its point, the preferred first, in points."""
+    """Yield positions of a label's middle relative to its point, the preferred first [points]."""
     half = size / 2 + _GAP
     for across, up in ((0.0, 1.0), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, 1), (1, -1), (-1, -1)):
         yield np.array([across, up]) * half

@@ -186,7 +186,7 @@ def _is_h2(token: Token) -> bool:
 
 
 def _end_of_section(before: Sequence[Token]) -> str:
-    """Return the closing tag of the section that is open at a place of the page."""
+    """Return the HTML tag that closes the section left open by the tokens before, "" if none is."""
     if any(map(_is_h2, before)):
         return "</details>\n"
     has_top = any(token.type == "blockquote_close" for token in before)

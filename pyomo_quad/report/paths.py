@@ -166,7 +166,11 @@ def _draw_mean_wind(axes: Axes, flight: StyledFlight) -> None:
 
 
 def _draw_wind_field(axes: Axes, grid: WindGrid, scale: float) -> None:
-    """Draw a wind field as arrows at grid points, or every few, with a key of their length."""
+    """Draw a field's horizontal wind as arrows at its grid points, with a key of the arrow length.
+
+    Of many grid points every second, third, ... has an arrow. Drawn is the wind at the first
+    height and time.
+    """
     every_x, every_y = (1 + len(axis) // _MOST_ARROWS for axis in (grid.x, grid.y))
     components = grid.components[:2].reshape(2, len(grid.x), len(grid.y), -1)
     wind = scale * components[:, ::every_x, ::every_y, 0]
@@ -235,7 +239,7 @@ def _further(flights: Sequence[StyledFlight], share: float) -> tuple[StyledFligh
 
 
 def _limits(flights: Sequence[StyledFlight], mission: Scenario | None) -> np.ndarray:
-    """Return the limits of a figure along each axis, shape (3, 2), m."""
+    """Return the range of each axis of a figure of paths, shape (3, 2) [m]."""
     astray = leaving_paths(flights)
     points = np.concatenate([_track(flight) for flight in flights if flight not in astray])
     low, high = points.min(axis=0), points.max(axis=0)
@@ -250,7 +254,7 @@ def _track(flight: StyledFlight) -> np.ndarray:
 
 
 def _distance(flight: StyledFlight, time: np.ndarray, track: np.ndarray) -> float:
-    """Return the largest distance between two flights at equal times, m."""
+    """Return the largest distance of a flight from another flight's track at equal times [m]."""
     own_time = TIME.of(flight.frame)
     own = np.column_stack([np.interp(time, own_time, axis) for axis in _track(flight).T])
     return float(np.linalg.norm(own - track, axis=1).max())
@@ -263,7 +267,7 @@ def _beats(flight: StyledFlight) -> np.ndarray:
 
 
 def _inside(points: np.ndarray, limits: np.ndarray) -> np.ndarray:
-    """Replace points outside the limits by NaN, because 3-D axes do not clip."""
+    """Replace points outside a figure's limits by NaN, because 3-D axes do not clip."""
     is_inside = np.all((limits[:, 0] <= points) & (points <= limits[:, 1]), axis=1)
     return np.where(is_inside[:, None], points, np.nan)
 

@@ -110,7 +110,7 @@ def _entities(text: str) -> str:
 
 
 def written(text: str) -> Markup:
-    """Mark text as Markdown or HTML, which is not escaped again."""
+    """Mark text as finished Markdown or HTML, so that it is not escaped again."""
     return Markup(text)  # noqa: S704  every caller has escaped foreign text
 
 

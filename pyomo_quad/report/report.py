@@ -287,7 +287,7 @@ def _wind_words(columns: Mapping[str, np.ndarray]) -> str:
 
 
 def _battery_use(plan: "Plan", columns: Mapping[str, np.ndarray]) -> dict[str, float | None]:
-    """Return path length and battery use of a plan, with time and range per full charge."""
+    """Return path length and charge used of a plan, and time and range on a full charge."""
     if plan.verification is None:
         return {"path_m": 0.0, "battery_percent": None}
     path = float(way_flown(columns)[-1])
@@ -366,7 +366,7 @@ def _replanned(result: "RunResult") -> "pd.DataFrame":
 
 
 def _is_good(result: "RunResult") -> bool:
-    """Return whether the plan is verified and, with a forecast, all flights arrive."""
+    """Return whether the plan is verified and, if made for a forecast, all flights arrive."""
     is_untold = result.plan.scenario.wind.forecast is not None
     arrived = result.comparison[ComparisonColumn.ARRIVED].astype(bool)
     return result.plan.is_verified and (not is_untold or bool(arrived.all()))

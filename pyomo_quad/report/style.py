@@ -279,7 +279,7 @@ def draw_panels(
 
 
 def keep_span(panels: Iterable[Axes], smallest_span: float) -> None:
-    """Set a common vertical scale of panels, with a least span against magnified noise.
+    """Set a common vertical scale of panels, of at least a given span, so that noise stays small.
 
     ``smallest_span`` is the least difference between the ends of the axis, in the printed unit.
     """
@@ -360,12 +360,12 @@ def last_end(flights: Sequence[StyledFlight]) -> float:
 
 
 def take_one_time(flights: Sequence[StyledFlight]) -> bool:
-    """Return whether flights have equal durations, and so equal energies of hovering."""
+    """Return whether all flights have one duration, and so the same energy of hovering."""
     return all(isclose(f.duration_s, flights[0].duration_s, rel_tol=SAME_TIME) for f in flights)
 
 
 def fair_pair(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
-    """Return the optimum, which is first, and the smooth baseline `FAIR_BASELINE`.
+    """Return the optimum (the first flight) and, if flown, the smooth baseline `FAIR_BASELINE`.
 
     The optimum is alone if that baseline was not flown.
     """

@@ -58,7 +58,7 @@ def faces(zone: KeepOut, limits: FloatArray) -> FloatArray:
 
 
 def _whole_faces(zone: KeepOut) -> Iterator[FloatArray]:
-    """Yield the faces of a stack of rings, each a cross-section at its height."""
+    """Yield the faces of a solid from a stack of rings, its cross-sections at rising heights."""
     low, high = box_around(zone)
     middle, half = (low + high) / 2, (high - low) / 2
     if zone.shape is Shape.BOX:
@@ -85,7 +85,7 @@ def _whole_faces(zone: KeepOut) -> Iterator[FloatArray]:
 
 
 def _clipped(face: FloatArray, limits: FloatArray) -> FloatArray:
-    """Cut a convex polygon off at the sides of a box, by the rule of Sutherland and Hodgman."""
+    """Cut off the parts of a convex polygon outside a box (Sutherland and Hodgman)."""
     for axis, ends in enumerate(limits):
         for side, end in zip((1.0, -1.0), ends, strict=True):
             inside = side * (face[:, axis] - end)

@@ -200,7 +200,7 @@ def other_names_of(model: type[BaseModel], name: str) -> tuple[str, ...]:
 
 
 def initial_of(model: type[BaseModel], name: str) -> Any:  # noqa: ANN401
-    """Return the value that a file without the field implies, None for the default."""
+    """Return the value that a field has in a file that leaves it out, None for the default."""
     return _declared_with(model, name, "default") or None
 
 

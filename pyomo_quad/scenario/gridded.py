@@ -312,7 +312,7 @@ def _check_columns(columns: list[str], place: str, quantity: Quantity) -> None:
 
 
 def _rising(field: Gridded, place: str) -> Gridded:
-    """Return a field whose axes rise; a file without x or y, or with too many values, is refused.
+    """Return a field with rising axes; refuse a file without x or y, or with too many values.
 
     An axis of height or time with a single point is left out.
     """

@@ -458,7 +458,7 @@ def _initial_values(model: type[BaseModel]) -> dict[str, Any]:
 
 
 def whose(origin: ScenarioSource, provenance: Mapping[str, str], path: FieldPath) -> str:
-    """Return the source of a field, as the beginning of a message."""
+    """Return where a field's value comes from (file, library, option), to begin a message."""
     for length in range(len(path), 0, -1):
         said = provenance.get(spell(path[:length]))
         if said is not None:
@@ -557,7 +557,7 @@ class _Filled:
 
 
 def _beside(file: str, pack: str) -> str:
-    """Return the path of a battery file that a vehicle file names, relative to the scenario."""
+    """Return a battery file's path relative to the scenario, if a vehicle file names one."""
     return (FilePath(file).parent / pack).as_posix() if pack.endswith(_SUFFIX) else pack
 
 

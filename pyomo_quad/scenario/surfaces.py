@@ -118,7 +118,7 @@ def _through(
 
 @dataclass(frozen=True, kw_only=True)
 class _Axis:
-    """The functions of the basis along one axis, of n points.
+    """Spline basis functions along one axis of a grid with n points.
 
     Attributes
     ----------
@@ -151,7 +151,7 @@ class _Axis:
         )
 
     def greatest(self, of_cells: FloatArray) -> FloatArray:
-        """Return the greatest value of the cells in which each coefficient has a part."""
+        """Return, for each spline coefficient, the greatest value of the cells that it affects."""
         found = np.zeros((of_cells.shape[0] + 1, *of_cells.shape[1:]))
         for k in range(_CUBIC + 1):
             np.maximum.at(found, self.first + k, of_cells)

@@ -147,7 +147,7 @@ _IDENTITY = list(OutsideColumn)[:4]
 
 @dataclass(frozen=True, kw_only=True)
 class OutsideStudy:
-    """Results of all flights, with the distances of some flights from their plans."""
+    """Results of missions in RotorPy and in the declared model, with distances between tracks."""
 
     flights: pd.DataFrame
     tracks: Mapping[tuple[str, Plant, str], Track]

@@ -114,7 +114,7 @@ def fly_cruise(
 def _longest(
     scenario: Scenario, settings: CruiseSettings, planner: Planner
 ) -> tuple[Scenario, Dynamics]:
-    """Return the cruise with the longest wait at the goal, and its vehicle."""
+    """Return the scenario of a cruise with the longest wait at the goal, and its vehicle."""
     told = cruise_at(
         scenario.cruising(settings), settling_s=SETTLINGS_S[-1], least_s=_least(scenario)
     )
@@ -126,7 +126,7 @@ def _least(scenario: Scenario) -> float:
 
 
 def _end(scenario: Scenario, settings: CruiseSettings, flown: Flown, dynamics: Dynamics) -> float:
-    """Return the time of arrival, or the end of the mission's time if later [s].
+    """Return the time at which a flight has arrived, not before the mission's own time [s].
 
     Without an arrival that is the end of the flight.
     """

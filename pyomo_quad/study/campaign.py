@@ -185,7 +185,7 @@ def _planned(told: Scenario, last: Plan | None, planner: Planner) -> Plan | str:
 
 
 def _ended(plan: Plan) -> dict[str, float]:
-    """Return the state at the end of a plan, by full name."""
+    """Return the state of a vehicle at the end of a plan, by state name."""
     held = plan.trajectories
     return dict(zip(held.state_names, held.states[-1].tolist(), strict=True))
 
@@ -203,7 +203,7 @@ def _flight(charge: int, number: int, plan: Plan) -> CampaignFlight:
 
 
 def _obstacle(told: Scenario, last: Plan | None, planner: Planner) -> str:
-    """Return the limits that the last plan breaks when flown with less charge; "" if none."""
+    """Return the limits that the last plan breaks on the charge that is left; "" if none."""
     return "" if last is None else ", ".join(_broken(told, last, planner))
 
 

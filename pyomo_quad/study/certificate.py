@@ -510,7 +510,7 @@ def _fit(
 
 
 def _below(thrust: FloatArray, power: FloatArray) -> FloatArray:
-    """Return power samples lowered so that their polygon is a lower bound of the power."""
+    """Lower samples of the power so that the polygon through them is nowhere above the power."""
     chords = np.diff(power) / np.diff(thrust)
     # The power rises with thrust, so the first step extends a level line.
     extended = power[:-1] + np.concatenate([[0.0], chords[:-1]]) * np.diff(thrust)

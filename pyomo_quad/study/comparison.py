@@ -356,12 +356,12 @@ def _number(value: float | None, is_meaningful: bool) -> float:
 
 
 def _percent(part: float, whole: float) -> float:
-    """Return a share in per cent; NaN if the whole is not positive."""
+    """Return ``part`` in per cent of ``whole``; NaN if the whole is not positive."""
     return 100.0 * part / whole if whole > 0.0 else nan
 
 
 def _measured(scenario: Scenario, frame: "pd.DataFrame") -> dict[ComparisonColumn, float]:
-    """Return peaks and totals of a flight's table; NaN if a user's model lacks the column."""
+    """Return a flight's peak power, tilt, rotor acceleration, time near the goal, charge used."""
     alpha = _rotor_values(frame, "rotors.alpha")
     tilt = np.cos(_values(frame, "rigid_body.phi")) * np.cos(_values(frame, "rigid_body.theta"))
     charge = _values(frame, "battery.state_of_charge")

@@ -106,7 +106,7 @@ class Ensemble(Summarised):
 
     @property
     def held(self) -> Share:
-        """Share of flights that arrived and kept every limit."""
+        """Share of flights that reached the goal and broke no limit."""
         return Share(sum(ending.has_held for ending in self.flown.endings), self.count)
 
     @property
@@ -124,7 +124,7 @@ class Ensemble(Summarised):
         }
 
     def of_flights(self, quantity: str) -> FloatArray:
-        """Return an attribute of every `Ending`, shape (n,)."""
+        """Return one attribute of `Ending` for every flight, shape (n,)."""
         return np.array([getattr(ending, quantity) for ending in self.flown.endings])
 
     def band(self, quantity: str) -> tuple[float, float, float]:

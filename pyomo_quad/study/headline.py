@@ -180,7 +180,7 @@ _CRUISE_WORDS = "an autopilot on straight legs at this speed"
 
 
 def legend_of(rows: Iterable[Row]) -> list[tuple[list[str], str]]:
-    """Return the meanings of flights, each with all names that share it, in order."""
+    """Return what each kind of flight is in words, with the names of the flights of that kind."""
     found: dict[str, list[str]] = {}
     for row in rows:
         name = row[ComparisonColumn.FLIGHT]

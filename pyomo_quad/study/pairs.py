@@ -175,7 +175,7 @@ class Pairs:
         return moving[0] - still[0], moving[1] - still[1]
 
     def _at(self, points: FloatArray, numbers: Sequence[float] = (0.0,) * 4) -> FloatArray:
-        """Return H (power less priced motion), thrust, speed, margin, forces and power at points.
+        """Return H, thrust, speed, error margin, forces and power at points of the search.
 
         H lacks the terms of `_constant`.
         """
@@ -196,7 +196,7 @@ class Pairs:
         return min(allowed, max(terminal, wind))
 
     def _most_of_first(self) -> float:
-        """Return the upper limit of the first coordinate: rotor speed or induced velocity."""
+        """Return the upper limit of rotor speed or, if the model has it, of induced velocity."""
 
         def excess(first: float) -> float:
             return float(self._at(np.array([[first], [0.0], [0.0]]))[1, 0]) - self._most_thrust

@@ -317,7 +317,7 @@ def _run(
 
 
 def _failures(flown: Sequence[object], flights: Sequence[Flight]) -> Iterator[str]:
-    """Yield a warning for each flight that failed or was not confirmed."""
+    """Yield a warning for each simulated flight that failed or was not confirmed."""
     yield from (why for why in flown if isinstance(why, str))
     yield from (f"{f.name}: not confirmed: {f.doubt}." for f in flights if f.doubt)
 
@@ -325,7 +325,7 @@ def _failures(flown: Sequence[object], flights: Sequence[Flight]) -> Iterator[st
 def _often(
     plan: Plan, planner: Planner, tuning: Tuning | None, references: Sequence[Reference]
 ) -> tuple[InTurbulence | None, tuple[str, ...]]:
-    """Return the flights in turbulence, or the reason why they failed."""
+    """Simulate many flights in turbulence; return their results, or the reason of a failure."""
     baseline = plan.scenario.baseline
     cruise = None if tuning is None else tuning.settings
     if tuning is None and baseline.cruise_speeds and Reference.CRUISE in references:

@@ -178,7 +178,7 @@ def perform(task: CaseTask) -> CaseOutcome:
 
 
 def worker_version() -> str:
-    """Return the version of this package in the present process."""
+    """Return the pyomo_quad version that this process runs."""
     return __version__
 
 
@@ -310,7 +310,7 @@ def unknown_column(
 def _read(
     columns: _Columns, flight: Flight, plan: Plan, scenario: Scenario | None = None
 ) -> dict[str, float]:
-    """Return the numbers of a flight in the plan's scenario or another; NaN if missing."""
+    """Return the output columns of a case's flight, by name; NaN where undefined."""
     flown = _Flown(flight=flight, plan=plan, scenario=scenario or plan.scenario)
     return {name: _meaningful(name, read(flown)) for name, (_, read) in columns.items()}
 
@@ -389,7 +389,7 @@ def _fly_base_plan(task: CaseTask, scenario: Scenario) -> CaseResult:
 
 @dataclass
 class _Bench:
-    """Planner and base plan that a worker keeps between cases; one thread at a time."""
+    """A worker's planner and base plan, kept between cases; used by one thread at a time."""
 
     lock: threading.Lock = field(default_factory=threading.Lock)
     planner: Planner = field(default_factory=Planner)

@@ -87,7 +87,7 @@ def draw_curves(curves: Sequence[Curve], field: str, quantities: Sequence[Quanti
 
 
 def _pairs(count: int, **layout: Any) -> tuple[Figure, np.ndarray]:  # noqa: ANN401
-    """Lay out panels in two columns and hide an unused last panel."""
+    """Return a figure with panels in two columns; an unused last panel is hidden."""
     columns = min(2, count)
     figure, panels = panel_grid(ceil(count / columns), columns, **layout)
     for axes in panels.flat[count:]:
@@ -336,7 +336,7 @@ def draw_distributions(rows: pd.DataFrame, quantities: Sequence[Quantity]) -> Fi
 def draw_scatter(
     rows: pd.DataFrame, fields: Sequence[str], quantities: Sequence[Quantity]
 ) -> Figure:
-    """Draw each quantity against each random field.
+    """Draw scatter plots of each result quantity over each scenario field that is drawn at random.
 
     Parameters
     ----------

@@ -197,7 +197,7 @@ class Dimension:
     is_random: bool = False
 
     def in_cells(self) -> "Dimension":
-        """Return the dimension with values as in table cells."""
+        """Return the dimension with each value in the form that a table cell holds."""
         steps = tuple(tuple(cell_of(value) for value in step) for step in self.steps)
         return replace(self, steps=steps)
 
@@ -262,7 +262,7 @@ class SweepDesign:
         return tuple(path for dimension in self.dimensions for path in dimension.paths)
 
     def in_cells(self) -> Self:
-        """Return the design with values as in table cells."""
+        """Return the design with each value in the form that a table cell holds."""
         return replace(self, dimensions=tuple(one.in_cells() for one in self.dimensions))
 
     def to_json(self) -> str:
@@ -329,7 +329,7 @@ _DESIGN = TypeAdapter(SweepDesign)
 
 
 def cell_of(value: object) -> Any:  # noqa: ANN401  a value of any scenario field
-    """Return the value of a field as a table cell; lists become text."""
+    """Return a field's value in the form that a table cell holds: a list becomes text."""
     return json.dumps(value) if isinstance(value, list) else value
 
 

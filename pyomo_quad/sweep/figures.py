@@ -147,7 +147,7 @@ class _Figures:
             )
 
     def _curves_along(self, field: str) -> tuple[list[Curve], str]:
-        """Choose evenly spread curves, at most `_MOST_CURVES`, with a note on omitted cases."""
+        """Choose evenly spread curves over a field, at most `_MOST_CURVES`, and note the rest."""
         curves = self.results.curves_along(field)
         count = len(curves)
         if count <= _MOST_CURVES:
@@ -157,13 +157,13 @@ class _Figures:
         return shown, f" Shown are {_MOST_CURVES} of {count} curves.{self._hidden()}"
 
     def _hidden(self) -> str:
-        """Return a note on the number of cases without a result."""
+        """Return the caption's sentence on cases that did not finish, "" if all of them did."""
         total = self.results.design.case_count
         missing = total - len(self.results.finished)
         return f" Not drawn: {missing} of {total} cases, which did not finish." if missing else ""
 
     def _scales(self) -> list[Dimension]:
-        """Return the dimensions along which a quantity can be drawn."""
+        """Return the dimensions that can be a chart's axis: numeric, not random, enough steps."""
         return [
             one
             for one in self.results.design.dimensions

@@ -64,7 +64,7 @@ def _quantity(column: str, name: str, unit: str) -> Quantity:
 
 
 def number(value: object) -> str:
-    """Return a result as a cell of a table."""
+    """Return a number of a result as the text of a table cell."""
     if not isinstance(value, float):
         return str(value)
     if pd.isna(value):
@@ -76,7 +76,7 @@ def number(value: object) -> str:
 
 
 def setting(value: object) -> str:
-    """Return the value of a field, without trailing zeros."""
+    """Return a field's value as text, without trailing zeros."""
     text = number(value)
     is_padded = isinstance(value, float) and "." in text and "e" not in text
     return text.rstrip("0").rstrip(".") if is_padded else text

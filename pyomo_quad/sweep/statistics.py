@@ -80,7 +80,7 @@ class Spread:
 
     @property
     def note(self) -> str:
-        """Fraction of the variance explained by the linear effects of random fields, in words.
+        """Sentence on the share of the variance that linear effects of the random fields explain.
 
         Begins with a semicolon; empty if no field is random.
         """
@@ -172,7 +172,7 @@ class SweepResults:
         return curves
 
     def beside(self, *along: Dimension) -> dict[str, Any]:
-        """Return the fields of the central case without some dimensions."""
+        """Return the central case's field values, without the fields of the given dimensions."""
         free = {one.paths[0] for one in along}
         return {path: value for path, value in self.central_case.items() if path not in free}
 

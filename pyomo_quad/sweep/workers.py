@@ -1,6 +1,6 @@
-"""Workers of a sweep: running cases in processes of this machine or on a cluster.
+"""Workers that run the cases of a sweep, in processes of this machine or on a Dask cluster.
 
-Each crew works behind an Executor of `concurrent.futures`, which leaves two tasks to its user:
+Both are reached through an Executor of `concurrent.futures`, which leaves two tasks to its user:
 replacing a broken executor, and retrying alone each case whose worker died, so that a case that
 kills its worker does not cost other cases.
 """
@@ -34,7 +34,7 @@ class ClusterError(PyomoQuadError, RuntimeError):
 
 @dataclass(kw_only=True, eq=False)
 class Workers:
-    """Running cases on an executor.
+    """Executor that runs the cases of a sweep, and recovers from workers that died.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class Workers:
 
     @property
     def room(self) -> int:
-        """Number of tasks that can be submitted now."""
+        """Number of further tasks that the workers can accept now."""
         if self._suspects or self._is_alone:
             return 0
         # Without any worker, one task waits for the first worker to connect.
@@ -127,7 +127,7 @@ class Workers:
         self._accused.add(task.key)
 
     def _suspect_all(self) -> None:
-        """Set aside all running cases of a broken executor; any may have broken it."""
+        """Mark all running cases of a broken executor for a retry alone; any may have broken it."""
         for future, task in list(self._under_way.items()):
             if not future.done() or future.exception() is not None:
                 self._accuse(task)

@@ -100,7 +100,7 @@ class BernsteinRows:
         return np.asarray(1.0 / np.maximum.reduceat(entries, rows.indptr[:-1]))
 
     def restraint(self, result: IpoptResult, gap: float, elements: int) -> Restraint:
-        """Return the cost of bounding the coefficients, for a result and the barrier's gap."""
+        """Return by how much these rows raise the objective, at a result with a barrier gap."""
         pull = result.multipliers.rows[-self.lower.size :]
         beyond = self.coefficients @ result.z - self.values @ result.z
         cost = np.zeros(elements)
@@ -110,7 +110,7 @@ class BernsteinRows:
 
 @dataclass(frozen=True, kw_only=True)
 class Restraint:
-    """Effect of the bounds between the points on the objective.
+    """Increase of the objective by the bounds that are imposed between the collocation points.
 
     Attributes
     ----------
@@ -168,7 +168,7 @@ def bounded(
 
 
 def _limits(bounds: Bounds, columns: NDArray[np.intp]) -> tuple[float, float]:
-    """Return the bounds of a variable in an element, infinite where they vary in it."""
+    """Return a variable's constant bounds in an element, infinite where a bound varies in it."""
     low, high = bounds.lower[columns], bounds.upper[columns]
     return (
         float(low[0]) if np.all(low == low[0]) else -np.inf,

@@ -312,7 +312,7 @@ class CompiledModel:
 
     @property
     def is_equality(self) -> NDArray[np.bool_]:
-        """For each path equation, whether it is an equality."""
+        """Whether each path equation is an equality (else an inequality), shape (n_equations,)."""
         return np.array([e.is_equality for e in self.declared.equations], dtype=bool)
 
 

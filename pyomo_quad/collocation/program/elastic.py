@@ -150,10 +150,12 @@ def least_violation(
     options: SolverOptions,
     progress: Progress | None,
 ) -> LeastViolation:
-    """Minimise the sum of the rows' violations, each as a fraction of its row's size.
+    """Find a point of least constraint violation: a minimum of the penalised slacks of all rows.
 
-    Every row has the same penalty. Ipopt's barrier therefore leaves the same slack in each row, far
-    below the least slack that counts, on fine meshes as on coarse ones.
+    Each row may be violated by a slack, measured in units of the row's scale, at the same
+    penalty for every row (an l1 elastic program, without the objective). Ipopt's barrier
+    therefore leaves the same slack in each row, far below the threshold at which a row counts
+    as violated, on fine meshes as on coarse ones.
     """
     is_limit = np.isfinite(bounds.row_lower) | np.isfinite(bounds.row_upper)
     rows = np.flatnonzero(is_limit)

@@ -74,7 +74,7 @@ _PUSHES = (
 
 
 class Way(Enum):
-    """Way from a warm start to the point of the central path that is sought."""
+    """How far a warm start is from the optimum to find: it sets the initial barrier parameter."""
 
     NONE = "none"
     SHORT = "short"

@@ -161,7 +161,7 @@ def misses(
     scaling: Scaling,
     z: FloatArray,
 ) -> list[float]:
-    """Return the relative violations, at a point, of conditions that were left out.
+    """Return the relative violations, at a solved point, of conditions left out of the solve.
 
     Parameters
     ----------

@@ -309,7 +309,7 @@ class RelationReader:
                 )
 
     def _held(self, data: Any) -> PointCondition:
-        """Return the condition that an algebraic variable keeps its fixed value at a time."""
+        """Return the condition that an algebraic variable has the value that a user fixed."""
         number = self.symbols.fixed_value(data)
         expression = casadi.SX(self._writer.write(data, data.name)) - number
         return PointCondition(

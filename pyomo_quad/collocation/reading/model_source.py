@@ -180,7 +180,7 @@ class LiveModel:
     def _said(
         self, component: Any, slot: Slot, rule: Any, kind: str, advice: str = ""
     ) -> Callable[[float], float]:
-        """Return what a rule says at any time, or its failure as a refusal."""
+        """Return a rule as a function of time; where the rule fails, it raises a refusal."""
         block, join = component.parent_block(), self._addresses.join
 
         def said(t: float) -> float:
@@ -313,7 +313,7 @@ def _kept(
     horizon: tuple[float, float],
     asked: list[float],
 ) -> Interpolant:
-    """Return piecewise polynomials for a function of time, or the reason why there are none."""
+    """Return a function of time as piecewise polynomials for a pickle, or why there are none."""
     try:
         edges = list(jumps(partial(as_reading, function), asked))
     except TranscriptionError as error:

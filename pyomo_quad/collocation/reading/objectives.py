@@ -79,7 +79,11 @@ def _refuse_sum(objective: Any, time: Any, copy: WorkingCopy) -> None:
 
 
 def _is_alike(cost: Any, key: Any, first: dict[Any, Any], other: dict[Any, Any]) -> bool:
-    """Return whether a variable's slopes are one function of the values at two instants."""
+    """Return whether the objective depends on a variable in the same way at two declared times.
+
+    The derivative of `cost` by the variable `key` is compared at both: `first` and `other` hold
+    the symbols of all variables at either time, by (name, index).
+    """
     if key not in other:
         return False
     slope, moved = casadi.gradient(cost, first[key]), casadi.gradient(cost, other[key])

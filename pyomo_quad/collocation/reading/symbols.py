@@ -211,7 +211,10 @@ def indexed_name(component: str, index: tuple[Any, ...]) -> str:
 
 
 class AddressBook:
-    """Addresses of data objects with respect to one continuous set."""
+    """Splits the index of Pyomo variables, parameters and constraints into time and other indices.
+
+    The time is the member of one ContinuousSet, given as `time`; the result is an `Address`.
+    """
 
     def __init__(self, time: ContinuousSet | None) -> None:
         self._time = time
@@ -243,7 +246,7 @@ class AddressBook:
         return found
 
     def of(self, data: Any) -> Address:
-        """Return the address of a variable, parameter or constraint data object."""
+        """Return the `Address` of a variable, parameter or constraint data object of Pyomo."""
         component = data.parent_component()
         return self.split(component, data.index())
 

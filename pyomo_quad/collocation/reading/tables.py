@@ -62,7 +62,7 @@ class Spline:
         return self
 
     def written(self, arguments: Sequence[Any]) -> Any:
-        """Return the value at CasADi expressions; its work does not grow with the table."""
+        """Return the value at CasADi expressions; the work is the same for tables of any size."""
         return self._local.written([casadi.SX(argument) for argument in arguments])
 
     @cached_property
@@ -71,7 +71,7 @@ class Spline:
 
     @cached_property
     def function(self) -> Any:
-        """The CasADi function of value, gradient and Hessian."""
+        """The CasADi function from a point to the spline's value, gradient and Hessian there."""
         arguments = casadi.SX.sym("arguments", len(self.knots))
         written = self.written(casadi.vertsplit(arguments))
         hessian, gradient = casadi.hessian(written, arguments)
@@ -83,7 +83,7 @@ class Spline:
 
 
 def _going_on(at: FloatArray, values: FloatArray, degree: int) -> tuple[FloatArray, FloatArray]:
-    """Return knots and coefficients of the spline through values, with straight ends.
+    """Return knots and coefficients of a spline that goes on in straight lines beyond its data.
 
     A knot of one less than full multiplicity at either end leaves value and slope continuous
     there; the values at the averages of its knots determine the spline that does so.
@@ -143,7 +143,7 @@ class Table(PythonCallbackFunction):
         return super().__call__(*arguments)
 
     def _at(self, arguments: Any, _order: int, _fixed: Any) -> tuple[float, list[float], Any]:
-        """Return value, gradient and upper triangle of the Hessian, in Pyomo's order."""
+        """Return value, gradient and Hessian's upper triangle at arguments, as Pyomo expects."""
         value, gradient, hessian = self.spline.function(arguments)
         upper = [float(hessian[i, j]) for j in range(len(arguments)) for i in range(j + 1)]
         return float(value), [float(gradient[k]) for k in range(len(arguments))], upper
@@ -306,7 +306,7 @@ def _on_grid(call: Callable[..., float], points: Sequence[FloatArray]) -> FloatA
 
 
 def _miss(call: Callable[..., float], spline: Spline, size: float) -> float:
-    """Return the largest relative error of a spline between the samples of its function."""
+    """Return the largest relative difference of a function from its spline between the samples."""
     generator = np.random.default_rng(seed=0)
     lower, upper = np.transpose(spline.ranges)
     places = generator.uniform(lower, upper, (_COMPARED, len(spline.ranges)))

@@ -351,7 +351,7 @@ class TemplateWriter:
         return schedule.written(write, _ABSENT), schedule.is_equality
 
     def _statement_at(self, name: str, say: Callable[[Any], Statement], time: float) -> Statement:
-        """Return the statement of a rule at one time."""
+        """Return the `Statement` that a component's rule makes at one time."""
         template = self.copy.template_time
         if self.symbols.clock.is_free:
             declared = self.copy.declared_times
@@ -409,7 +409,7 @@ class TemplateWriter:
         }
 
     def _within(self, time: float) -> float:
-        """Return the middle of the interval between declared times that holds a time."""
+        """Return the midpoint of the interval between two declared times that contains a time."""
         declared = self.copy.declared_times
         after = min(max(bisect_left(declared, time), 1), len(declared) - 1)
         return 0.5 * (declared[after - 1] + declared[after])

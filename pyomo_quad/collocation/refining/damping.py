@@ -54,13 +54,13 @@ class Damping:
 
     @property
     def way(self) -> Way:
-        """Way from the solution to that of the next mesh."""
+        """How far the next mesh's solution is expected to be from this one (`Way`)."""
         if self.is_still:
             return Way.NONE
         return Way.FAR if self.solution.error_estimate >= _FAR else Way.SHORT
 
     def firmer(self, factor: float, gap: float) -> Damping:
-        """Return the damping with larger penalties and the same target."""
+        """Return the damping with larger penalties, towards the same controls."""
         gap = max(gap * self.solution.nominal_objective, self.gap)
         return replace(self, prices=factor * self.prices, gap=gap, is_still=True)
 
@@ -75,7 +75,7 @@ class Damping:
         )
 
     def _near(self, fractions: FloatArray) -> FloatArray:
-        """Return the target of the damped controls, shape (n_fractions, n_controls)."""
+        """Return the values towards which controls are damped, shape (n_fractions, n_controls)."""
         mesh, held = self.solution.mesh, self.solution.trajectory.algebraics[:, self.controls]
         if self.is_still:
             lower, upper = (limit[self.controls] for limit in self.solution.algebraic_limits)

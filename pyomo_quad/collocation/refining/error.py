@@ -239,13 +239,13 @@ _LEAST_UNIT = 1e-4
 
 
 def _unit(solution: Solution) -> float:
-    """Return the reference of errors of the objective: its size, or 1 if that is smaller."""
+    """Return the reference of the objective's relative error: its size, or 1 if that is smaller."""
     scaled = 1.0 / solution.scaling.objective
     return max(abs(solution.objective), min(1.0, scaled), _LEAST_UNIT * scaled)
 
 
 def _gap(solution: Solution) -> float:
-    """Return the barrier's complementarity gap relative to the sizes of the objective's terms."""
+    """Return the complementarity gap left by Ipopt's barrier, relative to the objective's terms."""
     program, z = solution.program, solution.unknowns
     least = min(_unit(solution), _LEAST_SIZE / solution.scaling.objective)
     size = max(program.objective_size(z), least)
@@ -353,7 +353,7 @@ def _sampled(
 def _held(
     program: Transcription, samples: _Samples, limits: tuple[FloatArray, FloatArray]
 ) -> _Samples:
-    """Return samples with algebraic variables clipped to their limits."""
+    """Return samples of the path equations with algebraic variables clipped to their limits."""
     layout, variables = program.layout, samples.variables.copy()
     chosen = slice(2 * layout.n_states, 2 * layout.n_states + layout.n_algebraics)
     variables[:, chosen] = np.clip(variables[:, chosen], *limits)
@@ -418,7 +418,7 @@ def _restraints(solution: Solution) -> FloatArray:
 
 
 def _of_all(shares: FloatArray) -> FloatArray:
-    """Return the error if all elements had one element's error, at most the sum of the errors."""
+    """Return the errors of the whole horizon if all elements were like one, at most their sum."""
     return np.asarray(np.minimum(len(shares) * shares, shares.sum(axis=0)))
 
 
@@ -458,7 +458,7 @@ def _integrands(program: Transcription, samples: _Samples) -> FloatArray:
 
 
 def _missed(solution: Solution, moved: list[FloatArray], weight: float) -> FloatArray:
-    """Return the weighted sum of the elements' effects on the final states.
+    """Return each element's share of the error in the final states, times a weight.
 
     The element with the largest contribution gets the whole sum, so that it is refined first.
     """
@@ -490,7 +490,7 @@ def _breaches(solution: Solution, samples: _Samples, allowance: Allowance) -> Fl
 
 
 def _prices(solution: Solution) -> FloatArray:
-    """Return the summed multipliers of state limits in each element."""
+    """Return the sum of the multipliers of bounds on states per element, shape (n_elements,)."""
     program, multipliers = solution.program, solution.multipliers
     columns = program.layout.state_columns[1:]
     on_states = (multipliers.lower[columns] + multipliers.upper[columns]).sum(axis=1)

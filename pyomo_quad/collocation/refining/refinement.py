@@ -199,7 +199,7 @@ class _Refinement(Generic[S]):
         *,
         is_damped: bool,
     ) -> None:
-        """Prepare the solve on the next meshes."""
+        """Choose start and settings of the solve on the next meshes."""
         self.settled += is_damped and self._has_settled(solution)
         is_stalled = self.settled >= _MANY_SETTLED
         if is_damped and (is_stalled or self.records[-1].iterations > _MANY_ITERATIONS):
@@ -297,7 +297,7 @@ class _Refinement(Generic[S]):
         )
 
     def _shown(self, solution: S) -> S:
-        """Pass a finished solution to `on_mesh`; mark it interrupted if that returns False."""
+        """Pass a mesh's solution to `on_mesh`; if that returns False, mark it interrupted."""
         is_finished = solution.status is Status.CONVERGED
         if is_finished and self.options.on_mesh and self.options.on_mesh(solution) is False:
             return solution.updated(status=Status.INTERRUPTED, message="stopped by the caller")
@@ -312,7 +312,7 @@ class _Refinement(Generic[S]):
         return change * last.nominal_objective if math.isfinite(change) else None
 
     def _gap_to_leave(self, solution: Outcome, errors: tuple[ErrorEstimate, ...]) -> float:
-        """Return the relative gap that the barrier may leave where limits move."""
+        """Return the relative complementarity gap to stop at where the active limits change."""
         unknown = max(e.of_integrals for e in errors)
         if any(part.restraint is not None for part in solution.parts):
             # Bounds between the points hide that the mesh is too coarse for the optimum.
@@ -356,7 +356,7 @@ class _MeshSolve(Search[S], Generic[S]):
 
 
 def _sharper(dampings: tuple[Damping | None, ...], tolerance: float) -> tuple[Damping | None, ...]:
-    """Return dampings weak enough that their share of the objective is below the tolerance."""
+    """Return weaker dampings, whose share of the objective is below the tolerance."""
     least = _LEAST_INEXACT * tolerance
     return tuple(
         d and replace(d, gap=min(least * d.solution.nominal_objective, d.gap)) for d in dampings
@@ -421,7 +421,7 @@ class _Reached(Generic[S]):
 
 
 def _lost(ended: S, reached: _Reached[S] | None, tolerance: float) -> S:
-    """Return the result of a refinement that met no tolerance, or the solution before its restart.
+    """Return the result of a refinement above its tolerance, or the solution before a restart.
 
     The solution before the restart is returned with a warning if the restart has shown a better
     solution, or has led to none.
@@ -433,7 +433,7 @@ def _lost(ended: S, reached: _Reached[S] | None, tolerance: float) -> S:
 
 
 def _cut_off(reached: _Reached[S]) -> S:
-    """Return the solution of a restart if the next restart ran out of meshes.
+    """Return a restart's solution, with a doubt, if the following restart ran out of meshes.
 
     Its error may be as large as the gain of that restart.
     """
@@ -442,7 +442,7 @@ def _cut_off(reached: _Reached[S]) -> S:
 
 
 def _doubted(solution: S) -> S:
-    """Return a solution with a warning that only small changes were tested."""
+    """Return a solution with a warning that better controls were sought only near its own."""
     return solution.updated(
         status=Status.TOLERANCE_NOT_MET,
         message=(
@@ -469,7 +469,7 @@ def _objective_change(solution: Solution, tolerance: float) -> float:
 
 
 def _is_lost(records: Sequence[MeshRecord]) -> bool:
-    """Return whether two consecutive solves were long and the second gained almost nothing."""
+    """Return whether refinement should stop: two long solves, and hardly a smaller error."""
     if len(records) < 3:
         return False
     last, now = records[-2:]
@@ -478,7 +478,7 @@ def _is_lost(records: Sequence[MeshRecord]) -> bool:
 
 
 def _most_moved(solution: Outcome, before: tuple[Solution | None, ...]) -> str:
-    """Return the control that the last mesh changed most, with time and amount, as text."""
+    """Return the control that changed most from the last mesh to this one, as text with time."""
     found = []
     for part, last in zip(solution.parts, before, strict=True):
         if last is None or part.trajectory.algebraics.size == 0:

@@ -193,7 +193,7 @@ def _lowered(
 
 
 def _isolated(mesh: Mesh, e: int, jump: float, size: float) -> list[_Piece]:
-    """Split an element into the part before a jump, a sliver that contains it, and the rest.
+    """Split an element around a control's jump: the part before, a sliver with the jump, the rest.
 
     In the sliver of degree 1 the control is constant, so it cannot exceed limits that it satisfies
     at its one point, and the sliver's state error decreases with its width squared. If an adjacent
@@ -312,7 +312,7 @@ def _decay(sizes: FloatArray) -> float:
 
 
 def _jump(solution: Solution, e: int) -> float | None:
-    """Return the place of a bounded control's jump in an element, as a fraction of the horizon."""
+    """Return the time of a bounded control's jump in an element, as a fraction of the horizon."""
     mesh = solution.mesh
     if known_boundaries(solution)[e : e + 2].any():
         return None

@@ -89,9 +89,11 @@ def _jumping_elements(solution: Solution) -> frozenset[int]:
 def _hamiltonians(
     solution: Solution, points: NDArray[np.intp], fractions: FloatArray
 ) -> FloatArray:
-    """Return the Hamiltonian at points, as if they were at other fractions of the horizon.
+    """Return the Hamiltonian at collocation points, with the data of other times.
 
-    Shape (2, n_points): with the costates integrated through the elements, and as multipliers.
+    Shape (2, n_points). Row 0 takes the costates integrated through the elements, row 1 the
+    costates as multipliers of the equations at the points. States, rates and controls are those
+    of `points`; parameters over time are read at `fractions` of the horizon instead.
     """
     program, n = solution.program, solution.program.layout.n_states
     variables = program.path_variables(solution.unknowns)[points]
