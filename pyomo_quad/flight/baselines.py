@@ -395,7 +395,7 @@ def reference_path(
             f"{scenario.name}: reference {reference.value!r} needs a plan; solve the scenario "
             "first."
         )
-    return _planned_path(plan)
+    return path_of(plan.trajectories, plan.dynamics, plan.scenario.vehicle)
 
 
 def fly_open_loop(scenario: Scenario, plan: Plan, dynamics: Dynamics) -> Flight:
@@ -508,10 +508,6 @@ def _missed_waypoints(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> I
                 words=f"mission.waypoints[{k}].speed_max = {allowed:g} m/s passed at "
                 f"{speed:.3g} m/s",
             )
-
-
-def _planned_path(plan: Plan) -> SampledPath:
-    return path_of(plan.trajectories, plan.dynamics, plan.scenario.vehicle)
 
 
 def path_of(held: Trajectories, dynamics: Dynamics, vehicle: Vehicle) -> SampledPath:

@@ -73,7 +73,9 @@ def find_reach(scenario: Scenario, *, has_return: bool) -> Reach:
     depth = 1.0 - scenario.limits.least_charge
     curve = steady_curve(scenario, planner.steady_flight(scenario), depth)
     courses = np.linspace(0.0, 2.0 * np.pi, _COURSES, endpoint=False)
-    along = np.linspace(0.0, _farthest(curve), _STEPS)
+    # No flight reaches farther than the fastest one with a tail wind as fast.
+    farthest = float(2.0 * curve.airspeeds[-1] * curve.endurances.max())
+    along = np.linspace(0.0, farthest, _STEPS)
     headings = np.column_stack([np.cos(courses), np.sin(courses), np.zeros(_COURSES)])
     start = np.array(scenario.mission.start.position)
     places = start + along[None, :, None] * headings[:, None, :]
@@ -86,11 +88,6 @@ def find_reach(scenario: Scenario, *, has_return: bool) -> Reach:
         for k, course in enumerate(courses.tolist())
     ]
     return Reach(scenario=scenario, has_return=has_return, boundary=pd.DataFrame(rows), depth=depth)
-
-
-def _farthest(curve: SteadyCurve) -> float:
-    """Return an upper bound on the reach [m]: the fastest flight with a tail wind as fast."""
-    return float(2.0 * curve.airspeeds[-1] * curve.endurances.max())
 
 
 def _shares(

@@ -106,7 +106,7 @@ def write_run_report(folder: Path, result: "RunResult", figures: Figures = Figur
     It has tables, figures, `report.md` and `report.html`; without figures the page has no view of
     the paths.
     """
-    replanned = _replanned(result)
+    replanned = replanning_table(result.flights, result.scenario.baseline.mpc or Replanning())
     optional = {
         COMPARISON_NAME: result.comparison,
         FRONT_NAME: result.front,
@@ -359,10 +359,6 @@ def _run_values(result: "RunResult", replanned: "pd.DataFrame") -> dict[str, Any
         "COMPARISON_NAME": COMPARISON_NAME,
         "COMPARISON_REPORT_NAME": COMPARISON_REPORT_NAME,
     }
-
-
-def _replanned(result: "RunResult") -> "pd.DataFrame":
-    return replanning_table(result.flights, result.scenario.baseline.mpc or Replanning())
 
 
 def _is_good(result: "RunResult") -> bool:

@@ -145,12 +145,12 @@ class Intensity(StrEnum):
     SEVERE = "severe"
 
 
-_KNOT = 1852.0 / 3600.0  # m/s
+KNOT = 1852.0 / 3600.0  # m/s
 #: m/s. Wind at 6 m (20 ft) that stands for an intensity, MIL-F-8785C, figure 7.
 WIND_AT_6_M = {
-    Intensity.LIGHT: 15.0 * _KNOT,
-    Intensity.MODERATE: 30.0 * _KNOT,
-    Intensity.SEVERE: 45.0 * _KNOT,
+    Intensity.LIGHT: 15.0 * KNOT,
+    Intensity.MODERATE: 30.0 * KNOT,
+    Intensity.SEVERE: 45.0 * KNOT,
 }
 
 

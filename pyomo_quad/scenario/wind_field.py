@@ -15,9 +15,8 @@ from pyomo_quad.scenario.gridded import (
 )
 from pyomo_quad.scenario.messages import refuse
 from pyomo_quad.scenario.packed_arrays import packed
-from pyomo_quad.scenario.wind import LARGEST_WIND, STRONGEST_GUST
+from pyomo_quad.scenario.wind import KNOT, LARGEST_WIND, STRONGEST_GUST
 
-_KNOT = 1852.0 / 3600.0
 _WIND = Quantity(
     word="wind",
     axes=AXES,
@@ -35,9 +34,9 @@ _WIND = Quantity(
         "m s**-1": 1.0,
         "km h-1": 1.0 / 3.6,
         "km/h": 1.0 / 3.6,
-        "knot": _KNOT,
-        "knots": _KNOT,
-        "kt": _KNOT,
+        "knot": KNOT,
+        "knots": KNOT,
+        "kt": KNOT,
     },
 )
 
