@@ -153,7 +153,7 @@ def report_folder(folder: Path) -> Iterator[Path]:
 
 
 def _kept(plan: Plan, folder: Path) -> str:
-    """Save a nearly feasible iterate of a stopped solve; return a message with its place."""
+    """Save a stopped solve's best iterate if nearly feasible; return a message on its place."""
     best = min((line.infeasibility for line in plan.iterations), default=1.0)
     if plan.solution is None or best > _WORTH_KEEPING:
         return "no report was written"

@@ -307,7 +307,7 @@ class Formulation:
         return other
 
     def holding(self, model: Any) -> Self:
-        """Return the compiled equations with data, guesses and scales of another model.
+        """Return the same compiled equations with the data, guesses and scales of another model.
 
         Nothing is compiled. The other model must have the same declarations; the values of its
         parameters, its variables and its suffix `scaling_factor` may differ.

@@ -254,7 +254,7 @@ class Candidate:
         return slow.status.value
 
     def has_slower(self) -> bool:
-        """Return whether a failed mission has a solution in a longer duration."""
+        """Return whether the mission failed, but a solution in a longer duration is known."""
         return self.has_failed() and self.slower is not None
 
     def speed_up(self) -> str | None:

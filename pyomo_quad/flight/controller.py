@@ -566,7 +566,7 @@ class ThrustEnvelope:
         return share * ax, share * ay, share * az
 
     def _reach(self, along: float, upward: float) -> float:
-        """Return the largest acceleration along a direction, given by its two components."""
+        """Return the largest acceleration in a direction that thrust and tilt allow [m/s^2]."""
         rising = self._gravity * upward
         by_thrust = np.sqrt(rising**2 + self._reserve) - rising
         leaning = np.fmax(along - self._slope * upward, _NOUGHT)

@@ -74,7 +74,7 @@ def integrate(
 
 
 def _within(rates: Rates, first: float, last: float) -> Rates:
-    """Return the right-hand side of one piece, extended to its ends."""
+    """Return a right-hand side that reads times just inside one piece, clear of its jumps."""
     margin = _INSIDE * (last - first)
 
     def inside(t: float, y: FloatArray) -> FloatArray:

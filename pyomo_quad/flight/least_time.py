@@ -137,7 +137,7 @@ class Approach:
         return tuple(dict.fromkeys(min(max(time, least), greatest) for time in above))
 
     def goes_on(self) -> bool:
-        """Return whether the last plan of the sequence is verified, or none was made yet."""
+        """Return whether to try a shorter duration: no plan yet, or the last one is verified."""
         return not self.plans or self.plans[-1].is_verified
 
     def fly(self, lasting: float) -> str:
@@ -151,7 +151,7 @@ class Approach:
 
     @property
     def closest(self) -> Plan:
-        """Verified plan of the shortest duration, or the first plan without any."""
+        """Verified plan of the shortest duration; the first plan if none is verified."""
         best = next((plan for plan in reversed(self.plans) if plan.is_verified), self.plans[0])
         message = (
             f"{best.message} It takes {best.duration_s:.6g} s, where the least time is "

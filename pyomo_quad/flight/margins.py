@@ -146,7 +146,7 @@ def tightened(scenario: Scenario, margins: Mapping[str, float]) -> Scenario:
 
 
 def used_up(planned: LimitValues, flown: LimitValues) -> Iterator[tuple[str, float]]:
-    """Yield for each end of a limit its field, and how much nearer a flight comes than its plan."""
+    """Yield, per end of a limit, its field and how much nearer a flight comes than its plan."""
     fields = FIELDS.get(planned.name.partition("[")[0], ("", ""))
     for side, name in zip((1.0, -1.0), fields, strict=True):
         if name:

@@ -157,7 +157,7 @@ class MissionProblem:
         return self.solve(mesh=reached.mesh, warm_start=reached), first
 
     def _as_far_as(self, stopped: Solution) -> Solution:
-        """Reinterpret a stopped solve with easier parameters as a solve of the mission itself."""
+        """Return an interrupted solve with easier parameters as an iterate of the mission."""
         read = self.unsolved(mesh=stopped.mesh, warm_start=stopped)
         return replace(read, status=stopped.status, message=stopped.message)
 
@@ -168,7 +168,7 @@ class MissionProblem:
 
     @staticmethod
     def in_own_variables(other: Solution, own: Solution) -> Trajectory:
-        """Return the trajectory of another problem's solution in the variables of an own one.
+        """Return another problem's trajectory in the variables of this problem's solution ``own``.
 
         Variables that the other problem lacks, such as a pack's charge in a flight of the least
         time, have the course of the own solution; so have all static ones if they differ.
@@ -191,7 +191,7 @@ class MissionProblem:
 
     @cached_property
     def past_waypoints(self) -> MissionProblem | None:
-        """Mission with exact passages of the waypoints, None if its passages are exact already."""
+        """The same mission with exact passages of the waypoints, None if they are exact already."""
         plain = with_plain_passages(self.told)
         return None if plain is None else MissionProblem(self.problems, plain, self.search)
 

@@ -247,7 +247,7 @@ def least_cost(costs: FloatArray, reached: float) -> float:
 
 
 def _made_symmetric(costs: FloatArray, finite: FloatArray) -> FloatArray:
-    """Return the costs of the cheaper direction of each leg, after subtracting potentials.
+    """Return symmetric leg costs for a lower bound: the cheaper direction, less potentials.
 
     The cost of an order does not depend on potentials, eq. (3). Climbs, and head wind against tail
     wind, are differences of potentials; a leg allowed in one direction only gives no information on

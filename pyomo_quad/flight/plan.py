@@ -463,7 +463,7 @@ class Plan(Summarised):
 
     @property
     def figures_checked(self) -> Figures:
-        """Tolerances of the plan's verification."""
+        """Tolerances of the accuracy at which the plan was verified."""
         usable = self.status is PlanStatus.USABLE
         return USABLE if usable else FIGURES[self.scenario.solver.accuracy]
 
@@ -617,7 +617,7 @@ class Plan(Summarised):
 
     @property
     def passages(self) -> list[Passage]:
-        """Places with times that the flight must pass."""
+        """Waypoints that the flight must pass, each with its position, radius and passing time."""
         pairs = zip(self.scenario.mission.waypoints, self.passing_times_s, strict=True)
         return [Passage(time_s=at, position=w.position, radius=w.radius) for w, at in pairs]
 

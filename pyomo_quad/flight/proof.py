@@ -34,7 +34,7 @@ _AGAIN = "solve the scenario again."
 
 @dataclass(frozen=True, kw_only=True)
 class Allowed:
-    """Tolerances between a simulated flight and the plan in a file.
+    """Largest differences allowed between a plan in a file and its simulated flight.
 
     `miss` applies to any state at any time and to the waypoints: metres, metres per second,
     radians, or relative if a value is larger than 1. `violation` of limits and `energy` are

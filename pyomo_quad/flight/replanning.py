@@ -123,7 +123,7 @@ class _Observer:
         return self._states[-3:].copy()
 
     def belief(self, flown: Flown) -> Belief:
-        """Return the mass and wind that explain the estimate at the end of a part of the flight."""
+        """Return the mass and horizontal acceleration that explain the present estimate."""
         last = flown.t[-1:], flown.states[-1:], flown.controls[-1:]
         acceleration = self._dynamics.table(_SLOPES, *last)[0]
         forces = self._dynamics.table(_FORCES, *last)[0]
@@ -140,7 +140,7 @@ class _Observer:
         )
 
     def watch(self, flown: Flown) -> None:
-        """Update the estimate with a part of the flight."""
+        """Update the estimated unexplained acceleration with a flown part of the flight."""
         explained = self._dynamics.table(_SLOPES, flown.t, flown.states, flown.controls)
         seen = np.hstack([flown.states[:, self._columns], explained])
 
@@ -168,7 +168,7 @@ class _Aircraft:
         return state[self._measured]
 
     def seen(self, flown: Flown) -> Flown:
-        """Return a part of the flight with the measured states only."""
+        """Return a flown part without the states that the vehicle does not measure (turbulence)."""
         return replace(flown, states=flown.states[:, self._measured])
 
     def fly(self, leg: _Leg, state: FloatArray, integrator: Integrator) -> ClosedLoopFlight:
@@ -277,7 +277,7 @@ class _ReplannedFlight:
         return solution if solution.is_converged else None
 
     def _advance(self, end: float) -> None:
-        """Simulate the flight along the present plan until a time."""
+        """Simulate the flight along the present plan until a time, and update the estimates."""
         if end - self._t > _SHORTEST * self._end:
             along, aside, upwards = (self._observer.estimate - self._course.estimate).tolist()
             leg = _Leg(

@@ -405,7 +405,7 @@ class _Search:
         return [tuple(ending.broken) for ending in squadron.fly(draws).endings]
 
     def _grown(self, tried: _Tried, counts: Mapping[str, int]) -> dict[str, float]:
-        """Return larger margins for the limits that test flights break too often.
+        """Return larger margins for the limits that simulated test flights break too often.
 
         A flight that misses a place lacks the authority to correct what a gust did to it.
         """
@@ -444,7 +444,7 @@ class _Search:
         return f"{longer}{self._weaker(tried)}"
 
     def _weaker(self, tried: _Tried) -> str:
-        """Return the strength of turbulence in which flights would keep the risk."""
+        """Return advice in words on the weaker turbulence in which flights would keep the risk."""
         allowed = _SHARE_OF_GOAL * self._risk
         places = [miss for miss in tried.missed if not miss.field]
         low, high = 0.0, 1.0

@@ -133,7 +133,7 @@ class RouteFlights:
         return energy_of(self._told, solution)
 
     def as_flown(self, journey: Journey, solution: Solution) -> Journey:
-        """Return a journey with the sides of zones on which its solved flight passes."""
+        """Return a journey with the sides of zones on which its solved flight really passes."""
         is_flown = solution.status.is_solved
         return journey_as_flown(self._told, journey, solution) if is_flown else journey
 

@@ -114,7 +114,7 @@ class Search:
         return time.thread_time() - self._patient_from
 
     def restart_patience(self) -> None:
-        """Restart the waiting time before a usable plan is sought."""
+        """Restart the time that the search waits before it seeks a usable plan."""
         self._patient_from = time.thread_time()
 
     def begin_effort(self, most: float) -> None:

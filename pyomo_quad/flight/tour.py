@@ -304,7 +304,7 @@ class BestOrder:
         return mission.solve(mesh=mesh, tolerance=None, guess=guess)
 
     def _roughly(self, ordered: Scenario) -> Solution:
-        """Solve the mission in one order on a coarse mesh."""
+        """Return the solution of the mission with waypoints in a given order, on a coarse mesh."""
         told = ordered.as_forecast()
         once = {"solver": told.solver.model_copy(update={"max_refinements": 0})}
         mission = MissionProblem(self._problems, told.model_copy(update=once), self._search)

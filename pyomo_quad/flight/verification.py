@@ -334,7 +334,7 @@ def balance_lacking(balance: FloatArray) -> tuple[float, float]:
 
 
 def _equal_shares(count: int) -> FloatArray:
-    """Return the ends of equal parts of an element, as shares of it."""
+    """Return the ends of ``count`` equal parts of an element, as fractions from 0 to 1."""
     return np.linspace(0.0, 1.0, count + 1)[1:]
 
 
@@ -499,7 +499,7 @@ def verify_controls(
 
 @dataclass(frozen=True, kw_only=True)
 class _Found:
-    """Largest errors of a simulated flight, for comparison with the tolerances."""
+    """Largest errors of a simulated flight: miss, limit violation, energy and battery shortfall."""
 
     miss: float
     breach: float
@@ -507,7 +507,7 @@ class _Found:
     lacking: float
 
     def reached(self, asked: Accuracy) -> Accuracy | None:
-        """Return the highest accuracy, at most as requested, whose tolerances are met."""
+        """Return the highest accuracy, at most as requested, whose tolerances the flight meets."""
         met = [a for a in Accuracy if asked.meets(a) and self.meets(FIGURES[a])]
         return met[-1] if met else None
 

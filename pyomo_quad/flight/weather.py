@@ -115,7 +115,7 @@ def as_expected(scenario: Scenario) -> Scenario:
 
 
 def unknowns(planner: Planner, scenario: Scenario) -> tuple[dict[str, float], ...]:
-    """Return the uncertain quantities, each as a change of parameters by one standard deviation.
+    """Return, per uncertain quantity, the parameter changes of one standard deviation.
 
     The parameters, by full name, are those of `problem_in_turbulence`; changes are added.
     """

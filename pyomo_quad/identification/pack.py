@@ -199,7 +199,7 @@ class Circuit:
         self.start = np.log(_as_given(scenario))
 
     def numbers(self, values: FloatArray, factor: FloatArray) -> dict[str, FloatArray]:
-        """Return the parameters of each flight."""
+        """Return the circuit's parameters for each flight, from the fitted logarithms."""
         told = dict(zip(FITTED.values(), np.exp(values).tolist(), strict=True))
         told[_DEPENDENT_PARAMETER] = self._full - told[FITTED["E0"]]
         return {name: np.full(len(factor), number) for name, number in told.items()} | {

@@ -290,7 +290,7 @@ def _winds(curve: SteadyCurve, winds: Sequence[float]) -> pd.DataFrame:
 
 
 def _reach(curve: SteadyCurve, wind: float, towards: float) -> pd.DataFrame:
-    """Return the distance out and back on one charge on each course, at the best speeds."""
+    """Return how far a vehicle gets out and back on one charge, on each course [m]."""
     rows = []
     for course in np.linspace(0.0, 2.0 * np.pi, _DIRECTIONS, endpoint=False):
         legs = [

@@ -495,7 +495,7 @@ def with_coupling(
 
 
 def _is_any(number: object) -> bool:
-    """Return whether a number, or any number of a nested list, is not zero."""
+    """Return whether a number, or any number of a list, is not zero."""
     return any(number) if isinstance(number, list | tuple) else bool(number)
 
 

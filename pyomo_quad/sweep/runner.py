@@ -158,7 +158,7 @@ class Sweep:
                 ready += self._commit_all(outcomes)
 
     def _next_of(self, cases: list[Case]) -> list[Case]:
-        """Return the cases to start now: those given, or descendants of those that ended."""
+        """Return the cases to solve next: those given, or descendants of those already ended."""
         found, pending = [], list(reversed(cases))
         while pending:
             case = pending.pop()

@@ -232,7 +232,7 @@ def _refuse_gaps(
 
 
 def _own_cost(reader: ModelReader, cost: Any, in_conditions: frozenset[str]) -> tuple[Any, Any]:
-    """Split the cost into a linear combination of integrals over one horizon, and the rest."""
+    """Split the cost into integrals over this horizon that enter it linearly, and the rest."""
     own = casadi.SX(0)
     for integral in reader.writer.integrals.values():
         slope = casadi.jacobian(cost, integral.symbol)

@@ -83,7 +83,10 @@ def _solved(
 
 
 def priced(program: Transcription, scaling: Scaling, z: FloatArray) -> ExtendedProgram:
-    """Return a program whose equations over time have scaled slacks, penalised by their weights."""
+    """Return a program in which slacks, at a penalty, may violate the equations over time.
+
+    The slacks are in units of each equation's scale; the penalty is weighted by the quadrature.
+    """
     is_equality, mesh = program.compiled.is_equality, program.mesh
     rows = np.flatnonzero(np.tile(is_equality, program.n_points))
     weights = np.zeros(0) if mesh is None else mesh.quadrature_weights

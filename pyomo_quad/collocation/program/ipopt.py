@@ -74,7 +74,7 @@ _PUSHES = (
 
 
 class Way(Enum):
-    """How far a warm start is from the optimum to find: it sets the initial barrier parameter."""
+    """Distance of a warm start from the point of the central path to find: none, short or far."""
 
     NONE = "none"
     SHORT = "short"

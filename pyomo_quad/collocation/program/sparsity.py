@@ -180,7 +180,7 @@ def _nonzero(columns: IndexArray, weights: FloatArray) -> tuple[IndexArray, Floa
 
 
 def _chosen(columns: IndexArray, width: int) -> csr_matrix:
-    """Return the matrix that selects some of the unknowns."""
+    """Return the 0-1 matrix that selects the unknowns of some columns."""
     entries = np.ones(columns.size), columns, np.arange(columns.size + 1)
     return csr_matrix(entries, shape=(columns.size, width))
 

@@ -270,7 +270,7 @@ def copies_with_template_times(model: Any) -> tuple[WorkingCopy, ...]:
 
 
 def _culprit(error: Exception, copies: list[WorkingCopy]) -> str:
-    """Return the component that Pyomo was building when a rule failed, else the horizons' names."""
+    """Return the name of the component whose rule failed, else the names of the continuous sets."""
     frames = [frame for frame, _ in walk_tb(error.__traceback__)]
     made = [frame.f_locals.get("self") for frame in frames]
     names = [held.name for held in made if isinstance(held, Component)]
@@ -278,7 +278,7 @@ def _culprit(error: Exception, copies: list[WorkingCopy]) -> str:
 
 
 def _expand(copy: Any, copies: list[WorkingCopy]) -> None:
-    """Make the rules build the instances at the template times."""
+    """Add each component's member at the template times, by calling its rule."""
     try:
         expand_components(copy)
     except Exception as error:

@@ -162,7 +162,7 @@ def _jet(
 
 
 def _powers(at: Any, anchor: Any, per_width: Any, degree: int) -> Any:
-    """Return the powers of a place in its cell, and their first and second derivatives."""
+    """Return the powers of a coordinate relative to its cell, with first and second derivatives."""
     share = (at - anchor) * per_width
     powers = [casadi.MX(1), *(share**k for k in range(1, degree + 1))]
     columns = [powers]
@@ -172,7 +172,10 @@ def _powers(at: Any, anchor: Any, per_width: Any, degree: int) -> Any:
 
 
 def _looked_up(place: Any, breaks: Sequence[FloatArray], table: FloatArray) -> Any:
-    """Return the entry of a table in the cell of a place, the first of its own axes fastest."""
+    """Return the table's entry for the grid cell that contains a point, as a CasADi column.
+
+    The first of the entry's own axes varies fastest.
+    """
     count = len(breaks)
     values = np.moveaxis(table, range(count, table.ndim), range(table.ndim - count))
     flat = casadi.DM(values.ravel(order="F").tolist())

@@ -89,7 +89,7 @@ class RelationReader:
         equations: list[PathEquation],
         conditions: list[PointCondition],
     ) -> None:
-        """Sort the instances of one constraint into a path equation and point conditions."""
+        """Turn one constraint's members into a path equation and conditions at declared times."""
         template = instances.pop(self.copy.template_time, None) if self.copy.time else None
         equation = None
         if self.addresses.time_position(component) is not None:
@@ -174,7 +174,7 @@ class RelationReader:
     def _between(
         self, equation: PathEquation, template: Any, instances: dict[Any, Any]
     ) -> list[PointCondition]:
-        """Return the conditions that instances at interior times add to the path equation."""
+        """Return the conditions of declared interior times that differ from the path equation."""
         added = []
         for time in self.copy.declared_times[1:-1]:
             data = instances.get(time)
@@ -465,7 +465,7 @@ class ModelReader:
                 )
 
     def _said_without_rates(self, states: list[Slot], read: list[frozenset[str]]) -> frozenset[str]:
-        """Return the states that an equation without rates determines, each by its own equation.
+        """Return the states that equations without derivatives determine, one equation per state.
 
         A derivative in space uses up an equation as well: the one that its discretisation wrote.
         """

@@ -46,7 +46,7 @@ def transfer_rules(model: Any, copy: Any) -> None:
 
 
 def _innermost(rule: Any) -> Any:
-    """Return the initializer that others wrap."""
+    """Return the initializer of a Pyomo rule that other initializers wrap."""
     while hasattr(rule, _INNER):
         rule = getattr(rule, _INNER)
     return rule

@@ -49,7 +49,7 @@ T = TypeVar("T")
 
 
 def _remembered(known: OrderedDict[float, T], time: float, of: Callable[[float], T]) -> T:
-    """Return what a function of time returns, called once for each of the last times."""
+    """Return a function's value at a time, from a cache of the last times."""
     if time not in known:
         if len(known) >= _REMEMBERED:
             known.popitem(last=False)
@@ -203,7 +203,7 @@ class Schedule:
             )
 
     def row(self, time: float) -> list[float]:
-        """Return the values of the slots at a time."""
+        """Return the numbers that the rule has at a time, one for each slot."""
         return _remembered(self._rows, self._place(time), self._row)
 
     def _row(self, time: float) -> list[float]:
@@ -263,7 +263,7 @@ class Phases:
         return Reading(self._clock.phase_of(time), ())
 
     def row(self, time: float) -> list[float]:
-        """Return the values of the slots at a declared time."""
+        """Return 1 for the slot of the phase that holds at a declared time, 0 for the others."""
         return [float(k == self._clock.phase_of(time)) for k in range(len(self.slots))]
 
 
@@ -412,7 +412,7 @@ class Interpolant:
     refusal: str
 
     def row(self, time: float) -> list[float]:
-        """Return the numbers at a time.
+        """Return the values of all polynomials at a time.
 
         Raises
         ------

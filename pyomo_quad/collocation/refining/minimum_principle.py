@@ -100,7 +100,7 @@ def improved_controls(solution: Solution, tolerance: float) -> Solution | None:
 def _valleys(
     at: Callable[[FloatArray], FloatArray], lower: FloatArray, upper: FloatArray
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Yield control values from bound to bound with the bottoms of interpolating parabolas."""
+    """Yield control values to try, with the Hamiltonian: a grid, and minima of its parabolas."""
     step = (upper - lower) / (_TRIED - 1)
     tried = [lower + k * step for k in range(_TRIED)]
     heights = [at(values) for values in tried]

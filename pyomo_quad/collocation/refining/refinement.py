@@ -321,7 +321,7 @@ class _Refinement(Generic[S]):
 
 
 def _firmer(firmness: float, settled: int) -> float:
-    """Return the strength of the damping after a number of meshes with a settled objective."""
+    """Return the next damping strength, larger the longer the objective has hardly changed."""
     most = _FIRMEST if settled >= _MANY_SETTLED else _FIRM
     most = math.inf if settled >= _TOO_MANY_SETTLED else most
     return max(firmness, min(_FIRMER * firmness, most))
@@ -442,7 +442,7 @@ def _cut_off(reached: _Reached[S]) -> S:
 
 
 def _doubted(solution: S) -> S:
-    """Return a solution with a warning that better controls were sought only near its own."""
+    """Return a solution with a warning: better controls exist, but led to no optimum."""
     return solution.updated(
         status=Status.TOLERANCE_NOT_MET,
         message=(
