@@ -335,7 +335,7 @@ class Dynamics:
 
     @property
     def states_used_up(self) -> tuple[str, ...]:
-        """States fixed at the start and free at the end, such as a battery's charge."""
+        """Names of states with a given start and a free end, such as the charge of a battery."""
         declared = self._formulation.compiled.declared
         # An objective that reads the end of a state leaves it free.
         priced = symbol_names(declared.objective)

@@ -99,7 +99,7 @@ def first_point(
 
 @dataclass(frozen=True)
 class _Known:
-    """What is known of an initial point: the bounds, the model's values and a user's guess."""
+    """Sources of an initial point: bounds, values of the model, and the guess of the user."""
 
     program: Transcription
     bounds: Bounds

@@ -48,7 +48,7 @@ def packed(data: Any) -> Packed:
 
 
 def _changed(data: Any, kind: type, change: Callable[[Any], Any]) -> Any:
-    """Return nested data with each instance of a type replaced by what a function makes of it."""
+    """Return nested data with a function applied to each instance of a type."""
     if isinstance(data, kind):
         return change(data)
     if isinstance(data, tuple):

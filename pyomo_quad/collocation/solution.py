@@ -454,7 +454,7 @@ class Solution(Outcome):
 
     @property
     def algebraic_ranges(self) -> FloatArray:
-        """Width between the limits of each algebraic variable, or that of its values."""
+        """Upper minus lower limit of each algebraic variable; without limits, its own range."""
         lower, upper = self.algebraic_limits
         own = np.ptp(self.trajectory.algebraics, axis=0)
         return np.where(np.isfinite(upper - lower), upper - lower, own)

@@ -58,7 +58,7 @@ def limit_words(name: str) -> str:
 
 
 def limit_amount(name: str, size: float, unit: str) -> tuple[float, str]:
-    """Return the amount of a limit in a familiar unit, such as m/s instead of m**2/s**2."""
+    """Convert the size of a limit and its unit for readers: m/s where the model has m**2/s**2."""
     if name.partition("[")[0] not in WORDS:
         return size, unit
     return (sqrt(size), _ROOTS[unit]) if unit in _ROOTS else (size, _UNITS.get(unit, unit))

@@ -133,7 +133,10 @@ def find_routes(
 
 
 def zones_that_block(airspace: Airspace, start: Place, goal: Place) -> tuple[str, ...]:
-    """Return the zones that alone block every route, or all zones without such a zone."""
+    """Return the zones to remove for a route to exist: any one of them, or else all of them.
+
+    If no single zone suffices, they are a set from which none can be left out.
+    """
     zones = airspace.keep_out
 
     def has_route(kept: Sequence[KeepOut]) -> bool:

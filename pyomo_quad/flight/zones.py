@@ -192,7 +192,7 @@ def _places_along(zone: KeepOut, reach: float, near: FloatArray) -> FloatArray:
 
 
 def places_beside(zone: KeepOut, clearance: float, ends: FloatArray) -> FloatArray:
-    """Return points around a zone such that lines between neighbours avoid it."""
+    """Return points around a zone; the lines that join neighbours keep its clearance."""
     reach = clearance + MARGIN_M
     share, _ = _passage(zone, ends, clearance)
     passing = ends[0] + share * (ends[1] - ends[0])

@@ -335,7 +335,7 @@ class ModelSnapshot:
     schedules: tuple[Interpolant, ...]
 
     def _refuse(self, *_given: Any) -> NoReturn:
-        """Refuse what needs the model or its rules, which are not pickled."""
+        """Raise an error: the model and its rules are not in a pickled problem."""
         raise TranscriptionError(
             "model: a pickled problem keeps the model's equations and numbers, not the model; "
             "compile the model again to load values into it."
