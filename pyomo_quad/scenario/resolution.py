@@ -55,8 +55,8 @@ from pyomo_quad.scenario.wind_file import read_wind_file
 
 LARGEST_FILE_BYTES = 1_000_000
 DEEPEST_NESTING = 8
-# Comments and strings of TOML, closed or not. Possessive quantifiers avoid backtracking, so that the
-# search takes time in proportion to the text.
+# Comments and strings of TOML, closed or not. Possessive quantifiers avoid backtracking, so that
+# the search takes time in proportion to the length of the text.
 _TEXT = re.compile(
     r"""#[^\n]*+|\"{3}(?:[^"\\]++|\\.|"(?!""))*+(?:\"{3})?|'{3}(?:[^']++|'(?!''))*+(?:'{3})?"""
     r"""|"(?:[^"\\\n]++|\\.)*+"?|'[^'\n]*+'?""",
