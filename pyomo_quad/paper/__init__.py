@@ -1,1 +1,1 @@
-"""The paper reproduced: its experiments under every power model, its claims, and the report."""
+"""Reproduction of the paper: its experiments under every power model, its claims, and a report."""
