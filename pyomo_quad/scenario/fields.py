@@ -206,7 +206,7 @@ def quantity(
     return field
 
 
-#: Declare a field that older records (stored scenarios) lack; see `is_late` of `quantity`.
+#: Declare a field that older records (stored scenarios) lack: `quantity` with `is_late` set.
 late_quantity = partial(quantity, is_late=True)
 #: Declare a field with a text of one line, such as a title.
 title_field = partial(quantity, "", pattern=_ONE_LINE, allowed="one line", max_length=200)

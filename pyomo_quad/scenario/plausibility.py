@@ -75,7 +75,7 @@ def created_power(vehicle: Vehicle, power: Power, gravity: float) -> str:
 def contradictions(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[Contradiction]:
     """Yield the physical contradictions between a vehicle's numbers.
 
-    Checked are the motor constants, the moments of inertia and the power of hover; see the module.
+    Checked are the motor constants, the moments of inertia and the power of hover.
 
     Parameters
     ----------
