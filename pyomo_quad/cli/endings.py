@@ -34,7 +34,10 @@ _is_told = False
 
 
 class Stopped(Exception):  # noqa: N818  a stop by the user is not an error
-    """Exception: the user stopped a command, which has not printed a message yet."""
+    """Exception: the user stopped a command before it printed its result.
+
+    The handler prints a message, because none has been printed yet.
+    """
 
 
 class SolveStopped(Stopped):

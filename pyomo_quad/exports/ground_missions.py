@@ -506,7 +506,15 @@ def _inscribed(
 
 
 def _toml(tables: Mapping[str, Any], left_out: Sequence[str]) -> str:
-    """Write a scenario's tables as TOML, with a comment for each content that is left out."""
+    """Write a scenario's tables as TOML text, with comments on the mission file's other content.
+
+    Parameters
+    ----------
+    tables : mapping
+        Tables of the scenario.
+    left_out : sequence of str
+        Contents of the mission file that the scenario cannot hold, one comment each.
+    """
     lines = ["#:schema ./scenario.schema.json"]
     lines += [f"# Not of the mission's file: {note}." for note in left_out]
     for name, value in tables.items():

@@ -296,9 +296,9 @@ class Motion:
         return self.slopes(t, ATTITUDE_STATES[2:])[:, 0]
 
     def quaternions(self, t: FloatArray) -> FloatArray:
-        """Return the attitudes of the body as unit quaternions x, y, z, w, shape (n, 4).
+        """Return the body's attitudes at times after the start as unit quaternions, shape (n, 4).
 
-        A quaternion rotates vectors from body axes to world axes.
+        The components are x, y, z, w. A quaternion rotates vectors from body axes to world axes.
         """
         roll_pitch_yaw = self.values(t, ATTITUDE_STATES)
         return np.asarray(Rotation.from_euler("ZYX", roll_pitch_yaw[:, ::-1]).as_quat())

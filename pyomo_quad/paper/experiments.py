@@ -1,7 +1,7 @@
-"""The paper's two experiments as missions, with their optimal and controlled flights.
+"""The two experiments of Yacef et al. as missions, with their optimal and controlled flights.
 
-f_r is the paper's efficiency of motor and rotor, a polynomial of torque and speed that the paper
-does not print; a form recovered from public re-implementations is used.
+f_r is the efficiency of motor and rotor in their paper, a polynomial of torque and speed that the
+paper does not print; a form recovered from public re-implementations is used.
 """
 
 from collections.abc import Mapping
@@ -38,14 +38,14 @@ _NAMED = {1: ("paper_calm", "calm"), 2: ("paper_wind", "paper_table_2")}
 
 
 class Experiment(IntEnum):
-    """Experiments of the paper's section IV: a flight in calm air, and the same flight in wind."""
+    """Experiments of Yacef et al., section IV: the same flight in calm air and in wind."""
 
     CALM = 1
     WIND = 2
 
 
 def paper_scenario(experiment: Experiment, values: Mapping[str, Any] | None = None) -> Scenario:
-    """Return the scenario of one of the paper's experiments.
+    """Return the scenario of one of the experiments of Yacef et al.
 
     Parameters
     ----------
@@ -70,7 +70,10 @@ def paper_scenario(experiment: Experiment, values: Mapping[str, Any] | None = No
 
 @dataclass(frozen=True, kw_only=True)
 class BaselineCase:
-    """Settings of a flight under the adaptive controller: experiment, power model and reference."""
+    """Settings of a flight under the adaptive controller.
+
+    These are the experiment (calm air or wind), the power model and the reference trajectory.
+    """
 
     experiment: Experiment
     power_model: PowerModel
@@ -107,7 +110,7 @@ def baseline_cases(*, is_quick: bool = False) -> tuple[BaselineCase, ...]:
 
 
 def fly_baseline_case(case: BaselineCase) -> BaselineFlight:
-    """Simulate a flight of one of the paper's experiments under the adaptive controller."""
+    """Simulate a flight of an experiment of Yacef et al. under the adaptive controller."""
     scenario = paper_scenario(case.experiment, {"power.model": case.power_model})
     dynamics = Planner().dynamics(scenario)
     return BaselineFlight(
@@ -119,8 +122,8 @@ def fly_baseline_case(case: BaselineCase) -> BaselineFlight:
 def full_speed_energy(experiment: Experiment) -> float:
     """Return the energy of an experiment with all rotors at full speed throughout [J].
 
-    The power is computed with the paper's efficiency f_r. To use more energy, the rotors would have
-    to accelerate and brake all the time.
+    The power is computed with the efficiency f_r of Yacef et al. To use more energy, the rotors
+    would have to accelerate and brake all the time.
     """
     scenario = paper_scenario(experiment, {"power.model": PowerModel.EFFICIENCY})
     steady = Planner().steady_flight(scenario)
@@ -145,8 +148,8 @@ _COARSE: dict[str, Any] = {"solver.elements": 20, "solver.max_refinements": 0}
 class FlightCase:
     """Settings of an optimal flight: experiment, power model, wind and battery.
 
-    The paper leaves open how the wind acts, in which unit its frequencies are, and which battery is
-    meant; each combination is a case.
+    The paper of Yacef et al. leaves open how the wind acts, in which unit its frequencies are, and
+    which battery is meant; each combination is a case.
     """
 
     experiment: Experiment
@@ -175,7 +178,7 @@ class FlightCase:
 
 @dataclass(frozen=True, kw_only=True)
 class PaperFlight:
-    """Optimal flight of one of the paper's experiments.
+    """Optimal flight of an experiment of Yacef et al.
 
     Attributes
     ----------
@@ -184,8 +187,8 @@ class PaperFlight:
     flight : Flight
         The planned flight.
     status : PlanStatus
-        Status of the solve. Under f_r a flight may be verified although the solve does not prove
-        that it is optimal.
+        Status of the solve. With the efficiency f_r a flight may be verified although the solve
+        does not prove that it is optimal.
     hover_energy_J : float
         Energy of hovering for the same time under the same power model.
     end_prices : mapping
@@ -214,7 +217,9 @@ def flight_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
 
 
 def battery_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
-    """List the settings of the first experiment with both batteries.
+    """List the settings of the flight in calm air with two batteries.
+
+    The batteries are that of the vehicle's maker and the cell of Yacef et al.
 
     Parameters
     ----------
@@ -226,7 +231,7 @@ def battery_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
 
 
 def wind_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
-    """List the settings of the second experiment with every interpretation of the wind.
+    """List the settings of the flight in wind with every interpretation of the wind.
 
     The wind acts as an acceleration or by drag, and its frequencies are in rad/s or Hz.
 
@@ -241,7 +246,7 @@ def wind_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
 
 
 def fly_case(case: FlightCase) -> PaperFlight:
-    """Plan one of the paper's flights and verify it by simulation."""
+    """Plan a flight of an experiment of Yacef et al., and verify it by simulation."""
     plan = _plan(case.scenario, Planner())
     return PaperFlight(
         case=case,
@@ -266,7 +271,7 @@ def _plan(scenario: Scenario, planner: Planner) -> Plan:
 
 
 def _flown(plan: Plan) -> Flight:
-    """Return the flight of a plan, simulated also if the solve did not prove it optimal."""
+    """Return the flight of a plan, simulated even if the solve did not prove it optimal."""
     if plan.verification is not None:
         return plan.flight()
     held = plan.trajectories

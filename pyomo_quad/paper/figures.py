@@ -1,6 +1,6 @@
-"""Counterparts of the paper's figures 1 to 7, and the figure of least energies under f_r.
+"""Counterparts of figures 1 to 7 of Yacef et al., and a figure of least energies under f_r.
 
-f_r is the paper's efficiency of motor and rotor.
+f_r is the efficiency of motor and rotor in their paper.
 """
 
 from collections.abc import Iterator
@@ -37,8 +37,8 @@ _HEADROOM = 0.6  # space above the energy of hovering [kJ]
 def draw_floors(study: PaperStudy) -> Figure:
     """Draw the least energy of any flight against the bound on the rotor acceleration.
 
-    There is one curve for each interpretation of the paper's efficiency f_r: with lower limits
-    (regularised), and as the bare polynomial (literal).
+    There is one curve for each interpretation of the efficiency f_r of Yacef et al.: with lower
+    limits (regularised), and as the bare polynomial (literal).
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ _MOTION_FIGURES = {Experiment.CALM: (3, 4), Experiment.WIND: (5, 6)}
 
 
 def paper_drawings(study: PaperStudy) -> tuple[Drawing, ...]:
-    """List the figures that are counterparts of the paper's figures 1 to 7."""
+    """List the figures that are counterparts of figures 1 to 7 of Yacef et al."""
     return (
         *_power(study),
         *_motion(study, Experiment.CALM),
@@ -90,7 +90,7 @@ def paper_drawings(study: PaperStudy) -> tuple[Drawing, ...]:
 
 
 def floor_drawing(study: PaperStudy) -> Drawing:
-    """Return the figure of the least energy of any flight under the paper's efficiency f_r."""
+    """Return the figure of the least energy of any flight under the efficiency f_r."""
     return Drawing(
         name="floors",
         title="Least energy under f_r",

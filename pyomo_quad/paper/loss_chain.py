@@ -1,7 +1,7 @@
-"""Counterpart of the paper's figure 1: chain of losses of a flight, and map of f_r.
+"""Counterpart of figure 1 of Yacef et al.: chain of losses of a flight, and map of f_r.
 
 The chain leads from the battery over resistances and windings to the rotors. The flight is also
-drawn on the map of the paper's efficiency f_r over rotor speed and torque.
+drawn on the map of their efficiency f_r of motor and rotor over rotor speed and torque.
 """
 
 from dataclasses import dataclass

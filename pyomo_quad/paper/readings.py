@@ -1,7 +1,8 @@
-"""Interpretations of the paper's efficiency f_r, and solves on fixed meshes under each.
+"""Interpretations of the efficiency f_r of Yacef et al., and solves on fixed meshes under each.
 
-The paper does not print f_r. Its form recovered from public re-implementations is zero at some
-braking torques, so that the literal problem has no minimum if the rotors may brake hard enough.
+f_r is the efficiency of motor and rotor, which their paper does not print. Its form recovered from
+public re-implementations is zero at some braking torques, so that the literal problem has no
+minimum if the rotors may brake hard enough.
 """
 
 from dataclasses import dataclass
@@ -28,7 +29,7 @@ _NO_FLOOR = -1e3
 
 
 class Reading(StrEnum):
-    """Interpretation of f_r where it is small or negative.
+    """Interpretation of the efficiency f_r of motor and rotor where it is small or negative.
 
     `REGULARISED` limits torque and efficiency from below, and braking returns no energy. `LITERAL`
     uses the bare polynomial, and braking returns energy.
@@ -38,7 +39,7 @@ class Reading(StrEnum):
     LITERAL = "literal"
 
     def values(self) -> dict[str, Any]:
-        """Return the scenario fields that select this interpretation, by dotted path."""
+        """Return the scenario fields that select this interpretation of f_r, by dotted path."""
         return {
             "power.model": PowerModel.EFFICIENCY,
             "power.regeneration": self is Reading.LITERAL,
@@ -143,7 +144,7 @@ def mesh_trials(*, is_quick: bool = False) -> tuple[MeshTrial, ...]:
 
 
 def run_trial(trial: MeshTrial) -> TrialOutcome:
-    """Solve the first experiment on one mesh without refinement, and simulate the controls."""
+    """Solve the experiment in calm air on one mesh, and simulate the controls."""
     scenario = paper_scenario(
         Experiment.CALM,
         trial.reading.values() | {"limits.rotor_acceleration_max": trial.bound},

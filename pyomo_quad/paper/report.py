@@ -1,4 +1,4 @@
-"""Report on the paper: which results are reproduced and which are not, with reasons in numbers."""
+"""Report on the paper of Yacef et al.: results that are reproduced or not, with the reasons."""
 
 import json
 from collections.abc import Iterator
@@ -41,7 +41,9 @@ _THROUGH_DRAG = {"wind.coupling": WindCoupling.DRAG}
 
 
 class Tolerance(NamedTuple):
-    """Largest relative difference between a committed and a newly computed number of a table.
+    """Relative difference up to which a table of the report counts as reproduced.
+
+    The tables in the repository are compared with tables that another machine computes.
 
     Attributes
     ----------
@@ -76,7 +78,7 @@ TIMES_NAME = "timings.json"
 
 
 def write_paper_report(folder: Path, study: PaperStudy, figures: Figures = Figures.SVG) -> None:
-    """Write the report on the paper: `report.md`, tables and figures.
+    """Write the report on the paper of Yacef et al.: `report.md`, tables and figures.
 
     Equal results give files with the same bytes, apart from the wall times in a file of their own.
 
@@ -115,7 +117,7 @@ def write_paper_report(folder: Path, study: PaperStudy, figures: Figures = Figur
 
 
 def _equations() -> Iterator[dict[str, Any]]:
-    """Yield the model's equations of the second experiment in groups, each equation once."""
+    """Yield the model's equations for the flight in wind in groups, each equation once."""
     seen: set[str] = set()
     groups: tuple[tuple[str | None, PowerModel | None, dict[str, Any]], ...] = (
         ("The second experiment, under the electrical power of the motors", None, {}),
@@ -133,7 +135,13 @@ def _equations() -> Iterator[dict[str, Any]]:
 
 
 def examination(study: PaperStudy) -> dict[str, Any]:
-    """Return the template variables that compare the study's results with the paper's claims."""
+    """Compare the study's results with the claims of Yacef et al.
+
+    Returns
+    -------
+    dict
+        Variables of the report's template.
+    """
     bound, least = map(float, study.floors[Reading.REGULARISED][-1])
     regularised, literal = study.floors[Reading.REGULARISED], study.floors[Reading.LITERAL]
     trials = [outcome for outcome in study.trials if outcome.trial.reading is Reading.LITERAL]
@@ -164,9 +172,10 @@ def examination(study: PaperStudy) -> dict[str, Any]:
 
 
 def _bound_of_printed_optimum(study: PaperStudy) -> float:
-    """Return the rotor acceleration [rad/s²] at which the least energy equals the printed one.
+    """Return the bound on the rotor acceleration at which the least energy is the printed one.
 
-    The least energy is that of any flight under the literal f_r.
+    The least energy is that of any flight under the literal f_r; the printed energy is that of the
+    optimum of Yacef et al. The bound is in rad/s².
     """
     bounds, energies = study.floors[Reading.LITERAL].T
     finite = np.isfinite(energies)
@@ -174,7 +183,7 @@ def _bound_of_printed_optimum(study: PaperStudy) -> float:
 
 
 def _adaptive(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
-    """Return numbers to compare with the energy that the paper prints for its adaptive flight."""
+    """Return numbers to compare with the energy that Yacef et al. print for adaptive control."""
     has_jump = any(flown.case.reference is Reference.STEP for flown in study.baselines)
     references = Reference.QUINTIC, Reference.STEP if has_jump else Reference.QUINTIC
     smooth, jump = (

@@ -1,6 +1,6 @@
 """Power and efficiency of one rotor, and the least energy of any flight under f_r.
 
-f_r is the paper's efficiency of motor and rotor. Power and f_r are sampled from the declared
+f_r is the efficiency of motor and rotor of Yacef et al. Power and f_r are sampled from the declared
 equations. The least energy lets rotors alternate between speeds and accelerations ("chattering"),
 which is the convex envelope of the power; it is a floor below every flight. `docs/theory` has no
 page on these floors: `examination.md.j2` prints their derivation beside them.
@@ -117,9 +117,10 @@ def envelope_at(x: FloatArray, y: FloatArray, at: float) -> FloatArray:
 def chattering_floors(
     reading: Reading, bounds: tuple[float, ...] = BOUNDS + _HIGHER_BOUNDS
 ) -> FloatArray:
-    """Compute lower bounds on the energy of any flight of the first experiment under f_r.
+    """Compute lower bounds on the energy of any flight in calm air under f_r.
 
-    The rotors may alternate between speeds and accelerations arbitrarily fast.
+    f_r is the efficiency of Yacef et al. The rotors may alternate between speeds and accelerations
+    arbitrarily fast.
 
     Parameters
     ----------
@@ -205,7 +206,7 @@ def _last_zero(braking: FloatArray, efficiency: FloatArray) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class EfficiencyMap:
-    """Samples of the paper's efficiency f_r over rotor speed and torque.
+    """Samples of the efficiency f_r of Yacef et al. over rotor speed and torque.
 
     Attributes
     ----------

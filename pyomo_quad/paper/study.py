@@ -1,4 +1,4 @@
-"""Computation of all results of the report on the paper, in two worker processes."""
+"""Computation of all results of the report on Yacef et al., in two worker processes."""
 
 from collections.abc import Callable
 from concurrent.futures import as_completed
@@ -69,7 +69,11 @@ class PackFacts:
 
 
 def pack_facts() -> tuple[PackFacts, ...]:
-    """Return energy and power of each battery, with the motors' electrical power and with f_r."""
+    """Compute energy and power of each battery, and compare them with hovering.
+
+    Hovering is computed with the motors' electrical power and with the efficiency f_r of Yacef et
+    al.
+    """
     planner = Planner()
     cases = product((PowerModel.MOTOR, PowerModel.EFFICIENCY), _PACKS)
     return tuple(_facts(planner, model, name, cells) for model, (name, cells) in cases)
@@ -102,20 +106,20 @@ WORKERS = 2
 
 @dataclass(frozen=True, kw_only=True)
 class PaperStudy:
-    """All results of the study of the paper.
+    """All results of the study that reproduces the experiments of Yacef et al.
 
     Attributes
     ----------
     flights, wind_flights, battery_flights : tuple of PaperFlight
-        Optimal flights: both experiments under every power model; the second with every
-        interpretation of the wind; the first with both batteries.
+        Optimal flights: both experiments (calm air, wind) under every power model; the flight in
+        wind with every interpretation of the wind; the flight in calm air with two batteries.
     baselines : tuple of BaselineFlight
         Flights under the adaptive controller.
     packs : tuple of PackFacts
         Energy and power of the batteries.
     floors : dict
         Bounds on the rotor acceleration [rad/s²] and least energies of any flight [J], for each
-        interpretation of f_r.
+        interpretation of the efficiency f_r.
     critical_acceleration, critical_speed : float
         Rotor acceleration [rad/s²] and speed [rad/s] at which f_r first reaches zero.
     efficiency_map : EfficiencyMap
@@ -146,7 +150,7 @@ class _Task(NamedTuple):
 
 
 def run_paper_study(*, is_quick: bool = False, step: Step | None = None) -> PaperStudy:
-    """Compute all results of the study of the paper in two worker processes.
+    """Compute all results of the study of Yacef et al. in two worker processes.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Tables of the study of the paper, with the numbers that the paper prints.
+"""Tables of the study of Yacef et al., with the numbers that their paper prints.
 
 Column names contain SI units. `printed.csv` holds the paper's parameters, each with the scenario
 field that it corresponds to.
@@ -40,16 +40,16 @@ _PRINTED_HOVER_SPEED = 912.0  # rad/s, section IV
 
 
 def implied_wind_optimum() -> float:
-    """Return the energy of the second experiment's optimum that the paper's saving implies [J].
+    """Return the energy [J] of the optimal flight in wind that the printed saving implies.
 
-    The paper prints only the saving, a reduction relative to the flight under the adaptive
+    Yacef et al. print only the saving, a reduction relative to their flight under the adaptive
     controller.
     """
     return ADAPTIVE_ENERGY[2] * (1 - SAVING[2] / 100)
 
 
 def paper_parameters() -> pd.DataFrame:
-    """Return a table of the parameters that the paper prints and of the values that are used."""
+    """Return a table of the parameters that Yacef et al. print, and of the values that are used."""
     table = pd.read_csv(Path(__file__).with_name("printed.csv"), converters={"printed": float})
     scenario = paper_scenario(Experiment.WIND, {"battery.use": PAPER_CELL})
     used = {field.path: field.value for field in describe_fields(scenario)}
@@ -66,7 +66,13 @@ def _used(values: dict[str, object], field: str) -> float:
 
 
 def corrections(study: PaperStudy) -> dict[str, Any]:
-    """Return the template variables for the list of errors and gaps in the paper."""
+    """List the errors and gaps in the paper of Yacef et al., as numbers.
+
+    Returns
+    -------
+    dict
+        Variables of the report's template.
+    """
     printed = paper_parameters().set_index("field")["printed"]["vehicle.torque_constant"]
     scenario = paper_scenario(Experiment.CALM)
     steady = Planner().steady_flight(scenario.with_values({"power.model": PowerModel.SHAFT}))
@@ -129,7 +135,7 @@ TABLES = {
 
 
 def paper_tables(study: PaperStudy) -> dict[str, pd.DataFrame]:
-    """Return every table of the report, by its name in `TABLES`."""
+    """Return every table of the report on Yacef et al., by its name in `TABLES`."""
     rows = {
         "experiments": map(_experiment_row, study.flights),
         "wind": map(_wind_row, study.wind_flights),

@@ -199,7 +199,7 @@ class Polar:
 
     @property
     def own(self) -> SteadyCurve:
-        """Curve of the scenario's own payload."""
+        """Curve of power and endurance over airspeed with the scenario's own payload."""
         return self.curves[0]
 
 

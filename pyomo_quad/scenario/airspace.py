@@ -260,7 +260,7 @@ class KeepOut(Part):
 
     @property
     def balls(self) -> tuple[Ball, ...]:
-        """Balls whose intersection is the zone; see `Ball`."""
+        """Balls (spheres, vertical cylinders and intervals) whose intersection is the zone."""
         if self.low is not None and self.high is not None:
             sides = enumerate(zip(self.low, self.high, strict=True))
             return tuple(_interval(axis, low, high) for axis, (low, high) in sides)

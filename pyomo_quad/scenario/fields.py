@@ -103,7 +103,7 @@ class Part(BaseModel):
 
     @model_serializer(mode="wrap")
     def _record(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Serialise the table for records, such as the summary of a report.
+        """Serialise the table for a record, such as the scenario in the summary of a report.
 
         Fields that older records lack are left out while they have their default, so that records
         of unchanged scenarios remain equal.
@@ -213,7 +213,7 @@ title_field = partial(quantity, "", pattern=_ONE_LINE, allowed="one line", max_l
 
 
 def unit_of(model: type[BaseModel], name: str) -> str:
-    """Return the unit of a table's field.
+    """Return the unit of a field of a scenario's table.
 
     Parameters
     ----------

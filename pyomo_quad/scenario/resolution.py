@@ -487,7 +487,10 @@ def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
 
 
 def _initial_values(model: type[BaseModel]) -> dict[str, Any]:
-    """Return the values of fields whose default in scenario files differs from that of records."""
+    """Return the values of fields whose default in scenario files differs from that in records.
+
+    A record is a complete scenario that was stored earlier, for example in a report.
+    """
     tables: dict[str, Any] = {}
     for path in field_paths(model):
         table, _ = declared_place(model, path[:-1])

@@ -51,21 +51,21 @@ _FAST = Sound(-1e4, 1e4, "gusts take longer than 1 ms")
 
 
 class WindCoupling(StrEnum):
-    """Effect of the wind on the vehicle: drag on the airspeed, or an acceleration as in eq. (9)."""
+    """Effect of the wind: drag on the airspeed, or an acceleration as in Yacef et al., eq. (9)."""
 
     ACCELERATION = "acceleration"
     DRAG = "drag"
 
 
 class FrequencyUnit(StrEnum):
-    """Unit of the frequencies of the wind's harmonics: rad/s as in eq. (11), or hertz."""
+    """Unit of the frequencies of the wind's harmonics: rad/s as in Yacef et al., or hertz."""
 
     RADIAN_PER_SECOND = "rad/s"
     HERTZ = "hz"
 
 
 class WindAxis(Part):
-    """Wind along one axis by eq. (11)-(12): mean, three harmonics and a gust."""
+    """Wind along one axis by Yacef et al., eq. (11)-(12): mean, three harmonics and a gust."""
 
     mean: Number = quantity("m/s", "mean value (v0)", sound=_WIND)
     amplitudes: Triple = quantity("m/s", "amplitudes of the harmonics (A_k)", sound=_WIND)
@@ -348,7 +348,7 @@ class Wind(Part):
 
     @property
     def is_formula(self) -> bool:
-        """Whether the wind is the formula of eq. (11)-(12), not read from a file."""
+        """Whether the wind is the formula of Yacef et al., eq. (11)-(12), not read from a file."""
         return self.series is None and self.grid is None
 
     @property

@@ -166,7 +166,7 @@ class OutsideStudy:
         Distance from the plan over time of each flight that follows a plan, by mission, vehicle and
         controller.
     lag_s : float
-        Time constant of the motors of the paper's vehicle in RotorPy [s].
+        Time constant of the motors in RotorPy, for the vehicle of Yacef et al. [s].
     """
 
     flights: pd.DataFrame

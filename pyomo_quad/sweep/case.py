@@ -492,7 +492,7 @@ class _Bench:
         """Plan a case's flight, starting from the solution of its parent case.
 
         If the plan from this warm start is not verified, or there is no warm start, the case is
-        solved again from an own initial guess.
+        solved again from the planner's own initial guess.
         """
         parent = unpack(warm_start) if warm_start is not None else None
         if parent is not None:

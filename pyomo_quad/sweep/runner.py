@@ -54,12 +54,12 @@ class SweepSummary:
     Attributes
     ----------
     total : int
-        Cases of the design.
+        Number of cases of the sweep.
     already_finished : int
-        Cases that finished or failed in an earlier run and were not solved again.
+        Number of cases that finished or failed in an earlier run and were not solved again.
     finished, failed, lost : int
-        Cases that this run solved, that failed numerically, and that were lost because their
-        worker process died.
+        Numbers of cases that this run solved, that failed numerically, and that were lost because
+        their worker process died.
     is_interrupted : bool
         Whether Ctrl-C ended the run early.
     """
@@ -271,7 +271,26 @@ class Sweep:
 def case_task(
     design: SweepDesign, base: Scenario, case: Case, solver: str, warm_start: bytes | None
 ) -> CaseTask | CaseOutcome:
-    """Return the task of a case, or a failed row if its scenario is invalid."""
+    """Make the worker's input for one case of a sweep.
+
+    Parameters
+    ----------
+    design : SweepDesign
+        Specification of the sweep.
+    base : Scenario
+        Base scenario, whose fields the case changes.
+    case : Case
+        The case.
+    solver : str
+        Function that solves a case, as ``module:function``.
+    warm_start : bytes or None
+        Packed solution of the parent case, the initial guess.
+
+    Returns
+    -------
+    CaseTask or CaseOutcome
+        The input; the row of a failed case if the changed scenario is invalid.
+    """
     task = CaseTask(
         position=case.position,
         key=case.key,

@@ -5,7 +5,7 @@ from enum import StrEnum
 
 
 class Kind(StrEnum):
-    """Origin of a vehicle's number."""
+    """Origin of a vehicle's number: given by the owner, computed, estimated or measured."""
 
     GIVEN = "given"
     COMPUTED = "computed"
@@ -45,7 +45,7 @@ class Estimate:
 
     @property
     def spread(self) -> float:
-        """Width of the range relative to the value."""
+        """Width of the number's range relative to its value."""
         return (self.high - self.low) / self.value if self.value else 0.0
 
 

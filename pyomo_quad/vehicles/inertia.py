@@ -37,7 +37,7 @@ class MassModel:
 
     @property
     def empty(self) -> float:
-        """Mass without the battery [kg]; at least half of the total mass."""
+        """Mass without the battery [kg], taken as at least half of the total mass."""
         return max(self.mass - self.pack_mass, 0.5 * self.mass)
 
     @property
@@ -46,7 +46,10 @@ class MassModel:
         return _MOTOR_SHARE * self.empty / self.rotors
 
     def moments(self) -> tuple[float, float, float]:
-        """Return the moments of inertia about body x, y and z [kg m²], eq. (9)."""
+        """Return the moments of inertia about body x, y and z [kg m²].
+
+        They follow eq. (9) of docs/theory/vehicle_from_data.md.
+        """
         tips = _MOTOR_SHARE * self.empty * self.arm**2
         arms = _ARM_SHARE * self.empty * self.arm**2 / 3
         body = (1 - _MOTOR_SHARE - _ARM_SHARE) * self.empty

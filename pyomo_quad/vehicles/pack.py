@@ -52,7 +52,10 @@ class Pack:
 
     @property
     def mass(self) -> float:
-        """Mass of the pack, estimated from its energy [kg], eq. (7)."""
+        """Mass of the pack [kg], estimated from its energy.
+
+        Derivation: see docs/theory/vehicle_from_data.md, eq. (7).
+        """
         return self.nominal_voltage * self.capacity * _SECONDS_PER_HOUR / _ENERGY_PER_KG
 
     @property
@@ -115,7 +118,16 @@ _MASS_SHARE = 0.3
 
 
 def usual_pack(mass: float) -> Pack:
-    """Estimate the battery pack of a vehicle from its mass [kg], eq. (7)."""
+    """Estimate the battery pack of a vehicle from the vehicle's mass.
+
+    The pack has 30 % of the mass, and the usual number of cells in series. Derivation: see
+    docs/theory/vehicle_from_data.md, eq. (7).
+
+    Parameters
+    ----------
+    mass : float
+        Mass of the vehicle with its pack [kg].
+    """
     series = next((cells for most, cells in _SERIES if mass <= most), _MOST_SERIES)
     energy = _MASS_SHARE * mass * _ENERGY_PER_KG
     capacity = energy / (series * NOMINAL_V * _SECONDS_PER_HOUR)

@@ -46,7 +46,7 @@ class Propeller:
 
     @property
     def radius(self) -> float:
-        """Radius [m]."""
+        """Radius of the propeller [m]."""
         return self.diameter / 2
 
     @property
@@ -56,12 +56,17 @@ class Propeller:
 
     @property
     def coefficient(self) -> float:
-        """Static thrust coefficient C_T, eq. (1)."""
+        """Static thrust coefficient C_T: thrust over rho n² D⁴, n in revolutions per second.
+
+        Derivation: see docs/theory/vehicle_from_data.md, eq. (1).
+        """
         first, second = _THRUST_FIT
         return first + second * self.pitch / self.diameter
 
     def thrust_over_speed_squared(self, density: float) -> float:
-        """Return the thrust over the rotor speed squared [N s²], eq. (1).
+        """Return the thrust over the square of the rotor speed [N s²].
+
+        Derivation: see docs/theory/vehicle_from_data.md, eq. (1).
 
         Parameters
         ----------
@@ -119,7 +124,10 @@ class RotorHover:
 
     @property
     def shaft_power(self) -> float:
-        """Power of the shaft, induced and profile power together [W], eq. (2)."""
+        """Power of the shaft [W]: induced power plus profile power.
+
+        Derivation: see docs/theory/vehicle_from_data.md, eq. (2).
+        """
         return self.induced_power + self.profile_power
 
     @property
@@ -134,7 +142,10 @@ class RotorHover:
 
     @property
     def drive_efficiency(self) -> float:
-        """Efficiency of motor and speed controller: shaft power over electrical power, eq. (4)."""
+        """Efficiency of motor and speed controller: shaft power over electrical power.
+
+        Derivation: see docs/theory/vehicle_from_data.md, eq. (4).
+        """
         return 1 / (1 + (_HALF_LOST_W / self.shaft_power) ** _LOSS_EXPONENT)
 
 
