@@ -11,7 +11,7 @@ from typing import Any
 
 
 class ExitCode(IntEnum):
-    """Exit status of a `pyomo-quad` command."""
+    """Exit status of a `pyomo-quad` command: 0 for success, otherwise the kind of failure."""
 
     VERIFIED = 0
     FAULT = 1  # the disk, the system or a bug

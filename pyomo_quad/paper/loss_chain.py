@@ -69,12 +69,17 @@ class EnergyChain:
 
 
 def energy_chain(flown: PaperFlight) -> EnergyChain:
-    """Integrate the chain of losses over a flight under the motors' electrical power.
+    """Integrate the losses of a flight from the battery over the windings to the rotors.
 
     Parameters
     ----------
     flown : PaperFlight
-        Optimal flight under the power model `motor`.
+        Optimal flight under the power model `motor`, the motors' electrical power.
+
+    Returns
+    -------
+    EnergyChain
+        Energies and losses [J].
     """
     frame, scenario = flown.flight.frame, flown.case.scenario
     time = frame[TIME].to_numpy()

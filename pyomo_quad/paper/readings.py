@@ -39,26 +39,37 @@ class Reading(StrEnum):
     LITERAL = "literal"
 
     def values(self) -> dict[str, Any]:
-        """Return the scenario fields that select this interpretation of f_r, by dotted path."""
+        """Return the scenario fields that select this interpretation of the efficiency f_r.
+
+        Returns
+        -------
+        dict
+            Values by dotted path.
+        """
         return {
             "power.model": PowerModel.EFFICIENCY,
             "power.regeneration": self is Reading.LITERAL,
         }
 
     def planner(self) -> Planner:
-        """Return a planner whose model uses this interpretation of f_r."""
+        """Return a planner whose model uses this interpretation of the efficiency f_r."""
         return Planner(literal_model if self is Reading.LITERAL else model_without_battery)
 
 
 def model_without_battery(scenario: Scenario) -> "ConcreteModel":
-    """Build a mission's model without battery, whose current is undefined for some f_r."""
+    """Build a mission's model without battery.
+
+    The battery's current is undefined for some values of the efficiency f_r of Yacef et al.
+    """
     m = build_model(scenario)
     m.del_component(m.battery)
     return m
 
 
 def literal_model(scenario: Scenario) -> "ConcreteModel":
-    """Build a mission's model in which f_r is the bare polynomial, without lower limits.
+    """Build a mission's model in which the efficiency f_r is the bare polynomial.
+
+    The package's usual model limits the torque and the efficiency from below.
 
     Parameters
     ----------
@@ -83,7 +94,7 @@ _OPTIONS = SolverOptions(tolerance=1e-6, max_iterations=100)
 
 @dataclass(frozen=True, kw_only=True)
 class MeshTrial:
-    """Settings of a solve on a fixed mesh.
+    """Settings of a solve on a fixed mesh with an interpretation of the efficiency f_r.
 
     Attributes
     ----------
@@ -119,7 +130,7 @@ class TrialOutcome:
     energy_J : float
         Energy by the quadrature on the mesh.
     flown_energy_J : float
-        Energy when the controls are simulated; NaN where f_r passes zero during the flight.
+        Energy when the controls are simulated; NaN if the efficiency f_r passes zero in flight.
     miss_m : float
         Distance from the goal when the controls are simulated.
     """
@@ -173,7 +184,8 @@ def _fly(scenario: Scenario, solution: Solution, priced: Dynamics) -> tuple[floa
     Returns
     -------
     tuple of float
-        Energy [J], NaN where f_r passes zero, and distance from the goal at the end [m].
+        Energy [J], NaN if the efficiency f_r passes zero, and distance from the goal at the end
+        [m].
     """
     # The motion is independent of the power model; the motors' power is finite everywhere.
     steerable = scenario.with_values({"power.model": PowerModel.MOTOR, "power.regeneration": True})

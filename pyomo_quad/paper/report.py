@@ -174,8 +174,8 @@ def examination(study: PaperStudy) -> dict[str, Any]:
 def _bound_of_printed_optimum(study: PaperStudy) -> float:
     """Return the bound on the rotor acceleration at which the least energy is the printed one.
 
-    The least energy is that of any flight under the literal f_r; the printed energy is that of the
-    optimum of Yacef et al. The bound is in rad/s².
+    The least energy is that of any flight with the bare polynomial of the efficiency f_r; the
+    printed energy is that of the optimum of Yacef et al. The bound is in rad/s².
     """
     bounds, energies = study.floors[Reading.LITERAL].T
     finite = np.isfinite(energies)

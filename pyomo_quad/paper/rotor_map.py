@@ -58,7 +58,7 @@ class RotorMap:
 def rotor_map(
     dynamics: Dynamics, speed: FloatArray, acceleration: FloatArray, efficiency: str | None
 ) -> RotorMap:
-    """Sample the power of one rotor from the declared equations.
+    """Sample the power of one rotor from the model's equations.
 
     Parameters
     ----------
@@ -173,7 +173,9 @@ def floor_energy(scenario: Scenario, sampled: RotorMap, bound: float) -> float:
 
 
 def critical_acceleration(samples: int = 151) -> tuple[float, float]:
-    """Find the least bound on the rotor acceleration at which f_r reaches zero.
+    """Find the least bound on the rotor acceleration at which the efficiency f_r reaches zero.
+
+    f_r is the efficiency of motor and rotor of Yacef et al., as a bare polynomial.
 
     Parameters
     ----------

@@ -265,7 +265,7 @@ class _Mission:
         return self.planner.dynamics(self.scenario)
 
     def declared(self, pilot: Pilot, followed: Reference = Reference.PLAN) -> Flown:
-        """Return a flight of the package's own vehicle model, not simulated yet."""
+        """Return a flight of the package's own ("declared") vehicle model, not simulated yet."""
         fly: Callable[[], Flight] = partial(
             fly_baseline, self.scenario, followed, dynamics=self.dynamics, plan=self.plan
         )

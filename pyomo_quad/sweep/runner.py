@@ -190,6 +190,9 @@ class Sweep:
     def _next_of(self, cases: list[Case]) -> list[Case]:
         """Replace each case that has already ended by its nearest descendants without a result.
 
+        A case's children are the cases that start from its solution, its descendants also their
+        children.
+
         Returns
         -------
         list of Case
@@ -239,8 +242,9 @@ class Sweep:
     def _forget_descendants(self, case: Case) -> list[str]:
         """Invalidate the results of a case's descendants if an earlier run lost the case.
 
-        When a case is lost, its children start from the warm start of its parent. Now that the case
-        is solved, its descendants are solved again from its solution, so that all rows equal those
+        A case's children start from its solution; descendants are also their children. When a case
+        is lost because its worker died, its children start from the solution of its parent instead.
+        Now that the case is solved, its descendants are solved again, so that all rows equal those
         of a sweep in which no worker died.
 
         Returns
@@ -342,9 +346,8 @@ def estimate_sweep(
 ) -> SweepEstimate:
     """Estimate the time that a sweep still needs, without storing any result.
 
-    The time per case is the mean over the stored results. If there are none, a first case and one
-    of its children are solved, and the child's time counts, because it has a warm start as most
-    cases have.
+    The time per case is the mean over the stored results. If there are none, two cases are solved,
+    the second from the solution of the first as most cases are; the time of the second counts.
 
     Parameters
     ----------
