@@ -182,7 +182,7 @@ def _boundary_on(
 
 
 def boundary_geojson(reach: Reach) -> dict[str, Any] | None:
-    """Return the boundary of the reach as a GeoJSON polygon.
+    """Return the boundary of the places within reach as a GeoJSON polygon.
 
     None if the scenario gives no `mission.origin`, the position of x = y = 0 on earth.
     """

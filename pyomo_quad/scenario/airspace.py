@@ -62,7 +62,7 @@ class Ball(NamedTuple):
     normal: tuple[float, float] | None = None
 
     def coordinates(self, places: "ArrayLike") -> "FloatArray":
-        """Return the coordinates of places in which the ball's distance from its centre is measured.
+        """Return the coordinates of places in which the ball's radius is measured.
 
         A ball is a sphere (three coordinates), a vertical cylinder without ends (x and y) or an
         interval.
