@@ -410,6 +410,11 @@ def undetermined(fit: Fit) -> tuple[str, ...]:
     A parameter is not determined if the effect of a change on the power can be compensated by
     changes of the other parameters. The weakest parameter is removed until all others are
     determined.
+
+    Parameters
+    ----------
+    fit : Fit
+        Least-squares problem with all parameters that are to be fitted.
     """
     slopes = fit.slopes(fit.base)
     slopes *= _SHARE * np.maximum(np.abs(fit.base), _size(fit))
@@ -578,6 +583,11 @@ def _base_source(scenario: Scenario, field: str) -> str:
 
 def changes(identification: Identification) -> Mapping[str, tuple[float, str]]:
     """Return the fitted fields of the vehicle that the flights determine.
+
+    Parameters
+    ----------
+    identification : Identification
+        Result of a fit.
 
     Returns
     -------

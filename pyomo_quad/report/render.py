@@ -45,6 +45,13 @@ def fixed(value: float, digits: int = 2) -> str:
     """Format a number with a fixed number of decimals, "0.00" instead of "-0.00".
 
     Returns "n/a" if the number is not finite.
+
+    Parameters
+    ----------
+    value : float
+        The number.
+    digits : int, optional
+        Number of decimals.
     """
     if not isfinite(value):
         return NOTHING
@@ -53,7 +60,15 @@ def fixed(value: float, digits: int = 2) -> str:
 
 
 def rough(value: float, digits: int = 2) -> str:
-    """Format a number with the given significant digits; "n/a" if it is not finite."""
+    """Format a number with the given significant digits; "n/a" if it is not finite.
+
+    Parameters
+    ----------
+    value : float
+        The number.
+    digits : int, optional
+        Number of significant digits.
+    """
     return f"{value:.{digits}g}" if isfinite(value) else NOTHING
 
 

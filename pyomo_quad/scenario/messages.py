@@ -121,7 +121,15 @@ def _without_branches(path: FieldPath, model: type[BaseModel]) -> FieldPath:
 
 
 def words_of(model: type[BaseModel], name: str) -> tuple[str, ...]:
-    """Return the words that a field accepts instead of a number, such as "free" for a duration."""
+    """Return the words that a field accepts instead of a number, such as "free" for a duration.
+
+    Parameters
+    ----------
+    model : type of BaseModel
+        Model of the table that has the field.
+    name : str
+        Name of the field.
+    """
     field = model.model_fields.get(name)
     annotation: Any = field.annotation if field is not None else None
     literals = [part for part in get_args(annotation) if get_origin(part) is Literal]
