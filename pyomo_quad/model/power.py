@@ -343,8 +343,8 @@ _FASTEST_INDUCED = 20.0
 def declare_momentum_power(m: ConcreteModel, name: str) -> None:
     """Declare the power model `momentum`: induced, profile, climb and rotor-acceleration power.
 
-    See the module docstring for its equations. Valid in hover, climb, forward flight and slow
-    descent. Convex in alpha and in thrust.
+    Valid in hover, climb, forward flight and slow descent. Convex in alpha and in thrust. The
+    docstring of this module has the equations.
     """
     b = m.power
     b.disc_area = Expression(

@@ -335,7 +335,7 @@ class Gusts:
 
     @property
     def start(self) -> dict[str, float]:
-        """Initial values of `FILTER_STATES` by full name, drawn from their stationary distribution."""
+        """Initial values of `FILTER_STATES` by full name, a sample of the stationary state."""
         drawn = LONG_RUN_FACTOR @ np.random.default_rng(self._seed).standard_normal(
             len(FILTER_STATES)
         )
