@@ -108,7 +108,7 @@ class Campaign(Summarised):
         }
 
     def table(self) -> "pd.DataFrame":
-        """Return the campaign as a table with one row per flight and the columns `CampaignColumn`."""
+        """Return the campaign as a table: one row per flight, columns `CampaignColumn`."""
         return CampaignColumn.of_objects(self.flights)
 
 
