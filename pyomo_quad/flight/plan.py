@@ -799,7 +799,7 @@ class Plan(Summarised):
         return frame
 
     def guess(self) -> pd.DataFrame:
-        """Return states and controls at the nodes as a table, the initial guess for another solve."""
+        """Return states and controls at the nodes as a table, a guess for another solve."""
         import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
         held, times = self.trajectories, self.trajectories.node_times

@@ -346,7 +346,7 @@ def wind_lacking(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> str:
 
 
 def shares_lacking(dynamics: Dynamics, flown: Flown) -> tuple[float, float]:
-    """Return the largest fractions of power and of charge that the battery cannot supply in a flight.
+    """Return the largest fractions of power and of charge in a flight that the battery lacks.
 
     The declared equations stay finite beyond the pack's greatest power and beyond empty, but a real
     vehicle cannot fly there. For a model without a battery, both are zero.
@@ -595,7 +595,7 @@ class _Found:
     lacking: float
 
     def reached(self, asked: Accuracy) -> Accuracy | None:
-        """Return the highest accuracy, up to the requested one, whose tolerances the flight meets."""
+        """Return the highest accuracy, up to the requested one, whose tolerances are met."""
         met = [a for a in Accuracy if asked.meets(a) and self.meets(FIGURES[a])]
         return met[-1] if met else None
 

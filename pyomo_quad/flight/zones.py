@@ -218,7 +218,7 @@ def _frame(ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _places_along(zone: KeepOut, reach: float, near: FloatArray) -> FloatArray:
-    """Return points at a distance outside a polygon: its corners, and the points nearest to ``near``."""
+    """Return points at a distance outside a polygon: corners, and points nearest to ``near``."""
     ring = zone.ring(reach)
     following = np.roll(ring, -1, axis=0)
     along = following - ring
