@@ -1,4 +1,4 @@
-"""Integration by SciPy, restarted at each jump of a parameter."""
+"""Integration of ordinary differential equations by SciPy, restarted at each jump of the rates."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,15 +13,24 @@ from pyomo_quad.arrays import FloatArray
 
 Rates = Callable[[float, FloatArray], FloatArray]
 
-# Distance inside its piece at which an end of the piece is evaluated, relative to the piece.
+# Distance from a jump of the rates, relative to the time between two jumps, at which the rates at
+# the jump are evaluated.
 _INSIDE = 1e-6
-# s. A piece shorter than this is the rounding of two equal times.
+# Time between two jumps [s] below which they are the same jump up to rounding.
 _SHORTEST = 1e-7
 
 
 @dataclass(frozen=True, kw_only=True)
 class Integrated:
-    """Integrated states, shape (n_states, n_times), or the reason why the integration stopped."""
+    """Result of an integration: the states, or the reason why the integrator stopped.
+
+    Attributes
+    ----------
+    y : ndarray, shape (n_states, n_times)
+        States at the requested times, up to the last one reached.
+    message : str
+        The integrator's reason; empty if it reached the end.
+    """
 
     y: FloatArray
     message: str
@@ -44,12 +53,23 @@ def integrate(
 
     Parameters
     ----------
+    rates : callable
+        Right-hand side: time [s] and states -> time derivatives, shape (n_states,).
+    span : (float, float)
+        First and last time [s].
+    start : array_like, shape (n_states,)
+        States at the first time.
     times : sequence of float
-        Rising times within the span at which states are returned.
+        Increasing times within the span at which states are returned.
     edges : sequence of float
-        Rising times between which the rates are smooth; edges outside the span are ignored.
+        Increasing times between which the rates are smooth; edges outside the span are ignored.
     **options
         Options of `scipy.integrate.solve_ivp`.
+
+    Returns
+    -------
+    Integrated
+        States at `times`, or the reason of a failure.
     """
     wanted = np.asarray(times, dtype=float)
     inner = [edge for edge in edges if span[0] + _SHORTEST < edge < span[1] - _SHORTEST]
@@ -74,7 +94,7 @@ def integrate(
 
 
 def _within(rates: Rates, first: float, last: float) -> Rates:
-    """Return a right-hand side that reads times just inside one piece, clear of its jumps."""
+    """Return a right-hand side that is evaluated only between two jumps, not at the jumps."""
     margin = _INSIDE * (last - first)
 
     def inside(t: float, y: FloatArray) -> FloatArray:
