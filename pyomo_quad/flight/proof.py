@@ -4,7 +4,7 @@ The ends of the flight and its horizon must be those of the mission. The control
 SciPy through the scenario's own equations, must reproduce the states of the file.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import isfinite
 
 import numpy as np
@@ -24,7 +24,7 @@ from pyomo_quad.flight.verification import (
 )
 from pyomo_quad.model import build_model, model_builder
 from pyomo_quad.scenario import Scenario, ScenarioError
-from pyomo_quad.scenario.accuracy import Figures
+from pyomo_quad.scenario.accuracy import USABLE, Figures
 from pyomo_quad.scenario.messages import shown
 
 # Relative rounding error of a duration that a file stores in decimals.
@@ -32,39 +32,11 @@ _SAME_TIME = 1e-9
 _AGAIN = "solve the scenario again."
 
 
-@dataclass(frozen=True, kw_only=True)
-class Allowed:
-    """Largest tolerated differences between a plan in a file and its simulated flight.
-
-    Attributes
-    ----------
-    miss : float
-        Of any state at any time and of the waypoints: metres, metres per second, radians, or
-        relative if a value is larger than 1.
-    violation : float
-        Of limits, relative.
-    energy : float
-        Relative.
-    """
-
-    miss: float
-    violation: float
-    energy: float
-
-
-def exactly(figures: Figures) -> Allowed:
-    """Return the tolerances for a file that stores a plan without loss, as `Plan.save` does.
-
-    `figures` are the tolerances of an accuracy.
-    """
-    return Allowed(miss=figures.miss, violation=figures.breach, energy=figures.energy_flown)
-
-
 #: Tolerances for a plan read from the table of a report. The table has each control clipped to its
 #: limits, and the polynomial through the clipped values differs from the planned one. If controls
 #: are at their limits for a long time, flights of tables deviate by 2 cm, 1.4e-3 of a limit and
 #: 2e-5 of the energy.
-TABLE = Allowed(miss=ARRIVAL_DISTANCE_M, violation=1e-2, energy=1e-3)
+TABLE = replace(USABLE, miss=ARRIVAL_DISTANCE_M, breach=1e-2, energy_flown=1e-3)
 
 
 def refuse_unproven(
@@ -72,7 +44,7 @@ def refuse_unproven(
     held: Trajectories,
     energy: float,
     passing_times_s: tuple[float, ...],
-    allowed: Allowed,
+    allowed: Figures,
     dynamics: Dynamics | None = None,
     *,
     is_code_allowed: bool = False,
@@ -90,8 +62,9 @@ def refuse_unproven(
         Energy of the whole flight [J].
     passing_times_s : tuple of float
         Time at which the plan passes each waypoint [s].
-    allowed : Allowed
-        Tolerances.
+    allowed : Figures
+        Largest differences allowed between the plan and its simulated flight; the miss applies to
+        any state at any time and to the waypoints.
     dynamics : Dynamics, optional
         The plan's equations, if available; otherwise the scenario's.
     is_code_allowed : bool, optional
@@ -130,7 +103,7 @@ def refuse_unproven(
 
 
 def _refuse_failed(
-    scenario: Scenario, verification: Verification, energy: float, allowed: Allowed
+    scenario: Scenario, verification: Verification, energy: float, allowed: Figures
 ) -> None:
     """Raise a ScenarioError if the simulated flight breaks limits or takes another energy."""
     share = abs(verification.energy_difference_J) / max(1.0, abs(energy))
@@ -138,10 +111,10 @@ def _refuse_failed(
     failings = (
         (
             verification.max_violation,
-            allowed.violation,
+            allowed.breach,
             f"breach of {verification.worst_constraint}",
         ),
-        (share, allowed.energy, "share of the energy not accounted for"),
+        (share, allowed.energy_flown, "share of the energy not accounted for"),
         (passed, allowed.miss, "distance in m by which a waypoint is missed"),
         (verification.battery_imbalance, BALANCE_TOLERANCE, "share that the pack cannot give"),
         (
@@ -233,7 +206,7 @@ def in_order(scenario: Scenario, held: Trajectories, dynamics: Dynamics) -> Traj
 
 
 def _refuse_other_ends(
-    scenario: Scenario, dynamics: Dynamics, states: FloatArray, allowed: Allowed
+    scenario: Scenario, dynamics: Dynamics, states: FloatArray, allowed: Figures
 ) -> None:
     """Raise a ScenarioError if initial or final state of a plan differ from the mission's."""
     for end, wanted, found in (
@@ -256,7 +229,7 @@ def _refuse_other_ends(
 
 
 def _refuse_astray(
-    scenario: Scenario, held: Trajectories, dynamics: Dynamics, flown: Flown, allowed: Allowed
+    scenario: Scenario, held: Trajectories, dynamics: Dynamics, flown: Flown, allowed: Figures
 ) -> None:
     """Raise a ScenarioError if simulating the controls does not reproduce a plan's states."""
     planned = held.states_at(flown.t)
