@@ -627,7 +627,7 @@ class _Filled:
         return origin_of_mission(self.tables, self.origin.source)
 
     def add_footprints(self) -> None:
-        """Add the keep-out zones of a GeoJSON file, and divide concave polygons into convex zones."""
+        """Add the keep-out zones of a GeoJSON file, and divide concave polygons into parts."""
         airspace = self.tables.get("airspace")
         if not isinstance(airspace, Mapping):
             return
@@ -659,7 +659,7 @@ class _Filled:
         self.put_read(("airspace", "ground"), ground, file)
 
     def winds(self, named: str) -> Iterator[tuple[tuple[str, ...], Mapping[str, Any]]]:
-        """Yield path and table of the wind and of its forecast, if the table's field names a file."""
+        """Yield path and table of the wind and of its forecast, if a table names a file."""
         for place in (("wind",), ("wind", "forecast")):
             wind = table_at(self.tables, *place)
             if isinstance(wind.get(named), str):
@@ -691,7 +691,7 @@ class _Filled:
             self.put(field, *min(known))
 
     def add_motor_constants(self) -> None:
-        """Derive a missing torque constant from the voltage constant, or the reverse: k_t k_v = 1."""
+        """Derive a missing torque or voltage constant from the other one: k_t k_v = 1."""
         vehicle = table_at(self.tables, "vehicle")
         names = ("torque_constant", "voltage_constant")
         for missing, given in (names, names[::-1]):
