@@ -66,7 +66,7 @@ class Approach:
 
     @property
     def present(self) -> float:
-        """Probability that a flight of the present plan breaks the limit at any time."""
+        """Probability that a flight which follows the present plan breaks the limit at any time."""
         return _crossing(self.room, self.deviation, self.correlation)
 
     def probability(self, held: float = 0.0, margin: float = 0.0) -> float:
@@ -223,7 +223,7 @@ class Miss:
         return float(min((self.off > self.within).mean(axis=1).sum(), 1.0))
 
     def shrunk(self, share: float) -> "Miss":
-        """Return this miss with all distances or speeds multiplied by a factor."""
+        """Return a copy with all distances or speeds multiplied by a factor (weaker turbulence)."""
         return replace(self, off=share * self.off)
 
     def excess(self, share: float) -> float:

@@ -46,7 +46,7 @@ _TIGHTER = 0.1
 
 @dataclass(frozen=True)
 class AlongShortest:
-    """Start of a search: a solution along the shortest route, on one mesh."""
+    """Start of the search for a plan: a solution along the shortest route, on one mesh."""
 
     flight: Solution
 
@@ -281,7 +281,7 @@ class Candidate:
         return self.found.status.has_failed and not self.is_closed
 
     def has_failed_at_waypoints(self) -> bool:
-        """Return whether the solve failed and exact passages of the waypoints may be easier."""
+        """Return whether the solve failed and a start through the exact waypoints is possible."""
         return self.has_failed() and self.mission.past_waypoints is not None
 
     def past_waypoints(self) -> str | None:

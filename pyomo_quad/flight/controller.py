@@ -473,7 +473,7 @@ class BacksteppingLoop:
 
 
 def _shrink(vector: Sequence[float], reach: float) -> float:
-    """Return sigma(v) / v, the factor by which a vector is shortened to saturate at ``reach``."""
+    """Return the factor 1 / sqrt(1 + |v|^2 / reach^2) that limits a vector v to a length."""
     a, b, c = vector
     return 1 / np.sqrt(1 + (a * a + b * b + c * c) / reach**2)
 

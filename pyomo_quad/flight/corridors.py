@@ -279,7 +279,10 @@ class Corridors:
         self._search = _Search(self._costs, *grid, price)
 
     def routes(self) -> list[Route]:
-        """Return the corridors of the leg as routes, the cheapest first, or an empty list."""
+        """Return cheap routes of the leg that lie apart (corridors), the cheapest first.
+
+        Empty if no route leads through the grid.
+        """
         return [
             Route(
                 places=places,
@@ -366,7 +369,10 @@ def _price_of(
 
 
 class _Search:
-    """Cheapest routes from start to goal through every point of a grid, at one price of time."""
+    """Cheapest routes from start to goal through every point of a grid.
+
+    The cost of a route is its energy plus the price of time [W] times its duration.
+    """
 
     def __init__(
         self,
@@ -392,7 +398,10 @@ class _Search:
         return sum(float(self._times[a, b]) for a, b in pairwise(nodes)) or inf
 
     def corridors(self, separation: float) -> list[FloatArray]:
-        """Return the corners of the cheapest routes that lie apart by a separation [m]."""
+        """Return the cheapest routes that lie apart by a separation [m] (corridors).
+
+        Each is an array of corners, shape (n, 3), m; the cheapest comes first.
+        """
         through = self._ahead + self._back
         most = (1.0 + _DEARER) * through[1]
         found: list[tuple[float, FloatArray]] = []

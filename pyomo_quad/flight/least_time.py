@@ -141,7 +141,10 @@ class Approach:
 
     @property
     def durations(self) -> tuple[float, ...]:
-        """Durations of the sequence, within the mission's limits [s]."""
+        """Decreasing durations to solve for [s], close to the least duration of the mission.
+
+        They are within the mission's limits.
+        """
         least, greatest = self.scenario.mission.duration_limits
         above = ((1 + share) * self.shortest.objective for share in _ABOVE_LEAST)
         return tuple(dict.fromkeys(min(max(time, least), greatest) for time in above))

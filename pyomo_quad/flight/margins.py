@@ -109,7 +109,10 @@ class RiskTaken:
         return more, 100.0 * more / self.paper_energy_J
 
     def words(self, energy: float) -> str:
-        """Return risk, test flights and cost of the margins in one or two sentences."""
+        """Return risk of a broken limit, test flights and cost of the margins in sentences.
+
+        `energy` is that of the plan with margins [J].
+        """
         joules, percent = self.price(energy)
         price = f"the margins cost {joules:.3g} J ({percent:.2g} %)"
         seen = f"{self.failed} of {self.flown} flights that had no part in the plan broke a limit"

@@ -128,7 +128,10 @@ class MissionProblem:
         return self.problem.solve(**arguments)
 
     def solve_roughly(self, **chosen: Any) -> Solution:
-        """Solve the mission on one mesh with its easiest parameters; ``chosen`` as for `solve`."""
+        """Solve the mission on one mesh with its easiest parameters.
+
+        These round the corner of the power at zero most widely. ``chosen`` as for `solve`.
+        """
         return self.solve(next(iter(self.easier), None), **{"tolerance": None} | chosen)
 
     def solve_from(self, guess: Any = None, mesh: Mesh | None = None) -> Solution:
@@ -193,7 +196,10 @@ class MissionProblem:
         return self.solve(mesh=reached.mesh, warm_start=reached), first
 
     def _as_far_as(self, stopped: Solution) -> Solution:
-        """Return an interrupted solve with easier parameters as an iterate of the mission."""
+        """Return an interrupted solve with easier parameters as an iterate of the mission.
+
+        Its energy and errors are thus those of the mission's own parameters.
+        """
         read = self.unsolved(mesh=stopped.mesh, warm_start=stopped)
         return replace(read, status=stopped.status, message=stopped.message)
 

@@ -68,7 +68,7 @@ class OrderSearch:
 
     @property
     def line(self) -> str:
-        """One-line description of the search."""
+        """Sentence on the search for the order of the waypoints and its accuracy."""
         return (
             f"order of {len(self.order)} waypoints: by the energies of its legs, flown one by one, "
             f"at most {self.gap:.2%} above the best; {self.solved} of {self.legs} legs solved, "
@@ -97,7 +97,10 @@ def best_orders(costs: FloatArray, count: int) -> list[_Order]:
 
 
 def cost_of(costs: FloatArray, order: _Order) -> float:
-    """Return the sum of the costs of the legs of an order."""
+    """Return the cost of an order of places: the sum of the costs of its legs.
+
+    `costs` is the table of leg costs, with the start in row 0 and the goal in the last column.
+    """
     places = np.array([0, *(k + 1 for k in order), len(costs) - 1])
     return float(costs[places[:-1], places[1:]].sum())
 
@@ -197,7 +200,7 @@ def _named(order: IntArray) -> _Order:
 
 
 def _cost(costs: FloatArray, orders: IntArray) -> FloatArray:
-    """Return the cost of each order, given as a row of indices."""
+    """Return the costs of several orders of places, each given as a row of indices."""
     between = costs[orders[:, :-1], orders[:, 1:]].sum(axis=1)
     return np.asarray(costs[0, orders[:, 0]] + between + costs[orders[:, -1], -1])
 

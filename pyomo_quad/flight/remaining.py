@@ -127,7 +127,10 @@ class Remainder:
 
     @property
     def planned_until(self) -> float:
-        """Time [s] after which no re-plan is made before the next waypoint or the end."""
+        """Time [s] after which the plan is not replaced before the next waypoint or the end.
+
+        Near a place that must be met exactly, new plans would counteract every gust at any cost.
+        """
         if not self.passages:
             return self.end - min(_LAST, _LAST_SHARE * (self.end - self.begin))
         ahead = self.passages[0] - self.begin
@@ -263,7 +266,7 @@ class Replanner:
         return max((rest.released for rest in self.remainders if rest.begin < t), default=0.0)
 
     def at(self, t: float) -> Remainder:
-        """Return the rest of the mission at time t [s]."""
+        """Return the rest of the mission at time t [s], with its compiled problem."""
         return next(rest for rest in self.remainders[::-1] if rest.begin <= t)
 
     def first(self) -> Trajectories:
@@ -374,7 +377,7 @@ class Replanner:
         return numbers | self._air | learnt | {"vehicle.mass": belief.mass - rest.released}
 
     def course(self, solution: Solution, belief: Belief, estimate: FloatArray) -> Course:
-        """Return a re-plan as the course to follow, with its path for the controller.
+        """Return a re-plan (new plan in flight) with its reference path for the controller.
 
         Parameters
         ----------
@@ -392,7 +395,7 @@ class Replanner:
         return Course(plan=plan, path=path, belief=belief, estimate=estimate)
 
     def first_course(self, plan: Trajectories) -> Course:
-        """Return the plan made before take-off as the course to follow."""
+        """Return the plan made before take-off, with its reference path for the controller."""
         path = path_of(plan, self.dynamics, self._scenario.vehicle)
         return Course(plan=plan, path=path, belief=self.belief, estimate=np.zeros(3))
 
@@ -417,7 +420,7 @@ class Replanner:
     def begun(
         self, course: Course, start: float, end: float, state: FloatArray, unexplained: FloatArray
     ) -> FloatArray:
-        """Predict the state in which the next re-plan takes over from the present plan.
+        """Predict the state in which the next re-plan (new plan in flight) replaces the plan.
 
         If the flight is near its plan, it is the plan's own state: the controller corrects the
         deviation, and a re-plan from the measured state would follow each lag of the vehicle.
@@ -458,7 +461,7 @@ class Replanner:
 
 
 def breach_of(solution: Solution) -> float:
-    """Return the largest violation of a soft limit, in the unit of the limit."""
+    """Return the largest violation of a soft limit in a solution, in the unit of the limit."""
     declared, held = solution.problem.compiled.declared, solution.trajectory.statics.tolist()
     named = zip(declared.statics, held, strict=True)
     return max(number for slot, number in named if slot.component in BREACHES)

@@ -265,7 +265,11 @@ class _Search:
             self._told = self._told.model_copy(update={"wind": wind})
 
     def best(self) -> Plan:
-        """Return the plan with margins that keeps the risk, or else the plan of least risk."""
+        """Return the plan with margins that keeps the risk, or else the plan of least risk.
+
+        The risk is the probability that a flight in turbulence breaks any limit, margins are the
+        amounts by which the plan stays inside its limits.
+        """
         tried = self._verified(self._settled(self._followed(self._tried(self._paper, {}))))
         found: list[tuple[Counter[str], int, _Tried]] = []
         # If flights miss the goal with any reserve, further margins do not help.
@@ -346,7 +350,10 @@ class _Search:
         return self._tried(owned, tried.margins)
 
     def _owned(self, plan: Plan, margins: Mapping[str, float]) -> Plan:
-        """Return a plan that was made with tightened limits as a plan of the original scenario."""
+        """Return a plan that was made with tightened limits as a plan of the original scenario.
+
+        Scenario and passing times of waypoints are those without margins.
+        """
         times = passing_times(self._scenario, plan.passing_times_s, margins.get(HOLD, 0.0))
         return replace(plan, scenario=self._scenario, passing_times_s=times)
 
@@ -432,7 +439,11 @@ class _Search:
         }
 
     def _settled(self, tried: _Tried) -> _Tried:
-        """Return a plan whose margins agree with the spread of flights about it, by iteration."""
+        """Return a plan whose margins agree with the spread of flights about it, by iteration.
+
+        Margins are the amounts by which the plan stays inside its limits, the spread is the
+        covariance of flights in turbulence.
+        """
         for _ in range(_PLANS):
             wanted = self._margins(tried)
             if self._is_stopped() or self._agree(tried.margins, wanted):
@@ -475,7 +486,10 @@ class _Search:
         return margins
 
     def _agree(self, held: Mapping[str, float], wanted: Mapping[str, float]) -> bool:
-        """Return whether a plan's margins are close to those that the spread of flights needs."""
+        """Return whether a plan's margins are close to those that the spread of flights needs.
+
+        `held` are the margins of the plan, `wanted` the others: scenario field -> amount.
+        """
         for name in {*held, *wanted}:
             one, other = held.get(name, 0.0), wanted.get(name, 0.0)
             table, _, key = name.partition(".")
@@ -487,7 +501,13 @@ class _Search:
         return True
 
     def _flown(self, tried: _Tried, seed: int) -> list[tuple[str, ...]]:
-        """Simulate the test flights of a plan; return the limits that each breaks, in words."""
+        """Simulate test flights of a plan in turbulence; return the limits that each breaks.
+
+        Returns
+        -------
+        list of tuple of str
+            For each flight its broken limits in words.
+        """
         expected = as_expected(replace(tried.plan, scenario=self._told).mission_flown)
         dynamics, draws = draw(self._planner, expected, _FLIGHTS, seed)
         path = reference_path(expected, Reference.PLAN, tried.plan)
@@ -572,7 +592,10 @@ def _missed_least(tried: _Tried) -> tuple[float, float]:
 
 
 def _planned_at(plan: Plan, spread: Spread) -> tuple[FloatArray, FloatArray]:
-    """Return states and controls of a plan at the times of a spread, in its order of states."""
+    """Return states and controls of a plan at the times of a spread of flights.
+
+    The states are in the order of the spread's dynamics, shape (n, n_states).
+    """
     held, dynamics = plan.trajectories, spread.dynamics
     names = list(held.state_names)
     known = held.states_at(spread.t)

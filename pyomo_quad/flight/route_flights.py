@@ -166,7 +166,11 @@ class RouteFlights:
         return energy_of(self._told, solution)
 
     def as_flown(self, journey: Journey, solution: Solution) -> Journey:
-        """Return a journey with the sides of zones on which its solution really passes."""
+        """Return a journey with the sides of zones on which its solution really passes.
+
+        A journey is a route for each leg of the mission. Without a solution it is returned
+        unchanged.
+        """
         is_flown = solution.status.is_solved
         return journey_as_flown(self._told, journey, solution) if is_flown else journey
 

@@ -430,7 +430,7 @@ def speed_profile(distance: float, speed: float, acceleration: float, jerk: floa
 
 
 def _peak_speed(distance: float, acceleration: float, jerk: float) -> float:
-    """Return the peak speed of a motion over a distance without speed limit [m/s]."""
+    """Return the peak speed of a rest-to-rest motion over a distance without speed limit [m/s]."""
     unbent = acceleration / jerk
     reached = acceleration / 2 * (sqrt(unbent**2 + 4 * distance / acceleration) - unbent)
     if reached >= acceleration * unbent:
@@ -509,7 +509,13 @@ def cruise(scenario: Scenario) -> SampledPath:
 
 
 def _legs(scenario: Scenario) -> list[list[tuple[FloatArray, SpeedProfile]]]:
-    """Return displacement [m] and speed profile of the straight pieces of each leg."""
+    """Return the straight pieces of each leg of an autopilot's cruise.
+
+    Returns
+    -------
+    list of list of (ndarray, SpeedProfile)
+        For each leg its pieces round zones: displacement [m] and rest-to-rest motion.
+    """
     airspace, settings = scenario.airspace, own_cruise(scenario)
     limits = settings.speed, settings.acceleration, settings.jerk
     legs = []

@@ -123,7 +123,10 @@ class Search:
         return time.thread_time() - self._patient_from
 
     def restart_patience(self) -> None:
-        """Restart the time that the search waits before it looks for a usable plan."""
+        """Restart the time that the search waits before it looks for a usable plan.
+
+        A usable plan is one that simulation confirms at lower accuracy than requested.
+        """
         self._patient_from = time.thread_time()
 
     def begin_effort(self, most: float) -> None:
@@ -187,7 +190,10 @@ class Search:
             self.stage = Stage.REFINING
 
     def _seek_usable(self) -> None:
-        """In a long search without a usable plan, compute one from the last coarse solution."""
+        """In a long search, compute a usable plan from the last coarse solution, if there is none.
+
+        A usable plan is one that simulation confirms at lower accuracy than requested.
+        """
         patience = min(_LONG * _PATIENCE_S, _SHARE_OF_LIMIT * self.deadline.limit_s)
         is_time = self._waited_s >= patience and not self.deadline.is_over
         is_wanted = self.usable is None and self.stage is not Stage.USABLE
@@ -208,7 +214,7 @@ class Search:
         self._energy = energy_J
 
     def keep(self, plan: Plan) -> None:
-        """Keep a plan as the usable one if simulation confirms it and it is the best so far."""
+        """Keep a plan if simulation confirms it at lower accuracy and it is the best so far."""
         found = as_usable(plan)
         if not found.is_flyable:
             return

@@ -107,7 +107,10 @@ _WITHIN_PACK = f"pack held to {100.0 * GIVEN_SHARE:.0f} % of its greatest power"
 
 
 def _hold_pack(candidate: Candidate) -> str:
-    """Plan a candidate's mission within the power of the battery, without further retries."""
+    """Plan the mission again within the power that the battery can give.
+
+    No other retries follow; returns the outcome for the record of the search.
+    """
     return candidate.hold_pack(lambda gentler: carry_out((*FIRST, *PROOF), gentler, gentler.search))
 
 

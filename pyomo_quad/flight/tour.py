@@ -107,7 +107,7 @@ class LegTable:
 
     @property
     def solved(self) -> int:
-        """Number of solved legs."""
+        """Number of legs (flights between two places of the mission) solved so far."""
         return len(self._known)
 
     @property
@@ -151,7 +151,11 @@ class LegTable:
         return self._table(self._known | dict(zip(missing, predicted.tolist(), strict=True)))
 
     def solve_for(self, legs: Iterable[_Leg]) -> bool:
-        """Solve the given legs that were not tried yet; return whether there were any."""
+        """Solve the given legs that were not tried yet; return whether there were any.
+
+        A leg is the flight between two places of the mission from hover to hover, given by their
+        indices.
+        """
         missing = [leg for leg in dict.fromkeys(legs) if leg not in self._known]
         missing = [leg for leg in missing if leg not in self._failed]
         for leg in missing:

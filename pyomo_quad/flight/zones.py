@@ -140,7 +140,10 @@ def sides_passed(
 
 
 class _Section(NamedTuple):
-    """Cross-section of a zone in the vertical plane across the leg that passes the zone."""
+    """Cross-section of a zone in the vertical plane across a leg that passes the zone.
+
+    A leg is the line between two waypoints.
+    """
 
     middle: FloatArray
     """Centre of the cross-section [m], shape (3,). The unit vectors `along` the horizontal course,
@@ -155,7 +158,10 @@ class _Section(NamedTuple):
 
 
 def _section(zone: KeepOut, ends: FloatArray, clearance: float) -> _Section | None:
-    """Return the cross-section of a zone where a leg passes it; None near the ends of the leg."""
+    """Return the cross-section of a zone where a leg passes it; None near the ends of the leg.
+
+    A leg is the line between two waypoints, `ends`, shape (2, 3).
+    """
     share, reach = _passage(zone, ends, clearance)
     if not ROUNDING < share < 1.0 - ROUNDING:
         return None

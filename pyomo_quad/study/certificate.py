@@ -403,7 +403,10 @@ def _energy_returned(scenario: Scenario, planner: Planner) -> float:
 
 
 def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand) -> _Found:
-    """Bound the energy of flights whose power or drag depends on airspeed, by `pairs` [J]."""
+    """Bound the energy of flights whose power or drag depends on airspeed [J].
+
+    The bound is that of the module `pairs`, over all pairs of thrust and airspeed.
+    """
     mission, dynamics = scenario.mission, planner.dynamics(scenario)
     if scenario.power.model is PowerModel.MOTOR_WITH_FRICTION:
         return (
@@ -447,7 +450,7 @@ def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand
 
 
 def _airspace_clause(scenario: Scenario) -> str:
-    """Return the clause of the bound's reason that includes flights within an airspace, or ""."""
+    """Return the clause that extends the statement of a bound to flights in an airspace, or ""."""
     airspace = scenario.airspace
     if not airspace.keep_out and airspace.floor is None and airspace.ceiling is None:
         return ""
@@ -455,7 +458,7 @@ def _airspace_clause(scenario: Scenario) -> str:
 
 
 def _obstacles(scenario: Scenario) -> Iterator[str]:
-    """Yield the reasons why no bound is known, the simplest first."""
+    """Yield the reasons why no lower bound on the energy is known, the simplest first."""
     if scenario.model is not None:
         yield f"no bound is known for a user's own model ({scenario.model})."
     if scenario.power.model is PowerModel.EFFICIENCY:

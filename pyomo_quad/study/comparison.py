@@ -455,7 +455,7 @@ def _rotor_values(frame: "pd.DataFrame", component: str) -> FloatArray:
 
 
 def _values(frame: "pd.DataFrame", variable: str) -> FloatArray:
-    """Return the values of a variable of the model; NaN if the table lacks its column."""
+    """Return the values of a model variable in a flight's table; NaN without such a column."""
     name = column_of(variable).name
     if name not in frame:
         return np.full(len(frame), nan)

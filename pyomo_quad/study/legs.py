@@ -236,7 +236,11 @@ class Itinerary:
         return -self._negative(found)[0]
 
     def _negative(self, flat: FloatArray) -> tuple[float, FloatArray]:
-        """Return the negative bound and its gradient, for a minimiser."""
+        """Return the negative lower bound [J] and its gradient, for a minimiser.
+
+        `flat` holds the prices (multipliers) of momentum at the ends of the legs, one after the
+        other.
+        """
         gained, spent, jumped, slopes = self._terms(flat.reshape(-1, 3))
         bound, times = jumped, np.zeros(len(gained))
         for of, limits in zip(self._by_party(), self._shared, strict=True):
@@ -250,12 +254,12 @@ class Itinerary:
         return -bound, -np.tensordot(weights, slopes, 1).ravel()
 
     def _by_party(self) -> list[NDArray[np.bool_]]:
-        """Return for each party (legs with a common duration) which legs belong to it."""
+        """Return for each party (legs whose durations have a limited sum) a mask of its legs."""
         return [self._parties == k for k in range(len(self._shared))]
 
 
 def _length(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return smoothed lengths of vectors and their gradients."""
+    """Return the lengths of vectors, smoothed at zero, and their gradients."""
     length = np.sqrt(np.sum(vectors**2, axis=1) + _CORNER**2)
     return length, vectors / length[:, None]
 

@@ -444,7 +444,20 @@ def bound_of_pairs(
 
 
 class _Program:
-    """Linear program for the prices that maximise the lower bound over the pairs found so far."""
+    """Linear program for the prices that maximise the lower bound over the known pairs.
+
+    The prices are multipliers of momentum, displacement and kinetic energy; a pair is a thrust and
+    an airspeed of the vehicle, each of which gives one linear constraint.
+
+    Parameters
+    ----------
+    legs, shared
+        Legs of the flight and limits on their durations, from `legs.legs_of`.
+    power : float
+        Power of hover, the scale of powers, W.
+    standing : ndarray, shape (3,)
+        Thrust that holds the vehicle still at zero airspeed, N.
+    """
 
     def __init__(
         self,
@@ -519,7 +532,7 @@ class _Program:
         return found.x, -float(found.fun)
 
     def prices(self, solution: FloatArray) -> list[MotionPrices]:
-        """Return the prices on each leg from the unknowns of the program."""
+        """Return the prices (multipliers) on each leg from the unknowns of the program."""
         return [
             MotionPrices(
                 momentum=solution[:3] / leg.mass,
