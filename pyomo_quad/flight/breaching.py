@@ -109,7 +109,12 @@ _HALVINGS = 30
 def _crossing(room: FloatArray, deviation: FloatArray, correlation: FloatArray) -> float:
     """Return the probability that a flight starts beyond a limit or crosses it later.
 
-    Arguments as the attributes of `Approach`.
+    Parameters
+    ----------
+    room, deviation : ndarray, shape (n,)
+        Mean and standard deviation of the distance from the limit over time.
+    correlation : ndarray, shape (n - 1,)
+        Correlation of the distances at one time and at the next.
     """
     beyond = room / np.maximum(deviation, _ROUNDING)
     # If the mean approaches the limit during a step, more flights are beyond it after the step.
@@ -216,9 +221,9 @@ class Miss:
 
     @property
     def probability(self) -> float:
-        """Probability that a flight exceeds the limit at any of its instants.
+        """Probability that a flight is too far from the place, or too fast, at any instant.
 
-        The instants are treated as independent.
+        The instants of the limit are treated as independent.
         """
         return float(min((self.off > self.within).mean(axis=1).sum(), 1.0))
 

@@ -319,7 +319,9 @@ class Candidate:
         return self.has_failed() and not is_infeasible and not self.mission.told.mission.is_free
 
     def slow_down(self, by: float) -> str:
-        """Solve the mission in its duration times ``by``, starting from a still longer solution.
+        """Solve the mission in ``by`` times its duration, from the solution of a longer duration.
+
+        Without such a solution the model's own initial guess is used.
 
         Returns
         -------

@@ -296,7 +296,7 @@ class Corridors:
     def energy_of(self, places: FloatArray) -> float | None:
         """Return the energy of steady flight along the straight lines between places [J].
 
-        None if a part of the wind is unknown.
+        `places` has shape (n, 3), m. None if a part of the wind is unknown.
         """
         pieces = [
             np.linspace(a, b, 2 + int(np.linalg.norm(b - a) / self._way * _PLACES))[:-1]

@@ -1,7 +1,7 @@
 """Margins of a plan: amounts by which its limits are tightened for the controller to use.
 
 A margin applies to a field of the scenario, in the field's unit.  Fields are parameters of the
-compiled problem, so that a plan with other margins is a re-solve.
+compiled problem, so that the problem can be solved with other margins without compiling it again.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

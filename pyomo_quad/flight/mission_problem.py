@@ -246,7 +246,7 @@ class MissionProblem:
 
     @cached_property
     def steady(self) -> SteadyFlight:
-        """Steady flight of the vehicle in the wind of the mission."""
+        """Steady flight (hover, cruise) of the vehicle in the wind of the mission."""
         flown = {name: self.arguments[name] for name in ("parameters", "horizon")}
         return SteadyFlight(self.told, self.problem.dynamics(**flown))
 

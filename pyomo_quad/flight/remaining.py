@@ -145,10 +145,11 @@ class Remainder:
         )
 
     def mesh(self, t: float) -> Mesh:
-        """Return a re-plan's mesh, with short elements at the present, the waypoints and the end.
+        """Return the mesh of a plan made in flight at time t [s] for the rest of the mission.
 
-        The mesh is the same until a fifth of the remaining time has passed, then shorter: a solve
-        on a known mesh reuses the structure of its equations. `t` is the start of the plan [s].
+        It has short elements at the present, the waypoints and the end. The mesh is the same until
+        a fifth of the remaining time has passed, then shorter: a solve on a known mesh reuses the
+        structure of its equations.
         """
         first = self.passages[0] if self.passages else self.end
         whole = first - self.begin

@@ -215,10 +215,10 @@ class _Tried:
 
     @property
     def missing_places(self) -> float:
-        """Probability that a flight misses a place of the mission in spite of every margin.
+        """Probability that a flight misses goal or waypoints for lack of thrust.
 
-        Counts the misses that no margin on a scenario field makes rarer, such as at the goal; they
-        become rarer only if the plan leaves the rotors a reserve of thrust.
+        These are the misses that no margin (tightening of a scenario field) makes rarer, such as at
+        the goal; they become rarer only if the plan leaves the rotors a reserve of thrust.
         """
         return sum(miss.probability for miss in self.missed if not miss.field)
 
@@ -334,9 +334,9 @@ class _Search:
         return replace(tried.plan, risk=taken)
 
     def _verified(self, tried: _Tried) -> _Tried:
-        """Return a tried plan again, refined so that the margins also hold between points.
+        """Return a plan with margins again, refined and verified by simulation.
 
-        The refined plan is verified by simulation.
+        The refined mesh keeps the margins also between the collocation points.
         """
         if not tried.margins:
             return tried
@@ -455,10 +455,12 @@ class _Search:
         return tried
 
     def _margins(self, tried: _Tried) -> dict[str, float]:
-        """Return the margins for which flights about a tried plan would keep the risk.
+        """Return the margins with which flights about a plan would keep the allowed risk.
 
-        The risk is shared equally among the limits that need a margin, after the parts that the
-        goal and limits far from the plan use have been subtracted.
+        Margins are the amounts by which the plan stays inside its limits; the risk is the
+        probability that a flight in turbulence breaks any limit. The risk is shared equally among
+        the limits that need a margin, after the parts that the goal and limits far from the plan
+        use have been subtracted.
         """
         held = tried.margins
         alone = {a: a.probability(held.get(a.field, 0.0), 0.0) for a in tried.near}

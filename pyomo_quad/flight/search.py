@@ -130,7 +130,7 @@ class Search:
         self._patient_from = time.thread_time()
 
     def begin_effort(self, most: float) -> None:
-        """Reset the effort counter and set the largest effort of the next solves.
+        """Reset the effort counter and set the effort at which the next solves are stopped.
 
         The effort is the sum over Ipopt's iterations of the number of mesh points.
         """

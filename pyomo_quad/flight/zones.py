@@ -177,8 +177,9 @@ def _section(zone: KeepOut, ends: FloatArray, clearance: float) -> _Section | No
 def _passage(zone: KeepOut, ends: FloatArray, clearance: float) -> tuple[float, float]:
     """Return where a leg passes a zone, as a fraction of the leg, and the clearance used.
 
-    The fraction is the middle of the part of the leg within the zone and its clearance or, if there
-    is none, within the least clearance that reaches the leg.
+    A leg is the line between two waypoints. The fraction is the middle of the part of the leg
+    within the zone and its clearance or, if there is none, within the least clearance that reaches
+    the leg.
     """
 
     def span(reach: float) -> tuple[float, float]:
@@ -209,10 +210,10 @@ def _chord(
 
 
 def _frame(ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return unit vectors along a leg, to its left and up.
+    """Return unit vectors along a leg (line between two waypoints), to its left and up.
 
-    The first is horizontal unless the leg is vertical: a steep leg, too, passes a tall zone on the
-    left or right.
+    Each has shape (3,). The first is horizontal unless the leg is vertical: a steep leg, too,
+    passes a tall zone on the left or right.
     """
     upward = np.array([0.0, 0.0, 1.0])
     along = (ends[1] - ends[0]) * (1.0, 1.0, 0.0)

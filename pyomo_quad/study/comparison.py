@@ -406,7 +406,7 @@ def _percent(part: float, whole: float) -> float:
 
 
 def _measured(scenario: Scenario, frame: "pd.DataFrame") -> dict[ComparisonColumn, float]:
-    """Return columns measured on a flight: peaks, time near the goal and charge used.
+    """Return peaks, time near the goal and charge used of a flight, for its row in a comparison.
 
     The peaks are those of power, tilt and rotor acceleration.
     """

@@ -212,7 +212,10 @@ class Pairs:
         return min(allowed, max(terminal, wind))
 
     def _most_of_first(self) -> float:
-        """Return the upper limit of a pair's first coordinate: rotor speed or induced velocity."""
+        """Return the upper limit of the rotor speed [rad/s] or of a modelled induced velocity [m/s].
+
+        This quantity is the first coordinate of a pair of thrust and airspeed.
+        """
 
         def excess(first: float) -> float:
             return float(self._at(np.array([[first], [0.0], [0.0]]))[1, 0]) - self._most_thrust
@@ -234,6 +237,9 @@ class Pairs:
 
     def cheapest(self, prices: MotionPrices, mass: float) -> tuple[float, list[FloatArray]]:
         """Sample the function H over all pairs; return its least value and its local minima.
+
+        H is the power of a pair of thrust and airspeed less the terms of the prices (docstring of
+        this module).
 
         Parameters
         ----------
@@ -282,7 +288,8 @@ class Pairs:
     def _pair(self, at: FloatArray, prices: MotionPrices, mass: float) -> FloatArray:
         """Return power and gradient of H by the prices for a pair in its orientation of least H.
 
-        `at` has the three coordinates of the pair; the result has shape (8,).
+        H is the power of a pair of thrust and airspeed less the terms of the prices. `at` has the
+        three coordinates of the pair; the result has shape (8,).
         """
         momentum, way = prices.momentum, prices.way - prices.motion * mass * self.standing
         _, along, across = at
@@ -296,8 +303,8 @@ class Pairs:
     def turned(self, pair: FloatArray) -> list[FloatArray]:
         """Return copies of a pair rotated about the vertical, which have the same power.
 
-        `pair` is a result of `cheapest`. If the standing thrust is not vertical, only the pair
-        itself is returned.
+        A pair is a thrust and an airspeed, given as a result of `cheapest`. If the standing thrust
+        is not vertical, only the pair itself is returned.
         """
         if np.any(self.standing[:2]):
             return [pair]
@@ -312,7 +319,8 @@ class Pairs:
     def least(self, prices: MotionPrices, mass: float, tolerance: float) -> float:
         """Return a proven lower bound on H over all pairs, by branch and bound [W].
 
-        It is within ``tolerance`` [W] of the least value.
+        H is the power of a pair of thrust and airspeed less the terms of the prices (docstring of
+        this module). The bound is within ``tolerance`` [W] of the least value.
         """
         numbers = self._numbers(prices, mass)
         best = self.cheapest(prices, mass)[0] - self._constant(prices, mass)
@@ -509,7 +517,8 @@ class _Program:
     def add(self, k: int, pair: FloatArray) -> None:
         """Add the constraint that H of leg ``k`` is at most its value at a pair.
 
-        `pair` is a result of `Pairs.cheapest`.
+        H is the power of a pair of thrust and airspeed less the terms of the prices, `pair` a
+        result of `Pairs.cheapest`.
         """
         mass, line = self._legs[k].mass, np.zeros(self.size)
         line[:3], line[self._of(self._way, k)] = -pair[1:4] / mass, -pair[4:7]
