@@ -411,7 +411,7 @@ class Candidate:
             found.extend(alone.relaxations)
         return tuple(found)
 
-    # Proof by a flight
+    # Verification by a simulated flight
 
     def is_solved(self) -> bool:
         """Return whether there is a converged solution whose controls can be simulated."""

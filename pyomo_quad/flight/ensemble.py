@@ -265,7 +265,7 @@ class Squadron:
     ) -> Iterator[Ending]:
         """Yield the result of each flight, given its largest deviation [m] and tilt [rad]."""
         count, samples = draws.count, len(flown.t)
-        # One flight at a time, with all its samples.
+        # Reorder the arrays: one flight after the other, each with all its samples.
         states, controls = (
             np.ascontiguousarray(held.swapaxes(0, 1))
             for held in (flown.joint[:, :, : len(self._columns)], flown.controls)

@@ -75,7 +75,7 @@ _SLOWER = (3.0, 2.0, 1.5, 1.2, 1.1)
 
 _C = Candidate
 ROUTES, COARSE, _, REFINING = Stage
-#: First solutions: the first that applies decides.
+#: Strategies for a first solution, of which the first that applies is decisive.
 FIRST = (
     Strategy("candidate routes", ROUTES, _C.has_routes, _C.fly_routes),
     Strategy("similar flight", COARSE, _C.starts_at_flight, _C.from_flight),
@@ -98,7 +98,7 @@ RETRIES = (
     Strategy("guess from the shortest flight", COARSE, _C.has_shorter, _C.from_shortest),
     Strategy("diagnosis", COARSE, _C.has_failed, _C.judge),
 )
-#: Proof of a solution by a flight of its controls.
+#: Verification of a solution by simulation of its controls.
 PROOF = (
     Strategy("flight", REFINING, _C.is_solved, _C.fly),
     Strategy("flight astray", REFINING, _C.is_astray, _C.tighten, most=3),

@@ -31,7 +31,7 @@ _BOUNDS = (
     *fields_of("limits", "speed_max", "state_of_charge_min"),
     *fields_of("limits", "battery_current_max", "battery_voltage_min", "battery_power_share_max"),
 )
-# Declared where they are not zero.
+# Names of the parameters that are declared only where they are not zero.
 _RESERVE, _MOTOR_LAG = "reserve", "motor_time_constant"
 _OPTIONAL = (*fields_of("limits", _RESERVE), *fields_of("vehicle", _MOTOR_LAG))
 

@@ -60,7 +60,7 @@ _SPEED_ROUNDING = 0.1 * _SPEED
 _ROOT_RATE = units.s**-0.5
 _WORLD = ("x", "y", "z")
 
-#: s. Step over which the noise is constant: at 6 Hz, 5 % of the spectrum is missing.
+#: Step over which the noise is constant [s]: at 6 Hz, 5 % of the spectrum is missing.
 NOISE_STEP = 0.02
 _BLOCK = "wind.turbulence"
 #: The noise of each filter, by full name.

@@ -157,7 +157,8 @@ def fly_campaign(
     flights: list[CampaignFlight] = []
     endings: list[str] = []
     for charge in range(1, charges + 1):
-        # A pack that was charged has rested: its circuit starts as the scenario says.
+        # A recharged battery has rested: relaxation voltage and temperature start as in the
+        # scenario.
         left = {"battery.initial_state_of_charge": missions[0].battery.initial_state_of_charge}
         for number in range(1, MOST_FLIGHTS + 1):
             told = missions[turn].with_values(left)

@@ -212,9 +212,9 @@ class Pairs:
         return min(allowed, max(terminal, wind))
 
     def _most_of_first(self) -> float:
-        """Return the upper limit of the rotor speed [rad/s] or of a modelled induced velocity [m/s].
+        """Return the upper limit of a pair's first coordinate, rotor speed or induced velocity.
 
-        This quantity is the first coordinate of a pair of thrust and airspeed.
+        A pair is a thrust and an airspeed; the limit is in rad/s or m/s.
         """
 
         def excess(first: float) -> float:
