@@ -332,7 +332,7 @@ class _Loop:
         return self._system.rates(t, joint, self._controller.command(self._reference, t))
 
     def flight(self, times: FloatArray, rows: FloatArray) -> ClosedLoopFlight:
-        """Return the simulated flight made of joint states `rows` at `times`."""
+        """Return the simulated flight made of joint states (vehicle, controller, energy)."""
         commands = np.array([self._controller.command(self._reference, t) for t in times.tolist()])
         return ClosedLoopFlight(
             flown=Flown(

@@ -48,7 +48,8 @@ class Approach:
     field : str
         Scenario field that sets this end of the limit.
     room : ndarray, shape (n,)
-        Distance of the flight without gusts from the limit, in its unit, before any margin.
+        Distance of the flight without gusts from the limit, in its unit, before any margin (amount
+        by which a plan stays inside it).
     planned : ndarray, shape (n,)
         Distance of the plan from the limit.
     deviation : ndarray, shape (n,)
@@ -73,7 +74,8 @@ class Approach:
         """Predict the probability that a flight breaks the limit if the plan had another margin.
 
         The plan is assumed to change only where its distance from the limit is less than the new
-        margin, or where the present margin is active, so that it will follow the new margin.
+        margin, or where the present margin is active, so that it will follow the new margin. A
+        margin is the amount by which a plan stays inside the limit.
 
         Parameters
         ----------
@@ -89,7 +91,8 @@ class Approach:
     def margin_for(self, share: float, held: float, most: float) -> float:
         """Return the smallest margin with which the probability of a violation is ``share``.
 
-        `held` is the margin of the present plan; the result is at most ``most``.
+        `held` is the margin of the present plan; the result is at most ``most``. A margin is the
+        amount by which a plan stays inside the limit.
         """
         if self.probability(held, 0.0) <= share:
             return 0.0

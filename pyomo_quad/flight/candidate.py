@@ -1,7 +1,8 @@
 """Candidate plan of a mission, with the conditions and actions of the planning strategies.
 
-`flight.strategies` has the table that combines them. Each action returns its outcome for the record
-of the search, or None where it has none.
+A candidate is the best solution that the search for a plan has found so far. `flight.strategies`
+has the table that combines them. Each action returns its outcome for the record of the search, or
+None where it has none.
 """
 
 from __future__ import annotations

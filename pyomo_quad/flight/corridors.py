@@ -124,7 +124,7 @@ class LineCosts:
     power : callable
         Power of level flight [W] over airspeed [m/s].
     ends : ndarray, shape (2, 3)
-        Start and goal of the leg [m].
+        Ends of the leg, from one waypoint to the next [m].
     duration : float
         Duration of the leg, or its guess [s], for the time at which a place is passed.
     fastest : float
@@ -204,7 +204,7 @@ def has_corridors(told: Scenario) -> bool:
 def estimate_of(journey: Journey) -> float | None:
     """Return the energy of steady flight along a journey [J]; None in unknown wind.
 
-    A journey is a route for each leg of the mission.
+    A journey is a route for each leg of the mission, from one waypoint to the next.
     """
     known = [route.estimate_J for route in journey if route.estimate_J is not None]
     return sum(known) if len(known) == len(journey) else None
@@ -213,10 +213,11 @@ def estimate_of(journey: Journey) -> float | None:
 def corridor_journeys(
     told: Scenario, steady: SteadyFlight, shortest: Journey
 ) -> tuple[Journey, ...]:
-    """Return journeys through the corridors of a wind field, the cheapest first.
+    """Return journeys along cheap routes through a wind field, the cheapest first.
 
-    A journey is a route for each leg of the mission. The last journey is the shortest one, because
-    a grid may be too coarse to resolve its corridors.
+    A journey is a route for each leg of the mission, from one waypoint to the next; a leg may have
+    several cheap routes that lie apart (corridors). The last journey is the shortest one, because a
+    grid may be too coarse to resolve its corridors.
 
     Parameters
     ----------
@@ -241,7 +242,7 @@ def corridor_journeys(
 
 
 class Corridors:
-    """Search for cheap routes that lie apart (corridors) through a wind field, for one leg.
+    """Search for cheap routes that lie apart (corridors) between two waypoints in a wind field.
 
     Parameters
     ----------
@@ -281,7 +282,7 @@ class Corridors:
     def routes(self) -> list[Route]:
         """Return cheap routes of the leg that lie apart (corridors), the cheapest first.
 
-        Empty if no route leads through the grid.
+        Empty if no route leads through the grid. A leg is the flight from one waypoint to the next.
         """
         return [
             Route(

@@ -241,7 +241,8 @@ class _MeanFlight:
     def flown(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the joint states and the controller's commands at given times [s].
 
-        Their shapes are (n, n_joint) and (n, `COMMAND_SIZE`).
+        Their shapes are (n, n_joint) and (n, `COMMAND_SIZE`). A joint state holds the states of
+        vehicle, turbulence filters and controller, and the energy.
         """
         flight = fly(
             dynamics=self.dynamics,
@@ -259,6 +260,9 @@ class _MeanFlight:
         self, t: FloatArray, joint: FloatArray, commands: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return the Jacobians of the closed loop by joint state, and by noise and parameters.
+
+        A joint state holds the states of vehicle, turbulence filters and controller, and the
+        energy.
 
         Parameters
         ----------

@@ -103,7 +103,8 @@ class RiskTaken:
     def price(self, energy: float) -> tuple[float, float]:
         """Return the energy that the margins cost: in J, and in % of the plan without margins.
 
-        `energy` is that of the plan with margins [J].
+        `energy` is that of the plan with margins [J]. Margins are the amounts by which the plan
+        stays inside its limits.
         """
         more = energy - self.paper_energy_J
         return more, 100.0 * more / self.paper_energy_J
@@ -111,7 +112,8 @@ class RiskTaken:
     def words(self, energy: float) -> str:
         """Return risk of a broken limit, test flights and cost of the margins in sentences.
 
-        `energy` is that of the plan with margins [J].
+        `energy` is that of the plan with margins [J]. Margins are the amounts by which the plan
+        stays inside its limits.
         """
         joules, percent = self.price(energy)
         price = f"the margins cost {joules:.3g} J ({percent:.2g} %)"
@@ -176,7 +178,7 @@ def used_up(planned: LimitValues, flown: LimitValues) -> Iterator[tuple[str, flo
 
 
 def _narrowed(waypoint: Waypoint, margins: Mapping[str, float]) -> Waypoint:
-    """Return a waypoint with margins: smaller radius, lower speed limit, earlier hover."""
+    """Return a waypoint tightened by margins: smaller radius, lower speed limit, earlier hover."""
     changed: dict[str, float] = {}
     if waypoint.radius:
         least = min(waypoint.radius, _LEFT_OF_ROOM)
@@ -213,7 +215,7 @@ def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> 
 def greatest_margin(scenario: Scenario, name: str) -> float:
     """Return the largest margin on a scenario field that can leave the mission feasible.
 
-    It is in the unit of the field.
+    A margin is the amount by which a plan tightens the field, in the unit of the field.
     """
     told, limits, mission = scenario.airspace, scenario.limits, scenario.mission
     if name == "airspace.floor" and told.floor is not None:

@@ -55,7 +55,7 @@ class MissionProblem:
     told : Scenario
         The mission in the wind that the optimiser assumes (the forecast).
     search : Search, optional
-        Stops the solves, and keeps usable plans from the meshes that they finish.
+        Stops the solves, and keeps plans that simulation confirms at lower accuracy.
 
     Attributes
     ----------
@@ -111,8 +111,8 @@ class MissionProblem:
         Parameters
         ----------
         numbers : dict, optional
-            Parameter values other than the mission's, by full name; the search then keeps no usable
-            plan.
+            Parameter values other than the mission's, by full name; the search then keeps no plan
+            of a finished mesh.
         **chosen
             Arguments of `Problem.solve` that replace those of `arguments`.
 

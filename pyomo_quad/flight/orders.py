@@ -174,7 +174,11 @@ def search_orders(costs: FloatArray, count: int) -> list[_Order]:
 
 
 def _without_infinities(costs: FloatArray) -> FloatArray:
-    """Return leg costs with infinite entries replaced by a number above the cost of any order."""
+    """Return leg costs without infinite entries, for algorithms that need finite numbers.
+
+    A leg is the flight between two places. An infinite cost, of a leg that is not allowed, is
+    replaced by a number above the cost of any order.
+    """
     finite = costs[np.isfinite(costs)]
     large = 1.0 + len(costs) * float(np.max(np.abs(finite), initial=0.0))
     return np.where(np.isfinite(costs), costs, large)
@@ -251,12 +255,12 @@ def least_cost(costs: FloatArray, reached: float) -> float:
 
 
 def _made_symmetric(costs: FloatArray, finite: FloatArray) -> FloatArray:
-    """Return symmetric leg costs for a lower bound: the cheaper direction, less potentials.
+    """Return symmetric costs of the legs for a lower bound: the cheaper direction, less potentials.
 
-    A potential is a number for each place, whose difference is subtracted from the cost of a leg;
-    the cost of an order does not depend on potentials, eq. (3). Climbs, and head wind against tail
-    wind, are differences of potentials; a leg allowed in one direction only gives no information on
-    them.
+    A leg is the flight from one place to another. A potential is a number for each place, whose
+    difference is subtracted from the cost of a leg; the cost of an order does not depend on
+    potentials, eq. (3). Climbs, and head wind against tail wind, are differences of potentials; a
+    leg allowed in one direction only gives no information on them.
     """
     potential = np.zeros(len(costs))
     is_both = np.isfinite(costs + costs.T)[1:-1, 1:-1]

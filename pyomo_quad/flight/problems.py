@@ -118,7 +118,8 @@ class Problems:
     def dynamics(self, scenario: Scenario) -> Dynamics:
         """Return the equations of a scenario's vehicle in its wind, for simulations.
 
-        The limits are those of simulated flights, which may use the reserve that plans leave.
+        The limits are those of simulated flights, which may use the thrust that plans leave to the
+        controller.
         """
         problem, numbers = self.problem_for(scenario)[0], self.parameters(scenario)
         return problem.dynamics(parameters=without_reserve(numbers), horizon=horizon_of(scenario))

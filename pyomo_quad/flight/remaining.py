@@ -109,7 +109,10 @@ class Belief:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Remainder:
-    """Rest of a mission after some of its waypoints, with the compiled problem of its re-plans."""
+    """Rest of a mission after some of its waypoints, with its compiled problem.
+
+    In flight, this problem is solved repeatedly for new plans (re-plans).
+    """
 
     problem: Problem
     begin: float
@@ -161,7 +164,7 @@ class Remainder:
         return Mesh.uniform(1, _DEGREE).with_breakpoints(fractions.tolist())
 
     def guess(self, t: float, known: Trajectories) -> dict[str, FloatArray]:
-        """Return samples of a known plan from time t [s] on, as the initial guess of a re-plan."""
+        """Return samples of a known plan from time t [s] on, as the initial guess of a new plan."""
         declared = self.problem.compiled.declared
         times = np.linspace(t, self.end, _GUESSED)
         states = zip(known.state_names, known.states_at(times).T, strict=True)
@@ -292,9 +295,9 @@ class Replanner:
     def prepare(self, plan: Trajectories) -> None:
         """Solve the remaining mission at take-off and after each waypoint, for later warm starts.
 
-        The penalty on violations of soft limits is increased until a re-plan from the states of the
-        first plan violates no limit, if possible: above the norm of the multipliers the penalty is
-        exact.
+        The penalty on violations of soft limits is increased until a new plan from the states of
+        the first plan violates no limit, if possible: above the norm of the multipliers the penalty
+        is exact.
         """
         for rest in self.remainders:
             (state,), usual = self._states(plan, rest.begin), self._price
@@ -311,6 +314,8 @@ class Replanner:
         self, t: float, state: FloatArray, belief: Belief, *, is_patient: bool = False
     ) -> Solution:
         """Solve the remaining mission from a state at a time.
+
+        The solution is a new plan in flight (re-plan).
 
         Parameters
         ----------
@@ -403,7 +408,8 @@ class Replanner:
     def is_off(self, course: Course, t: float, state: FloatArray) -> bool:
         """Return whether a flight is nearer to any limit than its plan by more than the margin.
 
-        `state` is the measured state at time t [s].
+        `state` is the measured state at time t [s]. Margins are the amounts by which the plan stays
+        inside its limits.
         """
         now, limits = np.array([t]), self.dynamics.control_limits(HELD_BREACH)
         planned = self._states(course.plan, t)

@@ -83,14 +83,15 @@ _TOLERANCE = 1e-6
 def replanned_name(knowledge: Knowledge) -> str:
     """Return the name of a flight with re-planning, such as "mpc/told".
 
-    `knowledge` is what the planner knows of the wind.
+    `knowledge` is what the planner knows of the wind. In such a flight, the plan is replaced
+    repeatedly by a new one.
     """
     return f"mpc/{knowledge.value}"
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Leg:
-    """Part of a flight with re-planning during which the vehicle follows one plan."""
+    """Part of a flight during which the vehicle follows one plan, until a new plan replaces it."""
 
     course: Course
     start: float
@@ -195,7 +196,7 @@ class _Aircraft:
 
 
 class _ReplannedFlight:
-    """Simulation of a flight with re-planning: its parts so far, present plan and estimates."""
+    """Simulation of a flight whose plan is repeatedly solved again from the measured state."""
 
     def __init__(
         self,
@@ -310,9 +311,9 @@ class _ReplannedFlight:
     def flown_twice(self) -> list[tuple[Flown, Flown]]:
         """Simulate each part again with the other integrator, from the same initial state.
 
-        A second simulation of the whole flight would not do: each re-plan depends on rounding
-        errors of the state, and following plans of a flight with other rounding errors amounts to
-        flight without feedback, which deviates within seconds.
+        A second simulation of the whole flight would not do: each new plan made in flight depends
+        on rounding errors of the state, and following plans of a flight with other rounding errors
+        amounts to flight without feedback, which deviates within seconds.
 
         Returns
         -------

@@ -27,7 +27,7 @@ _SECONDS_PER_HOUR = 3600.0
 def with_return_flight(problems: "Problems", scenario: Scenario) -> Scenario:
     """Return the scenario with airspeed and current of the return flight filled in.
 
-    A scenario without a return reserve, or with both given, is returned unchanged.
+    A scenario that keeps no charge for a return, or with both given, is returned unchanged.
 
     Raises
     ------

@@ -233,6 +233,9 @@ class _Tried:
 class _Search:
     """Iterative search for the margins of one scenario, starting from its plan without margins.
 
+    Margins are the amounts by which the plan stays inside its limits, so that flights in turbulence
+    break a limit with at most the allowed probability (the risk).
+
     Parameters
     ----------
     paper : Plan
@@ -290,7 +293,7 @@ class _Search:
     def unfinished(self, why: str) -> Plan:
         """Return the last flyable plan of a search that ended early, with the reason ``why``.
 
-        No test flights confirm its risk.
+        No test flights confirm its risk, the probability that a flight breaks a limit.
         """
         plan, margins = self._last
         taken = RiskTaken(
@@ -307,6 +310,8 @@ class _Search:
 
     def _stated(self, tried: _Tried, counts: Counter[str], failed: int) -> Plan:
         """Return the tried plan with a record of its risk, from its test flights.
+
+        The risk is the probability that a flight in turbulence breaks any limit.
 
         Parameters
         ----------
@@ -336,7 +341,8 @@ class _Search:
     def _verified(self, tried: _Tried) -> _Tried:
         """Return a plan with margins again, refined and verified by simulation.
 
-        The refined mesh keeps the margins also between the collocation points.
+        Margins are the amounts by which the plan stays inside its limits; the refined mesh keeps
+        the margins also between the collocation points.
         """
         if not tried.margins:
             return tried
@@ -366,7 +372,7 @@ class _Search:
         )
 
     def _planned(self, last: _Tried, margins: Mapping[str, float]) -> _Tried | None:
-        """Solve the scenario with margins, warm-started from another plan.
+        """Solve the scenario tightened by margins, warm-started from another plan.
 
         Returns
         -------
@@ -411,9 +417,9 @@ class _Search:
         return is_there and tried.astray <= _ASTRAY_M
 
     def _reserve(self, share: float) -> dict[str, float]:
-        """Return the margins that keep a fraction of rotor speed, thrust and tilt in reserve.
+        """Return the margins that leave a fraction of rotor speed, thrust and tilt unused.
 
-        A free duration is longer too.
+        Margins are amounts by which limits are tightened. A free duration gets longer too.
         """
         margins = {name: share * greatest_margin(self._scenario, name) for name in AUTHORITY}
         for name, more in self._steeper_than_the_controller().items():
@@ -426,9 +432,10 @@ class _Search:
         return margins
 
     def _steeper_than_the_controller(self) -> dict[str, float]:
-        """Return the margins on roll and pitch that limit plans to the controller's own tilt [rad].
+        """Return the amounts by which roll and pitch limits exceed the controller's own [rad].
 
-        Empty if the scenario does not limit the controller's tilt.
+        A plan with these amounts as margins stays within the controller's tilt limit. Empty if the
+        scenario does not limit the controller's tilt.
         """
         limits, most = self._scenario.limits, self._scenario.baseline.gains.tilt_max
         if most is None:
@@ -488,9 +495,10 @@ class _Search:
         return margins
 
     def _agree(self, held: Mapping[str, float], wanted: Mapping[str, float]) -> bool:
-        """Return whether a plan's margins are close to those that the spread of flights needs.
+        """Return whether the margins of a plan are close to those that its flights need.
 
-        `held` are the margins of the plan, `wanted` the others: scenario field -> amount.
+        `held` are the margins of the plan, `wanted` the others: scenario field -> amount. They are
+        amounts by which the plan stays inside its limits.
         """
         for name in {*held, *wanted}:
             one, other = held.get(name, 0.0), wanted.get(name, 0.0)
@@ -517,10 +525,11 @@ class _Search:
         return [tuple(ending.broken) for ending in squadron.fly(draws).endings]
 
     def _grown(self, tried: _Tried, counts: Mapping[str, int]) -> dict[str, float]:
-        """Return margins that are larger for the limits that test flights break too often.
+        """Return larger margins for the limits that test flights break too often.
 
         A flight that misses a place of the mission had too little thrust to correct the effect of a
-        gust, so that the margins of thrust and tilt grow.
+        gust, so that the margins of thrust and tilt grow. Margins are the amounts by which the plan
+        stays inside its limits.
         """
         allowed = self._risk * _FLIGHTS / max(len(counts), 1)
         fields: set[str] = set()
@@ -557,7 +566,7 @@ class _Search:
         return f"{longer}{self._weaker(tried)}"
 
     def _weaker(self, tried: _Tried) -> str:
-        """Return advice on the weaker turbulence in which flights would keep the risk."""
+        """Return advice on the weaker turbulence in which a flight rarely misses the goal."""
         allowed = _SHARE_OF_GOAL * self._risk
         places = [miss for miss in tried.missed if not miss.field]
         low, high = 0.0, 1.0
@@ -594,7 +603,7 @@ def _missed_least(tried: _Tried) -> tuple[float, float]:
 
 
 def _planned_at(plan: Plan, spread: Spread) -> tuple[FloatArray, FloatArray]:
-    """Return states and controls of a plan at the times of a spread of flights.
+    """Return states and controls of a plan at the times of a distribution of its flights.
 
     The states are in the order of the spread's dynamics, shape (n, n_states).
     """

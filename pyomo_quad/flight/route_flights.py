@@ -49,7 +49,8 @@ class RouteFlights:
     mission : MissionProblem
         Compiled problem of the mission.
     known : Solution, optional
-        Solution along the shortest journey (a route for each leg) on one mesh, if known already.
+        Solution along the shortest journey (a route from each waypoint to the next) on one mesh, if
+        known already.
     """
 
     _near_on_first = _NEAR_ON_FIRST
@@ -88,8 +89,9 @@ class RouteFlights:
     def compared(self, journeys: Sequence[Journey]) -> tuple[Solution, tuple[TriedRoute, ...]]:
         """Solve along given journeys on one mesh, refine the best; return it and all results.
 
-        A journey is a route for each leg. If the solutions of two journeys coincide on this mesh or
-        the next, as for the journeys over and beside a sphere, the longer journey is left out.
+        A journey is a route for each leg, from one waypoint to the next. If the solutions of two
+        journeys coincide on this mesh or the next, as for the journeys over and beside a sphere,
+        the longer journey is left out.
 
         Returns
         -------
@@ -128,8 +130,8 @@ class RouteFlights:
         Parameters
         ----------
         known : dict
-            Solutions by number of the journey; finer solutions replace coarse ones, duplicates are
-            removed.
+            Solutions by number of the journey (a route for each leg of the mission); finer
+            solutions replace coarse ones, duplicates are removed.
 
         Returns
         -------
@@ -149,7 +151,8 @@ class RouteFlights:
     def _refined(self, known: Mapping[int, Solution], near: list[int]) -> dict[int, Solution]:
         """Return the best solutions refined to the tolerance, by number of the journey.
 
-        If none of them can be refined, other solutions follow until one can.
+        If none of them can be refined, other solutions follow until one can. A journey is a route
+        for each leg of the mission.
         """
         refined: dict[int, Solution] = {}
         others = [k for k in _cheapest(known) if k not in near and known[k].status.is_solved]
@@ -168,8 +171,8 @@ class RouteFlights:
     def as_flown(self, journey: Journey, solution: Solution) -> Journey:
         """Return a journey with the sides of zones on which its solution really passes.
 
-        A journey is a route for each leg of the mission. Without a solution it is returned
-        unchanged.
+        A journey is a route for each leg of the mission, from one waypoint to the next. Without a
+        solution it is returned unchanged.
         """
         is_flown = solution.status.is_solved
         return journey_as_flown(self._told, journey, solution) if is_flown else journey
@@ -177,8 +180,9 @@ class RouteFlights:
     def _journeys(self, most: int | None) -> tuple[Journey, ...]:
         """Return the candidate journeys of the mission, at most ``most``.
 
-        The shortest come first. In a wind field they lead through its corridors. Journeys of high
-        estimated cost are left out, except for accuracy `proof`.
+        A journey is a route for each leg, from one waypoint to the next. The shortest come first;
+        in a wind field the cheapest in steady flight. Journeys of high estimated cost are left out,
+        except for accuracy `proof`.
         """
         told = self._told
         journeys = find_journeys(told.airspace, told.mission.positions)[:most]
@@ -192,8 +196,8 @@ class RouteFlights:
     def _cost_per_metre(self, shortest: Journey) -> Callable[[FloatArray], float]:
         """Return the energy per metre of steady flight as a function of direction (unit vector).
 
-        The speed is common to all directions: from the length of the shortest journey and the
-        duration or, if the duration is free, the speed of least cost.
+        The speed is common to all directions: from the length of the shortest way to the goal and
+        the duration or, if the duration is free, the speed of least cost.
         """
         told, steady = self._told, self._mission.steady
         mission = told.mission
@@ -218,7 +222,8 @@ class RouteFlights:
 
         If that fails, the solve is repeated from a solution with exact waypoint passages; all
         further journeys are then solved in this way at once, because the difficulty does not depend
-        on the journey.
+        on the journey. A journey is a route for each leg of the mission, from one waypoint to the
+        next.
         """
         if self._known is not None:
             known, self._known = self._known, None
@@ -261,6 +266,8 @@ def promising(
     journeys: Sequence[Journey], cost_per_metre: Callable[[FloatArray], float]
 ) -> tuple[Journey, ...]:
     """Return the journeys whose estimated cost is near the least.
+
+    A journey is a route for each leg of the mission, from one waypoint to the next.
 
     Parameters
     ----------
@@ -331,7 +338,8 @@ def guess_along(
 def journey_as_flown(told: Scenario, journey: Journey, solution: Solution) -> Journey:
     """Return a journey with the sides of zones on which a solution passes.
 
-    A solve may end on another side of a zone than its initial guess.
+    A solve may end on another side of a zone than its initial guess. A journey is a route for each
+    leg of the mission, from one waypoint to the next.
 
     Parameters
     ----------

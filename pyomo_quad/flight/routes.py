@@ -221,7 +221,7 @@ def find_journeys(airspace: Airspace, stops: Sequence[Place]) -> tuple[Journey, 
 
 
 def length_of(journey: Journey) -> float:
-    """Return the length of a journey, that is of all its routes together [m]."""
+    """Return the length of a journey [m], the sum over its routes between waypoints."""
     return sum(route.length for route in journey)
 
 
@@ -509,7 +509,7 @@ def cruise(scenario: Scenario) -> SampledPath:
 
 
 def _legs(scenario: Scenario) -> list[list[tuple[FloatArray, SpeedProfile]]]:
-    """Return the straight pieces of each leg of an autopilot's cruise.
+    """Return the straight pieces of an autopilot's cruise between consecutive waypoints.
 
     Returns
     -------

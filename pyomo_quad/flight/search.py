@@ -64,7 +64,8 @@ class State:
     spent_s : float
         Processor time since the search began.
     has_usable : bool
-        Whether there is a usable plan, which is returned if the search is stopped now.
+        Whether there is a plan that simulation confirms at lower accuracy, which is returned if the
+        search is stopped now.
     iteration : Iteration
         Present iteration of Ipopt.
     """
@@ -164,7 +165,8 @@ class Search:
 
         A solution with a small error estimate is simulated at once. From a coarser solution a
         flyable trajectory is computed first, but only in a long search without a usable plan, if
-        need be in the middle of a later solve.  A search that ends soon needs neither.
+        need be in the middle of a later solve.  A search that ends soon needs neither. A usable
+        plan is one that simulation confirms at lower accuracy than requested.
 
         Parameters
         ----------
@@ -225,7 +227,8 @@ class Search:
         """Return the plan with which the search ends: the last plan, or else the best usable plan.
 
         The usable plan replaces a last plan that simulation does not confirm, unless this was
-        proven infeasible.
+        proven infeasible. A usable plan is one that simulation confirms at lower accuracy than
+        requested.
         """
         plan = as_usable(self._given_up(replace(plan, attempts=tuple(self.record))))
         if plan.is_flyable or plan.status is PlanStatus.INFEASIBLE or self.usable is None:

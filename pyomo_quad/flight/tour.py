@@ -99,9 +99,10 @@ class LegTable:
 
     @property
     def legs(self) -> tuple[_Leg, ...]:
-        """Legs that an order may use and that zones leave open; empty if zones enclose a place.
+        """Legs (flights between two places) that an order may use and that zones leave open.
 
-        Each is a pair of indices of places; the start is 0 and the goal the last.
+        Empty if zones enclose a place. Each leg is a pair of indices of places; the start is 0 and
+        the goal the last.
         """
         return () if isinf(self._usual) else tuple(self._ways)
 
@@ -112,7 +113,7 @@ class LegTable:
 
     @property
     def lengths(self) -> FloatArray:
-        """Length of the shortest route of each leg [m], infinite without a route."""
+        """Length of the shortest route between any two places [m], infinite without a route."""
         return self._table({leg: way.length for leg, way in self._ways.items()})
 
     def costs(self) -> FloatArray:
@@ -177,7 +178,10 @@ class LegTable:
         return self._solve(alone, _LEG_MESH, way if way.sides else None)
 
     def _features(self, leg: _Leg) -> list[float]:
-        """Return the regressors that predict a leg's energy from its route, eq. (1)."""
+        """Return the regressors that predict the energy of a flight between two places.
+
+        They are those of docs/theory/orders.md, eq. (1).
+        """
         here, there = (np.array(self._scenario.mission.positions[k]) for k in leg)
         (dx, dy, dz), height = there - here, float(here[2] + there[2]) / 2.0
         length = self._ways[leg].length
@@ -268,7 +272,7 @@ def _first_legs(lengths: FloatArray) -> list[_Leg]:
 
 
 def _shortest_ways(scenario: Scenario) -> dict[_Leg, Route]:
-    """Return the shortest route of each leg that an order may use."""
+    """Return the shortest route between each two places that an order may connect."""
     places, ways = scenario.mission.positions, {}
     last = len(places) - 1
     for here, there in permutations(range(len(places)), 2):
@@ -328,9 +332,10 @@ class BestOrder:
         return replace(plan, order_search=best if best.legs else None)
 
     def _leg(self, alone: Scenario, mesh: Mesh, way: Route | None) -> Solution:
-        """Solve a leg alone on one mesh, with a guess along its shortest route.
+        """Solve the flight between two places on one mesh, with a guess along its route.
 
-        A guess from the solution of another leg would take as many iterations as the model's own.
+        A guess from the solution of another such leg would take as many iterations as the model's
+        own.
         """
         mission, guess = MissionProblem(self._problems, alone, self._search), None
         if way is not None:

@@ -115,7 +115,7 @@ def sides_passed(
     zone : KeepOut
         The zone.
     ends : ndarray, shape (2, 3)
-        Ends of the leg beside which the zone lies [m].
+        Ends of the leg (line between two waypoints) beside which the zone lies [m].
     clearance : float
         Distance kept from the zone [m].
     starts, stops : ndarray, shape (n, 3)
@@ -247,7 +247,7 @@ def places_beside(zone: KeepOut, clearance: float, ends: FloatArray) -> FloatArr
     clearance : float
         Distance kept from the zone [m].
     ends : ndarray, shape (2, 3)
-        Ends of the leg beside which the zone lies [m].
+        Ends of the leg (line between two waypoints) beside which the zone lies [m].
 
     Returns
     -------

@@ -89,7 +89,10 @@ def declare_limits(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _left(b: Block, most: NumericExpression) -> NumericExpression:
-    """Return the upper limit of rotor speed or thrust for a plan: `most` less the reserve."""
+    """Return the upper limit of rotor speed or thrust for a plan: `most` less a reserve.
+
+    The reserve is a fraction that the plan leaves to the controller which flies it.
+    """
     reserve = b.component(_RESERVE)
     return most if reserve is None else (1 - reserve) * most
 

@@ -122,7 +122,7 @@ class Campaign(Summarised):
         }
 
     def table(self) -> "pd.DataFrame":
-        """Return the campaign as a table: one row per flight, columns `CampaignColumn`."""
+        """Return the flights as a table: one row per flight, columns `CampaignColumn`."""
         return CampaignColumn.of_objects(self.flights)
 
 

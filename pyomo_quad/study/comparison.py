@@ -245,7 +245,7 @@ class LegColumn(TableColumn):
 
 
 def leg_table(mission: Scenario, frame: "pd.DataFrame") -> "pd.DataFrame":
-    """Return times, length and energy of each leg of a flight as a table; see `leg_rows`."""
+    """Return times, length and energy of each leg of a flight (between waypoints) as a table."""
     return LegColumn.of_rows(leg_rows(mission, frame))
 
 
@@ -289,7 +289,7 @@ def leg_rows(
 
 
 def _legs(mission: Scenario, duration_s: float) -> Iterator[tuple[str, float, float]]:
-    """Yield name, begin and end [s] of every leg and of every hover between two legs."""
+    """Yield name, begin and end [s] of each leg between waypoints and each hover at them."""
     left, place = 0.0, "start"
     for number, waypoint in enumerate(mission.mission.waypoints, start=1):
         reached = duration_s if waypoint.at is None else waypoint.at

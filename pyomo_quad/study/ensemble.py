@@ -224,10 +224,11 @@ def fly_cruise_often(
     name: str = "",
     least_s: float = 0.0,
 ) -> Ensemble:
-    """Simulate an autopilot on straight legs many times, in the same random winds as the plan.
+    """Simulate an autopilot, straight between waypoints, many times in random winds.
 
-    The autopilot waits at the goal until half of the flights have arrived, at most the last of
-    `SETTLINGS_S`, and to the end of `least_s`.
+    The winds are the same as for the plan of the same seed. The autopilot waits at the goal until
+    half of the flights have arrived, at most the last of `SETTLINGS_S`, and to the end of
+    `least_s`.
 
     Parameters
     ----------

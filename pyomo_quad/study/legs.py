@@ -140,8 +140,8 @@ class Itinerary:
     mass : float
         Mass at the start, kg.
     conjugate : callable
-        Takes prices of thrust, shape (n,), W/N; returns the conjugate of the power [W] and the
-        maximising thrust [N].
+        Takes prices (multipliers) of thrust, shape (n,), W/N; returns the conjugate of the power
+        [W] and the maximising thrust [N].
     """
 
     def __init__(
@@ -174,7 +174,7 @@ class Itinerary:
         Parameters
         ----------
         prices : ndarray, shape (n_prices, 3)
-            Prices of momentum at the ends of the legs, J per N s.
+            Prices (multipliers) of momentum at the ends of the legs, J per N s.
 
         Returns
         -------
@@ -217,7 +217,7 @@ class Itinerary:
         Parameters
         ----------
         price : ndarray, shape (3,)
-            Price of thrust at which the search begins, W/N.
+            Price (multiplier) of thrust at which the search begins, W/N.
         """
         places = np.zeros((self._size, 3))
         for first, last, way in zip(self._first, self._last, self._ways, strict=True):
@@ -267,7 +267,9 @@ def _length(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _least_over_times(
     gained: FloatArray, spent: FloatArray, least: float, greatest: float
 ) -> tuple[float, FloatArray]:
-    """Return the minimum over the durations T_k of a party of the sum of A_k / T_k + G_k T_k.
+    """Return the minimum over the durations T_k of some legs of the sum of A_k / T_k + G_k T_k.
+
+    The legs form a party: the sum of their durations is limited.
 
     Parameters
     ----------
