@@ -603,7 +603,7 @@ def _missed_least(tried: _Tried) -> tuple[float, float]:
 
 
 def _planned_at(plan: Plan, spread: Spread) -> tuple[FloatArray, FloatArray]:
-    """Return states and controls of a plan at the times of a distribution of its flights.
+    """Return states and controls of a plan at the times of its flights' covariance.
 
     The states are in the order of the spread's dynamics, shape (n, n_states).
     """
