@@ -202,8 +202,8 @@ def find_orders(
 ) -> tuple[OrderSearch, ...]:
     """Search for the cheapest orders of waypoints by the energies of their legs.
 
-    Exact up to `orders.MOST_EXACT` waypoints: no unsolved leg would lead to a cheaper order, even
-    at its optimistic prediction.
+    A leg is the flight between two places. Exact up to `orders.MOST_EXACT` waypoints: no unsolved
+    leg would lead to a cheaper order, even at its optimistic prediction.
 
     Parameters
     ----------
@@ -318,7 +318,7 @@ class BestOrder:
         return f"{cost:.6g} J on a first mesh" if is_flown else solution.status.value
 
     def finish(self, solve: Callable[[Scenario, Start | None, Search], Plan]) -> Plan:
-        """Return the plan of the cheapest order, refined and verified.
+        """Return the plan of the cheapest order of the waypoints, refined and verified.
 
         `solve` solves a scenario from a start within a search.
         """

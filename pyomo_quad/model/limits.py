@@ -1,4 +1,4 @@
-"""Limits on attitude, rotors, thrust and moments, eq. (10), and optional limits of the battery.
+"""Limits on attitude, rotors, thrust and moments, eq. (10) of the paper, and on the battery.
 
 The paper writes |u_k| <= u_max for k = 1, 2, 3; u_1 has its own limit, so the moments are k = 2, 3,
 4. The limit on the rotor accelerations is not in the paper; without it, the paper's problem with

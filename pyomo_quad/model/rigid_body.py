@@ -1,4 +1,4 @@
-"""The rigid body: translation and rotation, eq. (6) and its state form, eq. (9).
+"""The rigid body: translation and rotation, eq. (6) of the paper and its state form, eq. (9).
 
 symbol | name | unit | meaning
 x, y, z | x, y, z | m | position in world axes, z up

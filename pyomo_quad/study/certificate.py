@@ -617,7 +617,10 @@ def _fit(
 
 
 def _below(thrust: FloatArray, power: FloatArray) -> FloatArray:
-    """Lower samples of the power so that the polygon through them is nowhere above the power."""
+    """Lower samples of the power so that the polygon through them is nowhere above the power.
+
+    A lower bound on the energy that the samples give is thus valid for the whole curve.
+    """
     chords = np.diff(power) / np.diff(thrust)
     # The power rises with thrust, so the first step extends a level line.
     extended = power[:-1] + np.concatenate([[0.0], chords[:-1]]) * np.diff(thrust)
