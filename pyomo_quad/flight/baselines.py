@@ -330,7 +330,7 @@ class _Loop:
         return self._system.rates(t, joint, self._controller.command(self._reference, t))
 
     def flight(self, times: FloatArray, rows: FloatArray) -> ClosedLoopFlight:
-        """Return the simulated flight made of joint states `rows` at `times`."""
+        """Return the simulated flight made of joint states (vehicle, controller, energy)."""
         commands = np.array([self._controller.command(self._reference, t) for t in times.tolist()])
         return ClosedLoopFlight(
             flown=Flown(
@@ -714,7 +714,11 @@ def _yaw_acceleration(
 def _doubts(
     dynamics: Dynamics, flown_twice: Sequence[tuple[Flown, Flown]], flown: Flown
 ) -> Iterator[str]:
-    """Yield the reasons why a flight is not verified: two integrators differ, or the battery."""
+    """Yield the reasons why a simulated flight is not verified, in words.
+
+    The two integrators differ in final position or energy, or the battery cannot give the power or
+    the voltage.
+    """
     columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
     ends = np.array([[flown.states[-1, columns] for flown in pair] for pair in flown_twice])
     spent = np.array([[flown.energy[-1] for flown in pair] for pair in flown_twice])

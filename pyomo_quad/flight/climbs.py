@@ -51,7 +51,7 @@ def over_the_ground(places: FloatArray, airspace: Airspace) -> FloatArray:
 
 
 def _summits(ends: FloatArray, airspace: Airspace, floor: float) -> FloatArray:
-    """Return the corners that raise one leg over terrain, without the ends of the leg.
+    """Return the corners that raise one leg of a route over terrain, without its ends.
 
     `ends` has shape (2, 3), `floor` is the least height above the ground [m]; the result has shape
     (n, 3), n <= 2.

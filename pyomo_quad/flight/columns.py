@@ -121,7 +121,7 @@ _OF_THE_CIRCUIT = (
         "battery_temperature_K", "temperature", "pack temperature", r"T_\mathrm{bat}", "K", 0.5
     ),
 )
-# Each is a pattern for one column per rotor; the rotor's number replaces the braces.
+# Patterns of the columns that each rotor has; the rotor's number replaces the braces.
 _SPEEDS = (
     _rotor("omega_{}_rad_per_s", "omega", "rotor speed", r"\omega_{}", "rad/s", 5.0),
     _rotor("alpha_{}_rad_per_s2", "alpha", "acceleration of rotor {}", r"\alpha_{}", "rad/s²", 1.0),

@@ -98,12 +98,12 @@ class Deadline:
 
     @property
     def limit_s(self) -> float:
-        """The time limit [s]."""
+        """Time limit of the command [s of processor time]."""
         return self._watch.limit_s
 
     @property
     def is_over(self) -> bool:
-        """Whether the time limit had passed at the last check."""
+        """Whether the time limit of the command had passed at the last check."""
         return self._watch.is_over
 
 

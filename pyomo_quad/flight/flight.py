@@ -47,7 +47,9 @@ class Flown:
     t : ndarray, shape (n,)
         Times [s].
     states : ndarray, shape (n, n_states)
+        States in the order of the dynamics.
     controls : ndarray, shape (n, n_controls)
+        Controls in the order of the dynamics.
     energy : ndarray, shape (n,)
         Energy spent since the start [J].
     """

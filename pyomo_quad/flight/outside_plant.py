@@ -239,7 +239,11 @@ class OutsidePlant:
         self._wind = _wind_of(scenario, dynamics)
 
     def started(self, x: FloatArray, own: Sequence[float]) -> FloatArray:
-        """Return the initial joint state, from declared states and the control law's own states."""
+        """Return the initial joint state, from declared states and the control law's own states.
+
+        The joint state has RotorPy's vector, further declared states, the law's states, and the
+        energy.
+        """
         s = np.zeros(_SIZE)
         s[:6] = x[self._place]
         attitude = Rotation.from_euler("ZYX", x[self._angles][::-1]) * self._turn
@@ -249,7 +253,11 @@ class OutsidePlant:
         return np.array([*s, *x[self._others], *own, 0.0])
 
     def read(self, joint: FloatArray) -> FloatArray:
-        """Return the declared states, shape (n_states,), of a joint state of RotorPy's vehicle."""
+        """Return the declared states, shape (n_states,), of a joint state.
+
+        The joint state has RotorPy's vector, further declared states, the law's states, and the
+        energy.
+        """
         x = np.empty(len(self.dynamics.state_names))
         x[self._place] = joint[:6]
         attitude = Rotation.from_quat(joint[_QUATERNION]) * self._turn.inv()
@@ -285,7 +293,7 @@ class OutsidePlant:
         return ordered
 
     def own(self, joint: FloatArray) -> list[float]:
-        """Return the control law's own states from a joint state."""
+        """Return the control law's own states from a joint state of vehicle, law and energy."""
         return joint[_SIZE + len(self._others) : -1].tolist()
 
     def rates(self, t: float, joint: FloatArray, law: OutsideLaw) -> FloatArray:

@@ -445,8 +445,9 @@ class Plan(Summarised):
     flown : Flown or None
         The simulated flight of the verification.
     risk : RiskTaken or None
-        Share of flights in turbulence that may break a limit, for which the plan keeps margins;
-        None for a plan without margins, which leaves no thrust to a controller (a paper plan).
+        Share of flights in turbulence that may break a limit, for which the plan stays inside its
+        limits by margins; None for a plan without margins, which leaves no thrust to a controller
+        (a paper plan).
     """
 
     scenario: Scenario
@@ -496,7 +497,8 @@ class Plan(Summarised):
     def risk_words(self) -> str:
         """Risk and cost of the plan's margins in words, or a warning that it has no margins.
 
-        The risk is the share of flights in turbulence that may break a limit.
+        The risk is the share of flights in turbulence that may break a limit. Margins are the
+        amounts by which the plan stays inside its limits.
         """
         return PAPER_PLAN if self.risk is None else self.risk.words(self.energy)
 

@@ -115,7 +115,7 @@ def sides_passed(
     zone : KeepOut
         The zone.
     ends : ndarray, shape (2, 3)
-        Ends of the leg beside which the zone lies [m].
+        Ends of the leg (line between two waypoints) beside which the zone lies [m].
     clearance : float
         Distance kept from the zone [m].
     starts, stops : ndarray, shape (n, 3)
@@ -140,7 +140,10 @@ def sides_passed(
 
 
 class _Section(NamedTuple):
-    """Cross-section of a zone in the vertical plane across the leg that passes the zone."""
+    """Cross-section of a zone in the vertical plane across a leg that passes the zone.
+
+    A leg is the line between two waypoints.
+    """
 
     middle: FloatArray
     """Centre of the cross-section [m], shape (3,). The unit vectors `along` the horizontal course,
@@ -155,7 +158,10 @@ class _Section(NamedTuple):
 
 
 def _section(zone: KeepOut, ends: FloatArray, clearance: float) -> _Section | None:
-    """Return the cross-section of a zone where a leg passes it; None near the ends of the leg."""
+    """Return the cross-section of a zone where a leg passes it; None near the ends of the leg.
+
+    A leg is the line between two waypoints, `ends`, shape (2, 3).
+    """
     share, reach = _passage(zone, ends, clearance)
     if not ROUNDING < share < 1.0 - ROUNDING:
         return None
@@ -171,8 +177,9 @@ def _section(zone: KeepOut, ends: FloatArray, clearance: float) -> _Section | No
 def _passage(zone: KeepOut, ends: FloatArray, clearance: float) -> tuple[float, float]:
     """Return where a leg passes a zone, as a fraction of the leg, and the clearance used.
 
-    The fraction is the middle of the part of the leg within the zone and its clearance or, if there
-    is none, within the least clearance that reaches the leg.
+    A leg is the line between two waypoints. The fraction is the middle of the part of the leg
+    within the zone and its clearance or, if there is none, within the least clearance that reaches
+    the leg.
     """
 
     def span(reach: float) -> tuple[float, float]:
@@ -203,10 +210,10 @@ def _chord(
 
 
 def _frame(ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return unit vectors along a leg, to its left and up.
+    """Return unit vectors along a leg (line between two waypoints), to its left and up.
 
-    The first is horizontal unless the leg is vertical: a steep leg, too, passes a tall zone on the
-    left or right.
+    Each has shape (3,). The first is horizontal unless the leg is vertical: a steep leg, too,
+    passes a tall zone on the left or right.
     """
     upward = np.array([0.0, 0.0, 1.0])
     along = (ends[1] - ends[0]) * (1.0, 1.0, 0.0)
@@ -240,7 +247,7 @@ def places_beside(zone: KeepOut, clearance: float, ends: FloatArray) -> FloatArr
     clearance : float
         Distance kept from the zone [m].
     ends : ndarray, shape (2, 3)
-        Ends of the leg beside which the zone lies [m].
+        Ends of the leg (line between two waypoints) beside which the zone lies [m].
 
     Returns
     -------

@@ -2,8 +2,9 @@
 
 There are two couplings of the wind to the vehicle:
 
-`acceleration` is eq. (9) as printed, which adds the wind velocity to an acceleration. The implied
-coefficient of 1 1/s is declared with its unit. The vehicle's own velocity does not enter.
+`acceleration` is eq. (9) of the paper as printed, which adds the wind velocity to an acceleration.
+The implied coefficient of 1 1/s is declared with its unit. The vehicle's own velocity does not
+enter.
 
 `drag` is the force opposite to the airspeed, the velocity relative to the wind: linear (rotor drag)
 plus quadratic (parasitic drag), isotropic, and valid at the few m/s of these missions. It is the

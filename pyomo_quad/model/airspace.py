@@ -266,7 +266,10 @@ def _beyond(away: Any, radius: Any, rounding: Any) -> Any:
 
 
 def _largest(distances: Sequence[Any], width: Any) -> Any:
-    """Return a smooth lower bound of the largest of several distances."""
+    """Return a smooth lower bound of the largest of several distances.
+
+    A place is outside a zone if the largest of its distances from the zone's balls is positive.
+    """
     return reduce(lambda one, other: saturated(one, other, width), distances)
 
 

@@ -29,7 +29,8 @@ from pyomo_quad.scenario import Scenario
 
 # Added in quadrature to the way home, so that its length is differentiable at the home itself.
 _AT_HOME = 1.0 * units.m
-# Ground speeds and squares of speeds below which the wind stops the return; see `saturated`.
+# Ground speed, and square of the airspeed along the way, below which the wind prevents the return,
+# with the widths over which these limits are rounded; see `saturated`.
 _SLOWEST, _SPEED_WIDTH = 0.5 * units.m / units.s, 0.05 * units.m / units.s
 _STOPPED, _SQUARE_WIDTH = 0.25 * units.m**2 / units.s**2, 0.025 * units.m**2 / units.s**2
 # Sharpness of the smooth minimum over homes: where the charges of two returns differ by 1/200 of

@@ -1,4 +1,4 @@
-"""Limits on attitude, rotors, thrust and moments, eq. (10), and optional limits of the battery.
+"""Limits on attitude, rotors, thrust and moments, eq. (10) of the paper, and on the battery.
 
 The paper writes |u_k| <= u_max for k = 1, 2, 3; u_1 has its own limit, so the moments are k = 2, 3,
 4. The limit on the rotor accelerations is not in the paper; without it, the paper's problem with
@@ -31,7 +31,7 @@ _BOUNDS = (
     *fields_of("limits", "speed_max", "state_of_charge_min"),
     *fields_of("limits", "battery_current_max", "battery_voltage_min", "battery_power_share_max"),
 )
-# Declared where they are not zero.
+# Names of the parameters that are declared only where they are not zero.
 _RESERVE, _MOTOR_LAG = "reserve", "motor_time_constant"
 _OPTIONAL = (*fields_of("limits", _RESERVE), *fields_of("vehicle", _MOTOR_LAG))
 
@@ -89,7 +89,10 @@ def declare_limits(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _left(b: Block, most: NumericExpression) -> NumericExpression:
-    """Return the upper limit of rotor speed or thrust for a plan: `most` less the reserve."""
+    """Return the upper limit of rotor speed or thrust for a plan: `most` less a reserve.
+
+    The reserve is a fraction that the plan leaves to the controller which flies it.
+    """
     reserve = b.component(_RESERVE)
     return most if reserve is None else (1 - reserve) * most
 

@@ -79,7 +79,10 @@ _TURNING = Parameter(
 
 
 def _passed(field: str, scenario: Scenario) -> dict[int, float]:
-    """Return the non-default values of one field of the waypoints, by waypoint number."""
+    """Return the values of one field of the waypoints, by waypoint number.
+
+    Default values are left out, so that they declare no parameter.
+    """
     default = Waypoint.model_fields[field].default
     values = {k: getattr(w, field) for k, w in enumerate(scenario.mission.waypoints)}
     return {k: number for k, number in values.items() if number != default}

@@ -1,4 +1,4 @@
-"""The rigid body: translation and rotation, eq. (6) and its state form, eq. (9).
+"""The rigid body: translation and rotation, eq. (6) of the paper and its state form, eq. (9).
 
 symbol | name | unit | meaning
 x, y, z | x, y, z | m | position in world axes, z up
@@ -200,9 +200,10 @@ BODY_AXES: tuple[BodyAxis, ...] = (forward_axis, left_axis, thrust_axis)
 
 
 def _moment(m: ConcreteModel, name: str, t: float) -> NumericExpression:
-    """Return the rotor moment of a name plus the aerodynamic moment of the same name [N m].
+    """Return the moment of rotors and air about a body axis [N m].
 
-    A vehicle without rotor forces has no aerodynamic moment.
+    `name` is "roll_moment", "pitch_moment" or "yaw_moment". Air adds a moment only for a vehicle
+    with rotor forces.
     """
     of_rotors, of_air = m.rotors.component(name)[t], m.aerodynamics.component(name)
     return of_rotors if of_air is None else of_rotors + of_air[t]

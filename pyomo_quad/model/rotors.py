@@ -1,4 +1,7 @@
-"""The rotors and their brushless motors, eq. (1)-(3) and (7), as direct-current motors."""
+"""The rotors and their brushless motors, eq. (1)-(3) and (7) of the paper.
+
+The motors are modelled as direct-current motors.
+"""
 
 from collections.abc import Callable, Iterable
 

@@ -172,7 +172,7 @@ def _single_variable(constraint: ConstraintData) -> tuple[VarData, _Interval] | 
     lower = -inf if constraint.lb is None else (constraint.lb - constant) / factor
     upper = inf if constraint.ub is None else (constraint.ub - constant) / factor
     if factor < 0.0:
-        # An absent bound has no sign to change.
+        # A negative factor exchanges the bounds; an absent bound stays infinite.
         lower, upper = (
             -inf if constraint.ub is None else upper,
             inf if constraint.lb is None else lower,

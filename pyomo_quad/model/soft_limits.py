@@ -151,7 +151,10 @@ def _soften_limit(b: Block, limit: Constraint) -> None:
 
 
 def _soften_condition(b: Block, condition: Constraint) -> None:
-    """Replace an equality at one time by one that may be violated up- or downwards at a penalty."""
+    """Replace an equality constraint at one time by a soft constraint.
+
+    A violation upwards or downwards is allowed at a penalty.
+    """
     held = [index for index in condition if condition[index].active]
 
     def softly(holder: Block, *index: Any) -> Any:

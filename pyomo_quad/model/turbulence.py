@@ -60,7 +60,7 @@ _SPEED_ROUNDING = 0.1 * _SPEED
 _ROOT_RATE = units.s**-0.5
 _WORLD = ("x", "y", "z")
 
-#: s. Step over which the noise is constant: at 6 Hz, 5 % of the spectrum is missing.
+#: Step over which the noise is constant [s]: at 6 Hz, 5 % of the spectrum is missing.
 NOISE_STEP = 0.02
 _BLOCK = "wind.turbulence"
 #: The noise of each filter, by full name.
@@ -79,7 +79,7 @@ LONG_RUN_FACTOR[1:3, 1:3] = LONG_RUN_FACTOR[3:5, 3:5] = _LAGGING
 
 
 def mean_wind(wind: Wind) -> FloatArray:
-    """Return the mean horizontal wind of a scenario along x and y [m/s]."""
+    """Return the mean horizontal wind of a scenario along x and y [m/s], shape (2,)."""
     if wind.series is not None:
         return np.array([np.mean(wind.series.wind_x), np.mean(wind.series.wind_y)])
     steady = wind.speed * np.array([np.cos(wind.direction), np.sin(wind.direction)])

@@ -98,7 +98,7 @@ def _component(component: IndexedComponent, time: ContinuousSet, instant: float)
 
 
 def _index(data: ComponentData) -> tuple[Hashable, ...]:
-    """Return the index of a component's member without time, as a tuple."""
+    """Return the index of a member of an indexed component, as a tuple without its time."""
     index = data.index()
     if index is None:
         return ()

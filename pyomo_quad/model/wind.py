@@ -1,4 +1,4 @@
-"""Wind in world axes: formula of eq. (11)-(12), measured table, or field over places.
+"""Wind in world axes: eq. (11)-(12) of the paper, a measured table, or a field over places.
 
 symbol | name | unit | meaning
 v_0 | mean | m/s | mean value, with the scenario's steady wind added
@@ -392,8 +392,9 @@ def _shapes(heights: FloatArray) -> FloatArray:
 def _truncated_powers(shares: FloatArray) -> list[Callable[[Any], Any]]:
     """Return the truncated power basis of a cubic spline in height.
 
-    The functions are the powers of the height up to the third, and a cube that starts at each inner
-    height. `shares` are the measured heights, scaled to the range from 0 to 1.
+    The functions are the powers of the height up to the third and, for each inner height, the cube
+    of the distance above it, zero below. `shares` are the measured heights, scaled to the range
+    from 0 to 1.
     """
     degree = min(_CUBIC, len(shares) - 1)
     begun = [partial(_power_from, float(share)) for share in shares[2:-2]]

@@ -27,7 +27,7 @@ _LONGEST_S = 10.0
 
 
 class AimColumn(TableColumn):
-    """Columns of the table of `energy_and_charge`, in order."""
+    """Columns of the table that compares the plans of least energy and least charge, in order."""
 
     AIM = "aim"
     ENERGY = "energy_J"

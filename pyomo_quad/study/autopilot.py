@@ -116,7 +116,7 @@ class Tuning:
 def fly_cruise(
     scenario: Scenario, settings: CruiseSettings, plan: Plan | None, planner: Planner
 ) -> Flight:
-    """Simulate a mission as an autopilot flies it on straight legs with given settings.
+    """Simulate a mission as an autopilot flies it, straight between waypoints.
 
     The autopilot waits at the goal until the vehicle has arrived, at most the last of
     `SETTLINGS_S`, and to the end of a mission of fixed duration.
@@ -202,7 +202,8 @@ def tune_cruise(scenario: Scenario, plan: Plan | None, planner: Planner) -> Tuni
     Raises
     ------
     ScenarioError
-        If zones block a leg, or no settings that were tried arrive within the limits.
+        If zones block the way to a waypoint, or no settings that were tried arrive within the
+        limits.
     """
     tried = _search(scenario, plan, planner)
     for one in sorted(tried, key=lambda one: one.cost_J)[:_CONFIRMED]:
@@ -315,9 +316,9 @@ class TuningColumn(TableColumn):
 
 
 def tuning_table(tuning: Tuning | None) -> "pd.DataFrame":
-    """Return the settings that a tuning tried as a table in order; empty without a tuning.
+    """Return the settings that the tuning of an autopilot tried, as a table in order.
 
-    The energies are those of the search, at reduced accuracy; `Tuning.flight` has the energy of the
-    best settings to full accuracy.
+    Empty without a tuning. The energies are those of the search, at reduced accuracy;
+    `Tuning.flight` has the energy of the best settings to full accuracy.
     """
     return TuningColumn.of_objects(() if tuning is None else tuning.tried)

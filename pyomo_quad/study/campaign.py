@@ -38,7 +38,10 @@ CHARGE_RESERVE = "charge reserve"
 
 
 class CampaignColumn(TableColumn):
-    """Columns of the table of a campaign, one row for each flight, in order."""
+    """Columns of the table of a campaign, one row for each flight, in order.
+
+    A campaign is a series of missions repeated on one or more battery charges.
+    """
 
     CHARGE = "charge", lambda flight: flight.charge
     FLIGHT = "flight", lambda flight: flight.number
@@ -52,13 +55,24 @@ class CampaignColumn(TableColumn):
 
 @dataclass(frozen=True, kw_only=True)
 class CampaignFlight:
-    """One flight of a campaign: number of the charge, number of the flight on it, and plan."""
+    """One flight of a campaign, a series of missions repeated on one or more battery charges.
+
+    Attributes
+    ----------
+    charge, number : int
+        Number of the battery charge, and of the flight on this charge, from 1.
+    plan : Plan
+        Plan of the flight.
+    charge_at_start, charge_at_end : float
+        State of charge in per cent of the capacity.
+    lowest_voltage_V : float
+        Lowest voltage of the battery during the flight.
+    """
 
     charge: int
     number: int
     plan: Plan
     charge_at_start: float
-    """State of charge in per cent of the capacity, as `charge_at_end`."""
     charge_at_end: float
     lowest_voltage_V: float
 
@@ -86,7 +100,7 @@ class Campaign(Summarised):
 
     @property
     def counts(self) -> tuple[int, ...]:
-        """Number of flights on each charge."""
+        """Number of flights on each battery charge."""
         numbers = [flight.charge for flight in self.flights]
         return tuple(numbers.count(charge) for charge in range(1, self.charges + 1))
 
@@ -108,7 +122,7 @@ class Campaign(Summarised):
         }
 
     def table(self) -> "pd.DataFrame":
-        """Return the campaign as a table: one row per flight, columns `CampaignColumn`."""
+        """Return the flights as a table: one row per flight, columns `CampaignColumn`."""
         return CampaignColumn.of_objects(self.flights)
 
 
@@ -143,7 +157,8 @@ def fly_campaign(
     flights: list[CampaignFlight] = []
     endings: list[str] = []
     for charge in range(1, charges + 1):
-        # A pack that was charged has rested: its circuit starts as the scenario says.
+        # A recharged battery has rested: relaxation voltage and temperature start as in the
+        # scenario.
         left = {"battery.initial_state_of_charge": missions[0].battery.initial_state_of_charge}
         for number in range(1, MOST_FLIGHTS + 1):
             told = missions[turn].with_values(left)

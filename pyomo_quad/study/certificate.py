@@ -99,7 +99,9 @@ class ThrustMoments:
         return size, vector / np.maximum(size, np.finfo(float).tiny)[:, None]
 
     def supplied(self, thrust: FloatArray) -> FloatArray:
-        """Return the weighted integrals of a thrust over the flight, to compare with `demanded`.
+        """Return the two weighted integrals of a given thrust over the flight.
+
+        A flight of the mission has the integrals `demanded`.
 
         Parameters
         ----------
@@ -128,10 +130,11 @@ class ThrustMoments:
 
         Notes
         -----
-        With thrust never above u, multipliers x give x.demanded <= u integral |price(x)|; of the
-        multipliers with x.demanded = 1 those of least integral give the largest bound on u.
-        Where full thrust reverses, |price| has a corner: the quadrature errs by some 1e-4 of the
-        result.
+        The mission fixes two weighted integrals of the thrust, `demanded`, and multipliers x of
+        them give the thrust the multiplier price(x) at each time.  With thrust never above u,
+        x.demanded <= u integral |price(x)|; of the multipliers with x.demanded = 1 those of least
+        integral give the largest bound on u.  Where full thrust reverses, |price| has a corner: the
+        quadrature errs by some 1e-4 of the result.
         """
         counted = np.zeros((2, 3), dtype=bool)
         counted[:, axes] = True
@@ -312,7 +315,7 @@ def _bound(scenario: Scenario, planner: Planner) -> _Found:
 
 
 def _uncounted(scenario: Scenario, demand: MomentumDemand) -> str:
-    """Return why the simplest bound ignores waypoints and a free duration; empty if it does not.
+    """Return why waypoints and a free duration cannot enter the lower bound; "" if they can.
 
     The text completes the sentence "no bound is known that counts waypoints ...".
     """
@@ -330,7 +333,15 @@ def _uncounted(scenario: Scenario, demand: MomentumDemand) -> str:
 def _bound_as_a_whole(
     scenario: Scenario, demand: MomentumDemand, power: _SteadyPower, uncounted: str
 ) -> _Found:
-    """Bound the energy of flights of fixed duration from start to goal, ignoring waypoints [J]."""
+    """Bound the energy of flights of fixed duration from below, ignoring waypoints.
+
+    Returns
+    -------
+    float or None
+        Lower bound [J]; None if it is unknown.
+    str
+        Basis of the bound, or the reason why there is none.
+    """
     mission = scenario.mission
     if mission.released > 0.0:
         return None, f"no bound is known for a mass that changes in flight {uncounted}."
@@ -356,9 +367,16 @@ def _bound_as_a_whole(
 def _bound_by_legs(
     scenario: Scenario, planner: Planner, demand: MomentumDemand, power: _SteadyPower
 ) -> _Found:
-    """Bound the energy of flights through the waypoints, over all passing times and durations [J].
+    """Bound the energy of flights through the waypoints from below, for all passing times.
 
-    Valid for power and drag that do not depend on the airspeed.
+    Valid for power and drag that do not depend on the airspeed; a free duration may take any value.
+
+    Returns
+    -------
+    float or None
+        Lower bound [J]; None if it is unknown.
+    str
+        Basis of the bound, or the reason why there is none.
     """
     mission = scenario.mission
     standing = demand.thrust(0.0)
@@ -403,7 +421,17 @@ def _energy_returned(scenario: Scenario, planner: Planner) -> float:
 
 
 def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand) -> _Found:
-    """Bound the energy of flights whose power or drag depends on airspeed, by `pairs` [J]."""
+    """Bound the energy of flights from below if power or drag depends on the airspeed.
+
+    The bound is that of the module `pairs`, over all pairs of thrust and airspeed.
+
+    Returns
+    -------
+    float or None
+        Lower bound [J]; None if it is unknown.
+    str
+        Basis of the bound, or the reason why there is none.
+    """
     mission, dynamics = scenario.mission, planner.dynamics(scenario)
     if scenario.power.model is PowerModel.MOTOR_WITH_FRICTION:
         return (
@@ -447,7 +475,7 @@ def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand
 
 
 def _airspace_clause(scenario: Scenario) -> str:
-    """Return the clause of the bound's reason that includes flights within an airspace, or ""."""
+    """Return the clause that extends the statement of a bound to flights in an airspace, or ""."""
     airspace = scenario.airspace
     if not airspace.keep_out and airspace.floor is None and airspace.ceiling is None:
         return ""
@@ -455,7 +483,7 @@ def _airspace_clause(scenario: Scenario) -> str:
 
 
 def _obstacles(scenario: Scenario) -> Iterator[str]:
-    """Yield the reasons why no bound is known, the simplest first."""
+    """Yield the reasons why no lower bound on the energy is known, the simplest first."""
     if scenario.model is not None:
         yield f"no bound is known for a user's own model ({scenario.model})."
     if scenario.power.model is PowerModel.EFFICIENCY:
@@ -589,7 +617,10 @@ def _fit(
 
 
 def _below(thrust: FloatArray, power: FloatArray) -> FloatArray:
-    """Lower samples of the power so that the polygon through them is nowhere above the power."""
+    """Lower samples of the power so that the polygon through them is nowhere above the power.
+
+    A lower bound on the energy that the samples give is thus valid for the whole curve.
+    """
     chords = np.diff(power) / np.diff(thrust)
     # The power rises with thrust, so the first step extends a level line.
     extended = power[:-1] + np.concatenate([[0.0], chords[:-1]]) * np.diff(thrust)

@@ -523,10 +523,10 @@ def plan_cautions(plan: "Plan", *, planner: "Planner | None" = None) -> tuple[st
 
 
 def _attitude_cautions(plan: "Plan", planner: "Planner | None") -> Iterator[str]:
-    """Yield a caution if a plan under the paper's attitude equations misses the goal in exact ones.
+    """Yield a caution if a plan with the paper's attitude equations fails with exact ones.
 
-    The paper sets the Euler rates equal to the body rates. The caution follows from a simulation of
-    the plan's controls with exact Euler rates.
+    The paper sets the Euler rates equal to the body rates. The plan's controls are simulated with
+    exact Euler rates, and fail if they miss the goal.
     """
     told = plan.scenario.as_forecast()
     is_printed = told.vehicle.attitude is Attitude.PAPER

@@ -245,7 +245,7 @@ class LegColumn(TableColumn):
 
 
 def leg_table(mission: Scenario, frame: "pd.DataFrame") -> "pd.DataFrame":
-    """Return times, length and energy of each leg of a flight as a table; see `leg_rows`."""
+    """Return times, length and energy of each leg of a flight (between waypoints) as a table."""
     return LegColumn.of_rows(leg_rows(mission, frame))
 
 
@@ -289,7 +289,7 @@ def leg_rows(
 
 
 def _legs(mission: Scenario, duration_s: float) -> Iterator[tuple[str, float, float]]:
-    """Yield name, begin and end [s] of every leg and of every hover between two legs."""
+    """Yield name, begin and end [s] of each leg between waypoints and each hover at them."""
     left, place = 0.0, "start"
     for number, waypoint in enumerate(mission.mission.waypoints, start=1):
         reached = duration_s if waypoint.at is None else waypoint.at
@@ -406,7 +406,7 @@ def _percent(part: float, whole: float) -> float:
 
 
 def _measured(scenario: Scenario, frame: "pd.DataFrame") -> dict[ComparisonColumn, float]:
-    """Return columns measured on a flight: peaks, time near the goal and charge used.
+    """Return peaks, time near the goal and charge used of a flight, for its row in a comparison.
 
     The peaks are those of power, tilt and rotor acceleration.
     """
@@ -455,7 +455,7 @@ def _rotor_values(frame: "pd.DataFrame", component: str) -> FloatArray:
 
 
 def _values(frame: "pd.DataFrame", variable: str) -> FloatArray:
-    """Return the values of a variable of the model; NaN if the table lacks its column."""
+    """Return the values of a model variable in a flight's table; NaN without such a column."""
     name = column_of(variable).name
     if name not in frame:
         return np.full(len(frame), nan)

@@ -56,12 +56,15 @@ class Share:
 
     @property
     def value(self) -> float:
-        """Observed share."""
+        """Observed share: number of flights with the property over number of flights."""
         return self.count / self.of
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Clopper-Pearson interval at level `CONFIDENCE`: docs/theory/flights.md, eq. (2)."""
+        """Confidence interval of the share, Clopper-Pearson at level `CONFIDENCE`.
+
+        Equation: docs/theory/flights.md, eq. (2).
+        """
         from scipy.special import betaincinv  # noqa: PLC0415  not for every run
 
         rest, k, n = 0.5 * (1.0 - CONFIDENCE), self.count, self.of
@@ -134,7 +137,10 @@ class Ensemble(Summarised):
         return np.array([getattr(ending, quantity) for ending in self.flown.endings])
 
     def band(self, quantity: str) -> tuple[float, float, float]:
-        """Return the `BAND` quantiles over the flights of an attribute of `Ending`."""
+        """Return the 5, 50 and 95 % quantiles (`BAND`) of an attribute of `Ending` over flights.
+
+        An `Ending` is the result of one flight, such as its energy.
+        """
         low, middle, high = np.quantile(self.of_flights(quantity), BAND).tolist()
         return low, middle, high
 
@@ -167,7 +173,10 @@ class Ensemble(Summarised):
         )
 
     def bands(self) -> "pd.DataFrame":
-        """Return the `BAND` quantiles over the flights of every recorded quantity over time."""
+        """Return the 5, 50 and 95 % quantiles (`BAND`) over the flights of quantities over time.
+
+        The table has a row for each time, and three columns for each quantity of `TRACKS`.
+        """
         import pandas as pd  # noqa: PLC0415  as above
 
         columns = {"time_s": self.flown.t}
@@ -215,10 +224,11 @@ def fly_cruise_often(
     name: str = "",
     least_s: float = 0.0,
 ) -> Ensemble:
-    """Simulate an autopilot on straight legs many times, in the same random winds as the plan.
+    """Simulate an autopilot, straight between waypoints, many times in random winds.
 
-    The autopilot waits at the goal until half of the flights have arrived, at most the last of
-    `SETTLINGS_S`, and to the end of `least_s`.
+    The winds are the same as for the plan of the same seed. The autopilot waits at the goal until
+    half of the flights have arrived, at most the last of `SETTLINGS_S`, and to the end of
+    `least_s`.
 
     Parameters
     ----------
@@ -303,7 +313,7 @@ class Saving:
 
     @classmethod
     def of(cls, planned: Ensemble, rival: Ensemble) -> "Saving":
-        """Compare the energies of plan and rival wind by wind."""
+        """Return the saving of a plan over a rival flight, from energies in the same winds."""
         mine, other = (flown.of_flights("energy_J") for flown in (planned, rival))
         low, middle, high = np.quantile(100.0 * (other - mine) / other, BAND).tolist()
         pairs = zip(planned.flown.endings, rival.flown.endings, strict=True)

@@ -140,8 +140,8 @@ class Itinerary:
     mass : float
         Mass at the start, kg.
     conjugate : callable
-        Takes prices of thrust, shape (n,), W/N; returns the conjugate of the power [W] and the
-        maximising thrust [N].
+        Takes prices (multipliers) of thrust, shape (n,), W/N; returns the conjugate of the power
+        [W] and the maximising thrust [N].
     """
 
     def __init__(
@@ -174,7 +174,7 @@ class Itinerary:
         Parameters
         ----------
         prices : ndarray, shape (n_prices, 3)
-            Prices of momentum at the ends of the legs, J per N s.
+            Prices (multipliers) of momentum at the ends of the legs, J per N s.
 
         Returns
         -------
@@ -217,7 +217,7 @@ class Itinerary:
         Parameters
         ----------
         price : ndarray, shape (3,)
-            Price of thrust at which the search begins, W/N.
+            Price (multiplier) of thrust at which the search begins, W/N.
         """
         places = np.zeros((self._size, 3))
         for first, last, way in zip(self._first, self._last, self._ways, strict=True):
@@ -236,7 +236,11 @@ class Itinerary:
         return -self._negative(found)[0]
 
     def _negative(self, flat: FloatArray) -> tuple[float, FloatArray]:
-        """Return the negative bound and its gradient, for a minimiser."""
+        """Return the negative lower bound [J] and its gradient, for a minimiser.
+
+        `flat` holds the prices (multipliers) of momentum at the ends of the legs, one after the
+        other.
+        """
         gained, spent, jumped, slopes = self._terms(flat.reshape(-1, 3))
         bound, times = jumped, np.zeros(len(gained))
         for of, limits in zip(self._by_party(), self._shared, strict=True):
@@ -250,12 +254,12 @@ class Itinerary:
         return -bound, -np.tensordot(weights, slopes, 1).ravel()
 
     def _by_party(self) -> list[NDArray[np.bool_]]:
-        """Return for each party (legs with a common duration) which legs belong to it."""
+        """Return for each party (legs whose durations have a limited sum) a mask of its legs."""
         return [self._parties == k for k in range(len(self._shared))]
 
 
 def _length(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return smoothed lengths of vectors and their gradients."""
+    """Return the lengths of vectors, smoothed at zero, and their gradients."""
     length = np.sqrt(np.sum(vectors**2, axis=1) + _CORNER**2)
     return length, vectors / length[:, None]
 
@@ -263,7 +267,9 @@ def _length(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _least_over_times(
     gained: FloatArray, spent: FloatArray, least: float, greatest: float
 ) -> tuple[float, FloatArray]:
-    """Return the minimum over the durations T_k of a party of the sum of A_k / T_k + G_k T_k.
+    """Return the minimum over the durations T_k of some legs of the sum of A_k / T_k + G_k T_k.
+
+    The legs form a party: the sum of their durations is limited.
 
     Parameters
     ----------

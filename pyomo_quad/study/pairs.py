@@ -193,7 +193,9 @@ class Pairs:
         """Return H and the quantities of which it is made, at points of the search, shape (8, n).
 
         The rows are H without the terms of `_constant`, thrust, rotor speed, error margin, two
-        components of the force of the air, power, and its excess. `points` has shape (3, n).
+        components of the force of the air, power, and its excess. `points` has shape (3, n). H is
+        the power of a pair of thrust and airspeed less the terms of the prices (multipliers of
+        momentum, displacement and kinetic energy).
         """
         found = self._enclosure.at(points, (*numbers, 1.0))
         found[[0, 6]] -= np.where(found[3] >= 0.0, 0.0, found[7])
@@ -212,7 +214,10 @@ class Pairs:
         return min(allowed, max(terminal, wind))
 
     def _most_of_first(self) -> float:
-        """Return the upper limit of a pair's first coordinate: rotor speed or induced velocity."""
+        """Return the upper limit of a pair's first coordinate, rotor speed or induced velocity.
+
+        A pair is a thrust and an airspeed; the limit is in rad/s or m/s.
+        """
 
         def excess(first: float) -> float:
             return float(self._at(np.array([[first], [0.0], [0.0]]))[1, 0]) - self._most_thrust
@@ -234,6 +239,9 @@ class Pairs:
 
     def cheapest(self, prices: MotionPrices, mass: float) -> tuple[float, list[FloatArray]]:
         """Sample the function H over all pairs; return its least value and its local minima.
+
+        H is the power of a pair of thrust and airspeed less the terms of the prices, multipliers of
+        momentum, displacement and kinetic energy (docstring of this module).
 
         Parameters
         ----------
@@ -282,7 +290,9 @@ class Pairs:
     def _pair(self, at: FloatArray, prices: MotionPrices, mass: float) -> FloatArray:
         """Return power and gradient of H by the prices for a pair in its orientation of least H.
 
-        `at` has the three coordinates of the pair; the result has shape (8,).
+        H is the power of a pair of thrust and airspeed less the terms of the prices, multipliers of
+        momentum, displacement and kinetic energy. `at` has the three coordinates of the pair; the
+        result has shape (8,).
         """
         momentum, way = prices.momentum, prices.way - prices.motion * mass * self.standing
         _, along, across = at
@@ -296,8 +306,8 @@ class Pairs:
     def turned(self, pair: FloatArray) -> list[FloatArray]:
         """Return copies of a pair rotated about the vertical, which have the same power.
 
-        `pair` is a result of `cheapest`. If the standing thrust is not vertical, only the pair
-        itself is returned.
+        A pair is a thrust and an airspeed, given as a result of `cheapest`. If the standing thrust
+        is not vertical, only the pair itself is returned.
         """
         if np.any(self.standing[:2]):
             return [pair]
@@ -312,7 +322,9 @@ class Pairs:
     def least(self, prices: MotionPrices, mass: float, tolerance: float) -> float:
         """Return a proven lower bound on H over all pairs, by branch and bound [W].
 
-        It is within ``tolerance`` [W] of the least value.
+        H is the power of a pair of thrust and airspeed less the terms of the prices, multipliers of
+        momentum, displacement and kinetic energy (docstring of this module). The bound is within
+        ``tolerance`` [W] of the least value.
         """
         numbers = self._numbers(prices, mass)
         best = self.cheapest(prices, mass)[0] - self._constant(prices, mass)
@@ -444,7 +456,20 @@ def bound_of_pairs(
 
 
 class _Program:
-    """Linear program for the prices that maximise the lower bound over the pairs found so far."""
+    """Linear program for the prices that maximise the lower bound over the known pairs.
+
+    The prices are multipliers of momentum, displacement and kinetic energy; a pair is a thrust and
+    an airspeed of the vehicle, each of which gives one linear constraint.
+
+    Parameters
+    ----------
+    legs, shared
+        Legs of the flight and limits on their durations, from `legs.legs_of`.
+    power : float
+        Power of hover, the scale of powers, W.
+    standing : ndarray, shape (3,)
+        Thrust that holds the vehicle still at zero airspeed, N.
+    """
 
     def __init__(
         self,
@@ -496,7 +521,8 @@ class _Program:
     def add(self, k: int, pair: FloatArray) -> None:
         """Add the constraint that H of leg ``k`` is at most its value at a pair.
 
-        `pair` is a result of `Pairs.cheapest`.
+        H is the power of a pair of thrust and airspeed less the terms of the prices (multipliers),
+        `pair` a result of `Pairs.cheapest`.
         """
         mass, line = self._legs[k].mass, np.zeros(self.size)
         line[:3], line[self._of(self._way, k)] = -pair[1:4] / mass, -pair[4:7]
@@ -507,8 +533,8 @@ class _Program:
     def solve(self) -> tuple[FloatArray, float]:
         """Return the unknowns at the optimum of the program, and the optimal value [J].
 
-        The value is an upper limit of the lower bounds that any prices can give, since the program
-        holds only the pairs known so far.
+        The value is an upper limit of the lower bounds that any multipliers can give, since the
+        program holds only the known pairs of thrust and airspeed.
         """
         limits = np.full((self.size, 2), [-inf, inf])
         limits[: self._least] = np.stack([-self._dearest, self._dearest], axis=1)
@@ -519,7 +545,7 @@ class _Program:
         return found.x, -float(found.fun)
 
     def prices(self, solution: FloatArray) -> list[MotionPrices]:
-        """Return the prices on each leg from the unknowns of the program."""
+        """Return the prices (multipliers) on each leg from the unknowns of the program."""
         return [
             MotionPrices(
                 momentum=solution[:3] / leg.mass,
@@ -530,9 +556,10 @@ class _Program:
         ]
 
     def bound(self, prices: Sequence[MotionPrices], least: FloatArray) -> float:
-        """Return the lower bound on the energy for prices and least H of each leg [J].
+        """Return the lower bound on the energy for the multipliers (prices) on each leg [J].
 
-        `least` has shape (n_legs,), W.
+        `least` holds for each leg the least H, the power of a pair of thrust and airspeed less the
+        terms of the prices, shape (n_legs,), W.
         """
         found = sum(
             float(p.way @ leg.way) - leg.room * float(np.linalg.norm(p.way))

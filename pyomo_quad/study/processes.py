@@ -143,7 +143,7 @@ _work: Callable[[], Any] | None = None
 
 
 def _begin(work: Callable[[], Any] | None) -> None:
-    """Initialise a process of a pool: its task, its signals, and its end with the parent."""
+    """Initialise a process of a pool: its task, its signals, its termination with the parent."""
     global _work  # noqa: PLW0603  a copy inherits its work, which cannot be pickled
     _work = work
     signal.signal(signal.SIGTERM, signal.SIG_DFL)

@@ -376,7 +376,10 @@ def _priced(
 def _adaptation(
     scenario: Scenario, optimum: Flight | None, dynamics: Dynamics
 ) -> pd.DataFrame | None:
-    """Return the study of flights with and without adaptation; None in calm air or on failure."""
+    """Return the study of flights with and without adaptation of the controller.
+
+    None in calm air and on failure.
+    """
     if optimum is None or not set(WIND) <= set(optimum.frame):
         return None
     if not optimum.frame[list(WIND)].to_numpy().any():
