@@ -118,7 +118,7 @@ _supply: list[Callable[[], Presenter]] = []
 
 
 def register_presenter(supply: Callable[[], Presenter]) -> None:
-    """Register the function that imports and returns the presenter (see the module's docstring).
+    """Register the function that imports and returns the presenter, `report.presenting`.
 
     A second registration replaces the first.
 

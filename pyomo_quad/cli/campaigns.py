@@ -39,7 +39,7 @@ def campaign(
     as_json: AsJson = False,
     allow_code: AllowCode = False,
 ) -> int:
-    """Plan missions one after the other on one battery charge, until its limit is reached."""
+    """Plan missions one after the other on one battery charge, until the battery is at a limit."""
     missions = [load_scenario(file, overrides or ()) for file in scenarios]
     folder = out or Path("reports") / f"{'+'.join(one.name for one in missions)}-campaign"
     refuse_output_folder(folder)

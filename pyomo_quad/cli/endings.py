@@ -11,7 +11,7 @@ from typing import Any
 
 
 class ExitCode(IntEnum):
-    """Exit status of a `pyomo-quad` command."""
+    """Exit status of a `pyomo-quad` command: 0 for success, otherwise the kind of failure."""
 
     VERIFIED = 0
     FAULT = 1  # the disk, the system or a bug
@@ -34,7 +34,10 @@ _is_told = False
 
 
 class Stopped(Exception):  # noqa: N818  a stop by the user is not an error
-    """Exception: the user stopped a command, which has not printed a message yet."""
+    """Exception: the user stopped a command before it printed its result.
+
+    The handler prints a message, because none has been printed yet.
+    """
 
 
 class SolveStopped(Stopped):

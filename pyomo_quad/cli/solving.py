@@ -237,13 +237,20 @@ def plan_to_continue(run: Path, overrides: Sequence[str]) -> tuple[Plan, Scenari
 
 
 def _lacks_risk(plan: Plan) -> bool:
-    """Return whether a usable plan breaks limits more often than its scenario's risk permits."""
+    """Return whether the flights of a usable plan break limits more often than is permitted.
+
+    The scenario's risk states the permitted probability.
+    """
     is_stated = plan.scenario.mission.risk is not None
     return is_stated and plan.is_flyable and plan.risk is not None and not plan.risk.is_had
 
 
 def exit_code_of(plan: Plan) -> ExitCode:
-    """Return the exit status of a command from its plan's status and kept risk."""
+    """Return the exit status of a command that made a plan.
+
+    It depends on the plan's status, and on whether flights of the plan break limits more often than
+    the scenario's risk permits.
+    """
     if _lacks_risk(plan):
         return ExitCode.RISK_NOT_HAD
     return _EXIT_CODES[plan.status]

@@ -1,7 +1,8 @@
 """Commands that run a study and write its report.
 
-The studies are the paper's experiments, steady flight (`polar`, `reach`), flights in RotorPy, and
-identification of vehicles from measured flights.
+The studies are the experiments of Yacef et al., whose model the package implements; steady flight
+(`polar`, `reach`); flights in the simulator RotorPy; and identification of vehicles from measured
+flights.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -49,7 +50,7 @@ def paper(
     figures: FigureChoice = Figures.SVG,
     quiet: Quiet = False,
 ) -> int:
-    """Reproduce and examine the paper: every experiment, table, figure and equation."""
+    """Reproduce and examine Yacef et al.: every experiment, table, figure and equation."""
     refuse_output_folder(out)
     # A second to import, and not needed to refuse a misspelt option.
     from pyomo_quad.paper.report import write_paper_report  # noqa: PLC0415
@@ -193,7 +194,10 @@ def outside_plant(
     figures: FigureChoice = Figures.SVG,
     quiet: Quiet = False,
 ) -> int:
-    """Fly the paper's vehicle and two of RotorPy's in RotorPy, and report the differences."""
+    """Fly three vehicles in the simulator RotorPy, and report differences from the own model.
+
+    The vehicles are that of the paper (Yacef et al.) and two of RotorPy's.
+    """
     refuse_output_folder(out)
     from pyomo_quad.flight.outside_plant import MULTIROTOR, rotorpy_module  # noqa: PLC0415  heavy
 

@@ -1,4 +1,4 @@
-"""Names, units and meanings of the columns in logs of flights and in tables of steady points."""
+"""Columns in logs of flights and in tables of steady flight points: names, units, meanings."""
 
 from collections.abc import Mapping
 from typing import NamedTuple

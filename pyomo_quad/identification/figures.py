@@ -106,7 +106,18 @@ def draw_energies(found: Identification) -> Figure:
 
 
 def shown_flights(frame: pd.DataFrame) -> list[object]:
-    """Return the names of a slow, an average and a fast flight, to be drawn over time."""
+    """Select a slow, an average and a fast flight of a log, to be drawn over time.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Rows of all flights.
+
+    Returns
+    -------
+    list
+        Names of the flights.
+    """
     speeds = pd.Series(cruise_speeds(frame), index=frame[FLIGHT].to_numpy())
     each = speeds.groupby(level=0, sort=False).first().sort_values(kind="stable")
     places = np.linspace(0, len(each) - 1, min(_SHOWN, len(each))).round().astype(int)

@@ -327,7 +327,7 @@ class Fit:
         return np.array(found)
 
     def applied(self, values: FloatArray) -> Scenario:
-        """Return the scenario with the fitted values in its vehicle."""
+        """Return the scenario with fitted values of the vehicle's parameters."""
         named = zip(self.names, values.tolist(), strict=True)
         return self._scenario.with_values({f"vehicle.{name}": value for name, value in named})
 
@@ -391,7 +391,13 @@ def _most_drag(scenario: Scenario, frame: pd.DataFrame, power: int) -> float:
 
 
 def _windows(frame: pd.DataFrame) -> NDArray[np.int64]:
-    """Return the number of each row's time window; no window spans two flights or phases."""
+    """Assign each row of a log to a time window over which the power is averaged.
+
+    Returns
+    -------
+    ndarray of int, shape (n_rows,)
+        Number of the window; no window spans two flights or two phases of a flight.
+    """
     stretch = [frame[FLIGHT], frame[PHASE]]
     since = frame[TIME] - frame.groupby(stretch, sort=False)[TIME].transform("min")
     keys = [*stretch, np.floor(since / _WINDOW_S)]
@@ -425,7 +431,10 @@ def undetermined(fit: Fit) -> tuple[str, ...]:
 
 
 def _size(fit: Fit) -> FloatArray:
-    """Return the magnitude that stands in for each parameter's value if this is smaller."""
+    """Return the least magnitude of each parameter in the test of `undetermined`.
+
+    The test changes parameters by a fraction of their value, which would be no change at zero.
+    """
     return np.array([_SMALL_DRAG if name in _OF_MOTION else _SHARE for name in fit.names])
 
 

@@ -487,7 +487,10 @@ def with_circuit(scenario: Scenario) -> Scenario:
 
 
 def _as_given(scenario: Scenario) -> list[float]:
-    """Return the fitted fields' values before the fit; tiny numbers stand for zero."""
+    """Return the fitted fields of the battery with their values before the fit.
+
+    A tiny number stands for zero, because the fields are fitted as logarithms.
+    """
     pack = scenario.battery
     slow = (_NEARLY_NONE, 1.0)
     if pack.relaxation is not None:

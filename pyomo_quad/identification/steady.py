@@ -148,7 +148,7 @@ def read_steady(file: Path, scenario: Scenario) -> pd.DataFrame:
 
 
 def filled_in(frame: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
-    """Complete the columns of steady points with default values.
+    """Complete a table of measured points of steady flight with default values.
 
     If the points have endurances in place of powers, the power is the usable energy of the
     vehicle's battery divided by the endurance.
@@ -159,6 +159,11 @@ def filled_in(frame: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
         Points with some of the columns of `STEADY_COLUMNS`.
     scenario : Scenario
         Scenario with vehicle, battery and air density.
+
+    Returns
+    -------
+    DataFrame
+        Power, airspeed, payload, climb and air density of each point.
     """
     frame = frame.copy()
     if POWER not in frame:
@@ -175,7 +180,7 @@ def filled_in(frame: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
 
 
 def _read_csv(file: Path) -> pd.DataFrame:
-    """Read the known columns of a table of steady points, with at least one row of numbers."""
+    """Read the known columns of a CSV table of steady flight points, at least one row."""
     source, wanted = printable(str(file)), wanted_columns(STEADY_COLUMNS)
     try:
         held = pd.read_csv(file, nrows=_MOST_POINTS)
@@ -195,9 +200,9 @@ def _read_csv(file: Path) -> pd.DataFrame:
 
 
 def as_flights(points: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
-    """Convert steady points to the format of logged flights, two equal rows for each point.
+    """Convert points of steady flight to the format of logged flights.
 
-    Then the fit to logged flights also fits points.
+    Each point becomes a flight of two equal rows, so that the fit to logged flights can be used.
     """
     twice = points.loc[points.index.repeat(2)].reset_index(drop=True)
     read = twice[AIRSPEED] / scenario.vehicle.anemometer_factor

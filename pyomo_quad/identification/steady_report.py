@@ -76,7 +76,7 @@ def write_steady(folder: Path, found: SteadyFit, base: str, figures: Figures) ->
 
 
 def point_table(points: pd.DataFrame, power: np.ndarray) -> pd.DataFrame:
-    """Return the table of steady points with computed powers [W] and relative errors [percent]."""
+    """Return the table of steady flight points with computed powers [W] and errors [percent]."""
     return points.assign(**{COMPUTED: power, ERROR: 100.0 * (power / points[POWER] - 1.0)})
 
 

@@ -276,7 +276,7 @@ def drawings_of_run(result: "RunResult") -> tuple[Drawing, ...]:
 
 
 def _in_turbulence(often: "InTurbulence", plan: "Plan") -> Iterator[Drawing]:
-    """Yield the figures of an ensemble of flights in turbulence, as `turbulence_...`."""
+    """Yield the figures of many flights in turbulence, renamed to begin with ``turbulence_``."""
     margin = 0.0 if plan.risk is None else plan.risk.margins.get("airspace.clearance", 0.0)
     for drawing in ensemble_drawings(often.flown, often.savings, margin):
         yield replace(drawing, name=f"turbulence_{drawing.name}")
@@ -487,7 +487,7 @@ def _own_floors(flights: Sequence[StyledFlight]) -> str:
 
 
 def _cut(flights: Sequence[StyledFlight]) -> str:
-    """Return the caption's sentence on power peaks beyond the panel's axis; "" without such."""
+    """Return the caption's sentence on power peaks that the panel cuts off, or ""."""
     if POWER.name not in flights[0].frame:
         return ""
     peaks = [

@@ -1,6 +1,7 @@
 """Figures of flight paths in space and on a map, and the data of the interactive player.
 
-The figures correspond to figures 4 and 6 of the paper. The first flight is the plan.
+The figures correspond to figures 4 and 6 of Yacef et al., "Energy-Efficiency Path Planning for
+Quadrotor UAV Under Wind Conditions". The first of several flights is the plan.
 """
 
 import json

@@ -452,7 +452,10 @@ def _is_good(result: "RunResult") -> bool:
 
 
 def prepare_figures(figures: Figures) -> None:
-    """Import matplotlib and the gallery of figures in advance, unless no figures are wanted."""
+    """Import matplotlib and the module of figures ahead of use, unless no figures are wanted.
+
+    A command does so while other processes compute.
+    """
     if figures is not Figures.NONE:
         _gallery()
 

@@ -347,8 +347,8 @@ def read_front(folder: Path) -> "pd.DataFrame | None":
     Returns
     -------
     DataFrame or None
-        One row for each price of time, with the columns of `FrontColumn`; None if the report has
-        no front.
+        One row for each flight, optimal for one price of time (value of a second), with the columns
+        of `FrontColumn`; None if the report has no front.
 
     Raises
     ------

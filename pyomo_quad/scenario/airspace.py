@@ -62,7 +62,10 @@ class Ball(NamedTuple):
     normal: tuple[float, float] | None = None
 
     def coordinates(self, places: "ArrayLike") -> "FloatArray":
-        """Return the coordinates of places in which the ball's distance is measured.
+        """Return the coordinates of places in which the ball's radius is measured.
+
+        A ball is a sphere (three coordinates), a vertical cylinder without ends (x and y) or an
+        interval.
 
         Parameters
         ----------
@@ -260,7 +263,7 @@ class KeepOut(Part):
 
     @property
     def balls(self) -> tuple[Ball, ...]:
-        """Balls whose intersection is the zone; see `Ball`."""
+        """Balls (spheres, vertical cylinders and intervals) whose intersection is the zone."""
         if self.low is not None and self.high is not None:
             sides = enumerate(zip(self.low, self.high, strict=True))
             return tuple(_interval(axis, low, high) for axis, (low, high) in sides)

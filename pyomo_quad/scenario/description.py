@@ -185,12 +185,17 @@ def editor_schema(model: type[BaseModel], title: str, required: tuple[str, ...])
 
 
 def writable_fields(model: type[BaseModel]) -> tuple[WritableField, ...]:
-    """List the fields that a file may have, in the order of the schema, as rows of a table.
+    """List the fields that a scenario or study file may have, in the order of the schema.
 
     Parameters
     ----------
     model : type of BaseModel
         Model of the whole file.
+
+    Returns
+    -------
+    tuple of WritableField
+        Rows of the printed table of fields.
     """
     schema = model.model_json_schema()
     return tuple(_writable(schema, schema.get("$defs", {}), ""))

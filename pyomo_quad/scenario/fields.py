@@ -103,7 +103,7 @@ class Part(BaseModel):
 
     @model_serializer(mode="wrap")
     def _record(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Serialise the table for records, such as the summary of a report.
+        """Serialise the table for a record, such as the scenario in the summary of a report.
 
         Fields that older records lack are left out while they have their default, so that records
         of unchanged scenarios remain equal.
@@ -206,14 +206,14 @@ def quantity(
     return field
 
 
-#: Declare a field that older records (stored scenarios) lack; see `is_late` of `quantity`.
+#: Declare a field that older records (stored scenarios) lack: `quantity` with `is_late` set.
 late_quantity = partial(quantity, is_late=True)
 #: Declare a field with a text of one line, such as a title.
 title_field = partial(quantity, "", pattern=_ONE_LINE, allowed="one line", max_length=200)
 
 
 def unit_of(model: type[BaseModel], name: str) -> str:
-    """Return the unit of a table's field.
+    """Return the unit of a field of a scenario's table.
 
     Parameters
     ----------

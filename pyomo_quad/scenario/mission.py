@@ -312,13 +312,18 @@ class Mission(Part):
     def chosen(self, duration: float) -> dict[str, float | str | None]:
         """Return the fields that replace a free duration by a fixed one.
 
-        Limits on the duration and the price of time get their defaults; the aim of least time
-        becomes least energy, because the time is then fixed.
+        Limits on the duration and the price of time (the value of a second, in W) get their
+        defaults. The aim of least time becomes least energy, because the time is then fixed.
 
         Parameters
         ----------
         duration : float
             Fixed duration [s].
+
+        Returns
+        -------
+        dict
+            Values of the fields of the table `mission`, by name.
         """
         free = Mission.model_fields
         by = ("duration_min", "duration_max", "price_of_time")

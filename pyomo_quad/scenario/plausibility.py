@@ -75,7 +75,7 @@ def created_power(vehicle: Vehicle, power: Power, gravity: float) -> str:
 def contradictions(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[Contradiction]:
     """Yield the physical contradictions between a vehicle's numbers.
 
-    Checked are the motor constants, the moments of inertia and the power of hover; see the module.
+    Checked are the motor constants, the moments of inertia and the power of hover.
 
     Parameters
     ----------
@@ -171,7 +171,17 @@ def _remedy(motor: MotorConstants) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class _Hover:
-    """Shaft power, ideal power and rotor radius of a vehicle in hover, partly as words."""
+    """Powers of a vehicle in hover, for comparison of shaft power and ideal power.
+
+    Attributes
+    ----------
+    told : str
+        Beginning of a message, with the shaft power.
+    shaft_W, ideal_W : float
+        Power at the shafts of all rotors, and power of ideal rotors.
+    radius : str
+        Rotor radius and its origin in words.
+    """
 
     told: str
     shaft_W: float
@@ -180,7 +190,7 @@ class _Hover:
 
 
 def _hover(vehicle: Vehicle, power: Power, gravity: float) -> _Hover | None:
-    """Return the powers of hover; None if the rotors' torque does not determine them."""
+    """Return shaft power and ideal power of hover; None if the drag torque does not give them."""
     if power.model is PowerModel.MOMENTUM:
         return None  # this model's powers are at least those of ideal rotors
     places = vehicle.rotor_places

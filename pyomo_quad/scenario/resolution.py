@@ -328,7 +328,15 @@ def read_entry(kind: str, name: str, folder: Path) -> LibraryEntry:
 
 
 def _shape_complaints(kind: str, written: Mapping[str, Any]) -> Iterator[str]:
-    """Yield a message for each section or key that a library file of this kind may not have."""
+    """Yield a message for each section or key that a library file may not have.
+
+    Parameters
+    ----------
+    kind : str
+        ``vehicles``, ``batteries`` or ``winds``.
+    written : mapping
+        Content of the file.
+    """
     sections = _SECTIONS.get(kind, (_FIELDS,))
     tops = ("use", _BATTERY) if kind == _VEHICLES else ("use",)
     for section, content in written.items():
@@ -348,7 +356,10 @@ def _shape_complaints(kind: str, written: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _label_complaints(table: Mapping[str, Any], place: FieldPath) -> Iterator[str]:
-    """Yield a message for each number whose table has keys other than `value` and `source`."""
+    """Yield a message for each number of a library file that has an unknown key.
+
+    A number stands alone, or as a table with the keys `value` and `source` only.
+    """
     is_labelled = len(place) > 1 and not set(_LABELS).isdisjoint(table)
     for key, content in table.items():
         where = shown(spell((*place, key)))[1:-1]
@@ -490,7 +501,10 @@ def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
 
 
 def _initial_values(model: type[BaseModel]) -> dict[str, Any]:
-    """Return the values of fields whose default in scenario files differs from that of records."""
+    """Return the values of fields whose default in scenario files differs from that in records.
+
+    A record is a complete scenario that was stored earlier, for example in a report.
+    """
     tables: dict[str, Any] = {}
     for path in field_paths(model):
         table, _ = declared_place(model, path[:-1])

@@ -243,8 +243,8 @@ class Scenario(Part):
         Returns
         -------
         Scenario
-            Copy without limits on the duration and without price of time; the same object if
-            nothing changes.
+            Copy without limits on the duration and without a price (value) of time; the same object
+            if nothing changes.
         """
         if duration == self.mission.duration and not passing_times:
             return self
@@ -349,14 +349,20 @@ class Scenario(Part):
 
     @property
     def contradictions(self) -> tuple[Contradiction, ...]:
-        """Physical contradictions between the vehicle's numbers; empty for a user's own model."""
+        """Physical contradictions between the vehicle's numbers.
+
+        Empty if the scenario names its own Python model builder, which may use other numbers.
+        """
         if self.model is not None:
             return ()
         return tuple(contradictions(self.vehicle, self.power, self.gravity))
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Remarks on vehicle numbers that are unusually good; empty for a user's own model."""
+        """Remarks on vehicle numbers that are unusually good.
+
+        Empty if the scenario names its own Python model builder, which may use other numbers.
+        """
         if self.model is not None:
             return ()
         return tuple(remarks(self.vehicle, self.power, self.gravity))
@@ -479,7 +485,7 @@ class Scenario(Part):
 
 
 def _meaning(name: str) -> str:
-    """Return the description of a vehicle's field for a message, without further remarks."""
+    """Return the short meaning of a vehicle's field, the first part of its description."""
     meaning = (Vehicle.model_fields[name].description or name).rpartition(": ")[2]
     return meaning.partition(",")[0]
 

@@ -83,6 +83,8 @@ class Surface:
 def surface_of(x: ArrayLike, y: ArrayLike, heights: FloatArray, side: int) -> Surface:
     """Construct a smooth surface that is nowhere below the ground, or nowhere above it.
 
+    The method is described at the head of this file.
+
     Parameters
     ----------
     x, y : array_like
@@ -95,7 +97,7 @@ def surface_of(x: ArrayLike, y: ArrayLike, heights: FloatArray, side: int) -> Su
     Returns
     -------
     Surface
-        The surface; see the module for the method.
+        A cubic spline, with a bound on its distance from the ground.
     """
     x, y, ground = _with_enough_points(np.array(x), np.array(y), heights)
     knots, coefficients = _through(x, y, side * ground)

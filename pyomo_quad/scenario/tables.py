@@ -150,7 +150,10 @@ class Replanning(Part):
 
 @dataclass(frozen=True, kw_only=True)
 class CruiseSettings:
-    """Settings of an autopilot's cruise: largest speed [m/s], acceleration [m/s²], jerk [m/s³]."""
+    """Settings of the baseline flight `cruise`, which flies like an autopilot.
+
+    They are the largest speed [m/s], acceleration [m/s²] and jerk [m/s³].
+    """
 
     speed: float
     acceleration: float
@@ -158,7 +161,7 @@ class CruiseSettings:
 
     @property
     def words(self) -> str:
-        """The settings in words, such as "9.2 m/s, 4.1 m/s² and 31 m/s³"."""
+        """Largest speed, acceleration and jerk in words: "9.2 m/s, 4.1 m/s² and 31 m/s³"."""
         return f"{self.speed:.3g} m/s, {self.acceleration:.3g} m/s² and {self.jerk:.3g} m/s³"
 
 
@@ -197,7 +200,7 @@ class Baseline(Part):
     mpc: Replanning | None = late_quantity("", "re-planning in flight, not flown when absent", None)
 
     def cruise_settings(self, speed: float) -> CruiseSettings:
-        """Return the settings of the autopilot's cruise at a speed [m/s]."""
+        """Return the settings of the baseline flight `cruise` at a largest speed [m/s]."""
         return CruiseSettings(
             speed=speed, acceleration=self.cruise_acceleration, jerk=self.cruise_jerk
         )
@@ -364,7 +367,7 @@ _LEAST_CHARGE = 0.2
 
 
 class Limits(Part):
-    """Limits on vehicle and battery that a plan keeps, and the controller too."""
+    """Limits on vehicle and battery that both the plan and the controller keep."""
 
     roll_max: Number = quantity(
         "rad", "largest roll angle, eq. (10)", pi / 2, le=pi / 2, sound=_ANGLE

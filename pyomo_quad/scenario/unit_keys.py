@@ -36,14 +36,21 @@ class Rewritten:
 
 
 def in_declared_units(tables: Mapping[str, Any], model: type[BaseModel]) -> Rewritten:
-    """Convert every key in another unit in nested tables, as read from a file.
+    """Convert all values that nested tables give in other units, such as degrees, to SI units.
+
+    A key such as `roll_max_deg` stands for the field `roll_max` in degrees.
 
     Parameters
     ----------
     tables : mapping
         Tables as read from a file.
     model : type of BaseModel
-        Model that declares the fields and the keys in other units.
+        Model that declares the fields, and the keys for other units.
+
+    Returns
+    -------
+    Rewritten
+        Tables with declared fields only, and the conversions made.
     """
     rewritten = Rewritten(tables={})
     rewritten.tables.update(_table(tables, model, (), rewritten))
@@ -53,14 +60,14 @@ def in_declared_units(tables: Mapping[str, Any], model: type[BaseModel]) -> Rewr
 def paths_in_declared_units(
     assignments: Mapping[FieldPath, Any], model: type[BaseModel]
 ) -> tuple[dict[FieldPath, Any], Rewritten]:
-    """Convert every key in another unit in overrides of fields.
+    """Convert all overrides of fields that are given in other units, such as degrees, to SI units.
 
     Parameters
     ----------
     assignments : mapping
         New value of each field, by path.
     model : type of BaseModel
-        Model that declares the fields and the keys in other units.
+        Model that declares the fields, and the keys for other units.
 
     Returns
     -------

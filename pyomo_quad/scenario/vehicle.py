@@ -91,10 +91,10 @@ class Validated(Part):
 
 
 class Attitude(StrEnum):
-    """Kinematics of the attitude angles: exact, or simplified as in the paper.
+    """Kinematics of the attitude angles: exact, or simplified as by Yacef et al.
 
     `EULER` relates the rates of the angles to the body rates exactly, and lets rotors that gather
-    speed turn the body. `PAPER` follows eq. (9) and (6) as printed.
+    speed turn the body. `PAPER` follows eq. (9) and (6) of Yacef et al. as printed.
     """
 
     EULER = "euler"
@@ -115,7 +115,10 @@ class MotorConstants(NamedTuple):
 
 
 class Vehicle(Part):
-    """Multirotor with equal rotors; by default four on arms along body x and y, as in the paper."""
+    """Multirotor with equal rotors, by default four on arms along body x and y.
+
+    Equations and default arrangement of the rotors follow Yacef et al.
+    """
 
     use: Text = quantity("", "name of the vehicle in the library, or a file of its own, NAME.toml")
     title: Text = title_field("name for people")
@@ -332,7 +335,7 @@ class Vehicle(Part):
 
     @property
     def has_own_rotors(self) -> bool:
-        """Whether the arrangement of the rotors differs from the paper's cross of four."""
+        """Whether the arrangement of the rotors differs from four in a cross along body x and y."""
         return self.rotor_positions is not None or self.rotor_spins is not None
 
     @property

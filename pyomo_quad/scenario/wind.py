@@ -51,21 +51,21 @@ _FAST = Sound(-1e4, 1e4, "gusts take longer than 1 ms")
 
 
 class WindCoupling(StrEnum):
-    """Effect of the wind on the vehicle: drag on the airspeed, or an acceleration as in eq. (9)."""
+    """Effect of the wind: drag on the airspeed, or an acceleration as in Yacef et al., eq. (9)."""
 
     ACCELERATION = "acceleration"
     DRAG = "drag"
 
 
 class FrequencyUnit(StrEnum):
-    """Unit of the frequencies of the wind's harmonics: rad/s as in eq. (11), or hertz."""
+    """Unit of the frequencies of the wind's harmonics: rad/s as in Yacef et al., or hertz."""
 
     RADIAN_PER_SECOND = "rad/s"
     HERTZ = "hz"
 
 
 class WindAxis(Part):
-    """Wind along one axis by eq. (11)-(12): mean, three harmonics and a gust."""
+    """Wind along one axis by Yacef et al., eq. (11)-(12): mean, three harmonics and a gust."""
 
     mean: Number = quantity("m/s", "mean value (v0)", sound=_WIND)
     amplitudes: Triple = quantity("m/s", "amplitudes of the harmonics (A_k)", sound=_WIND)
@@ -348,7 +348,7 @@ class Wind(Part):
 
     @property
     def is_formula(self) -> bool:
-        """Whether the wind is the formula of eq. (11)-(12), not read from a file."""
+        """Whether the wind is the formula of Yacef et al., eq. (11)-(12), not read from a file."""
         return self.series is None and self.grid is None
 
     @property
@@ -432,7 +432,7 @@ _OF_AIR = (
 
 
 class Air(Part):
-    """Air at a height of the standard atmosphere (ISA, ISO 2533:1975)."""
+    """Air at a height above the sea, by the standard atmosphere (ISA, ISO 2533:1975)."""
 
     height: Number = quantity(
         "m",
@@ -449,7 +449,7 @@ class Air(Part):
 
     @property
     def density(self) -> float:
-        """Density of the air [kg/m³]."""
+        """Density of the air [kg/m³], which follows from height and temperature."""
         geopotential = self.height / (1 + self.height / _EARTH_RADIUS)
         standard = _SEA_LEVEL_TEMPERATURE - _LAPSE * geopotential
         exponent = _GRAVITY / (_GAS_CONSTANT * _LAPSE)
@@ -466,10 +466,10 @@ def in_the_air(
     Parameters
     ----------
     tables : dict
-        Tables of the scenario. The coefficients are given for sea level, or for the air of
-        `before`.
+        Tables of the scenario.
     before : mapping or None
-        For a scenario that was completed earlier, such as a stored record: its tables then.
+        None if the coefficients in `tables` are given for sea level. If the scenario was completed
+        earlier and then changed: its earlier tables, for whose air density they are given.
     provenance : dict
         Origin of each value by dotted path; entries of scaled values are changed.
 
@@ -511,8 +511,9 @@ def with_coupling(
     """Set the wind's coupling, its effect on the vehicle, where the scenario does not give it.
 
     The default is drag on the airspeed. A vehicle without drag coefficients would not be moved by
-    such a wind; for it the default is the acceleration of eq. (9) as printed. A forecast applies to
-    the same vehicle, and therefore has the coupling of the wind unless it gives another.
+    such a wind; for it the default is the acceleration of eq. (9) of Yacef et al. as printed. A
+    forecast applies to the same vehicle, and therefore has the coupling of the wind unless it gives
+    another.
 
     Parameters
     ----------

@@ -155,7 +155,7 @@ class CaseOutcome:
 
     @classmethod
     def of(cls, task: CaseTask, result: CaseResult) -> "CaseOutcome":
-        """Make the row of a case from the result that its case solver returned.
+        """Make the row of a sweep's case from the result that the case solver returned.
 
         Values that are not finite or exceed `LARGEST_OUTPUT` are dropped, because JSON has no NaN.
         If the result holds no warm start, the row passes on the warm start that the case received.
@@ -173,12 +173,12 @@ class CaseOutcome:
 
     @classmethod
     def failure(cls, task: CaseTask, reason: str) -> "CaseOutcome":
-        """Make the row of a case whose solve failed, without output values."""
+        """Make the row of a sweep's case whose solve failed, without output values."""
         return cls.of(task, CaseResult(values={}, reason=reason))
 
     @classmethod
     def loss(cls, task: CaseTask) -> "CaseOutcome":
-        """Make the row of a case that was lost because its worker process died.
+        """Make the row of a sweep's case that was lost because its worker process died.
 
         A resumed sweep solves a lost case again.
         """
@@ -187,10 +187,15 @@ class CaseOutcome:
 
 
 def perform(task: CaseTask) -> CaseOutcome:
-    """Solve one case in this process and return its row with the wall time and the worker's name.
+    """Solve one case of a sweep in this process.
 
     An exception in the case solver becomes a row with the status `FAILED`, so that a fault in one
     case does not end the sweep.
+
+    Returns
+    -------
+    CaseOutcome
+        Row of the case, with the wall time and the name of this process.
     """
     started = time.perf_counter()
     module, _, function = task.solver.partition(":")
@@ -238,7 +243,7 @@ _ERROR_DIGITS = 2
 
 @dataclass(frozen=True, kw_only=True)
 class _Flown:
-    """Flight of a case with its plan and scenario, from which output columns are computed."""
+    """Flight of a sweep's case with plan and scenario, from which output columns are computed."""
 
     flight: Flight
     plan: Plan
@@ -380,9 +385,12 @@ def unknown_column(
 def _read(
     columns: _Columns, flight: Flight, plan: Plan, scenario: Scenario | None = None
 ) -> dict[str, float]:
-    """Compute output columns of a case's flight, as a mapping of column name to value.
+    """Compute the output columns of a sweep from the flight of a case.
 
-    A value that is undefined for the flight is NaN.
+    Returns
+    -------
+    dict
+        Value of each column, by name; NaN if it is undefined for the flight.
     """
     flown = _Flown(flight=flight, plan=plan, scenario=scenario or plan.scenario)
     return {name: _meaningful(name, read(flown)) for name, (_, read) in columns.items()}
@@ -479,7 +487,7 @@ def _fly_base_plan(task: CaseTask, scenario: Scenario) -> CaseResult:
 
 @dataclass
 class _Bench:
-    """Planner and base case's plan of one worker process, kept from case to case.
+    """Planner, and plan of the sweep's base case, that one worker keeps from case to case.
 
     The lock admits one thread at a time.
     """
@@ -492,7 +500,7 @@ class _Bench:
         """Plan a case's flight, starting from the solution of its parent case.
 
         If the plan from this warm start is not verified, or there is no warm start, the case is
-        solved again from an own initial guess.
+        solved again from the planner's own initial guess.
         """
         parent = unpack(warm_start) if warm_start is not None else None
         if parent is not None:

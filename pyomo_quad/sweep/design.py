@@ -189,7 +189,7 @@ class Axis(Part):
 
 
 def rounded(numbers: np.ndarray) -> tuple[float, ...]:
-    """Round numbers to twelve significant digits, the precision of stored axis values.
+    """Round numbers to twelve significant digits, the precision of the values of a sweep's fields.
 
     Parameters
     ----------
@@ -301,12 +301,12 @@ class SweepDesign:
 
     @property
     def case_count(self) -> int:
-        """Number of cases: the product of the numbers of steps of all dimensions."""
+        """Number of cases of the sweep: product of the numbers of steps of all dimensions."""
         return prod(len(dimension.steps) for dimension in self.dimensions)
 
     @property
     def paths(self) -> tuple[str, ...]:
-        """Dotted paths of the varying scenario fields, in the order of the table's columns."""
+        """Dotted paths of the fields that vary, in the order of the result table's columns."""
         return tuple(path for dimension in self.dimensions for path in dimension.paths)
 
     def in_cells(self) -> Self:
@@ -368,7 +368,7 @@ class SweepDesign:
         yield from _differences(older.base, self.base, "scenario")
 
     def axis_changes_since(self, older: "SweepDesign") -> Iterator[str]:
-        """Yield the changes of axes since an older design.
+        """Yield the changes of axes (fields that vary, with their values) since an older design.
 
         Results of the older design remain valid for the cases that both designs have.
 

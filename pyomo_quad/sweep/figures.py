@@ -1,7 +1,7 @@
 """Selection of the figures in a sweep's report, with titles and captions.
 
-Which figures are possible depends on the sweep's axes: for example, a wind rose needs the wind
-direction as an axis, and scatter plots need fields with random values.
+Which figures are possible depends on the scenario fields that vary: for example, a wind rose needs
+several wind directions, and scatter plots need fields with random values.
 """
 
 from collections.abc import Iterator, Sequence
@@ -43,7 +43,7 @@ def sweep_drawings(results: SweepResults) -> tuple[Drawing, ...]:
     Returns
     -------
     tuple of Drawing
-        Figures that the sweep's axes permit.
+        Figures that are possible with the scenario fields that vary.
     """
     quantities = [output_quantity(column) for column in results.design.report_on]
     listed = _Figures(results, quantities)
@@ -59,7 +59,7 @@ def sweep_drawings(results: SweepResults) -> tuple[Drawing, ...]:
 
 @dataclass(frozen=True)
 class _Figures:
-    """Generators of a sweep's figures, one method for each kind of figure."""
+    """Generators of the figures of a parameter sweep, one method for each kind of figure."""
 
     results: SweepResults
     quantities: Sequence[Quantity]
@@ -185,7 +185,7 @@ class _Figures:
         return f" Not drawn: {missing} of {total} cases, which did not finish." if missing else ""
 
     def _scales(self) -> list[Dimension]:
-        """Return the dimensions that can be a chart's axis.
+        """Return the dimensions of the sweep (fields that vary) that can be a chart's axis.
 
         The field of such a dimension is numeric, not random, and has at least three values.
         """

@@ -91,7 +91,7 @@ def write_sweep_report(
 
 
 def _outcome(results: SweepResults) -> dict[str, Any]:
-    """Compute the report's values that need at least one finished case, by their template names.
+    """Compute the report's variables that need at least one finished case, by name.
 
     These are the arrivals, the quantiles of each quantity, the best durations and the
     sensitivities.
@@ -109,7 +109,7 @@ def _outcome(results: SweepResults) -> dict[str, Any]:
 
 
 def _reasons(failed: pd.DataFrame) -> list[tuple[str, list[Any]]]:
-    """Group the failed cases by reason, the most frequent reason first.
+    """Group the failed cases of a sweep by reason, the most frequent reason first.
 
     Returns
     -------

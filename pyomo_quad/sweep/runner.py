@@ -54,12 +54,12 @@ class SweepSummary:
     Attributes
     ----------
     total : int
-        Cases of the design.
+        Number of cases of the sweep.
     already_finished : int
-        Cases that finished or failed in an earlier run and were not solved again.
+        Number of cases that finished or failed in an earlier run and were not solved again.
     finished, failed, lost : int
-        Cases that this run solved, that failed numerically, and that were lost because their
-        worker process died.
+        Numbers of cases that this run solved, that failed numerically, and that were lost because
+        their worker process died.
     is_interrupted : bool
         Whether Ctrl-C ended the run early.
     """
@@ -190,6 +190,9 @@ class Sweep:
     def _next_of(self, cases: list[Case]) -> list[Case]:
         """Replace each case that has already ended by its nearest descendants without a result.
 
+        A case's children are the cases that start from its solution, its descendants also their
+        children.
+
         Returns
         -------
         list of Case
@@ -239,8 +242,9 @@ class Sweep:
     def _forget_descendants(self, case: Case) -> list[str]:
         """Invalidate the results of a case's descendants if an earlier run lost the case.
 
-        When a case is lost, its children start from the warm start of its parent. Now that the case
-        is solved, its descendants are solved again from its solution, so that all rows equal those
+        A case's children start from its solution; descendants are also their children. When a case
+        is lost because its worker died, its children start from the solution of its parent instead.
+        Now that the case is solved, its descendants are solved again, so that all rows equal those
         of a sweep in which no worker died.
 
         Returns
@@ -271,7 +275,26 @@ class Sweep:
 def case_task(
     design: SweepDesign, base: Scenario, case: Case, solver: str, warm_start: bytes | None
 ) -> CaseTask | CaseOutcome:
-    """Return the task of a case, or a failed row if its scenario is invalid."""
+    """Make the worker's input for one case of a sweep.
+
+    Parameters
+    ----------
+    design : SweepDesign
+        Specification of the sweep.
+    base : Scenario
+        Base scenario, whose fields the case changes.
+    case : Case
+        The case.
+    solver : str
+        Function that solves a case, as ``module:function``.
+    warm_start : bytes or None
+        Packed solution of the parent case, the initial guess.
+
+    Returns
+    -------
+    CaseTask or CaseOutcome
+        The input; the row of a failed case if the changed scenario is invalid.
+    """
     task = CaseTask(
         position=case.position,
         key=case.key,
@@ -323,9 +346,8 @@ def estimate_sweep(
 ) -> SweepEstimate:
     """Estimate the time that a sweep still needs, without storing any result.
 
-    The time per case is the mean over the stored results. If there are none, a first case and one
-    of its children are solved, and the child's time counts, because it has a warm start as most
-    cases have.
+    The time per case is the mean over the stored results. If there are none, two cases are solved,
+    the second from the solution of the first as most cases are; the time of the second counts.
 
     Parameters
     ----------

@@ -215,6 +215,9 @@ class SweepResults:
     def beside(self, *along: Dimension) -> dict[str, Any]:
         """Return the central case's field values without the fields of the given dimensions.
 
+        The central case has the base scenario's values, or the middle ones, of all fields that
+        vary.
+
         Parameters
         ----------
         *along : Dimension

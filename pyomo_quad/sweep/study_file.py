@@ -46,14 +46,14 @@ class StudyError(ScenarioError):
 
 
 class SamplingMethod(StrEnum):
-    """Method of drawing random axis values: independent points, or a Latin hypercube."""
+    """Method of drawing values of a sweep's random fields: independently, or a Latin hypercube."""
 
     RANDOM = "random"
     LATIN_HYPERCUBE = "latin_hypercube"
 
 
 class Sampling(Part):
-    """Number, random seed and method of the samples of a study's random axes."""
+    """Number, random seed and method of the samples of a sweep's random fields."""
 
     count: WholeNumber = quantity("1", "number of samples", ge=1, le=_MOST_SAMPLES)
     seed: WholeNumber = quantity("1", "seed of the generator", ge=0)
@@ -62,12 +62,12 @@ class Sampling(Part):
     )
 
     def draw(self, axis_count: int) -> np.ndarray:
-        """Draw random points in the open unit cube, one coordinate for each random axis.
+        """Draw random points in the open unit cube, one coordinate for each random field.
 
         Parameters
         ----------
         axis_count : int
-            Number of random axes.
+            Number of random fields.
 
         Returns
         -------
