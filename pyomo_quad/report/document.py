@@ -180,20 +180,6 @@ def write_text(file: Path, template: str, **values: object) -> None:
     file.write_text(render_markdown(template, **values), encoding="utf-8")
 
 
-def save_drawings(drawings: Iterable[Drawing], folder: Path) -> None:
-    """Draw figures on all cores, and write them to the subfolder `FIGURE_FOLDER` of a folder.
-
-    Parameters
-    ----------
-    drawings : iterable of Drawing
-        Figures to draw.
-    folder : Path
-        Folder of the report.
-    """
-    with drawn_meanwhile(drawings, folder):
-        pass
-
-
 @contextmanager
 def drawn_meanwhile(drawings: Iterable[Drawing], folder: Path) -> Iterator[None]:
     """Context manager: draw and save figures on other cores while the ``with`` block runs.
