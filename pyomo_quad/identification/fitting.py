@@ -273,9 +273,14 @@ class Fit:
         return _robust(residual, self.base if start is None else start, self.bounds)
 
     def slopes(self, values: FloatArray) -> FloatArray:
-        """Return the derivatives of the windows' mean power by each parameter.
+        """Return the derivatives of the computed power by each fitted parameter.
 
-        They are computed by finite differences at the given values.
+        The power is averaged over time windows of the log. The derivatives are finite differences.
+
+        Parameters
+        ----------
+        values : ndarray, shape (n,)
+            Values of the parameters at which the derivatives are taken.
 
         Returns
         -------

@@ -91,8 +91,8 @@ def visible(text: str) -> str:
     r"""Replace the invisible characters of a text by Python escapes such as ``\u200b``.
 
     Control characters, direction marks, zero-width characters and lone surrogates are replaced;
-    blanks and line breaks are kept. Otherwise a name could look like another name in a message or
-    report.
+    blanks and line breaks are kept. Thus no name in a message or report can look like a different
+    name.
     """
     return "".join(
         letter

@@ -655,7 +655,7 @@ class _Filled:
         return f"{whose(self.origin, self.provenance, path)}: {spell(path)} = {shown(file)}"
 
     def on_earth(self) -> GeodeticOrigin | None:
-        """Return the position of x = y = z = 0 on earth, None if the mission gives none."""
+        """Return the position of x = y = z = 0 on earth; None if the mission gives no origin."""
         return origin_of_mission(self.tables, self.origin.source)
 
     def add_footprints(self) -> None:
