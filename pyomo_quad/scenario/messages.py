@@ -282,14 +282,19 @@ def _example(model: type[BaseModel], name: str) -> str:
 
 
 def table_of(model: type[BaseModel], name: str) -> type[BaseModel] | None:
-    """Return the model of the table, or of the list of tables, that a field holds; or None.
+    """Return the class of the table, or of the tables in the list, that a field holds.
 
     Parameters
     ----------
     model : type of BaseModel
-        Model of the table that has the field.
+        Class of the table that has the field.
     name : str
         Name of the field.
+
+    Returns
+    -------
+    type of BaseModel or None
+        None if the field holds anything else.
     """
     field = model.model_fields.get(name)
     annotation: Any = field.annotation if field is not None else None

@@ -453,7 +453,7 @@ class ResultStore:
         self._design = design
 
     def statuses(self) -> dict[str, CaseStatus]:
-        """Return the status (finished, failed or lost) of each stored case, by the case's key."""
+        """Return the status (finished, failed or lost) of each stored case of the sweep, by key."""
         return {key: row.status for key, row in self.rows().items()}
 
     def rows(self) -> dict[str, StoredCase]:
