@@ -49,7 +49,7 @@ class Instants:
         Rates, states, algebraic variables, static variables and data (fraction of the horizon and
         parameters).
     read : callable
-        (keys, *inputs) -> values of components, shape (n, n_keys); an `Evaluator`.
+        ``(keys, *inputs)`` -> values of components, shape (n, n_keys); an `Evaluator`.
     numbers : callable
         (data, parameters by full name) -> data with new values of these parameters.
     """
@@ -122,8 +122,8 @@ class Dynamics:
         Its inputs are states, controls, static variables and data (fraction of the horizon and
         parameters). Its first output holds the rates and the algebraic variables that equations
         determine. Its second output holds the objective's integrand and the span, the derivative of
-        time by the fraction of the horizon. Rates and integrand are per unit of the fraction;
-        dividing by the span makes them per unit of time.
+        time with respect to the fraction of the horizon. Rates and integrand are per unit of the
+        fraction; dividing by the span makes them per unit of time.
         """
         declared = self._formulation.compiled.declared
         equations = [e for e in declared.equations if e.is_equality]
@@ -148,7 +148,7 @@ class Dynamics:
         return casadi.Function("right_hand_side", inputs, [casadi.densify(o) for o in outputs])
 
     def _implicit_side(self, core: _Core, inputs: list[Any]) -> Any:
-        """Return the right-hand side of implicit equations, by Newton's method to its tolerance."""
+        """Return the right-hand side of implicit equations, solved by CasADi's Newton method."""
         newton = casadi.rootfinder("slopes", "newton", core.residual, {"abstol": _NEWTON_TOLERANCE})
         symbols = [casadi.MX.sym(f"i{k}", i.shape[0]) for k, i in enumerate(inputs)]
         stacked = casadi.vertcat(*symbols)
@@ -608,8 +608,9 @@ class _Core:
     residual : casadi.Function
         (inner unknowns, all inputs as one column) -> residual of the nonlinear part.
     known : casadi.Function
-        (inner unknowns, all inputs as one column) -> all unknowns, and (objective's integrand,
-        derivative of time by the fraction of the horizon).
+        (inner unknowns, all inputs as one column) -> all unknowns, and a column of two: the
+        objective's integrand, and the derivative of time with respect to the fraction of the
+        horizon.
     """
 
     inner: Any
@@ -928,14 +929,15 @@ class ClosedLoop:
         ----------
         t : ndarray, shape (n,)
         joint : ndarray, shape (n, n_joint)
+            States of vehicle and law, and the integral of the objective's integrand.
         command : ndarray, shape (n, n_command)
 
         Returns
         -------
         ndarray, shape (n, n_joint, n_moment)
-            Derivatives by the time-dependent inputs of the equations.
+            Derivatives with respect to the time-dependent inputs of the equations.
         ndarray, shape (n, n_joint, n_joint)
-            Derivatives by the joint state.
+            Derivatives with respect to the joint state.
         """
         names = self._function.name_in()
         jacobians = [f"jac:{self._function.name_out(0)}:{names[k]}" for k in (0, 1)]

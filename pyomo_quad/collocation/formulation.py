@@ -325,7 +325,10 @@ class OutputStates:
     @staticmethod
     def _blocks(values: FloatArray, n: int) -> csr_matrix:
         # CasADi stores a point's matrix by columns.
-        """Return a block-diagonal matrix of the n x n matrices of all points, given as rows."""
+        """Return a block-diagonal sparse matrix with an n x n block per point.
+
+        `values` holds one block per row, as CasADi returns it.
+        """
         matrices = values.reshape(-1, n, n).transpose(0, 2, 1)
         count = len(matrices)
         return bsr_matrix((matrices, np.arange(count), np.arange(count + 1))).tocsr()
@@ -563,7 +566,8 @@ class StructuralIndex:
     index : int
         0 for an ODE.
     differentiated : dict
-        Number of time derivatives by the name of an equation; equations with 0 are left out.
+        Name of an equation -> number of differentiations with respect to time; equations that need
+        none are left out.
     """
 
     index: int

@@ -150,7 +150,7 @@ class JointSolution(Outcome):
         return self.coupling.value(component, index=index)
 
     def costate(self, state: Any, t: Any, index: Any = None) -> Any:
-        """Return a state's costate at times: the derivative of the optimal cost by the state.
+        """Return a state's costate: the derivative of the optimal cost with respect to the state.
 
         The arguments and errors are those of `Solution.costate`.
         """
@@ -479,7 +479,10 @@ class JointProblem(Summarised):
     def _first_point(
         self, union: Union, bounds: Bounds, start: Start
     ) -> tuple[FloatArray, Multipliers | None]:
-        """Return the initial unknowns, and the initial multipliers of a warm start."""
+        """Return the initial point of the joint program, and the multipliers of a warm start.
+
+        The multipliers are None without a warm start.
+        """
         if start.warm is not None:
             starts = zip(start.warm, union.programs, strict=True)
             points, multipliers = zip(*[transfer(*pair) for pair in starts], strict=True)
@@ -496,7 +499,7 @@ class JointProblem(Summarised):
         return np.clip(z, bounds.lower, bounds.upper), None
 
     def _set_links(self, union: Union, program: Transcription, z: FloatArray, places: Any) -> None:
-        """Set the static variables that equal values of a horizon to these values, in `z`."""
+        """Set the static variables that stand for values of a horizon to these values, in `z`."""
         if program.mesh is None:
             return
         conditions = [c.name for c in program.compiled.declared.conditions]

@@ -217,11 +217,14 @@ class Trajectory:
         return interpolate(self.mesh, self.states, fractions, with_start=True)
 
     def rates_at(self, fractions: FloatArray) -> FloatArray:
-        """Evaluate d state / d fraction of the horizon, shape (n_fractions, n_states)."""
+        """Evaluate the derivatives of the state polynomials with respect to the fraction.
+
+        Shape (n_fractions, n_states), at fractions of the horizon.
+        """
         return interpolate_rates(self.mesh, self.states, fractions)
 
     def algebraics_at(self, fractions: FloatArray) -> FloatArray:
-        """Evaluate the polynomials through the algebraic variables, (n_fractions, n_algebraics)."""
+        """Evaluate the polynomials through the algebraic variables: (n_fractions, n_algebraics)."""
         return interpolate(self.mesh, self.algebraics, fractions, with_start=False)
 
 
@@ -248,7 +251,7 @@ class Timeline:
         return np.diff(self.times) / np.diff(self.fractions)
 
     def span_at(self, fractions: FloatArray) -> FloatArray:
-        """Return the derivative of physical time by the fraction, at fractions of the horizon."""
+        """Return d (physical time) / d (fraction of the horizon) at fractions of the horizon."""
         return self.spans[np.searchsorted(self.fractions[1:-1], fractions)]
 
     def time(self, fractions: Any) -> Any:
@@ -442,7 +445,7 @@ class Summarised(ABC):
         """Main properties of the object, as text by label."""
 
     def __repr__(self) -> str:
-        """Return the summary in one line."""
+        """Return the class name and the summary in one line."""
         told = ", ".join(f"{name}: {text}" for name, text in self.summary.items())
         return f"<{type(self).__name__} {told}>"
 

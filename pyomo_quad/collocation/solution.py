@@ -337,7 +337,7 @@ class Solution(Outcome):
 
     @property
     def dynamics(self) -> Dynamics:
-        """Right-hand side of the model's equations, with the parameters of the solution."""
+        """Right-hand side dx/dt = f(t, x, u) of the model, with the parameters of the solution."""
         return Dynamics(self.problem, self.instance, self.trajectory.statics)
 
     @cached_property
@@ -443,7 +443,7 @@ class Solution(Outcome):
         )
 
     def costate(self, state: Any, t: Any, index: Any = None) -> Any:
-        """Return a state's costate at times: the derivative of the optimal cost by the state.
+        """Return a state's costate: the derivative of the optimal cost with respect to the state.
 
         Parameters
         ----------
@@ -457,7 +457,8 @@ class Solution(Outcome):
         Returns
         -------
         float or ndarray
-            In the shape of `t`; for the minimised objective, that is, its negative if maximised.
+            In the shape of `t`. The cost is the minimised objective: the negative of the declared
+            objective if that is maximised.
 
         Raises
         ------

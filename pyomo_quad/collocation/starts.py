@@ -45,7 +45,7 @@ class ColdStart:
 
     @property
     def array(self) -> FloatArray:
-        """Record as an array of its three numbers, which `from_arrays` reads."""
+        """The record as an array of three numbers, which `from_arrays` reads."""
         return np.array([float(self.first), float(self.iterations), self.tolerance])
 
     @classmethod
@@ -328,7 +328,7 @@ class Start:
 
     @property
     def cold_start(self) -> ColdStart | None:
-        """Iterations of the solve from a guess, as the warm start records them, or None."""
+        """Record of the iterations of the solve from a guess; None if the warm start has none."""
         first = self.warm[0] if isinstance(self.warm, tuple) else self.warm
         return first and first.cold_start
 

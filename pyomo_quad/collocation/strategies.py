@@ -184,7 +184,7 @@ class Search(ABC, Generic[S]):
 
     @abstractmethod
     def holds(self, fact: Fact) -> bool:
-        """Return whether a fact is true at present; a strategy may require it to be tried."""
+        """Return whether a condition (`Fact`) of a strategy in the table is true at present."""
 
     @abstractmethod
     def attempt(self, strategy: Strategy) -> S | None:
@@ -195,7 +195,7 @@ class Search(ABC, Generic[S]):
         return not found.status.has_failed
 
     def failure(self, last: S) -> S:
-        """Return the result if no strategy has succeeded: by default the last failed result."""
+        """Return the result if no strategy has succeeded: by default that of the last strategy."""
         return last
 
 

@@ -71,7 +71,7 @@ class Link:
 
     @property
     def condition(self) -> PointCondition:
-        """Condition on the horizon that the static variable equals the value."""
+        """Condition of the horizon's program: the static variable equals the horizon's value."""
         zero, difference = casadi.SX(0), casadi.SX(self.value) - self.slot.symbol
         return PointCondition(name=self.slot.name, expression=difference, lower=zero, upper=zero)
 
@@ -280,7 +280,10 @@ def _own_cost(reader: ModelReader, cost: Any, in_conditions: frozenset[str]) -> 
 
 
 def _integrals_in(reader: ModelReader, names: frozenset[str]) -> list[Slot]:
-    """Return static variables for the integrals of a horizon whose names the coupling uses."""
+    """Return static variables for the integrals of a horizon that appear in the coupling.
+
+    `names` are the names of the symbols in the coupling.
+    """
     return [
         integral.slot
         for integral in reader.writer.integrals.values()
@@ -399,7 +402,7 @@ class Union:
         )
 
     def part(self, whole: Part, k: int) -> Part:
-        """Return the part of the k-th program from joint bounds, scaling or result of Ipopt."""
+        """Return the part of bounds, scaling or Ipopt's result that belongs to the k-th program."""
         return whole.part(self.places[k], self.rows[k])
 
     def nominal(self, whole: Bounds, z: FloatArray) -> FloatArray:
@@ -436,7 +439,7 @@ class CoupledProgram:
     programs: tuple[NonlinearProgram, ...]
 
     def _parts(self, z: FloatArray) -> list[tuple[NonlinearProgram, FloatArray]]:
-        """Return each program with its own unknowns."""
+        """Return each program together with its own unknowns, taken from the joint unknowns `z`."""
         held = (z[places] for places in self.union.places)
         return list(zip(self.programs, held, strict=True))
 

@@ -80,7 +80,10 @@ _PUSHES = (
 
 
 class Way(Enum):
-    """Expected distance of a warm start from the point of the central path that is to be found."""
+    """Expected distance of a warm start from its solution, which lies on the central path.
+
+    The central path is the curve of optima for positive barrier parameters.
+    """
 
     NONE = "none"
     SHORT = "short"
@@ -322,7 +325,7 @@ class IpoptResult:
         return self.status is Status.CONVERGED
 
     def part(self, columns: Any, rows: Any) -> IpoptResult:
-        """Return the result restricted to the chosen unknowns and constraints of the program."""
+        """Return the result restricted to chosen unknowns (`columns`) and constraints (`rows`)."""
         return replace(self, z=self.z[columns], multipliers=self.multipliers.part(columns, rows))
 
 
@@ -692,7 +695,15 @@ def _set_options(problem: Any, options: SolverOptions, *, is_warm: bool) -> None
 def _result(
     callbacks: _Callbacks, z: FloatArray, info: dict[str, Any], wall: float, *, stopped: bool
 ) -> IpoptResult:
-    """Return Ipopt's result; a failed solve gives the iterate with the least violation."""
+    """Return the outcome of Ipopt as an `IpoptResult`.
+
+    A failed solve gives the iterate with the least constraint violation.
+
+    Raises
+    ------
+    MemoryError
+        If Ipopt ran out of memory.
+    """
     code = _STOPPED if stopped else int(info["status"])
     if code == _NO_MEMORY:
         raise MemoryError("Ipopt: not enough memory for the matrices of this mesh")

@@ -64,7 +64,16 @@ class LocalSpline:
 
     @classmethod
     def of(cls, knots: Sequence[FloatArray], coefficients: FloatArray, degree: int) -> Self:
-        """Return the local form of a spline, from knots and coefficients of its B-splines."""
+        """Return a B-spline in the form of a `LocalSpline`.
+
+        Parameters
+        ----------
+        knots : sequence of ndarray
+            Knots along each axis.
+        coefficients : ndarray
+            One axis per argument.
+        degree : int
+        """
         place: Any = casadi.MX.sym("place", len(knots))
         found = casadi.vertcat(*_jet(place, knots, coefficients, degree))
         # CasADi would otherwise differentiate the call itself.
@@ -109,7 +118,7 @@ class LocalSpline:
 
 
 def _pairs(count: int) -> list[tuple[int, int]]:
-    """Return the pairs (i, j), i <= j, of axes: the upper triangle of a Hessian, row by row."""
+    """Return the pairs (i, j) with i <= j: the upper triangle of a Hessian, row after row."""
     return list(combinations_with_replacement(range(count), 2))
 
 
@@ -222,7 +231,10 @@ class _Pieces:
 
     @classmethod
     def of(cls, knots: FloatArray, degree: int) -> Self:
-        """Return a basis's polynomials; the first and last continue their neighbours linearly."""
+        """Return the polynomials of the B-spline basis with given knots, in each cell.
+
+        The first and last cell continue value and slope of their neighbours linearly.
+        """
         from scipy.interpolate import BSpline  # noqa: PLC0415  few models have tables
 
         breaks, powers = np.unique(knots), np.arange(degree + 1)

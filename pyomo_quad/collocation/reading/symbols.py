@@ -2,7 +2,7 @@
 
 The engine reads equations over time at a single interior time, the template time, which is added to
 the continuous set of a clone of the model. The members of constraints at that time hold for all
-times.
+times. Declared times are the members of the continuous set that the user gave it.
 """
 
 from __future__ import annotations
@@ -73,7 +73,10 @@ class TimeSymbol:
         return self.template == other
 
     def _compare(self, relation: Callable[[Any, Any], Any], other: Any) -> bool:
-        """Return how the number compares with another, and record whether that reads the number."""
+        """Compare the symbol's number with another number, as a rule of the model requests.
+
+        A comparison with a number that is no declared time counts as reading the symbol's number.
+        """
         # Pyomo compares two symbols when an Integral sorts its times.
         if isinstance(other, TimeSymbol):
             return bool(relation(self._number, other._number))  # noqa: SLF001
@@ -98,7 +101,7 @@ class TimeSymbol:
         return self._number
 
     def __call__(self, *, exception: bool = True) -> float:
-        """Return the number, as Pyomo's function `value` asks for it."""
+        """Return the symbol's number, as Pyomo's function `value` requires."""
         del exception
         return float(self)
 
@@ -150,7 +153,7 @@ class Instant(float):
     template: float
 
     def __new__(cls, time: float, template: float) -> Self:
-        """Return the number, which compares equal to the template time."""
+        """Return the time as a number that compares equal to the template time."""
         made = super().__new__(cls, time)
         made.template = template
         return made
@@ -323,7 +326,7 @@ class Slot:
     nominal : float, optional
         Declared magnitude, for scaling.
     rate : casadi.SX, optional
-        Symbol of a state's derivative by the fraction of the horizon.
+        Symbol of a state's derivative with respect to the fraction of the horizon.
     """
 
     name: str
@@ -370,7 +373,7 @@ class PointSymbol:
     fraction : float
         Declared time as a fraction of the horizon.
     is_rate : bool
-        Whether the symbol stands for the derivative by the fraction of the horizon.
+        Whether the symbol stands for the derivative with respect to the fraction of the horizon.
     symbol : casadi.SX
     """
 
@@ -471,7 +474,7 @@ class Declarations:
 
     @property
     def has_signals(self) -> bool:
-        """Whether any parameter or rule varies with time without a formula."""
+        """Whether parameters over time, or rules that branch on time, need values at points."""
         return bool(self.signals or self.scheduled)
 
     @property
@@ -481,7 +484,11 @@ class Declarations:
 
     @property
     def path_data(self) -> tuple[Any, ...]:
-        """Symbols of a point's data: fraction of the horizon, signals, schedules, parameters."""
+        """Symbols of the data of a collocation point, in order.
+
+        They are the fraction of the horizon, parameters over time, data of rules that branch on
+        time, and parameters without time.
+        """
         slots = (*self.signals, *self.scheduled, *self.parameters)
         return (self.clock.fraction, *(s.symbol for s in slots))
 
@@ -576,7 +583,10 @@ class SymbolTable:
             )
 
     def _scalar(self, table: dict[str, Slot], data: Any, name: str, **more: Any) -> Any:
-        """Return the symbol of a scalar from a table, adding it at first use."""
+        """Return the symbol of a variable or parameter without time, made at first use.
+
+        `table` is the dictionary of slots by name in which the symbol is kept.
+        """
         if name not in table:
             address = self._addresses.of(data)
             table[name] = Slot(
@@ -589,11 +599,17 @@ class SymbolTable:
         return table[name].symbol
 
     def fixed_value(self, data: Any) -> Any:
-        """Return the symbol of a parameter that holds the value of a fixed variable."""
+        """Return the symbol of a new parameter that holds the value of a fixed variable.
+
+        The value can then change between solves without another compilation.
+        """
         return self._scalar(self.parameters, data, f"{data.name} (fixed)")
 
     def _static(self, data: Any) -> Any:
-        """Return the symbol of a variable without time: a parameter if it is fixed."""
+        """Return the symbol of a variable without time.
+
+        A fixed variable becomes a parameter.
+        """
         if data.fixed:
             return self._scalar(self.parameters, data, data.name)
         return self._scalar(self.statics, data, data.name, lower=data.lower, upper=data.upper)
@@ -661,7 +677,7 @@ class SymbolTable:
         return symbol / self.clock.span_at(address.time) if is_rate else symbol
 
     def _slot(self, variable: Any, address: Any) -> Slot | None:
-        """Return the slot of a variable over time, None if it is fixed at all declared times."""
+        """Return the `Slot` of a variable over time; None if it is fixed at all declared times."""
         name = indexed_name(variable.name, address.index)
         for table in (self.states, self.algebraics):
             if name in table:

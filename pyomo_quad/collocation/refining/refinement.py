@@ -248,11 +248,11 @@ class _Refinement(Generic[S]):
     def _begin_at(
         self, warm: Any, meshes: tuple[Mesh, ...], before: tuple[Solution | None, ...]
     ) -> None:
-        """Set warm start, meshes and previous solutions of the next solve."""
+        """Set warm start, meshes and previous solutions for the next solve of the refinement."""
         self.start, self.meshes, self.before = replace(self.start, warm=warm), meshes, before
 
     def _damped(self, parts: tuple[Solution, ...], **how: Any) -> tuple[Damping | None, ...]:
-        """Return the damping of the controls towards each of several solutions."""
+        """Return the damping of controls towards the given solutions, one per horizon."""
         weight = self.firmness * self.options.damping * self.tolerance
         return tuple(damping_of(part, weight, **how) for part in parts)
 
@@ -408,7 +408,7 @@ class _MeshSolve(Search[S], Generic[S]):
     gap: float
 
     def holds(self, fact: Fact) -> bool:
-        """Return whether a fact is true at present; a strategy may require it to be tried."""
+        """Return whether a condition (`Fact`) of a strategy in the table is true at present."""
         is_held = self.change is not None or _are_damped(self.dampings)
         has_warm = self.start.warm is not None
         return {Fact.WARM_START: has_warm, Fact.HELD: is_held, Fact.FREE: not is_held}[fact]
@@ -481,12 +481,12 @@ class _Reached(Generic[S]):
         return (-earned if is_maximised else earned) / first.nominal_objective
 
     def compare(self, other: S, error: float) -> None:
-        """Record the gain of the restart's solution, less the error of that solution."""
+        """Record by how much a solution after the restart is better, less its error."""
         shown = self.gain(other) - error
         self.shown = shown if self.shown is None else max(self.shown, shown)
 
     def better(self, other: S) -> S:
-        """Return the better of the kept solution and another solution."""
+        """Return the better of two solutions: that before the restart, or another."""
         if self.gain(other) >= 0.0:
             return other
         return self.solution.updated(history=other.parts[0].history)
@@ -542,7 +542,10 @@ def _objective_change(solution: Solution, tolerance: float) -> float:
 
 
 def _is_lost(records: Sequence[MeshRecord]) -> bool:
-    """Return whether refinement should stop: two long solves, and hardly a smaller error."""
+    """Return whether refinement should stop because the last two solves were long and in vain.
+
+    Both took more than 150 iterations, and the second left more than half of the error.
+    """
     if len(records) < 3:
         return False
     last, now = records[-2:]
@@ -574,7 +577,7 @@ def _most_moved(solution: Outcome, before: tuple[Solution | None, ...]) -> str:
 
 
 def _record(solution: Outcome, error: float) -> MeshRecord:
-    """Return the record of a mesh, for the history of a solution."""
+    """Return the `MeshRecord` of a solution, for the history of the refinement."""
     return MeshRecord(
         elements=sum(mesh.elements for mesh in _meshes(solution)),
         points=sum(mesh.points for mesh in _meshes(solution)),
