@@ -323,7 +323,7 @@ class Dynamics:
         Instants
         """
         n = len(t)
-        # Flights side by side share their times, and signals are read one by one.
+        # Several flights may share their times; evaluate time-dependent parameters once per time.
         times, which = np.unique(np.asarray(t, dtype=float), return_inverse=True)
         fractions = self.timeline.fraction(times)
         signals = self._formulation.signals(self._instance, fractions)[which]
@@ -409,7 +409,7 @@ class Dynamics:
     def states_used_up(self) -> tuple[str, ...]:
         """Names of states with a given start and a free end, such as the charge of a battery."""
         declared = self._formulation.compiled.declared
-        # An objective that reads the end of a state leaves it free.
+        # A state at the end remains free if only the objective depends on it.
         priced = symbol_names(declared.objective)
         points = [p for p in declared.point_symbols if p.symbol.name() not in priced]
         given = {(p.slot, p.fraction) for p in points} | set(declared.fixed)
@@ -893,7 +893,7 @@ class ClosedLoop:
     def _compiled(self, law: Law, sizes: tuple[int, int, int]) -> Any:
         """Return the function (time-dependent inputs, joint state, command) -> rates, controls."""
         symbols, rates, controls = closed(self._dynamics, law, sizes, {})
-        # To tell whether two calls are the same, CasADi writes each table down in full.
+        # To find common subexpressions, CasADi would write out the data of each table in full.
         has_tables = bool(self._dynamics.tables_read)
         options = {"cse": not has_tables}
         return casadi.Function("closed_loop", symbols, [rates, controls], options)

@@ -146,7 +146,10 @@ class FirstSolve(Search[S], Generic[S]):
         )
 
     def failure(self, last: S) -> S:
-        """Return the failed requested solve with its feasibility verdict, as nothing succeeded."""
+        """Return the result if all strategies failed: the requested solve, with a verdict.
+
+        The verdict tells whether the problem is infeasible near the last iterate.
+        """
         del last
         return self.judged
 

@@ -551,7 +551,8 @@ def _restored(
     return formulation
 
 
-# Highest index that is solved without reformulation: an equation of states implies a control.
+# Highest index that is solved as declared; at index 2, an equation among states determines a
+# control.
 _HIGHEST = 2
 _ABSENT = -1e6
 _ORDERS = {2: "second", 3: "third", 4: "fourth", 5: "fifth"}

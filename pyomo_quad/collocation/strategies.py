@@ -146,7 +146,7 @@ RESTART = "restart from the least Hamiltonian"
 
 _W, _F, _M, _R = Scope.WHOLE, Scope.FIRST, Scope.MESH, Scope.RESTART
 _POSSIBLE, _FREE = {Fact.POSSIBLE}, {Fact.JUDGED, Fact.FREE_MESH, Fact.FREE_GUESS}
-# A first mesh may be too coarse for the limits, or too fine for the error of the first point.
+# A first mesh may be too coarse for the limits, or too fine for the error of the initial point.
 STRATEGIES = (
     Strategy(_W, "warm start", {Fact.WARM_START}, iterations=None),
     Strategy(_W, "cold start", first=First.GUESS),

@@ -447,7 +447,8 @@ def compile_declarations(declared: Declarations) -> CompiledModel:
     point_rows = [c.expression for c in conditions] + [declared.objective]
     path = stacked(rows), stacked(path_variables.values()), path_data
     points = stacked(point_rows), stacked(point_variables.values()), parameters
-    # Before there are derivatives: CasADi keeps those of a spline in it, and serialises them.
+    # Computed before derivatives exist: CasADi stores them in a spline's function, and would
+    # serialise them too.
     fingerprint = _fingerprint(declared, [_values("path", *path), _values("points", *points)])
     return CompiledModel(
         declared=declared,
@@ -580,7 +581,7 @@ def _table_arguments(
     ):
         symbols = stacked(variables.values())
         known = symbol_names(casadi.vertcat(symbols, data))
-        # An argument in an equation that was dropped holds symbols that no function has; skip it.
+        # Skip arguments in equations that were left out: no function has their symbols as inputs.
         uses = tuple(u for u in declared.table_uses if symbol_names(u.expression) <= known)
         rows = stacked([u.expression for u in uses])
         made += [uses, casadi.Function("table_arguments", [symbols, data], [rows])]

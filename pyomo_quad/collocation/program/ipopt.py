@@ -66,7 +66,7 @@ _BEGUN = 1e-8
 _BEGUN_FAR, _FAR_INSIDE = 1e-5, 1e-4
 # Change of the scaled objective above which a warm start begins well inside its bounds.
 _LARGE_CHANGE = 1e-6
-# Barrier parameter, in units of Ipopt's tolerance, above which no solve ends.
+# Ipopt ends a solve only at a barrier parameter below this multiple of its tolerance.
 _ABOVE = 10.0
 # Initial barrier parameter of a warm start that is expected to change little.
 _LOW_BARRIER = 1e-10

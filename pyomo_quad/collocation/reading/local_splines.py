@@ -100,7 +100,7 @@ class LocalSpline:
 
     def written(self, arguments: Sequence[Any]) -> Any:
         """Return the spline's value at CasADi expressions of its arguments, as an expression."""
-        # CasADi's look-up fails at a place that is not a number; the expression is none there.
+        # CasADi's look-up fails at NaN, so fmax replaces NaN; `away` makes the result NaN again.
         rounded = [
             casadi.fmin(casadi.fmax(step * (casadi.floor(argument / step) + _ASIDE), low), high)
             for argument, step, (low, high) in zip(
@@ -154,7 +154,7 @@ def _jet(
     at = casadi.MX.sym("at", len(knots))
     entry = casadi.Function("entry", [at], [_looked_up(at, axes, table)])
     first = casadi.vertcat(*index)
-    # The first of the axes counts fastest.
+    # The offset along the first axis varies fastest.
     offsets = product(range(order), repeat=len(knots) - cells)
     parts: dict[tuple[int, ...], Any] = {
         (): casadi.vertcat(*[entry(first + casadi.DM([0] * cells + [*o][::-1])) for o in offsets])

@@ -394,7 +394,7 @@ class TemplateWriter:
         if statement is not None and not symbol.is_read:
             parts = zip(statement.parts, _ABSENT, strict=False)
             return [self._part(p, name, absent) for p, absent in parts], statement.is_equality
-        # Where times are free, a rule knows only between which declared times its own lies.
+        # If times are free, a rule may depend only on the declared times before and after its time.
         place = self._within if self.symbols.clock.is_free else float
         schedule = Schedule(
             name, partial(self._statement_at, name, say), self.copy.declared_times, place

@@ -78,7 +78,7 @@ def _transition(solution: Solution, equations: Linearised, e: int) -> FloatArray
     return np.asarray(moved[-n:])
 
 
-# Relative violation of a control's clipping limit that rounding may cause.
+# Violation of the limit to which a control is clipped, relative to it, that rounding may cause.
 _ROUNDING = 1e-9
 # Samples per collocation point at which limits are checked.
 _SAMPLES = 4

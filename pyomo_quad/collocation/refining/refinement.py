@@ -38,9 +38,9 @@ if TYPE_CHECKING:
 
 # Change of the objective, in units of the tolerance, below which it counts as settled.
 _SETTLED = 0.5
-# A warm start that takes more iterations than this leaves its linear controls undetermined, and so
-# does an objective that has been settled for this many meshes. The damping is then increased by a
-# factor, up to a limit; after twice as many meshes without a limit.
+# Controls that enter linearly count as undetermined if a warm start takes more iterations than the
+# first number, or if the objective has been settled for the second number of meshes. Their damping
+# is then increased by a factor, up to a limit; after the third number of meshes without a limit.
 _MANY_ITERATIONS, _MANY_SETTLED, _TOO_MANY_SETTLED = 30, 4, 8
 _FIRMER, _FIRM, _FIRMEST = 5.0, 25.0, 125.0
 # Complementarity gap that the barrier then leaves: in units of the tolerance, and at most this

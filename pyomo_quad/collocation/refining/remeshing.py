@@ -94,7 +94,8 @@ _CHASING_MESHES, _CONSTANT_PARTS = 12, 8
 _CORNER_PARTS = 3
 _MOST_PARTS = 4
 _CORNER_DEGREE = 4
-# Nor does a degree above this where a limit on states becomes active or inactive.
+# Highest degree of parts in which a limit on states becomes active or inactive; a higher degree
+# does not help there either.
 _TOUCHING_DEGREE = 6
 # A change of a control by more than this fraction of its range counts as a jump.
 _JUMP_SHARE = 0.25
