@@ -6,7 +6,7 @@ coefficients restricts the solution more than necessary. The multipliers of thes
 cost of the restriction: see docs/theory/transcription.md, eqs. (6) and (7).
 
 .. [1] Farouki, "The Bernstein polynomial basis: a centennial retrospective", Computer Aided
-Geometric Design 29 (2012).
+   Geometric Design 29 (2012).
 """
 
 from __future__ import annotations

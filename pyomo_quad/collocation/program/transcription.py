@@ -69,7 +69,10 @@ def _at_point(program: Transcription, name: str, point: int) -> Place:
 
 
 def row_place(program: Transcription, row: int) -> Place:
-    """Return the equation, time, element and collocation point of a constraint of the program."""
+    """Return the place in the model of a constraint of the program, given its index `row`.
+
+    The place consists of the equation's name, time, element and collocation point.
+    """
     compiled = program.compiled
     declared = compiled.declared
     if row < program.first_condition_row:
@@ -82,7 +85,10 @@ def row_place(program: Transcription, row: int) -> Place:
 
 
 def unknown_place(program: Transcription, column: int) -> Place:
-    """Return the variable, time, element and collocation point of an unknown of the program."""
+    """Return the place in the model of an unknown of the program, given its index `column`.
+
+    The place consists of the variable's name, time, element and collocation point.
+    """
     layout, declared = program.layout, program.compiled.declared
     if column >= layout.unknowns - layout.n_statics:
         return Place(name=declared.statics[column - (layout.unknowns - layout.n_statics)].name)

@@ -74,7 +74,7 @@ class PhaseTimes:
 
     @cached_property
     def _spans(self) -> list[Any]:
-        """Derivatives of physical time with respect to the fraction of the horizon, by phase."""
+        """CasADi expressions for d (physical time) / d (fraction of the horizon), one per phase."""
         ends = zip(pairwise(self.times), pairwise(self.fractions), strict=True)
         return [(after - before) / (last - first) for (before, after), (first, last) in ends]
 

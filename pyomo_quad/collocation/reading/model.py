@@ -184,7 +184,7 @@ class RelationReader:
     def _start_and_end(
         self, equation: PathEquation, instances: dict[Any, Any]
     ) -> list[PointCondition]:
-        """Return the conditions that the end members of a constraint add to its path equation.
+        """Return the conditions that a constraint's members at start and end add to its equation.
 
         The collocation points include the end but not the start. At the start an equation among
         states only is imposed as a condition; an equation with rates or algebraic variables has no

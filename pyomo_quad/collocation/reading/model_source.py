@@ -441,7 +441,7 @@ class ModelSnapshot:
         return self.guesses.get(slot.name)
 
     def signal(self, slot: Slot) -> Interpolant:
-        """Return a parameter over time as a function of time."""
+        """Return a parameter over time as a function of time, as the pickle holds it."""
         return self.signals[slot.name]
 
     def snapshot(self, declared: Declarations, horizon: tuple[float, float]) -> ModelSnapshot:  # noqa: ARG002

@@ -533,7 +533,10 @@ class SymbolTable:
         self.clock = self._clock(free)
 
     def _clock(self, free: Mapping[float, Any]) -> PhaseTimes:
-        """Return the declared times of the model in symbols; static variables may replace some."""
+        """Return the declared times of the horizon in CasADi symbols, as `PhaseTimes`.
+
+        The static variables in `free` replace some of these times.
+        """
         declared = self._copy.declared_times or (0.0, 1.0)
         ends = {declared[0]: "horizon.start", declared[-1]: "horizon.end"}
         times = tuple(sorted(ends.keys() | free.keys()))

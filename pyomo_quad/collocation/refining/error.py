@@ -258,10 +258,10 @@ _LEAST_UNIT = 1e-4
 
 
 def _unit(solution: Solution) -> float:
-    """Return the reference magnitude of the objective's relative error: its size, or at most 1.
+    """Return the reference magnitude for relative errors of the objective, in its unit.
 
-    An objective near zero is compared with 1, or with the inverse of its scaling factor if that is
-    smaller.
+    It is the objective's magnitude. An objective near zero is compared with 1 instead, or with the
+    inverse of its scaling factor if that is smaller.
     """
     scaled = 1.0 / solution.scaling.objective
     return max(abs(solution.objective), min(1.0, scaled), _LEAST_UNIT * scaled)
