@@ -240,15 +240,15 @@ class OutputStates:
         self._starts = self._start_function(declared)
 
     def __len__(self) -> int:
-        """Return the number of output states."""
+        """Return the number of output states, the states that nothing else depends on."""
         return len(self._slots)
 
     @staticmethod
     def _start_function(declared: Declarations) -> Any:
         """Return the CasADi function from parameters to initial values of the output states.
 
-        An initial value comes from the condition that the model declares for the output state at
-        the start; NaN if there is none.
+        Output states are states that nothing else depends on. An initial value comes from the
+        condition that the model declares for the state at the start; NaN if there is none.
         """
         parameters = stacked([s.symbol for s in declared.parameters])
         values = []
@@ -266,9 +266,12 @@ class OutputStates:
     def start(self, parameters: FloatArray, fixed: dict[tuple[str, float], float]) -> FloatArray:
         """Return the initial values of the output states, shape (n_outputs,).
 
+        Output states are states that nothing else depends on.
+
         Parameters
         ----------
         parameters : ndarray, shape (n_parameters,)
+            Values of the parameters without time.
         fixed : dict
             Fixed values of variables by (name, fraction of the horizon); they take precedence over
             initial conditions.
@@ -283,10 +286,13 @@ class OutputStates:
     ) -> FloatArray:
         """Solve the collocation equations of the output states by Newton's method.
 
+        Output states are states that nothing else depends on, and no unknowns of the nonlinear
+        program.
+
         Parameters
         ----------
         layout : Layout
-            Index arithmetic of the mesh, with its differentiation matrix.
+            Positions of variables on the mesh, with its differentiation matrix.
         start : ndarray, shape (n_outputs,)
             Initial values.
         path_variables : ndarray, shape (n_points, n_variables)

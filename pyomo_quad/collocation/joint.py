@@ -103,7 +103,10 @@ class JointSolution(Outcome):
 
     @property
     def warm_start(self) -> tuple[WarmStart, ...]:
-        """Warm start for another solve: one part per horizon, and one for the coupling."""
+        """Warm start for another solve: one part per horizon, and one for the coupling.
+
+        The coupling consists of the objective, and of the constraints on several horizons or none.
+        """
         return tuple(part.warm_start for part in (*self.horizons.values(), self.coupling))
 
     @property
@@ -316,11 +319,14 @@ class JointProblem(Summarised):
 
     @property
     def _parts(self) -> list[Formulation]:
-        """Formulations of the horizons, followed by that of the coupling."""
+        """Formulations of the horizons, followed by that of the coupling.
+
+        The coupling consists of the objective, and of the constraints on several horizons or none.
+        """
         return [*self.horizons.values(), self.coupling]
 
     def _guesses(self, guess: Mapping[str, Any] | None) -> list[Any]:
-        """Return the guess of each horizon and of the coupling.
+        """Return the guess for the variables of each horizon, and for those of no horizon.
 
         Raises
         ------
@@ -341,7 +347,14 @@ class JointProblem(Summarised):
     def union(self, meshes: Sequence[Mesh | None], instances: Sequence[Instance]) -> Union:
         """Return the nonlinear programs of all horizons and of the coupling, joined in a `Union`.
 
-        `meshes` and `instances` (data of the solve) have an item for each horizon and the coupling.
+        The coupling consists of the objective, and of the constraints on several horizons or none.
+
+        Parameters
+        ----------
+        meshes : sequence of Mesh or None
+            Mesh of each horizon, and None for the coupling.
+        instances : sequence of Instance
+            Parameter values and horizon of the solve, for each of them.
         """
         programs = [
             part.program(mesh, instance)
@@ -364,8 +377,16 @@ class JointProblem(Summarised):
     ) -> JointSolution:
         """Solve the joint nonlinear program once, with a given mesh per horizon.
 
-        The arguments are those of `Problem.solve_on_mesh`, with a mesh, a damping and an `Instance`
-        for each horizon.
+        Parameters
+        ----------
+        meshes : sequence of Mesh
+        start : Start
+        dampings : tuple of Damping or None
+            Penalty on the distance of the controls from those of the last mesh, for each horizon.
+        instances : list of Instance
+            Parameter values, for each horizon and the coupling of the horizons.
+        options, progress, is_scaled, change, most
+            As in `Problem.solve_on_mesh`.
         """
         parts = self._parts
         chosen = [
@@ -450,7 +471,7 @@ class JointProblem(Summarised):
         bounds: Bounds,
         scaling: Scaling,
     ) -> JointSolution:
-        """Split Ipopt's result into a solution for each horizon and the coupling."""
+        """Return the `JointSolution` of Ipopt's result, with a solution on each horizon."""
         found = [
             solution_from(
                 part,

@@ -546,6 +546,9 @@ class Solution(Outcome):
     def to_frame(self, times: Any = None) -> pd.DataFrame:
         """Return states, output states and algebraic variables as a table over time.
 
+        Output states are states that nothing else depends on, and no unknowns of the nonlinear
+        program.
+
         Parameters
         ----------
         times : array, optional

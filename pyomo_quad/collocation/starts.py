@@ -314,7 +314,7 @@ class Start:
 
     @classmethod
     def of(cls, given: Any, guess: Any = None) -> Start:
-        """Return the start for the arguments `warm_start` and `guess` of a solve.
+        """Return the `Start` of a solve from its arguments `warm_start` and `guess`.
 
         `given` is None, a warm start, or an object with an attribute `warm_start`: a solution or a
         plan.

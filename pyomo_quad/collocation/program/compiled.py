@@ -127,7 +127,10 @@ def _names_at(declared: Declarations, slot: Slot) -> frozenset[str]:
 
 
 def _one_output(declared: Declarations) -> tuple[Slot, PathEquation] | None:
-    """Return an output state and its equation, or None; see `set_outputs_aside`."""
+    """Return a state that nothing else depends on, with its equation, or None.
+
+    The criteria are those of `set_outputs_aside`.
+    """
     uses = Counter[str]()
     for equation in declared.equations:
         uses.update(
@@ -421,8 +424,9 @@ def _unpacked(parts: Packed) -> CompiledModel:
 def compile_declarations(declared: Declarations) -> CompiledModel:
     """Compile the declarations of a model to CasADi functions.
 
-    Output states are set aside, constraints on a single variable become bounds, and integrals that
-    conditions use become static variables with a defining constraint.
+    States that nothing depends on are set aside to be solved for afterwards, constraints on a
+    single variable become bounds, and integrals that conditions use become static variables with a
+    constraint that defines them.
     """
     if symbol_names(declared.objective) & _point_symbols(declared).keys():
         declared = set_outputs_aside(declared)

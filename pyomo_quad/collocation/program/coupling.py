@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Link:
-    """Static variable of the coupling that equals a value of one horizon.
+    """Static variable that stands for a value of a horizon in constraints on several horizons.
 
     Attributes
     ----------
@@ -100,9 +100,9 @@ class CouplingWriter(TemplateWriter):
         return casadi.SX(self.write(objective.expr, objective.name))
 
     def leaf(self, data: Any) -> Any:
-        """Return the symbol for a Pyomo variable or parameter in the coupling.
+        """Return the symbol for a Pyomo variable or parameter in a constraint on several horizons.
 
-        For a value of a horizon this is the static variable that equals it.
+        For a value of a horizon this is the symbol of the static variable that equals it.
         """
         over = self.copy.other_of(data.parent_component())
         if over is None:
@@ -131,7 +131,7 @@ class CouplingWriter(TemplateWriter):
         return self.links[data.name].slot.symbol
 
     def _refuse_interior(self, reader: ModelReader, data: Any) -> None:
-        """Raise an error for a value of a horizon that cannot appear in the coupling.
+        """Raise an error for a value of a horizon that cannot appear in what couples horizons.
 
         These are parameters at a single time, and values at interior times in a constraint.
         """
@@ -280,9 +280,9 @@ def _own_cost(reader: ModelReader, cost: Any, in_conditions: frozenset[str]) -> 
 
 
 def _integrals_in(reader: ModelReader, names: frozenset[str]) -> list[Slot]:
-    """Return static variables for the integrals of a horizon that appear in the coupling.
+    """Return static variables for a horizon's integrals that are used outside the horizon.
 
-    `names` are the names of the symbols in the coupling.
+    `names` are the names of the symbols in objective and constraints on several horizons.
     """
     return [
         integral.slot
@@ -298,7 +298,7 @@ def _with(declared: Declarations, statics: list[Slot]) -> Declarations:
 
 @dataclass(frozen=True, kw_only=True)
 class StateValue:
-    """State of one of several programs at a given fraction of its horizon.
+    """State of one horizon's nonlinear program at a node of its mesh.
 
     Attributes
     ----------
@@ -307,7 +307,7 @@ class StateValue:
     state : str
         Name of the state.
     fraction : float
-        Fraction of the horizon, at which the mesh has a node.
+        Fraction of the horizon at which the mesh has the node.
     """
 
     program: int

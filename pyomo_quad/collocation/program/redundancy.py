@@ -139,7 +139,8 @@ def _slopes_of(
 ) -> list[FloatArray]:
     """Return the scaled gradients of conditions with respect to the free unknowns.
 
-    Each has the shape (n_free,). A condition that fixes an unknown has a unit vector.
+    A condition is a constraint at a declared time. Each gradient has the shape (n_free,); a
+    condition that fixes an unknown has a unit vector.
     """
     at = {int(column): k for k, column in enumerate(free)}
     found = []

@@ -55,7 +55,7 @@ class Place:
 
 
 def _at_point(program: Transcription, name: str, point: int) -> Place:
-    """Return the place of a component at a collocation point, given by its index on the mesh."""
+    """Return the `Place` of a component at a collocation point, given the point's index."""
     mesh = program.mesh
     if mesh is None:
         return Place(name=name)

@@ -73,8 +73,8 @@ class WorkingCopy:
     def takes(self, component: Any, data: Any) -> bool:
         """Return whether a constraint belongs to this horizon, or to the coupling of horizons.
 
-        A constraint on values of one horizon only belongs to that horizon; every other constraint
-        belongs to the coupling.
+        A constraint on values of one horizon only belongs to that horizon; every other constraint,
+        on values of several horizons or none, belongs to the coupling.
 
         Parameters
         ----------
@@ -306,7 +306,9 @@ def _culprit(error: Exception, copies: list[WorkingCopy]) -> str:
 
 
 def _expand(copy: Any, copies: list[WorkingCopy]) -> None:
-    """Add the member at the template time to each component, by calling the component's rule.
+    """Make the members of all components at the template times, by calling their rules.
+
+    A template time is the interior time added to a continuous set, at which equations are read.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The objective of a model: at most one, without sums over declared times for an integral."""
+"""Reading of a model's objective, and refusal of sums over declared times in place of integrals."""
 
 from __future__ import annotations
 

@@ -252,6 +252,8 @@ class Schedule:
     def written(self, write: Callable[[Any, Iterator[Any]], Any], absent: Sequence[Any]) -> Any:
         """Return the parts of the rule's result as CasADi expressions of the slots.
 
+        The slots are data that select the form of the result and supply its numbers.
+
         Parameters
         ----------
         write : callable
@@ -356,7 +358,8 @@ def jumps(reading: Callable[[float], Reading], times: Sequence[float]) -> Iterat
     Parameters
     ----------
     reading : callable
-        Time -> `Reading`.
+        Time -> `Reading`: numbers, and a key. A change of the key is a jump, and so is a change of
+        a number that bisection does not reduce.
     times : sequence of float
         Times in rising order between which jumps are searched by bisection.
     """

@@ -30,10 +30,11 @@ if TYPE_CHECKING:
 
 
 class TimeSymbol:
-    """Symbol for time that is passed to a rule of the model, so that the rule can be read once.
+    """Symbol for time that is passed to a rule of the model, so that one call serves all times.
 
-    As an index it equals the template time, so that ``m.x[t]`` is the member at that time. In
-    arithmetic it is a Pyomo parameter that stands for physical time.
+    As an index it equals the template time (the added interior time at which equations are read),
+    so that ``m.x[t]`` is the member at that time. In arithmetic it is a Pyomo parameter that stands
+    for physical time.
 
     Parameters
     ----------
@@ -49,8 +50,8 @@ class TimeSymbol:
     Attributes
     ----------
     is_read : bool
-        Whether the rule read the number, other than to compare it with a declared time. The rule
-        then cannot be read once for all times.
+        Whether the rule read the number, other than to compare it with a declared time. The result
+        of the call then does not serve all times.
     """
 
     def __init__(
@@ -145,15 +146,16 @@ for _operation in (
 class Instant(float):
     """Time with which a rule is called as a number, but which equals the template time as an index.
 
-    A rule that branches on time is called with several instants; the members that it returns are
-    always those at the template time.
+    The template time is the added interior time at which equations are read. A rule that branches
+    on time is called with several instants; the variables in its results are always the members at
+    the template time.
     """
 
     __slots__ = ("template",)
     template: float
 
     def __new__(cls, time: float, template: float) -> Self:
-        """Return the time as a number that compares equal to the template time."""
+        """Return a number that equals, as an index, the time at which equations are read."""
         made = super().__new__(cls, time)
         made.template = template
         return made
@@ -203,10 +205,17 @@ def time_parameter() -> Any:
 
 
 def integrand(integral: Any, index: Any, symbol: TimeSymbol | Instant) -> Any:
-    """Return the integrand of a `pyomo.dae.Integral` at a time symbol or an instant.
+    """Return the integrand of a `pyomo.dae.Integral` at a time.
 
     `pyomo.dae.Integral` keeps no integrand, only a rule that sums trapezoids. For a single
     trapezoid of unit width between equal times, that rule returns the integrand.
+
+    Parameters
+    ----------
+    integral : Integral
+    index : index of the integral, or None
+    symbol : TimeSymbol or Instant
+        The time: a symbol, or a number that selects the members at the template time.
     """
     probe = _TrapezoidProbe(integral.parent_block(), integral.get_continuousset(), symbol)
     return integral._rule(probe, index)  # noqa: SLF001
@@ -479,7 +488,7 @@ class Declarations:
 
     @property
     def varying(self) -> tuple[Slot, ...]:
-        """All variables over time: states, output states, then algebraic variables."""
+        """All variables over time: states, states that nothing depends on, algebraic variables."""
         return (*self.states, *self.outputs, *self.algebraics)
 
     @property
@@ -496,14 +505,16 @@ class Declarations:
 class SymbolTable:
     """Table of the CasADi symbols of a model's variables and parameters, made at first use.
 
-    In an equation over time, a variable at the template time gets the symbol of the function of
-    time; a variable at any other time gets a symbol for its value at that time.
+    Equations over time are read at the template time, an interior time added to the continuous set.
+    A variable at that time gets the symbol of the function of time; a variable at any other time
+    gets a symbol for its value at that time.
 
     Parameters
     ----------
     copy : WorkingCopy
         Clone of the model with the template time.
     addresses : AddressBook
+        Splitter of indices into time and the other indices.
     free : mapping
         Declared time -> static variable that replaces it.
     statics : dict
@@ -653,7 +664,7 @@ class SymbolTable:
         return self.signals[name].symbol
 
     def _physical_time(self, time: float) -> Any:
-        """Return physical time at the template time or a declared time, as a CasADi expression."""
+        """Return physical time as a CasADi expression, at any time or at a declared time."""
         return self.clock.time if time == self._copy.template_time else self.clock.time_at(time)
 
     def _varying(self, data: Any, address: Any) -> Any:

@@ -218,10 +218,11 @@ _ABSENT = (-casadi.inf, 0.0, casadi.inf)
 
 
 class TemplateWriter:
-    """Translator of the components of a working copy, in the symbols of the template time.
+    """Translator of a model's components to CasADi expressions, for all times.
 
-    A working copy is a clone of the user's model with an additional time, the template time;
-    equations there serve for all times. Each named expression and integral is translated once.
+    The components are those of a working copy, a clone of the user's model with an additional time,
+    the template time; equations there serve for all times. Each named expression and integral is
+    translated once.
 
     Parameters
     ----------
@@ -495,7 +496,7 @@ class TemplateWriter:
         return self._writer.apply(part, arguments, name)
 
     def over_time(self, name: str, index: tuple[Any, ...]) -> Any:
-        """Return a component over time in the symbols of the template time, by full name.
+        """Return a component as a CasADi expression that holds at any time, by full name.
 
         The result is None if the model has no component over time of this name. `index` is the
         index without time.
@@ -521,7 +522,7 @@ class TemplateWriter:
                         yield component.name, address.index
 
     def write_at_template(self, component: Any, index: tuple[Any, ...]) -> Any:
-        """Return a variable or expression over time in the symbols of the template time.
+        """Return a variable or expression over time as a CasADi expression that holds at any time.
 
         `index` is the index without time.
         """
@@ -564,9 +565,9 @@ class TemplateWriter:
         return self._expression(component, address.index, rule)
 
     def _expression(self, component: Any, index: tuple[Any, ...], rule: Any) -> Any:
-        """Return the rule's result of a named expression as a function of time.
+        """Return a named expression over time as a CasADi expression, as its rule states it.
 
-        The rule is read once, and its result is cached by name.
+        The rule is read once, and the expression is cached by name.
         """
         name, block = indexed_name(component.name, index), component.parent_block()
         if name in self._by_rule:

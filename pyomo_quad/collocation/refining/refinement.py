@@ -295,7 +295,8 @@ class _Refinement(Generic[S]):
     ) -> tuple[Mesh, ...] | None:
         """Return the next meshes, or None if the tolerance is met.
 
-        The meshes may be unchanged as long as damping still changes the objective.
+        If controls are damped (penalised for their distance from those of the last mesh), the
+        meshes may be unchanged as long as the objective still changes.
         """
         parts = solution.parts
         junctions = [junction_elements(part) for part in parts]
@@ -372,9 +373,9 @@ class _Refinement(Generic[S]):
 
 
 def _firmer(firmness: float, settled: int) -> float:
-    """Return the next damping strength, larger the longer the objective has hardly changed.
+    """Return the next factor on the damping (penalty) of the controls.
 
-    `settled` is the number of damped meshes on which the objective had settled.
+    It grows with the number `settled` of meshes on which the objective hardly changed.
     """
     most = _FIRMEST if settled >= _MANY_SETTLED else _FIRM
     most = math.inf if settled >= _TOO_MANY_SETTLED else most
@@ -414,7 +415,7 @@ class _MeshSolve(Search[S], Generic[S]):
         return {Fact.WARM_START: has_warm, Fact.HELD: is_held, Fact.FREE: not is_held}[fact]
 
     def attempt(self, strategy: Strategy) -> S:
-        """Solve on the next meshes with the start, damping and budget of a strategy."""
+        """Solve on the next meshes as a strategy prescribes: start, damping of controls, budget."""
         if strategy.is_firm:
             self.dampings = tuple(d and d.firmer(_FIRM, self.gap) for d in self.dampings)
             self.change = None
@@ -425,7 +426,10 @@ class _MeshSolve(Search[S], Generic[S]):
 
 
 def _sharper(dampings: tuple[Damping | None, ...], tolerance: float) -> tuple[Damping | None, ...]:
-    """Return dampings that leave a smaller complementarity gap, a fraction of the tolerance."""
+    """Return the dampings of the controls with a smaller complementarity gap for the barrier.
+
+    The gap is reduced to a fraction of the tolerance.
+    """
     least = _LEAST_INEXACT * tolerance
     return tuple(
         d and replace(d, gap=min(least * d.solution.nominal_objective, d.gap)) for d in dampings
@@ -433,7 +437,7 @@ def _sharper(dampings: tuple[Damping | None, ...], tolerance: float) -> tuple[Da
 
 
 def _are_damped(dampings: tuple[Damping | None, ...]) -> bool:
-    """Return whether controls are damped on any horizon."""
+    """Return whether any controls are damped (penalised for changes from the last mesh)."""
     return any(damping is not None and damping.controls.size > 0 for damping in dampings)
 
 
