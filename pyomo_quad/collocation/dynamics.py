@@ -166,9 +166,18 @@ class Dynamics:
         return _WithoutIterations(self._formulation, self._instance, self._statics)
 
     def control_limits(self, breach: float = 0.0) -> tuple[FloatArray, FloatArray]:
-        """Return constant lower and upper limits of the controls, shape (n_controls,) each.
+        """Return constant lower and upper limits of the controls.
 
-        `breach` widens both limits by breach * max(1, abs(limit)).
+        Parameters
+        ----------
+        breach : float, default 0
+            Both limits are widened by breach * max(1, abs(limit)).
+
+        Returns
+        -------
+        ndarray, ndarray
+            Shape (n_controls,) each; infinite where a control has no limit, or one that varies with
+            time.
         """
         names = [s.name for s in self._formulation.compiled.declared.algebraics]
         chosen = [names.index(name) for name in self.control_names]
@@ -180,11 +189,31 @@ class Dynamics:
 
         At a time t at which a parameter jumps, the equations take the value before the jump; at the
         returned time they take the value after it.
+
+        Parameters
+        ----------
+        t : float
+            Physical time.
+
+        Returns
+        -------
+        float
         """
         return t + 2.0 * BESIDE * float(self.timeline.spans.max()) if self._instance.jumps else t
 
     def steps_between(self, start: float, end: float) -> list[float]:
-        """Return the times between two times at which parameters given as `Steps` jump."""
+        """Return the times at which parameters given as `Steps` (piecewise constant) jump.
+
+        Parameters
+        ----------
+        start, end : float
+            Physical times between which the jumps lie.
+
+        Returns
+        -------
+        list of float
+            In rising order.
+        """
         given = [v for v in self._instance.overrides.values() if isinstance(v, Steps)]
         return sorted({edge for steps in given for edge in steps.edges(start, end)})
 
@@ -197,26 +226,55 @@ class Dynamics:
         return tuple(slot.name for slot in self._formulation.compiled.declared.signals)
 
     def moment(self, t: float) -> list[float]:
-        """Return the time-dependent inputs of the equations at a time, as a list of numbers.
+        """Return the time-dependent inputs of the equations at a time.
 
-        They are the fraction of the horizon, the time-dependent parameters, and numbers that select
-        the branch of rules that branch on time.
+        Parameters
+        ----------
+        t : float
+            Physical time.
+
+        Returns
+        -------
+        list of float
+            The fraction of the horizon, the time-dependent parameters, and numbers that select the
+            branch of rules that branch on time.
         """
         fraction = float(self.timeline.fraction(t))
         return [fraction, *self._signals(fraction)]
 
     def symbol(self, name: str, size: int) -> Any:
-        """Return a column of CasADi symbols of the type (SX or MX) that `written` accepts."""
+        """Return a column of CasADi symbols of the type (SX or MX) that `written` accepts.
+
+        Parameters
+        ----------
+        name : str
+        size : int
+            Number of symbols.
+        """
         is_explicit = self._right_hand_side.is_a("SXFunction")
         return (casadi.SX if is_explicit else casadi.MX).sym(name, size)
 
     def parameter_column(self, changed: Mapping[str, Any]) -> Any:
-        """Return the constant parameters as a column; `changed` replaces some, by full name."""
+        """Return the constant parameters as a CasADi column, some of them replaced.
+
+        Parameters
+        ----------
+        changed : mapping
+            Full name of a parameter -> symbol that replaces its value.
+        """
         pairs = zip(self.parameter_names, self._instance.parameters.tolist(), strict=True)
         return casadi.vertcat(*(changed.get(name, value) for name, value in pairs))
 
     def moment_column(self, moment: Any, changed: Mapping[str, Any]) -> Any:
-        """Return the time-dependent inputs; `changed` replaces parameters in them, by full name."""
+        """Return the time-dependent inputs of the equations, some parameters in them replaced.
+
+        Parameters
+        ----------
+        moment : casadi.SX or casadi.MX
+            Column of inputs, in the order of the method `moment`.
+        changed : mapping
+            Full name of a time-dependent parameter -> symbol that replaces it.
+        """
         own = casadi.vertsplit(moment)
         for k, name in enumerate(self.signal_names, start=1):
             own[k] = changed.get(name, own[k])
@@ -287,18 +345,49 @@ class Dynamics:
         return self._at_one(x[None, :], u[None, :], self._statics[None, :], row[None, :])
 
     def rates(self, t: float, x: FloatArray, u: FloatArray) -> FloatArray:
-        """Return dx/dt at time t, states x and controls u, shape (n_states,)."""
+        """Return the right-hand side dx/dt at a time.
+
+        Parameters
+        ----------
+        t : float
+            Physical time.
+        x : ndarray, shape (n_states,)
+        u : ndarray, shape (n_controls,)
+
+        Returns
+        -------
+        ndarray, shape (n_states,)
+        """
         return self.rates_and_integrand(t, x, u)[0]
 
     def rates_and_integrand(
         self, t: float, x: FloatArray, u: FloatArray
     ) -> tuple[FloatArray, float]:
-        """Return dx/dt, shape (n_states,), and the objective's integrand per unit of time."""
+        """Return the right-hand side dx/dt and the objective's integrand in one evaluation.
+
+        Parameters
+        ----------
+        t, x, u
+            As in `rates`.
+
+        Returns
+        -------
+        ndarray, shape (n_states,)
+            dx/dt.
+        float
+            Integrand per unit of physical time.
+        """
         unknowns, ((density, span),) = self._solve(t, x, u)
         return unknowns[0, : x.size] / span, float(density / span)
 
     def integrand(self, t: float, x: FloatArray, u: FloatArray) -> float:
-        """Return the objective's integrand per unit of physical time."""
+        """Return the objective's integrand per unit of physical time.
+
+        Parameters
+        ----------
+        t, x, u
+            As in `rates`.
+        """
         return self.rates_and_integrand(t, x, u)[1]
 
     def solved(
@@ -437,11 +526,23 @@ class Dynamics:
         return {name: values.get(0.0, 0.0) for name, values in held.items()}
 
     def has(self, name: str) -> bool:
-        """Return whether the model has a component of this name."""
+        """Return whether the model has a component of this name.
+
+        Parameters
+        ----------
+        name : str
+            Full name.
+        """
         return self._formulation.source.has(name)
 
     def unit(self, name: str) -> str:
-        """Return the unit of a constraint or variable by name, "" if it has none."""
+        """Return the unit of a constraint or variable, "" if it has none.
+
+        Parameters
+        ----------
+        name : str
+            Full name.
+        """
         return self._formulation.source.unit(name)
 
     def violations(
@@ -461,9 +562,19 @@ class Dynamics:
         return found
 
     def violations_of(self, instants: Instants, t: FloatArray) -> list[tuple[Violation, ...]]:
-        """Return the `violations` of several flights that share the same n times.
+        """Return the worst violation of every limit for several flights with the same times.
 
-        `instants` holds the flights one after another, n times each.
+        Parameters
+        ----------
+        instants : Instants
+            The flights one after another, n times each.
+        t : ndarray, shape (n,)
+            Physical times.
+
+        Returns
+        -------
+        list of tuple of Violation
+            The `violations` of each flight, the worst first.
         """
         limits = self.limits_of(instants)
         flights = (slice(k, k + len(t)) for k in range(0, len(instants.inputs[0]), len(t)))
@@ -478,7 +589,17 @@ class Dynamics:
         ]
 
     def limits_of(self, instants: Instants) -> list[LimitValues]:
-        """Return values and bounds of each path inequality and bound over time along a flight."""
+        """Return values and bounds of each path inequality and bound over time along a flight.
+
+        Parameters
+        ----------
+        instants : Instants
+            States, controls, rates and algebraic variables of the flight, as from `solved`.
+
+        Returns
+        -------
+        list of LimitValues
+        """
         compiled = self._formulation.compiled
         declared, n_states = compiled.declared, len(compiled.declared.states)
         rates, all_states, algebraics, statics, data = instants.inputs
@@ -655,6 +776,7 @@ class _WithoutIterations(Dynamics):
     """Right-hand side whose implicit equations are solved by 20 Newton steps, as expressions."""
 
     def _implicit_side(self, core: _Core, inputs: list[Any]) -> Any:
+        """Return the right-hand side with Newton's steps written out as CasADi expressions."""
         stacked = casadi.vertcat(*inputs)
         residual = core.residual(core.inner, stacked)
         slope = casadi.Function(
@@ -955,9 +1077,20 @@ class ClosedLoop:
         )
 
     def controls(self, t: FloatArray, joint: FloatArray, command: FloatArray) -> FloatArray:
-        """Return the controls that the law applies at n times, shape (n, n_controls).
+        """Return the controls that the law applies at n times.
 
-        `joint` has the shape (n, n_joint), `command` the shape (n, n_command).
+        Parameters
+        ----------
+        t : ndarray, shape (n,)
+            Physical times.
+        joint : ndarray, shape (n, n_joint)
+            States of vehicle and law, and the integral of the objective's integrand.
+        command : ndarray, shape (n, n_command)
+            Values that the law is to follow.
+
+        Returns
+        -------
+        ndarray, shape (n, n_controls)
         """
         moments = np.array([self._dynamics.moment(float(time)) for time in t])
         return MappedFunction(self._function, len(t))(moments, joint, command)[1]

@@ -205,6 +205,7 @@ class Evaluator:
 
 
 def _unpacked(kept: Packed) -> Evaluator:
+    """Return the evaluator that a pickle contains."""
     inputs, written = kept.unpacked()
     return Evaluator(inputs, WrittenComponents(written))
 
@@ -370,6 +371,7 @@ class Formulation:
     def _hold(
         self, compiled: CompiledModel, source: LiveModel | ModelSnapshot, evaluator: Evaluator
     ) -> None:
+        """Set all attributes, from the compiled equations and the source of the model's data."""
         self.compiled = compiled
         self.source = source
         self.evaluator = evaluator
@@ -552,6 +554,7 @@ def _restored(
     source: ModelSnapshot,
     evaluator: Evaluator,
 ) -> Formulation:
+    """Return the formulation that a pickle contains, without its Pyomo model."""
     formulation = object.__new__(kind)
     formulation._hold(compiled, source, evaluator)
     return formulation

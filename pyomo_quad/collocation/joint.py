@@ -96,7 +96,13 @@ class JointSolution(Outcome):
         return tuple(part.updated(**whole) for part in self.horizons.values())
 
     def updated(self, **changes: Any) -> JointSolution:
-        """Return a copy with other values of the given attributes, shared by its `parts`."""
+        """Return a copy with other values of the given attributes, shared by its `parts`.
+
+        Parameters
+        ----------
+        **changes
+            Attributes by name, as in `status` or `message`.
+        """
         other = replace(self, **changes)
         horizons = zip(self.horizons, other.parts, strict=True)
         return replace(other, horizons=dict(horizons))
@@ -141,7 +147,24 @@ class JointSolution(Outcome):
     def value(self, component: Any, t: Any = None, index: Any = None) -> Any:
         """Return the value of a variable or expression, at times if it depends on time.
 
-        The arguments and errors are those of `Solution.value`.
+        Parameters
+        ----------
+        component : Var, DerivativeVar, Expression or str
+            A component of the model or its full name.
+        t : float or array, optional
+            Physical times; omitted for a static variable or an integral.
+        index : optional
+            The component's index without time.
+
+        Returns
+        -------
+        float or ndarray
+            In the shape of `t`.
+
+        Raises
+        ------
+        TranscriptionError
+            If the model has no such component, or a time lies outside its horizon.
         """
         if t is not None:
             return self.on(component, index).value(component, t, index)
@@ -155,7 +178,20 @@ class JointSolution(Outcome):
     def costate(self, state: Any, t: Any, index: Any = None) -> Any:
         """Return a state's costate: the derivative of the optimal cost with respect to the state.
 
-        The arguments and errors are those of `Solution.costate`.
+        Parameters
+        ----------
+        state, t, index
+            As in `Solution.costate`, on the horizon of the state.
+
+        Returns
+        -------
+        float or ndarray
+            In the shape of `t`.
+
+        Raises
+        ------
+        TranscriptionError
+            If the model has no such state, or a time lies outside its horizon.
         """
         return self.on(state, index).costate(state, t, index)
 
@@ -544,6 +580,15 @@ class JointProblem(Summarised):
 
         Duals, reduced costs and costates are loaded into the suffixes `dual`, `rc` and `costate`,
         if the model declares them as imported suffixes.
+
+        Parameters
+        ----------
+        solution : JointSolution
+
+        Raises
+        ------
+        TranscriptionError
+            If the problem was pickled; a pickle does not contain the model.
         """
         load_values(*solution.horizons.values(), solution.coupling)
 

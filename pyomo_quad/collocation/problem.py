@@ -479,6 +479,15 @@ class Problem(Summarised, Formulation):
 
         Duals, reduced costs and costates are loaded into the suffixes `dual`, `rc` and `costate`,
         if the model declares them as imported suffixes.
+
+        Parameters
+        ----------
+        solution : Solution
+
+        Raises
+        ------
+        TranscriptionError
+            If the problem was pickled; a pickle does not contain the model.
         """
         load_values(solution)
 

@@ -189,7 +189,13 @@ class Outcome(Summarised):
         """Warm start for another solve, independent of this solution's problem."""
 
     def updated(self, **changes: Any) -> Self:
-        """Return a copy of this solution with other values of the given attributes."""
+        """Return a copy of this solution with other values of the given attributes.
+
+        Parameters
+        ----------
+        **changes
+            Attributes by name, as in `status` or `message`.
+        """
         return replace(self, **changes)
 
 
@@ -346,7 +352,17 @@ class Solution(Outcome):
         return np.asarray(self.timeline.time(self.mesh.node_fractions))
 
     def fractions(self, times: Any) -> FloatArray:
-        """Return physical times as fractions of the horizon, flattened to shape (n_times,).
+        """Return physical times as fractions of the horizon.
+
+        Parameters
+        ----------
+        times : float or array
+            Physical times.
+
+        Returns
+        -------
+        ndarray, shape (n_times,)
+            Flattened, whatever the shape of `times`.
 
         Raises
         ------
@@ -500,9 +516,24 @@ class Solution(Outcome):
         return (*self.notes, *hamiltonian_warnings(self)) if self.is_converged else ()
 
     def hamiltonian(self, t: Any) -> Any:
-        """Return the Hamiltonian H = L + p . dx/dt at physical times, in the shape of `t`.
+        """Return the Hamiltonian H = L + p . dx/dt at physical times.
 
         L is the integrand of the minimised objective, p the costates, and x the states.
+
+        Parameters
+        ----------
+        t : float or array
+            Physical times.
+
+        Returns
+        -------
+        float or ndarray
+            In the shape of `t`.
+
+        Raises
+        ------
+        TranscriptionError
+            If a time lies outside the horizon, or the model has no states.
         """
         held = self.costates.hamiltonian[:, None]
         values = interpolate(self.mesh, held, self.fractions(t), with_start=False)[:, 0]

@@ -114,6 +114,10 @@ class WarmStart:
         """Return whether the warm start belongs to the same equations as a compiled model.
 
         Fingerprint and array sizes are compared.
+
+        Parameters
+        ----------
+        compiled : CompiledModel
         """
         held, declared = self.trajectory, compiled.declared
         return (
@@ -188,7 +192,12 @@ class WarmStart:
 
     @classmethod
     def from_arrays(cls, held: Mapping[str, NDArray[Any]]) -> WarmStart:
-        """Read a warm start from a mapping of array names to untrusted arrays.
+        """Read a warm start from untrusted arrays.
+
+        Parameters
+        ----------
+        held : mapping
+            Arrays by name, as `arrays` returns them.
 
         Raises
         ------

@@ -418,6 +418,7 @@ class CompiledModel:
 
 
 def _unpacked(parts: Packed) -> CompiledModel:
+    """Return the compiled model that a pickle contains."""
     return CompiledModel(**parts.unpacked())
 
 

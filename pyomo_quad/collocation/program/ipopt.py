@@ -116,13 +116,24 @@ class SolverOptions:
         """Return settings whose `tol` is well below the tolerance of the mesh refinement.
 
         A tolerance that the caller gave is kept.
+
+        Parameters
+        ----------
+        tolerance : float
+            Tolerance of the mesh refinement.
         """
         if self.tolerance is not None:
             return self
         return replace(self, tolerance=float(np.clip(1e-3 * tolerance, 1e-11, _TOLERANCE)))
 
     def at_most(self, iterations: float) -> SolverOptions:
-        """Return the settings with a limit of iterations; a lower limit in them is kept."""
+        """Return the settings with a limit of iterations; a lower limit in them is kept.
+
+        Parameters
+        ----------
+        iterations : float
+            The limit; infinite for none.
+        """
         return replace(self, max_iterations=int(min(self.max_iterations, iterations)))
 
     def for_phases(self) -> SolverOptions:
@@ -374,6 +385,7 @@ class _Callbacks:
     # Cached, because a program may rebuild its structure at each call.
     @cached_property
     def _sizes(self) -> dict[str, int]:
+        """Numbers of constraints, of nonzeros of the Jacobian, and of nonzeros of the Hessian."""
         program = self.program
         return {
             "constraints": program.n_rows,
@@ -391,25 +403,32 @@ class _Callbacks:
         return np.full(self._sizes.get(name, z.size), np.nan)
 
     def objective(self, z: FloatArray) -> float:
+        """Return the objective to minimise, for Ipopt."""
         return float(self._guarded("objective", z).flat[0])
 
     def gradient(self, z: FloatArray) -> FloatArray:
+        """Return the gradient of the objective to minimise, for Ipopt."""
         return self._guarded("gradient", z)
 
     def constraints(self, z: FloatArray) -> FloatArray:
+        """Return the values of the constraints, for Ipopt."""
         return self._guarded("constraints", z)
 
     def jacobianstructure(self) -> tuple[Any, Any]:
+        """Return row and column indices of the nonzeros of the constraints' Jacobian, for Ipopt."""
         return self.program.jacobianstructure()
 
     def jacobian(self, z: FloatArray) -> FloatArray:
+        """Return the nonzeros of the constraints' Jacobian, and record the iterate."""
         self.iterate = np.array(z)
         return self._guarded("jacobian", z)
 
     def hessianstructure(self) -> tuple[Any, Any]:
+        """Return row and column indices of the lower triangle of the Lagrangian's Hessian."""
         return self.program.hessianstructure()
 
     def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
+        """Return the nonzeros of the Lagrangian's Hessian, for Ipopt."""
         return self._guarded("hessian", z, multipliers, factor)
 
     def intermediate(
@@ -422,6 +441,11 @@ class _Callbacks:
         barrier: float,
         *_rest: Any,
     ) -> bool:
+        """Record an iteration and the best iterate; return False to stop Ipopt.
+
+        Ipopt stops after an exception, at the request of the caller's callback, or if the problem
+        is unbounded.
+        """
         if self.error is not None:
             return False
         line = Iteration(

@@ -448,7 +448,18 @@ class Steps:
         return self.values[min(max(step, 0), len(self.values) - 1)]
 
     def edges(self, start: float, end: float) -> list[float]:
-        """Return the times between two given times at which a step begins, in rising order."""
+        """Return the times at which a step begins.
+
+        Parameters
+        ----------
+        start, end : float
+            Times between which the steps begin.
+
+        Returns
+        -------
+        list of float
+            In rising order.
+        """
         first = floor((start - self.start) / self.step) + 1
         last = min(ceil((end - self.start) / self.step), len(self.values))
         return [self.start + k * self.step for k in range(max(first, 1), last)]

@@ -189,6 +189,7 @@ class _TrapezoidProbe:
         self._symbol = symbol
 
     def find_component(self, name: str) -> Any:
+        """Return two equal times for the name of the continuous set, else the block's component."""
         if name == self._set_name:
             return [self._symbol, self._symbol]
         return self._block.find_component(name)

@@ -56,6 +56,7 @@ _UNARY: dict[str, Callable[[Any], Any]] = {
 
 
 def _sum(*terms: Any) -> Any:
+    """Return the sum of CasADi expressions."""
     return reduce(operator.add, terms)
 
 
