@@ -116,8 +116,8 @@ class Layout:
     def slope_matrix(self) -> csr_matrix:
         """Differentiation matrix from states at the nodes to rates at the collocation points.
 
-        Sparse, shape (n_points, n_points + 1); rates are derivatives by the fraction of the
-        horizon.
+        Sparse, shape (n_points, n_points + 1); rates are derivatives with respect to the fraction
+        of the horizon.
         """
         if self.mesh is None:
             return csr_matrix((0, 1))
@@ -199,7 +199,7 @@ class Layout:
 
 
 def _nonzero(columns: IndexArray, weights: FloatArray) -> tuple[IndexArray, FloatArray]:
-    """Return the positions and weights with nonzero weights."""
+    """Return positions of unknowns and their interpolation weights without the zero weights."""
     kept = weights != 0.0
     return columns[kept], weights[kept]
 
@@ -230,7 +230,7 @@ class Contributions:
     def add_slopes(
         self, variables: csr_matrix, rows: Any, of: IndexArray, sources: Any, weights: Any
     ) -> None:
-        """Add derivatives by variables that are linear combinations of the unknowns.
+        """Add derivatives with respect to variables that are linear combinations of the unknowns.
 
         Parameters
         ----------
@@ -253,7 +253,7 @@ class Contributions:
     def add_curvatures(
         self, variables: csr_matrix, first: IndexArray, second: IndexArray, sources: IndexArray
     ) -> None:
-        """Add second derivatives by pairs of variables, each pair given once.
+        """Add second derivatives with respect to pairs of variables, each pair given once.
 
         Parameters
         ----------
@@ -311,7 +311,7 @@ class Scatter:
     matrix: csr_matrix
 
     def values(self, sources: FloatArray) -> FloatArray:
-        """Return the values of the nonzeros, given the sources, shape (n_sources,)."""
+        """Return the values of the nonzeros from the sources, given with shape (n_sources,)."""
         return np.asarray(self.matrix @ sources, dtype=float)
 
 
@@ -324,12 +324,12 @@ class JacobianScatter:
     rows : Scatter
         Jacobian of the constraints.
     objective : Scatter
-        Gradient of the objective by values at declared times and static variables.
+        Gradient of the objective with respect to unknowns, apart from its integrals.
     integrals : tuple of Scatter
         Gradients of the integrals that enter the objective directly.
     slope_sources, slope_integrals : ndarray of int
-        Sources that are derivatives of the objective by such integrals, and these integrals'
-        positions.
+        Sources that are derivatives of the objective with respect to such integrals, and the
+        positions of these integrals.
     n_integrals : int
         Number of such integrals.
     n_path_sources : int
@@ -348,7 +348,7 @@ class JacobianScatter:
     unknowns: int
 
     def objective_slopes(self, point_sources: FloatArray) -> FloatArray:
-        """Return derivatives of the objective by the integrals that enter it directly.
+        """Return derivatives of the objective with respect to integrals that enter it directly.
 
         `point_sources` are the sources after those of path equations; the result has shape
         (n_integrals,).
@@ -360,7 +360,8 @@ class JacobianScatter:
     def gradient(self, sources: FloatArray, slopes: FloatArray) -> FloatArray:
         """Return the dense gradient of the objective, shape (n_unknowns,).
 
-        `slopes` are the derivatives of the objective by the integrals that enter it directly.
+        `slopes` are the derivatives of the objective with respect to integrals that enter it
+        directly.
         """
         dense = np.zeros(self.unknowns)
         dense[self.objective.columns] = self.objective.values(sources)
