@@ -180,7 +180,7 @@ class Schedule:
 
     @property
     def is_equality(self) -> bool:
-        """Whether the rule returns an equality at all times."""
+        """Whether the rule of the constraint returns an equality at all times."""
         return all(f.statement.is_equality for f in self._forms.values())
 
     def reading(self, time: float) -> Reading:
