@@ -208,7 +208,7 @@ class Solution(Outcome):
     problem : Formulation
         Compiled problem that was solved.
     program : Transcription
-        The nonlinear program of the last mesh, with this solution's own data.
+        The nonlinear program of the last mesh, with the parameter values of this solution.
     instance : Instance
         Parameter values, horizon and fixed variables of the solve.
     trajectory : Trajectory

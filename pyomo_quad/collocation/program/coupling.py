@@ -244,9 +244,19 @@ def read_horizons(model: Any, times: FreeTimes | None) -> CoupledDeclarations:
 def _refuse_gaps(
     conditions: list[PointCondition], links: list[Link], free: dict[str, dict[float, Any]]
 ) -> None:
-    """Raise an error if a condition continues a horizon in another that starts at a later time.
+    """Raise an error for a condition that links a horizon's end to another's later start.
 
-    `free` holds, by continuous set, the declared times that static variables replace.
+    Such a condition is meant to continue one phase in the next, but the declared times leave a gap
+    between them. A gap is accepted if a static variable replaces one of the two times.
+
+    Parameters
+    ----------
+    conditions : list of PointCondition
+        Conditions on several horizons.
+    links : list of Link
+        Static variables that stand for values of the horizons in them.
+    free : dict
+        Name of a continuous set -> declared time -> static variable that replaces it.
     """
     for condition in conditions:
         names = symbol_names(condition.expression)

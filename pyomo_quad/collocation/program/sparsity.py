@@ -221,7 +221,20 @@ class Contributions:
         self._parts: list[tuple[NDArray[Any], ...]] = []
 
     def add(self, rows: Any, columns: Any, sources: Any, weights: Any) -> None:
-        """Add contributions; the arrays of rows, columns, sources and weights are broadcast."""
+        """Add entries (row, column) += weight * source, a source being a value that CasADi returns.
+
+        Parameters
+        ----------
+        rows, columns : array_like of int
+            Position of each entry in the assembled matrix.
+        sources : array_like of int
+            Position of each source among the values that CasADi returns.
+        weights : array_like
+
+        Notes
+        -----
+        The arrays are broadcast against each other.
+        """
         rows, columns, sources, weights = np.broadcast_arrays(rows, columns, sources, weights)
         kept = weights != 0.0
         places = (entry[kept].astype(np.int32) for entry in (rows, columns, sources))
@@ -241,7 +254,7 @@ class Contributions:
         of : ndarray of int
             Variable of each derivative.
         sources, weights : ndarray
-            Source of each derivative, and the factor that multiplies it.
+            Position of each derivative among the values that CasADi returns, and its factor.
         """
         rows, of, sources, weights = (
             held.ravel() for held in np.broadcast_arrays(rows, of, sources, weights)
@@ -262,7 +275,7 @@ class Contributions:
         first, second : ndarray of int
             Variables of each second derivative.
         sources : ndarray of int
-            Source of each second derivative.
+            Position of each second derivative among the values that CasADi returns.
 
         Notes
         -----
@@ -282,7 +295,7 @@ class Contributions:
         self.add(np.maximum(a, b), np.minimum(a, b), sources[pair], weights)
 
     def scatter(self, n_columns: int, n_sources: int) -> Scatter:
-        """Return the sparsity pattern, with the matrix that maps sources to its nonzeros."""
+        """Return the sparsity pattern and the matrix that maps CasADi's values to its nonzeros."""
         empty = (np.zeros(0, dtype=np.int32),) * 3 + (np.zeros(0),)
         rows, columns, sources, weights = (
             np.concatenate(held) for held in zip(empty, *self._parts, strict=True)
@@ -296,14 +309,14 @@ class Contributions:
 
 @dataclass(frozen=True, kw_only=True)
 class Scatter:
-    """Sparsity pattern, with the linear map from sources (evaluated derivatives) to its nonzeros.
+    """Sparsity pattern, with the linear map from CasADi's values at points to its nonzeros.
 
     Attributes
     ----------
     rows, columns : ndarray of int, shape (n_nonzeros,)
         Positions of the nonzeros.
     matrix : csr_matrix, shape (n_nonzeros, n_sources)
-        The linear map.
+        The linear map; a source is a value that CasADi returns.
     """
 
     rows: Places
@@ -311,7 +324,7 @@ class Scatter:
     matrix: csr_matrix
 
     def values(self, sources: FloatArray) -> FloatArray:
-        """Return the values of the nonzeros from the sources, given with shape (n_sources,)."""
+        """Return the values of the nonzeros from the values that CasADi returned, (n_sources,)."""
         return np.asarray(self.matrix @ sources, dtype=float)
 
 
@@ -371,10 +384,11 @@ class JacobianScatter:
 
 
 def jacobian_scatter(compiled: CompiledModel, layout: Layout) -> JacobianScatter:
-    """Return the assembly of Jacobian and gradient from the derivatives at the points.
+    """Return the linear maps that assemble Jacobian and gradient from derivatives at points.
 
-    The sources are the nonzeros of the path equations' and integrands' Jacobian, point by point,
-    then those of the conditions' and objective's Jacobian, and a final 1.
+    Their inputs (sources) are the values that CasADi returns at each evaluation: the nonzeros of
+    the path equations' and integrands' Jacobian, point by point, then those of the conditions' and
+    objective's Jacobian, and a final 1.
     """
     path, points = compiled.path, compiled.points
     n_path = layout.points * len(path.jacobian_rows)
@@ -423,10 +437,11 @@ def jacobian_scatter(compiled: CompiledModel, layout: Layout) -> JacobianScatter
 
 
 def hessian_scatter(compiled: CompiledModel, layout: Layout) -> Scatter:
-    """Return the assembly of the lower triangle of the Lagrangian's Hessian.
+    """Return the linear map that assembles the Lagrangian's Hessian from derivatives at points.
 
-    The sources are the nonzeros of the Hessians of the path equations, point by point, then those
-    of the Hessian of conditions and objective.
+    It gives the nonzeros of the lower triangle. Its inputs (sources) are the values that CasADi
+    returns at each evaluation: the nonzeros of the Hessians of the path equations, point by point,
+    then those of the Hessian of conditions and objective.
     """
     into, path, points = Contributions(), compiled.path, compiled.points
     n_path, count = layout.points * len(path.hessian_rows), len(path.hessian_rows)

@@ -42,14 +42,18 @@ _VALUE_SLOPE_BEND = 3
 
 @dataclass(frozen=True, kw_only=True)
 class LocalSpline:
-    """Tensor-product B-spline that is linear in the first and last interval of each axis.
+    """Tensor-product B-spline in a form whose evaluation cost does not depend on its size.
+
+    The spline is linear in the first and last interval of each axis. A CasADi function returns
+    value, gradient and Hessian at a place near the arguments, to which they are rounded; a Taylor
+    polynomial of degree two gives the value at the arguments themselves.
 
     Attributes
     ----------
     roundings : tuple of float
-        Rounding of each argument of the call.
+        Rounding of each argument to the place.
     ends : tuple of (float, float)
-        Least and greatest value of each argument of the call.
+        Least and greatest value of each coordinate of the place.
     function : casadi.Function
         From a place to value, gradient and the upper triangle of the Hessian.
     kept : tuple of casadi.Function

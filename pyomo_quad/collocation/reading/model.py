@@ -58,7 +58,7 @@ class RelationReader:
         self.symbols = writer.symbols
 
     def constraints(self) -> tuple[list[PathEquation], list[PointCondition]]:
-        """Return equations over time and conditions at declared times, in declared order."""
+        """Return equations over time, and conditions (constraints at declared times), in order."""
         equations: list[PathEquation] = []
         conditions: list[PointCondition] = []
         for component in self.copy.model.component_objects(
@@ -95,15 +95,17 @@ class RelationReader:
         equations: list[PathEquation],
         conditions: list[PointCondition],
     ) -> None:
-        """Read a constraint's members with equal index: as an equation over time, or as conditions.
+        """Read the members of a constraint that differ in time only.
+
+        They become an equation over time, or conditions (constraints at declared times).
 
         Parameters
         ----------
         component : Constraint
         index : tuple
-            Index without time.
+            Index without time, which the members share.
         instances : dict
-            Active members by time, the template time included.
+            Active members by time, with that at the interior time at which equations are read.
         equations, conditions : list
             Lists to which the result is added.
         """
@@ -511,7 +513,7 @@ class ModelReader:
         return {name: s for name, s in self.symbols.algebraics.items() if name in used}
 
     def _require_variables(self) -> None:
-        """Raise an error for a model without free variables."""
+        """Raise an error if the model has no variable to solve for."""
         table = self.symbols
         if not (table.states or table.algebraics or table.statics):
             where = self.copy.time.name if self.copy.others else "model"

@@ -174,13 +174,16 @@ class Schedule:
         self.slots = (*self._chosen, *(s for slots in self._numbers for s in slots))
 
     def _slot(self, what: str) -> Slot:
-        """Return a new `Slot` (quantity over time with a CasADi symbol) for the compiled forms."""
+        """Return a new quantity over time, with its CasADi symbol, as data for compiled equations.
+
+        `what` completes its name: the form that it selects, or the number that it supplies.
+        """
         name = f"{self.name} ({what})"
         return Slot(name=name, component=self.name, index=(), symbol=casadi.SX.sym(name))
 
     @property
     def is_equality(self) -> bool:
-        """Whether the rule returns an equality at all times."""
+        """Whether the rule of the constraint returns an equality at all times."""
         return all(f.statement.is_equality for f in self._forms.values())
 
     def reading(self, time: float) -> Reading:

@@ -415,7 +415,11 @@ class _MeshSolve(Search[S], Generic[S]):
         return {Fact.WARM_START: has_warm, Fact.HELD: is_held, Fact.FREE: not is_held}[fact]
 
     def attempt(self, strategy: Strategy) -> S:
-        """Solve on the next meshes as a strategy prescribes: start, damping of controls, budget."""
+        """Solve on the next meshes as a strategy of the table prescribes.
+
+        The strategy determines the start, the damping of the controls, and the budget of
+        iterations.
+        """
         if strategy.is_firm:
             self.dampings = tuple(d and d.firmer(_FIRM, self.gap) for d in self.dampings)
             self.change = None
