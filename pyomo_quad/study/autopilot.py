@@ -60,8 +60,8 @@ _RANGES = ((0.3, 20.0), (0.3, 15.0), (0.1, 80.0))
 # and jerk, and at factors on each of them.
 _FIRST = (6.0, 3.0, 4.0)
 _FACTORS = (1.5, 1.5, 2.0)
-# Where legs are longer than this multiple of the way to reach the speed of steady flight, the search
-# starts there, with this factor on it: a larger one would only be taken back.
+# Where legs are longer than this multiple of the way to reach the speed of steady flight, the
+# search starts there, with this factor on it: a larger one would only be taken back.
 _LONG, _FACTOR_ON_STEADY = 20.0, 1.15
 _FLIGHTS = 30
 # Most samples of a flight of the search: limits change slowly in long flights.

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.patches import Circle, Rectangle
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.patches import Circle, Rectangle
 from matplotlib.quiver import Quiver, QuiverKey
 from PIL import Image
 
