@@ -20,7 +20,7 @@ from pyomo_quad.flight.flight import (
     position_miss,
     terminal_miss_of,
 )
-from pyomo_quad.flight.integration import integrate
+from pyomo_quad.flight.integration import Rates, integrate
 from pyomo_quad.model.wind_field import unknown_wind
 from pyomo_quad.scenario.accuracy import FIGURES, USABLE, Accuracy, Figures
 
@@ -79,122 +79,64 @@ def fly_controls(
     SolveError
         If the integrator fails.
     """
-    return OpenLoop(dynamics).fly(
-        mesh,
-        controls,
-        start,
-        horizon,
-        samples_per_element=samples_per_element,
-        method=method,
-        integration=integration,
+    borders = horizon[0] + (horizon[1] - horizon[0]) * np.asarray(mesh.breakpoints)
+    flow = ClosedLoop(
+        dynamics, lambda command, _x, _own: (command, ()), n_command=controls.shape[1], n_own=0
+    )
+    limits = dynamics.control_limits(HELD_BREACH)
+    shares = samples_per_element
+    if isinstance(shares, int):
+        shares = [_equal_shares(shares)] * mesh.elements
+    share = min(1.0, _LONG_S / (horizon[1] - horizon[0]))
+    tolerance = max(_SHARPEST, integration * share**_POWER)
+    step = inf if share == 1.0 else share / _STEPS
+    state = np.append(start, 0.0)
+    parts_t: list[FloatArray] = [borders[:1]]
+    parts_y = [state[:, None]]
+    parts_u: list[FloatArray] = []
+    for element, (first, last) in enumerate(pairwise(borders.tolist())):
+        polynomial = control_polynomial(mesh, controls, element, first, last, limits)
+        samples = first + (last - first) * shares[element]
+        samples[-1] = last
+        flown = integrate(
+            _rates(flow, polynomial, dynamics.just_after(first)),
+            (first, last),
+            state,
+            samples,
+            dynamics.steps_between(first, last),
+            method=method,
+            rtol=tolerance,
+            atol=integration,
+            max_step=step * (last - first),
+        )
+        if flown.stopped_at is not None:
+            raise SolveError(
+                f"flight: the integration stopped at {flown.stopped_at:.4g} s: {flown.message} "
+                "Look at the plan's controls there."
+            )
+        state = flown.y[:, -1]
+        if not parts_u:
+            parts_u.append(polynomial(first)[None, :])
+        parts_t.append(samples)
+        parts_y.append(flown.y)
+        parts_u.append(np.array([polynomial(t) for t in samples]))
+    values = np.hstack(parts_y)
+    return Flown(
+        t=np.concatenate(parts_t),
+        states=values[:-1].T,
+        controls=np.vstack(parts_u),
+        energy=values[-1],
     )
 
 
-class OpenLoop:
-    """Vehicle under given controls, compiled for simulation over parts of a horizon."""
-
-    def __init__(self, dynamics: Dynamics) -> None:
-        n_controls = len(dynamics.control_names)
-        self._just_after = dynamics.just_after
-        self._steps_between = dynamics.steps_between
-        self._limits = dynamics.control_limits(HELD_BREACH)
-        self._flow = ClosedLoop(
-            dynamics, lambda command, _x, _own: (command, ()), n_command=n_controls, n_own=0
-        )
-
-    def fly(
-        self,
-        mesh: Mesh,
-        controls: FloatArray,
-        start: FloatArray,
-        horizon: tuple[float, float],
-        *,
-        part: tuple[float, float] | None = None,
-        samples_per_element: int | Sequence[FloatArray] = SAMPLES_PER_ELEMENT,
-        method: str = "DOP853",
-        integration: float = _PROOF.integration,
-    ) -> Flown:
-        """Simulate piecewise polynomial controls over their horizon or a part of it."""
-        borders = horizon[0] + (horizon[1] - horizon[0]) * np.asarray(mesh.breakpoints)
-        begin, end = horizon if part is None else part
-        shares = samples_per_element
-        if isinstance(shares, int):
-            shares = [_equal_shares(shares)] * mesh.elements
-        share = min(1.0, _LONG_S / (horizon[1] - horizon[0]))
-        tolerance = max(_SHARPEST, integration * share**_POWER)
-        step = inf if share == 1.0 else share / _STEPS
-        state = np.append(start, 0.0)
-        parts_t: list[FloatArray] = [np.array([begin])]
-        parts_y = [state[:, None]]
-        parts_u: list[FloatArray] = []
-        for element in range(mesh.elements):
-            first, last = max(borders[element], begin), min(borders[element + 1], end)
-            if first >= last:
-                continue
-            polynomial = control_polynomial(
-                mesh, controls, element, borders[element], borders[element + 1], self._limits
-            )
-            samples = first + (last - first) * shares[element]
-            samples[-1] = last
-            flown = _integrate(
-                self._flow,
-                polynomial,
-                state,
-                self._just_after(first),
-                (first, *samples),
-                self._steps_between(first, last),
-                method=method,
-                rtol=tolerance,
-                atol=integration,
-                max_step=step * (borders[element + 1] - borders[element]),
-            )
-            state = flown[:, -1]
-            if not parts_u:
-                parts_u.append(polynomial(first)[None, :])
-            parts_t.append(samples)
-            parts_y.append(flown)
-            parts_u.append(np.array([polynomial(t) for t in samples]))
-        values = np.hstack(parts_y)
-        return Flown(
-            t=np.concatenate(parts_t),
-            states=values[:-1].T,
-            controls=np.vstack(parts_u),
-            energy=values[-1],
-        )
-
-
-def _integrate(
-    flow: ClosedLoop,
-    control: Callable[[float], FloatArray],
-    state: FloatArray,
-    inside: float,
-    times: Sequence[float],
-    edges: Sequence[float],
-    **options: float | str,
-) -> FloatArray:
-    """Integrate one element; return states and energy at its times except the first.
-
-    The element's equations apply from `inside` on.
-    """
+def _rates(flow: ClosedLoop, control: Callable[[float], FloatArray], inside: float) -> Rates:
+    """Return the right-hand side of one element, whose equations apply from `inside` on."""
 
     def rates(t: float, y: FloatArray) -> FloatArray:
         keep_time()
         return flow.rates(max(t, inside), y, control(t))
 
-    flown = integrate(
-        rates,
-        (times[0], times[-1]),
-        state,
-        times[1:],
-        edges,
-        **options,
-    )
-    if flown.stopped_at is not None:
-        raise SolveError(
-            f"flight: the integration stopped at {flown.stopped_at:.4g} s: {flown.message} Look at "
-            "the plan's controls there."
-        )
-    return flown.y
+    return rates
 
 
 #: Largest fraction of the power drawn that may be missing from voltage times current of the pack;
