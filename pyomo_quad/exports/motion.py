@@ -21,7 +21,7 @@ from pyomo_quad.flight import Plan
 from pyomo_quad.flight.columns import ALL_COLUMNS, TIME
 from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
 from pyomo_quad.flight.plan import FLYABLE, Trajectories
-from pyomo_quad.flight.proof import TABLE, exactly, refuse_unproven
+from pyomo_quad.flight.proof import TABLE, refuse_unproven
 from pyomo_quad.report.tables import PLAN_NAME, SUMMARY_NAME, read_report, refuse_report
 from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.messages import PyomoQuadError, printable, shown
@@ -77,7 +77,7 @@ def _proven(plan: Plan, *, is_code_allowed: bool) -> ProvenPlan:
         held,
         plan.energy,
         plan.passing_times_s,
-        exactly(plan.figures_checked),
+        plan.figures_checked,
         None if plan.solution is None else plan.dynamics,
         is_code_allowed=is_code_allowed,
     )

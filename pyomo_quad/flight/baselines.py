@@ -212,22 +212,20 @@ def fly(
     """
     loop = _Loop(dynamics, controller, reference, duration=times[-1] - times[0])
     span = float(times[0]), float(times[-1])
-    solution = integrate(
+    rows = integrate(
         loop.rates,
         span,
         loop.started(times[0], initial_state, last),
         times,
         dynamics.steps_between(*span),
+        flight="controlled flight",
+        remedy="Check the gains and limits of the scenario.",
         method=integrator.value,
         rtol=tolerance,
         atol=tolerance,
         max_step=LONGEST_STEP,
     )
-    if solution.stopped_at is not None:
-        raise SolveError(
-            f"controlled flight: {solution.message} Check the gains and limits of the scenario."
-        )
-    return loop.flight(times, solution.y.T)
+    return loop.flight(times, rows.T)
 
 
 class _Loop:

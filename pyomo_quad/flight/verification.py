@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pyomo_quad.collocation import ClosedLoop, Dynamics, Mesh, SolveError, control_polynomial
+from pyomo_quad.collocation import ClosedLoop, Dynamics, Mesh, control_polynomial
 from pyomo_quad.flight.deadline import keep_time
 from pyomo_quad.flight.flight import (
     HELD_BREACH,
@@ -104,21 +104,18 @@ def fly_controls(
             state,
             samples,
             dynamics.steps_between(first, last),
+            flight="flight",
+            remedy="Look at the plan's controls there.",
             method=method,
             rtol=tolerance,
             atol=integration,
             max_step=step * (last - first),
         )
-        if flown.stopped_at is not None:
-            raise SolveError(
-                f"flight: the integration stopped at {flown.stopped_at:.4g} s: {flown.message} "
-                "Look at the plan's controls there."
-            )
-        state = flown.y[:, -1]
+        state = flown[:, -1]
         if not parts_u:
             parts_u.append(polynomial(first)[None, :])
         parts_t.append(samples)
-        parts_y.append(flown.y)
+        parts_y.append(flown)
         parts_u.append(np.array([polynomial(t) for t in samples]))
     values = np.hstack(parts_y)
     return Flown(

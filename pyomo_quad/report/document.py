@@ -137,15 +137,9 @@ def write_text(file: Path, template: str, **values: object) -> None:
     file.write_text(render_markdown(template, **values), encoding="utf-8")
 
 
-def save_drawings(drawings: Iterable[Drawing], folder: Path) -> None:
-    """Draw figures, on all cores, into the subfolder `FIGURE_FOLDER` of a report's folder."""
-    with drawn_meanwhile(drawings, folder):
-        pass
-
-
 @contextmanager
 def drawn_meanwhile(drawings: Iterable[Drawing], folder: Path) -> Iterator[None]:
-    """Draw figures on other cores while the block runs."""
+    """Draw figures into a report's `FIGURE_FOLDER` on other cores while the block runs."""
     wanted = tuple(drawings)
     if not wanted:
         yield
