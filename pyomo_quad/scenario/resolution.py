@@ -18,6 +18,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from pyomo_quad.scenario.battery import Battery
+from pyomo_quad.scenario.earth import GeodeticOrigin
 from pyomo_quad.scenario.fields import (
     FieldPath,
     depth,
@@ -425,21 +426,23 @@ def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
         filled.add_library((table,), kind)
     if isinstance(value_at(own, "wind", "forecast"), Mapping):
         filled.add_library(("wind", "forecast"), "winds")
-        filled.tables = _inherit_by_forecast(filled.tables, own)
+        for name in _INHERITED_BY_FORECAST:
+            if name in own["wind"]:
+                filled.put(("wind", "forecast", name), own["wind"][name])
     tables = _with_assignments(origin, merge(filled.tables, own), indexed=True)
-    tables = in_plain_terms(tables, own, provenance, origin.source)
-    tables = _add_footprints(origin, tables, provenance)
-    tables = _add_terrain(origin, tables, provenance)
+    filled.tables = in_plain_terms(tables, own, provenance, origin.source)
+    filled.add_footprints()
+    filled.add_terrain()
     try:
-        tables = _add_wind_series(origin, tables, provenance)
-        tables = _add_wind_fields(origin, tables, provenance)
+        filled.add_wind_series()
+        filled.add_wind_fields()
     except ScenarioError as error:
         filled.complain(str(error), ("wind",))
-    tables = in_the_air(tables, origin.document if origin.is_resolved else None, provenance)
-    tables = with_coupling(tables, own, provenance)
-    tables = _with_motor_constants(tables, provenance)
+    tables = in_the_air(filled.tables, origin.document if origin.is_resolved else None, provenance)
+    filled.tables = with_coupling(tables, own, provenance)
+    filled.add_motor_constants()
     return Resolution(
-        tables=_add_derived_limits(tables),
+        tables=_add_derived_limits(filled.tables),
         provenance=provenance,
         complaints=tuple(filled.complaints),
         unfilled=(*filled.unfilled, *(("limits", name) for name in DERIVED_LIMITS)),
@@ -555,110 +558,103 @@ class _Filled:
                 said[spell(full)] = source
         self.provenance.update(said | self.provenance)
 
+    def put(self, path: FieldPath, value: object, said: str = "") -> None:
+        """Set a value, and say where it comes from if that is not known yet."""
+        self.tables = set_value(self.tables, path, value)
+        if said:
+            self.provenance[spell(path)] = said
+
+    def put_read(self, place: FieldPath, parts: Mapping[str, Any], file: str) -> None:
+        """Set the parts of a table that were read from a file."""
+        self.put(place, parts)
+        said = f"file {shown(file)[1:-1]}"
+        self.provenance |= {spell((*place, part)): said for part in parts}
+
+    def naming(self, path: FieldPath, file: str) -> str:
+        """Return the beginning of messages on a file: source, field, and name of the file."""
+        return f"{whose(self.origin, self.provenance, path)}: {spell(path)} = {shown(file)}"
+
+    def on_earth(self) -> GeodeticOrigin | None:
+        """Return the position of x = y = z = 0 on earth, None if the mission gives none."""
+        return origin_of_mission(self.tables, self.origin.source)
+
+    def add_footprints(self) -> None:
+        """Add the zones of a file, and divide polygons that are not convex."""
+        airspace = self.tables.get("airspace")
+        if not isinstance(airspace, Mapping):
+            return
+        zones, file = airspace.get("keep_out", ()), airspace.get("file")
+        is_listed = isinstance(zones, list | tuple)
+        if isinstance(file, str) and is_listed and not self.origin.is_resolved:
+            where = self.naming(("airspace", "file"), file)
+            read = read_footprints(self.origin.folder / file, where, self.on_earth())
+            airspace = {**airspace, "keep_out": [*zones, *read]}
+            self.provenance["airspace.keep_out"] = f"file {shown(file)[1:-1]}"
+        self.put(("airspace",), in_convex_parts(airspace))
+
+    def add_terrain(self) -> None:
+        """Add the heights of the ground, and the floor above it where none is given."""
+        airspace, path = table_at(self.tables, "airspace"), ("airspace", "terrain")
+        file, clearance = airspace.get("terrain"), airspace.get("clearance", 0.0)
+        if not isinstance(file, str):
+            return
+        if "floor" not in airspace and is_number(clearance):
+            said = "airspace.clearance over airspace.terrain"
+            self.put(("airspace", "floor"), clearance, said)
+        if self.origin.is_resolved and path not in self.origin.assignments:
+            return
+        # Imports pandas, which scenarios without terrain do without.
+        from pyomo_quad.scenario.terrain_file import read_terrain  # noqa: PLC0415
+
+        where = self.naming(path, file)
+        ground = read_terrain(self.origin.folder / file, where, self.on_earth())
+        self.put_read(("airspace", "ground"), ground, file)
+
+    def winds(self, named: str) -> Iterator[tuple[tuple[str, ...], Mapping[str, Any]]]:
+        """Yield the wind and its forecast where they name a file in a field."""
+        for place in (("wind",), ("wind", "forecast")):
+            wind = table_at(self.tables, *place)
+            if isinstance(wind.get(named), str):
+                yield place, wind
+
+    def add_wind_fields(self) -> None:
+        """Add the wind over places from files."""
+        for place, wind in self.winds("field"):
+            # Imports pandas, which scenarios without a field do without.
+            from pyomo_quad.scenario.wind_field import read_wind_field  # noqa: PLC0415
+
+            where = self.naming((*place, "field"), wind["field"])
+            grid = read_wind_field(self.origin.folder / wind["field"], where, self.on_earth())
+            self.put_read((*place, "grid"), grid, wind["field"])
+
+    def add_wind_series(self) -> None:
+        """Add the measured wind from files, and the end of a free duration where the wind ends."""
+        field, longest = _longest(self.tables)
+        known: list[tuple[float, str]] = []
+        for place, wind in self.winds("file"):
+            path, offset = (*place, "file"), wind.get("time_offset", 0.0)
+            where = f"{whose(self.origin, self.provenance, path)}: {spell(path)}"
+            told = (spell(field), _SHORTEST_S if longest is None else longest)
+            series = read_wind_file(self.origin.folder / wind["file"], where, told, offset)
+            self.put_read((*place, "series"), series, wind["file"])
+            if series["times"] and isinstance(offset, int | float):
+                known.append((series["times"][-1] - offset, f"file {shown(wind['file'])[1:-1]}"))
+        if field == _LONGEST and longest is None and known:
+            self.put(field, *min(known))
+
+    def add_motor_constants(self) -> None:
+        """Derive a missing torque or voltage constant, which are inverse to each other."""
+        vehicle = table_at(self.tables, "vehicle")
+        names = ("torque_constant", "voltage_constant")
+        for missing, given in (names, names[::-1]):
+            number = vehicle.get(given)
+            if vehicle.get(missing) is None and is_number(number) and number > 0:
+                self.put(("vehicle", missing), 1 / number, f"1 / {given}")
+
 
 def _beside(file: str, pack: str) -> str:
     """Return a battery file's path relative to the scenario, if a vehicle file names one."""
     return (FilePath(file).parent / pack).as_posix() if pack.endswith(_SUFFIX) else pack
-
-
-def _inherit_by_forecast(tables: dict[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
-    for name in _INHERITED_BY_FORECAST:
-        if name in own["wind"]:
-            tables = set_value(tables, ("wind", "forecast", name), own["wind"][name])
-    return tables
-
-
-def _add_footprints(
-    origin: ScenarioSource, tables: dict[str, Any], provenance: dict[str, str]
-) -> dict[str, Any]:
-    """Add the zones of a file, and divide polygons that are not convex."""
-    airspace = tables.get("airspace")
-    if not isinstance(airspace, Mapping):
-        return tables
-    zones = airspace.get("keep_out", ())
-    file = airspace.get("file")
-    if isinstance(file, str) and isinstance(zones, list | tuple) and not origin.is_resolved:
-        where = f"{whose(origin, provenance, ('airspace', 'file'))}: airspace.file = {shown(file)}"
-        read = read_footprints(
-            origin.folder / file, where, origin_of_mission(tables, origin.source)
-        )
-        airspace = {**airspace, "keep_out": [*zones, *read]}
-        provenance["airspace.keep_out"] = f"file {shown(file)[1:-1]}"
-    return {**tables, "airspace": in_convex_parts(airspace)}
-
-
-def _add_terrain(
-    origin: ScenarioSource, tables: dict[str, Any], provenance: dict[str, str]
-) -> dict[str, Any]:
-    """Add the heights of the ground, and the floor above it where none is given."""
-    airspace = table_at(tables, "airspace")
-    file = airspace.get("terrain")
-    if not isinstance(file, str):
-        return tables
-    if "floor" not in airspace and is_number(airspace.get("clearance", 0.0)):
-        tables = set_value(tables, ("airspace", "floor"), airspace.get("clearance", 0.0))
-        provenance["airspace.floor"] = "airspace.clearance over airspace.terrain"
-    if origin.is_resolved and "airspace.terrain" not in map(spell, origin.assignments):
-        return tables
-    # Imports pandas, which scenarios without terrain do without.
-    from pyomo_quad.scenario.terrain_file import read_terrain  # noqa: PLC0415
-
-    where = f"{whose(origin, provenance, ('airspace', 'terrain'))}: airspace.terrain = "
-    on_earth = origin_of_mission(tables, origin.source)
-    ground = read_terrain(origin.folder / file, where + shown(file), on_earth)
-    for part in ground:
-        provenance[f"airspace.ground.{part}"] = f"file {shown(file)[1:-1]}"
-    return set_value(tables, ("airspace", "ground"), ground)
-
-
-def _winds(
-    tables: Mapping[str, Any], named: str
-) -> Iterator[tuple[tuple[str, ...], Mapping[str, Any]]]:
-    """Yield the wind and its forecast where they name a file in a field."""
-    for place in (("wind",), ("wind", "forecast")):
-        wind = table_at(tables, *place)
-        if isinstance(wind.get(named), str):
-            yield place, wind
-
-
-def _add_wind_fields(
-    origin: ScenarioSource, tables: dict[str, Any], provenance: dict[str, str]
-) -> dict[str, Any]:
-    for place, wind in _winds(tables, "field"):
-        # Imports pandas, which scenarios without a field do without.
-        from pyomo_quad.scenario.wind_field import read_wind_field  # noqa: PLC0415
-
-        path = (*place, "field")
-        where = f"{whose(origin, provenance, path)}: {spell(path)} = {shown(wind['field'])}"
-        on_earth = origin_of_mission(tables, origin.source)
-        grid = read_wind_field(origin.folder / wind["field"], where, on_earth)
-        tables = set_value(tables, (*place, "grid"), grid)
-        for part in grid:
-            provenance[spell((*place, "grid", part))] = f"file {shown(wind['field'])[1:-1]}"
-    return tables
-
-
-def _add_wind_series(
-    origin: ScenarioSource, tables: dict[str, Any], provenance: dict[str, str]
-) -> dict[str, Any]:
-    field, longest = _longest(tables)
-    known: list[tuple[float, str]] = []
-    for place, wind in _winds(tables, "file"):
-        where = f"{whose(origin, provenance, (*place, 'file'))}: {spell((*place, 'file'))}"
-        offset = wind.get("time_offset", 0.0)
-        told = (spell(field), _SHORTEST_S if longest is None else longest)
-        series = read_wind_file(origin.folder / wind["file"], where, told, offset)
-        tables = set_value(tables, (*place, "series"), series)
-        said = f"file {shown(wind['file'])[1:-1]}"
-        for column in series:
-            provenance[spell((*place, "series", column))] = said
-        if series["times"] and isinstance(offset, int | float):
-            known.append((series["times"][-1] - offset, said))
-    if field == _LONGEST and longest is None and known:
-        # A free duration ends at the end of the known wind.
-        last, provenance[spell(field)] = min(known)
-        tables = set_value(tables, field, last)
-    return tables
 
 
 def _longest(tables: Mapping[str, Any]) -> tuple[tuple[str, str], object]:
@@ -666,18 +662,6 @@ def _longest(tables: Mapping[str, Any]) -> tuple[tuple[str, str], object]:
     is_free = value_at(tables, "mission", "duration") == FREE
     field = _LONGEST if is_free else ("mission", "duration")
     return field, value_at(tables, *field)
-
-
-def _with_motor_constants(tables: dict[str, Any], provenance: dict[str, str]) -> dict[str, Any]:
-    """Derive a missing torque or voltage constant, which are inverse to each other."""
-    vehicle = table_at(tables, "vehicle")
-    names = ("torque_constant", "voltage_constant")
-    for missing, given in (names, names[::-1]):
-        number = vehicle.get(given)
-        if vehicle.get(missing) is None and is_number(number) and number > 0:
-            tables = set_value(tables, ("vehicle", missing), 1 / number)
-            provenance[f"vehicle.{missing}"] = f"1 / {given}"
-    return tables
 
 
 def _add_derived_limits(tables: dict[str, Any]) -> dict[str, Any]:
