@@ -51,7 +51,14 @@ from pyomo_quad.model.parameters import (
 )
 from pyomo_quad.model.wind_field import COMPONENTS, FIELD_UNIT, declare_field, smooth_positive
 from pyomo_quad.scenario import Scenario
-from pyomo_quad.scenario.wind import FrequencyUnit, Wind, WindAxis, WindLaw, WindSeries
+from pyomo_quad.scenario.wind import (
+    USUAL_HEIGHT,
+    FrequencyUnit,
+    Wind,
+    WindAxis,
+    WindLaw,
+    WindSeries,
+)
 
 HARMONICS = (1, 2, 3)
 _CUBIC = 3
@@ -125,6 +132,27 @@ def _mean(scenario: Scenario, name: str) -> float:
     direction = scenario.wind.direction
     share = cos(direction) if name == "x" else sine(direction)
     return _axis(scenario, name).mean + scenario.wind.speed * share
+
+
+def mean_wind(scenario: Scenario) -> FloatArray:
+    """Return the mean horizontal wind along world x and y, shape (2,) [m/s].
+
+    A profile counts at its reference height, a wind measured over heights at `USUAL_HEIGHT`, and a
+    field with the mean over all places that have wind.
+    """
+    wind = scenario.wind
+    if wind.grid is not None:
+        told = wind.grid.components[:2].reshape(2, -1)
+        return np.asarray(wind.field_scale * np.nanmean(told, axis=1))
+    if wind.series is None:
+        return np.array([_mean(scenario, name) for name in _HORIZONTAL])
+    heights = wind.series.heights or (USUAL_HEIGHT,)
+    return np.array(
+        [
+            np.interp(USUAL_HEIGHT, heights, np.reshape(speeds, (-1, len(heights))).mean(axis=0))
+            for speeds in (wind.series.wind_x, wind.series.wind_y)
+        ]
+    )
 
 
 def _angular_frequencies(scenario: Scenario, name: str) -> dict[int, float]:
