@@ -13,7 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from pyomo_quad.cli.endings import ExitCode, Interruption, SolveStopped, has_told, stop_on_interrupt
-from pyomo_quad.cli.terminal import complain, live_line, result_console
+from pyomo_quad.cli.terminal import Options, complain, live_line, result_console
 from pyomo_quad.collocation import Iteration, Problem, Progress, TranscriptionError, WarmStart
 from pyomo_quad.flight import Plan, Planner, PlanStatus
 from pyomo_quad.flight.envelope import departures
@@ -112,9 +112,7 @@ class _CommandPlanner(Planner):
         return plan
 
 
-def planner_for(
-    scenario: Scenario, *, is_code_allowed: bool, is_quiet: bool, keeps_usable: bool = False
-) -> Planner:
+def planner_for(scenario: Scenario, options: Options, *, keeps_usable: bool = False) -> Planner:
     """Return a planner for the scenario's model that shows progress and stops at signals.
 
     Stopped, it raises `SolveStopped`; with `keeps_usable` it returns the usable plan it may have.
@@ -125,8 +123,8 @@ def planner_for(
         If the scenario's own builder is not allowed or cannot be loaded; and, raised later, if the
         model cannot be transcribed.
     """
-    builder = model_builder(scenario, is_code_allowed=is_code_allowed)
-    return _CommandPlanner(builder, is_quiet=is_quiet, keeps_usable=keeps_usable)
+    builder = model_builder(scenario, is_code_allowed=options.allow_code)
+    return _CommandPlanner(builder, is_quiet=options.is_quiet, keeps_usable=keeps_usable)
 
 
 @contextmanager
@@ -339,17 +337,12 @@ def comparison_table(comparison: "pd.DataFrame") -> Table:
 
 
 def answer(
-    lines: Iterable[str | Table],
-    summary: Mapping[str, Any],
-    folder: Path,
-    *,
-    is_quiet: bool,
-    as_json: bool,
+    lines: Iterable[str | Table], summary: Mapping[str, Any], folder: Path, options: Options
 ) -> None:
     """Print the result of a command as JSON or as lines, or nothing if quiet."""
-    if as_json:
+    if options.as_json:
         print(summary_text(summary), end="")
-    elif not is_quiet:
+    elif not options.quiet:
         for line in lines:
             if isinstance(line, Table):
                 result_console().print(line)
