@@ -15,13 +15,14 @@ _LABEL = re.compile(
 )
 #: V, nominal voltage of one lithium-polymer cell.
 NOMINAL_V = 3.7
-# Energy over mass of packs for multirotors, J/kg: 150 Wh/kg.
+# Energy over mass of packs for multirotors, J/kg: 150 Wh/kg. Assumed; the Matrice 100's has 190.
 _ENERGY_PER_KG = 150 * 3600
 # Ohm times ampere hours of one cell: a current of 1C reduces its voltage by 15 mV.
 _RESISTANCE_BY_CAPACITY = 0.015
 # Lithium-polymer cell by eq. (5) of the paper: 4.17 V full, 3.78 V at half, 3.54 V at a tenth.
 _CONSTANT_V, _POLARISATION_V, _EXPONENTIAL_V = 3.73, 0.022, 0.46
-_EXPONENTIAL_SHARE = 3.2  # times the capacity
+# Inverse of the share of the capacity over which the exponential part falls by e: of that cell.
+_EXPONENTIAL_SHARE = 3.2
 _SECONDS_PER_HOUR = 3600.0
 
 
@@ -97,7 +98,8 @@ def pack_of(text: str) -> Pack:
     )
 
 
-# Cells in series for vehicles up to a mass, kg.
+# Cells in series for vehicles up to a mass, kg, and above the last one; share of the mass that the
+# pack has. Assumed, as of small multirotors on sale.
 _SERIES = ((0.1, 1), (0.35, 2), (0.9, 3), (2.5, 4))
 _MOST_SERIES = 6
 _MASS_SHARE = 0.3
