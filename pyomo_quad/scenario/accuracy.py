@@ -30,10 +30,9 @@ class Figures:
     Attributes
     ----------
     energy : float
-        Share of the energy by which the plan's may be above the least one, and the relative error
-        of states to which the mesh is refined.
-    energy_flown : float
-        Share of the energy by which the flight of the controls may differ from the plan.
+        Share of the energy by which the plan's may be above the least one, and the flight of the
+        controls may differ from the plan; also the relative error of states to which the mesh is
+        refined.
     miss : float
         Of any final state when the controls are flown open loop, and of the waypoints: metres,
         metres per second, radians or, for values above 1, relative.
@@ -47,7 +46,6 @@ class Figures:
     """
 
     energy: float
-    energy_flown: float
     miss: float
     breach: float
     integration: float
@@ -61,7 +59,6 @@ FIGURES: Mapping[Accuracy, Figures] = MappingProxyType(
     {
         Accuracy.QUICK: Figures(
             energy=1e-3,
-            energy_flown=1e-3,
             miss=0.1,
             breach=1e-2,
             integration=1e-10,
@@ -69,7 +66,6 @@ FIGURES: Mapping[Accuracy, Figures] = MappingProxyType(
         ),
         Accuracy.STANDARD: Figures(
             energy=1e-4,
-            energy_flown=1e-4,
             miss=1e-2,
             breach=1e-3,
             integration=1e-11,
@@ -77,7 +73,6 @@ FIGURES: Mapping[Accuracy, Figures] = MappingProxyType(
         ),
         Accuracy.PROOF: Figures(
             energy=1e-6,
-            energy_flown=1e-6,
             miss=1e-4,
             breach=1e-4,
             integration=1e-12,

@@ -78,12 +78,12 @@ class TriedCruise:
     reached: CruiseSettings
     """Largest speed and acceleration of the flight: legs may be too short for the settings."""
     duration_s: float
-    energy_J: float
-    """With the energy that the end state owes; infinite if the flight is out of control."""
-    arrived: bool
     broken: tuple[str, ...]
     """Limits that the flight breaks, in words."""
-    cost_J: float
+    energy_J: float = inf
+    """With the energy that the end state owes; infinite if the flight is out of control."""
+    arrived: bool = False
+    cost_J: float = inf
     """The energy, plus the penalty of a broken limit or a missed goal."""
 
 
@@ -217,10 +217,7 @@ def _tried(
             settings=settings,
             reached=within,
             duration_s=longest.mission.fixed_duration,
-            energy_J=inf,
-            arrived=False,
             broken=("out of control",),
-            cost_J=inf,
         )
     end = _end(scenario, settings, flown, dynamics)
     arrived = end < flown.t[-1]
