@@ -1,4 +1,4 @@
-"""Integration by SciPy, restarted at each jump of a parameter."""
+"""Integration of ordinary differential equations by SciPy, restarted at each jump of the rates."""
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
@@ -13,9 +13,10 @@ from pyomo_quad.collocation import SolveError
 
 Rates = Callable[[float, FloatArray], FloatArray]
 
-# Distance inside its piece at which an end of the piece is evaluated, relative to the piece.
+# Distance from a jump of the rates, relative to the time between two jumps, at which the rates at
+# the jump are evaluated.
 _INSIDE = 1e-6
-# s. A piece shorter than this is the rounding of two equal times.
+# Time between two jumps [s] below which they are the same jump up to rounding.
 _SHORTEST = 1e-7
 
 
@@ -39,10 +40,16 @@ def integrate(
 
     Parameters
     ----------
+    rates : callable
+        Right-hand side: time [s] and states -> time derivatives, shape (n_states,).
+    span : (float, float)
+        First and last time [s].
+    start : array_like, shape (n_states,)
+        States at the first time.
     times : sequence of float
-        Rising times within the span at which states are returned.
+        Increasing times within the span at which states are returned.
     edges : sequence of float
-        Rising times between which the rates are smooth; edges outside the span are ignored.
+        Increasing times between which the rates are smooth; edges outside the span are ignored.
     flight, remedy : str
         Beginning and end of the message if the integration fails.
     **options
@@ -78,7 +85,7 @@ def integrate(
 
 
 def _within(rates: Rates, first: float, last: float) -> Rates:
-    """Return a right-hand side that reads times just inside one piece, clear of its jumps."""
+    """Return a right-hand side that is evaluated only between two jumps, not at the jumps."""
     margin = _INSIDE * (last - first)
 
     def inside(t: float, y: FloatArray) -> FloatArray:

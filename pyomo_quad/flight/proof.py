@@ -1,7 +1,7 @@
 """Verification of a plan read from a file, without trust in the numbers that the file states.
 
-Ends and horizon must be those of the mission. The controls, flown by SciPy through the scenario's
-own equations, must reproduce the states of the file.
+The ends of the flight and its horizon must be those of the mission. The controls, simulated by
+SciPy through the scenario's own equations, must reproduce the states of the file.
 """
 
 from dataclasses import replace
@@ -27,14 +27,15 @@ from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.accuracy import USABLE, Figures
 from pyomo_quad.scenario.messages import shown
 
-# Relative error of a horizon written in decimals.
+# Relative rounding error of a duration that a file stores in decimals.
 _SAME_TIME = 1e-9
 _AGAIN = "solve the scenario again."
 
 
-#: Tolerances for a plan in a report's table. It has each control clipped to its limits, and the
-#: polynomial through the clipped values differs from the flown one. If controls are at their limits
-#: for a long time, flights of tables deviate by 2 cm, 1.4e-3 of a limit and 2e-5 of the energy.
+#: Tolerances for a plan read from the table of a report. The table has each control clipped to its
+#: limits, and the polynomial through the clipped values differs from the planned one. If controls
+#: are at their limits for a long time, flights of tables deviate by 2 cm, 1.4e-3 of a limit and
+#: 2e-5 of the energy.
 TABLE = replace(USABLE, miss=ARRIVAL_DISTANCE_M, breach=1e-2)
 
 
@@ -52,10 +53,15 @@ def refuse_unproven(
 
     Parameters
     ----------
+    scenario : Scenario
+        Scenario of the plan.
     held : Trajectories
-        Names may include other components; a state without a name starts as the mission prescribes.
+        The plan. Columns of unknown names are ignored; a state that is missing starts as the
+        mission prescribes.
     energy : float
         Energy of the whole flight [J].
+    passing_times_s : tuple of float
+        Time at which the plan passes each waypoint [s].
     allowed : Figures
         Largest differences allowed between the plan and its simulated flight; the miss applies to
         any state at any time and to the waypoints.
@@ -99,7 +105,7 @@ def refuse_unproven(
 def _refuse_failed(
     scenario: Scenario, verification: Verification, energy: float, allowed: Figures
 ) -> None:
-    """Raise an error if the simulated flight breaks limits or takes another energy."""
+    """Raise a ScenarioError if the simulated flight breaks limits or takes another energy."""
     share = abs(verification.energy_difference_J) / max(1.0, abs(energy))
     passed = max(verification.passing_misses_m, default=0.0)
     failings = (
@@ -154,12 +160,23 @@ def _refuse_other_times(
 
 
 def in_order(scenario: Scenario, held: Trajectories, dynamics: Dynamics) -> Trajectories:
-    """Return a plan with states in the order of the dynamics; states without a trajectory are NaN.
+    """Return a plan with states and controls in the order of given dynamics.
+
+    A state that the plan does not have is NaN after its initial value.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Mission, which prescribes missing initial values.
+    held : Trajectories
+        The plan.
+    dynamics : Dynamics
+        Equations whose order of states and controls is required.
 
     Raises
     ------
     ScenarioError
-        If a control is missing, or the start of a state.
+        If a control is missing, or the initial value of a state.
     """
     missing = set(dynamics.control_names) - set(held.control_names)
     if missing:
@@ -191,7 +208,7 @@ def in_order(scenario: Scenario, held: Trajectories, dynamics: Dynamics) -> Traj
 def _refuse_other_ends(
     scenario: Scenario, dynamics: Dynamics, states: FloatArray, allowed: Figures
 ) -> None:
-    """Raise an error if the initial or final state of a plan differs from the mission's."""
+    """Raise a ScenarioError if initial or final state of a plan differ from the mission's."""
     for end, wanted, found in (
         ("start", declared_start(scenario, dynamics), states[0]),
         ("end", wanted_at_goal(scenario, dynamics), states[-1]),
@@ -214,7 +231,7 @@ def _refuse_other_ends(
 def _refuse_astray(
     scenario: Scenario, held: Trajectories, dynamics: Dynamics, flown: Flown, allowed: Figures
 ) -> None:
-    """Raise an error if simulating the controls does not reproduce the states of a plan."""
+    """Raise a ScenarioError if simulating the controls does not reproduce a plan's states."""
     planned = held.states_at(flown.t)
     worst, when, which = 0.0, 0.0, ""
     for k, name in enumerate(held.state_names):

@@ -17,34 +17,35 @@ from pyomo_quad.vehicles.propulsion import INDUCED, Propeller, RotorHover
 
 GRAVITY = 9.81
 ROTOR_COUNTS = (4, 6, 8)
-# Distance of neighbouring rotors relative to their diameter. Assumed: rotors do not overlap.
+# Distance between the shafts of neighbouring rotors, relative to their diameter. Assumed: rotors do
+# not overlap.
 _SPACING = 1.25
-# Motor constant, torque squared over copper loss, (N m)^2/W, of a motor of 1 kg; it is proportional
+# Motor constant (torque squared over copper loss) [(N m)²/W] of a motor of 1 kg; it is proportional
 # to the mass to the power of 5/3. Both are the regression of Budinger et al. (2020).
 _MOTOR_CONSTANT, _MOTOR_EXPONENT = 0.15, 5 / 3
 # Ratio of the rotor speeds at full throttle and in hover, if the speed constant is unknown: the
 # thrust is then 1.8^2 times the weight. Fraction of the pack's nominal voltage at the motors at
 # full throttle: the rest is the drop over pack and controllers. Both are assumed.
 _FULL_OVER_HOVER, _FULL_VOLTAGE = 1.8, 0.85
-# Mass of a 10-inch propeller, kg, and the exponent of its growth with the diameter, less than the 3
-# of blades of one shape. Assumed; the inertia of rotors is uncertain by a factor of 2.
+# Mass of a 10-inch propeller [kg], and the exponent of its growth with the diameter, less than the
+# 3 of blades of one shape. Assumed; the inertia of rotors is uncertain by a factor of 2.
 _PROPELLER_KG, _PROPELLER_EXPONENT, _TEN_INCHES_M = 0.012, 2.5, 0.254
 # Radius of a motor's bell, which turns with the propeller, relative to the propeller's. Assumed.
 _BELL_SHARE = 0.1
-# Electronics of a vehicle of 1.5 kg, W, and the exponent of their growth with its mass. Assumed: a
-# few per cent of the power in flight.
+# Power of the electronics of a vehicle of 1.5 kg [W], and the exponent of their growth with its
+# mass. Assumed: a few per cent of the power in flight.
 _ELECTRONICS_W, _ELECTRONICS_EXPONENT, _AT_KG = 5.0, 0.4, 1.5
 # Vehicle of the library whose drag, read from its tilt in flight, and power of descent, identified
 # from 120 flights, stand for those of others.
 _MEASURED = "dji_matrice_100"
 # Growth of quadratic drag with the mass: that of the area of bodies of one shape.
 _AREA_EXPONENT = 2 / 3
-# Limit of roll and pitch, degrees: the default of autopilots.
+# Limit of roll and pitch [degrees]: the default of autopilots.
 _TILT_DEG = 35.0
 # Least share of the voltage that counts as left for acceleration at hover: rotors accelerate
 # whatever the speed constant is.
 _LEAST_SPARE = 0.1
-#: Relative error of a measured hover power, from the sensor's gain and a breeze.
+#: Relative error of a measured hover power, caused by the gain of the current sensor and by wind.
 MEASUREMENT_ERROR = 0.03
 #: Factors at the ends of their ranges, on the loss of motor and speed controller, which cover the
 #: 15 % within which the hover powers of data sheets come out, and on the blades' drag, assumed for
@@ -71,9 +72,28 @@ _RANGES = {
 
 @dataclass(frozen=True, kw_only=True)
 class Known:
-    """Data of an owner's vehicle in SI units; mass and propeller are required.
+    """Data that the owner of a vehicle knows, in SI units; only mass and propeller are required.
 
-    `voltage_constant` is in rad/s/V and `hover_power` in W; both are None if unknown.
+    Attributes
+    ----------
+    name : str
+        Name of the vehicle.
+    mass : float
+        Mass in flight, with battery [kg].
+    propeller : Propeller
+        Diameter and pitch.
+    arm : float or None
+        Distance from the centre to a motor shaft [m].
+    voltage_constant : float or None
+        Motor speed over voltage [rad/s/V].
+    pack : Pack or None
+        Battery.
+    hover_power, hover_said : float or None, str
+        Measured power of hover [W], and its description.
+    rotors : int
+        Number of rotors.
+    density : float
+        Air density [kg/m³].
     """
 
     name: str
@@ -90,7 +110,23 @@ class Known:
 
 @dataclass(frozen=True, kw_only=True)
 class EstimatedVehicle:
-    """Estimated vehicle with the origin of every number."""
+    """Vehicle estimated from its owner's data, with the origin of every number.
+
+    Attributes
+    ----------
+    known : Known
+        The owner's data.
+    pack : Pack
+        Battery, which is estimated if the owner states none.
+    hover : RotorHover
+        Speed and powers of one rotor in hover.
+    fields, limits : mapping
+        Numbers of the tables `vehicle` and `limits` of a scenario, by field.
+    rotor_positions : tuple or None
+        Positions of six or eight rotors [m]; None for four.
+    estimated_hover_W : float
+        Hover power by the estimates alone, even if it was measured.
+    """
 
     known: Known
     pack: Pack
@@ -103,17 +139,27 @@ class EstimatedVehicle:
 
     @property
     def is_measured(self) -> bool:
-        """Whether a hover measurement determines the power."""
+        """Whether a measured hover power determines the vehicle's power."""
         return self.known.hover_power is not None
 
 
 def estimate_vehicle(known: Known) -> EstimatedVehicle:
     """Estimate all numbers of a vehicle from its owner's data.
 
+    Parameters
+    ----------
+    known : Known
+        The owner's data.
+
+    Returns
+    -------
+    EstimatedVehicle
+        Numbers of vehicle, limits and battery, with ranges and origins.
+
     Raises
     ------
     ScenarioError
-        If the numbers contradict each other.
+        If the data contradict each other, for example if the motors are too slow to hover.
     """
     pack = known.pack or usual_pack(known.mass)
     thrust = known.mass * GRAVITY / known.rotors
@@ -219,7 +265,10 @@ def _motor(known: Known, pack: Pack, hover: RotorHover, model: MassModel) -> dic
 
 
 def _powers(known: Known, hover: RotorHover) -> tuple[dict[str, Estimate], float]:
-    """Return the parameters of the momentum model, and the hover power without measurement [W]."""
+    """Return the parameters of the power model `momentum`, and the hover power [W].
+
+    The hover power is that of the estimates alone, without measurement.
+    """
     electronics = _ELECTRONICS_W * (known.mass / _AT_KG) ** _ELECTRONICS_EXPONENT
     loss = 1 / hover.drive_efficiency
     alone = known.rotors * hover.shaft_power * loss + electronics
@@ -292,7 +341,7 @@ def _limits(pack: Pack, hover: RotorHover, fields: Mapping[str, Estimate]) -> di
     torque_constant, resistance = fields["torque_constant"].value, fields["motor_resistance"].value
     drag, inertia = fields["drag_torque_coefficient"].value, fields["rotor_inertia"].value
     voltage = _FULL_VOLTAGE * pack.nominal_voltage
-    # The speed at which the electromotive force and the resistive drop add up to the voltage.
+    # Greatest speed: there the electromotive force and the resistive drop add up to the voltage.
     copper, back = resistance * drag / torque_constant, 1 / speed_constant
     fastest = (sqrt(back**2 + 4 * copper * voltage) - back) / (2 * copper)
     spare = max(voltage - back * hover.speed, _LEAST_SPARE * voltage)
@@ -313,7 +362,7 @@ def _limits(pack: Pack, hover: RotorHover, fields: Mapping[str, Estimate]) -> di
 
 
 def _positions(rotors: int, arm: float) -> tuple[tuple[float, float], ...] | None:
-    """Return the rotor positions of six or eight rotors in a ring, None for four."""
+    """Return the positions of six or eight rotors in a ring [m]; None for four rotors."""
     if rotors not in ROTOR_COUNTS:
         raise ScenarioError(
             f"--rotors {rotors}; must be one of {', '.join(map(str, ROTOR_COUNTS))}."

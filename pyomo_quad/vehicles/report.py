@@ -1,4 +1,7 @@
-"""Report of the vehicles: a table of data sheets, and a page per library vehicle."""
+"""Report that compares vehicles with measured powers.
+
+It has a table of data sheets, and a page for each vehicle of the library.
+"""
 
 from functools import partial
 from pathlib import Path
@@ -27,7 +30,24 @@ SHEETS_NAME = "data_sheets.csv"
 def write_vehicles(
     folder: Path, held: tuple[Held, ...], planner: Planner, figures: Figures
 ) -> pd.DataFrame:
-    """Write the report into an empty folder; return the table of data sheets."""
+    """Write the report that compares vehicles with measured powers.
+
+    Parameters
+    ----------
+    folder : Path
+        Existing empty folder that receives the files.
+    held : tuple of Held
+        Library vehicles with measured and computed powers.
+    planner : Planner
+        Keeps compiled models between figures.
+    figures : Figures
+        Which figures to draw, and in which file formats.
+
+    Returns
+    -------
+    DataFrame
+        Table of the data sheets.
+    """
     sheets = data_sheets()
     drawings = write_study(
         folder,
