@@ -317,7 +317,7 @@ class Export:
 _Written = tuple[int, str, float, float | None]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class _Writer:
     """Export format: function that writes it, ending of its files, and accepted option.
 
@@ -583,27 +583,20 @@ trajectory = PolynomialTrajectory(
 )
 '''
 
+_PATH_ERROR, _RATE = "--path-error", "--rate"
 _WRITERS = {
     Format.QGROUNDCONTROL: _Writer(
-        write=partial(_write_mission, _as_json, MARK),
-        ending=".plan",
-        option="--path-error",
-        default=0.25,
-        is_on_globe=True,
+        partial(_write_mission, _as_json, MARK), ".plan", _PATH_ERROR, 0.25, is_on_globe=True
     ),
     Format.MISSION_PLANNER: _Writer(
-        write=partial(_write_mission, waypoint_file, WAYPOINT_FILE_HEADER),
-        ending=".waypoints",
-        option="--path-error",
-        default=0.25,
+        partial(_write_mission, waypoint_file, WAYPOINT_FILE_HEADER),
+        ".waypoints",
+        _PATH_ERROR,
+        0.25,
         is_on_globe=True,
     ),
-    Format.PX4: _Writer(write=_write_px4, ending="_px4.csv", option="--rate", default=50.0),
-    Format.ROS2: _Writer(write=_write_ros2, ending="_ros2", option="--rate", default=50.0),
-    Format.CRAZYFLIE: _Writer(
-        write=_write_crazyflie, ending="_crazyflie.csv", option="--path-error", default=0.001
-    ),
-    Format.ROTORPY: _Writer(
-        write=_write_rotorpy, ending="_rotorpy.py", option="--path-error", default=0.0001
-    ),
+    Format.PX4: _Writer(_write_px4, "_px4.csv", _RATE, 50.0),
+    Format.ROS2: _Writer(_write_ros2, "_ros2", _RATE, 50.0),
+    Format.CRAZYFLIE: _Writer(_write_crazyflie, "_crazyflie.csv", _PATH_ERROR, 0.001),
+    Format.ROTORPY: _Writer(_write_rotorpy, "_rotorpy.py", _PATH_ERROR, 0.0001),
 }

@@ -724,7 +724,7 @@ def _doubts(
     spent = np.array([[flown.energy[-1] for flown in pair] for pair in flown_twice])
     apart = float(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).sum())
     total, other = spent.sum(axis=0)
-    allowed = _AGREEING.energy_flown * max(1.0, abs(total))
+    allowed = _AGREEING.energy * max(1.0, abs(total))
     added = ""
     if len(flown_twice) > 1:
         added = (

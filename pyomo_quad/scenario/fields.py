@@ -392,14 +392,15 @@ def is_number(value: object) -> TypeGuard[float]:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def value_at(tree: Any, *place: str) -> Any:  # noqa: ANN401  before validation
-    """Return the value at a path of nested tables; None if the path does not exist."""
+def value_at(tree: Any, *place: str | int) -> Any:  # noqa: ANN401  before validation
+    """Return the value at a path of nested tables and lists; None if the path does not exist."""
     for step in place:
-        tree = tree.get(step) if isinstance(tree, Mapping) else None
+        is_listed = isinstance(tree, list | tuple) and isinstance(step, int) and step < len(tree)
+        tree = tree.get(step) if isinstance(tree, Mapping) else tree[step] if is_listed else None
     return tree
 
 
-def table_at(tree: Any, *place: str) -> Mapping[str, Any]:  # noqa: ANN401  before validation
+def table_at(tree: Any, *place: str | int) -> Mapping[str, Any]:  # noqa: ANN401  before validation
     """Return the table at a path of nested tables; empty if there is no table."""
     found = value_at(tree, *place)
     return found if isinstance(found, Mapping) else {}

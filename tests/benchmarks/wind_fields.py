@@ -21,7 +21,7 @@ import numpy as np
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.baselines import fly_baseline
 from pyomo_quad.flight.corridors import steady_power
-from pyomo_quad.polar.polar import mean_wind
+from pyomo_quad.model.wind import mean_wind
 from pyomo_quad.scenario import load_scenario
 from pyomo_quad.scenario.messages import PyomoQuadError
 from pyomo_quad.scenario.tables import Reference
