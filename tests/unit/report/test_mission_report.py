@@ -356,3 +356,11 @@ def test_the_key_of_a_wind_field_lies_within_the_figure(run):
     label = key.text.get_window_extent()
     assert label.ymax < figure.bbox.ymax
     assert label.ymin > axes.bbox.ymax
+
+
+def test_the_label_beside_a_map_of_hundreds_of_metres_lies_within_the_figure(run):
+    figure = draw_map(styled_flights(run.flights), run.scenario)
+    (axes,) = figure.axes
+    axes.set_ylim(-390.0, 390.0)
+    FigureCanvasAgg(figure).draw()
+    assert axes.yaxis.label.get_window_extent().xmin > 0.0
