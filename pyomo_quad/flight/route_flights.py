@@ -34,6 +34,8 @@ _GUESS_SAMPLES = 201
 # differ by less are solved on the next mesh, or to the tolerance.
 _NEAR_ON_FIRST, _NEAR_ON_NEXT = 1e-3, 1e-4
 _MOST_ON_NEXT, _MOST_REFINED = 4, 3
+# Ipopt's tolerance on the first mesh: what the barrier then leaves is a tenth of `_NEAR_ON_FIRST`.
+_ON_FIRST = 1e-7
 # Number of meshes, including the flight's own.
 _TO_THE_NEXT = 2
 # Share of the error on the first mesh by which energies of two flights differ from those of the
@@ -181,7 +183,8 @@ class RouteFlights:
         if self._is_plain and mission.past_waypoints is not None:
             begun = mission.past_waypoints.solve_roughly(mesh=self._mesh, guess=guess)
             guess = begun.trajectory if begun.status.is_solved else guess
-        rough = mission.solve_roughly(mesh=self._mesh, guess=guess)
+        options = replace(mission.arguments["options"], tolerance=_ON_FIRST)
+        rough = mission.solve_roughly(mesh=self._mesh, guess=guess, options=options)
         is_new = rough.status.has_failed and not self._is_plain
         if not is_new or mission.past_waypoints is None:
             return rough

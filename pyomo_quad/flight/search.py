@@ -30,8 +30,8 @@ _PROMISING = FIGURES[Accuracy.QUICK].breach
 # plan, and for a better one.
 _PATIENCE_S, _SHARE, _SHARE_FOR_BETTER = 2.0, 0.2, 0.05
 # What can be flown near a coarse mesh, which takes seconds to find, is found after so many times
-# as long, or after this share of the time limit.
-_LONG, _SHARE_OF_LIMIT = 5.0, 0.3
+# as long, by which most searches have a better plan, or after this share of the time limit.
+_LONG, _SHARE_OF_LIMIT = 7.5, 0.3
 # Coarse meshes from which a usable plan is sought.
 _MOST_SEARCHES = 2
 
