@@ -7,15 +7,16 @@ between.  Zones are kept clear of by three centimetres more, for the error of a 
 
 The mission after each waypoint has its own equations; it is compiled and solved once before
 take-off.  The price of a breach, and the state that a re-plan begins from: see
-docs/theory/soft_limits.md, eqs. (1) and (2).
+docs/theory/soft_limits.md, eqs. (1) to (3).
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
-from math import ceil, floor, log
+from math import ceil, floor, log, sqrt
 
 import numpy as np
+from numpy.linalg import norm
 
 from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import (
@@ -33,17 +34,18 @@ from pyomo_quad.flight.baselines import (
 from pyomo_quad.flight.caches import REMAINING
 from pyomo_quad.flight.controller import (
     rotor_columns,
+    tilt_toward,
 )
 from pyomo_quad.flight.flight import (
-    ARRIVAL_DISTANCE_M,
     HELD_BREACH,
     POSITION_STATES,
+    TILT_STATES,
     VELOCITY_STATES,
 )
 from pyomo_quad.flight.margins import tightened, used_up
 from pyomo_quad.flight.plan import Trajectories, trajectories_of
 from pyomo_quad.flight.planning import Planner
-from pyomo_quad.flight.references import SampledPath
+from pyomo_quad.flight.references import PlannedPath, Setpoint
 from pyomo_quad.model import build_model, build_remaining, parameter_values, structure_key
 from pyomo_quad.model.mission import free_times, measured_start
 from pyomo_quad.model.soft_limits import BREACHES, PRICE, usual_price
@@ -59,6 +61,9 @@ _ELEMENT_S, _FEWEST, _MOST, _FIRST_DEGREE = 1.25, 8, 24, 4
 # s. Shortest and longest elements of a re-plan's mesh, the ratio of neighbours, and the degree: of
 # half the points of elements of 0.3 to 2 s of degree 4, and 1 J of 15 kJ farther off.
 _SHORT_S, _LONG_S, _GROWTH, _DEGREE = 0.4, 2.5, 1.5, 3
+# s. First element of a hold: limits are kept at the points of a mesh, and before the first point of
+# an element of 0.4 s a plan that brakes with 4 m/s^2 was faster by 0.3 m/s than it may hover.
+_AT_ONCE_S = 0.05
 # Share of the time left until which a mesh is kept.
 _KEPT = 0.8
 # Samples of a plan from which another is begun.
@@ -145,6 +150,8 @@ class Remainder:
         then = self.timeline(first - whole * _KEPT**shrunk)
         pairs = pairwise(then.times.tolist())
         between = [inner for start, stop in pairs for inner in _graded(start, stop)]
+        if self.is_holding:
+            between.append(first + _AT_ONCE_S)
         fractions = then.fraction(np.array([*between, *then.times[1:-1]]))
         return Mesh.uniform(1, _DEGREE).with_breakpoints(fractions.tolist())
 
@@ -175,7 +182,7 @@ class Course:
     """Plan that is being flown, its reference path, and the mass and wind that it was made for."""
 
     plan: Trajectories
-    path: SampledPath
+    path: PlannedPath
     belief: Belief
     estimate: FloatArray
     """Unexplained acceleration that the belief accounts for [m/s^2]."""
@@ -230,7 +237,10 @@ class Replanner:
         self._numbers: Numbers = {**parameter_values(believed), **self._air}
         self.dynamics = self._whole.dynamics(parameters=self._numbers, horizon=(0.0, self._end))
         self._price = usual_price(scenario)
-        self._tube = max(ARRIVAL_DISTANCE_M, self.margins.get(_CLEARANCE, 0.0))
+        gains = scenario.baseline.gains
+        closing = gains.position * (gains.position + gains.velocity)
+        #: Distance [m] at which closing the error takes the controller's largest correction.
+        self.tube = gains.acceleration_max / closing
         self._last: dict[Remainder, Solution] = {}
 
     def released(self, t: float) -> float:
@@ -368,17 +378,33 @@ class Replanner:
 
         A flight near its plan goes on from the plan's own state: the controller corrects what it is
         off, and a re-plan from where it is would follow each of its lags.  A flight farther off
-        goes on from its own place and velocity, as predicted; its attitude follows the plan's.
+        goes on from as far towards its own place and velocity as brings it near.  Attitude and
+        rotor speeds are the plan's, changed to give the acceleration that the controller has learnt
+        to add: the next plan knows of it, and would have to lean against it anew.
         """
         planned, later = self._states(course.plan, start, end)
+        self._lean(later, course.path(end), unexplained)
         places = [self.dynamics.state_names.index(name) for name in POSITION_STATES]
-        if np.linalg.norm((state - planned)[places]) <= self._tube:
+        distance = float(np.linalg.norm((state - planned)[places]))
+        if distance <= self.tube:
             return later
+        # As little as leaves the vehicle within the tube about the next plan.
+        share = 1.0 - self.tube / distance
         speeds = [self.dynamics.state_names.index(name) for name in VELOCITY_STATES]
-        velocity = state[speeds] + (end - start) * unexplained
-        later[places] += (state - planned)[places] + (end - start) * (velocity - planned[speeds])
-        later[speeds] += velocity - planned[speeds]
+        faster = share * (state - planned)[speeds]
+        later[places] += share * (state - planned)[places] + (end - start) * faster
+        later[speeds] += faster
         return later
+
+    def _lean(self, state: FloatArray, setpoint: Setpoint, unexplained: FloatArray) -> None:
+        """Change roll, pitch and rotor speeds of a planned state to withstand an acceleration."""
+        weight = np.array([0.0, 0.0, self._scenario.gravity])
+        given = np.array(setpoint.acceleration[:3]) + weight
+        leaning, yaw = given - unexplained, setpoint.place[3]
+        angles = [self.dynamics.state_names.index(name) for name in TILT_STATES]
+        before, after = (tilt_toward(force.tolist(), yaw) for force in (given, leaning))
+        state[angles] += np.subtract(after, before)
+        state[rotor_columns(self.dynamics)] *= sqrt(norm(leaning) / norm(given))
 
     def _states(self, plan: Trajectories, *times: float) -> FloatArray:
         """Return a plan's states at times, in the order of the dynamics."""

@@ -6,7 +6,8 @@ the vehicle is to be once the solve is done, warm-started from the last such pla
 the first, and from the middle of each hold to the next, it follows the plan made before take-off.
 
 A flight near its plan is planned on from the plan's own state, for the controller corrects what it
-is off; one farther off from its measured place and velocity (tube-based predictive control).  From
+is off; one farther off from the nearest state to the plan's that it is near (tube-based predictive
+control).  From
 every state that rotors and pack can leave there is a re-plan, for its limits are soft.  Where a
 solve fails all the same, the last plan is flown on as long as the flight is off it by less than the
 margins of the limits; beyond them the solve is repeated with as many iterations as it needs, and

@@ -20,7 +20,7 @@ _WITHOUT_RISK = "planned without a risk, which leaves nothing to the controller"
 
 
 def limit_lines(plan: Plan, flights: Sequence[Flight]) -> Iterator[str]:
-    """Yield a line for each flight: the limits that it breaks, and what the plan's risk says.
+    """Yield a line for each flight that breaks a limit: which, and what the plan's risk says.
 
     Parameters
     ----------
@@ -28,9 +28,10 @@ def limit_lines(plan: Plan, flights: Sequence[Flight]) -> Iterator[str]:
         That the flights follow or are compared with.
     flights : sequence of Flight
     """
+    if flights and not any(flight.broken_limits for flight in flights):
+        yield "Every flight keeps every limit."
     for flight in flights:
         if not flight.broken_limits:
-            yield f"{flight.name} keeps every limit."
             continue
         broken = "; ".join(flight.broken_limits)
         yield f"{flight.name} breaks a limit: {broken} ({_risk_words(plan.risk, flight)})."
