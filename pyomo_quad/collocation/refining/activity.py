@@ -1,4 +1,4 @@
-"""Active limits, and the elements where limits become active or inactive.
+"""Active limits, and the elements in which limits become active or inactive (junctions).
 
 The rule: see docs/theory/refinement.md, eq. (7).
 """
@@ -20,7 +20,7 @@ SAME = 1e-12
 
 
 def junction_elements(solution: Solution) -> frozenset[int]:
-    """Return the elements in or beside which the activity of a limit changes.
+    """Return the indices of elements in or beside which a limit becomes active or inactive.
 
     A change at a time at which the equations themselves may change is not counted.
     """
@@ -29,7 +29,7 @@ def junction_elements(solution: Solution) -> frozenset[int]:
 
 
 def switch_elements(solution: Solution) -> frozenset[int]:
-    """Return the junction elements of limits on algebraic variables alone.
+    """Return the indices of elements in which only limits on algebraic variables change activity.
 
     Where a limit on a state becomes active or inactive, the state's costate may jump as well.
     """
@@ -47,7 +47,16 @@ def switch_elements(solution: Solution) -> frozenset[int]:
 def _changing(
     solution: Solution, limits: NDArray[np.bool_], active: NDArray[np.bool_]
 ) -> frozenset[int]:
-    """Return the elements in or beside which the activity of chosen limits changes."""
+    """Return the indices of elements in or beside which chosen limits change their activity.
+
+    Parameters
+    ----------
+    solution : Solution
+    limits : ndarray of bool, shape (n_limits,)
+        The chosen limits.
+    active : ndarray of bool, shape (n_points, n_limits)
+        Whether each limit is active at each collocation point.
+    """
     element = solution.mesh.element_of_point
     is_known = np.isin(element[1:], np.flatnonzero(known_boundaries(solution))) & (
         element[1:] > element[:-1]
@@ -57,7 +66,11 @@ def _changing(
 
 
 def known_boundaries(solution: Solution) -> NDArray[np.bool_]:
-    """Return for each element, and the end, whether it starts at a condition or a jump."""
+    """Return whether the problem requires each breakpoint of the mesh.
+
+    Shape (n_elements + 1,). A breakpoint is required at start and end, where a condition is
+    imposed, and where a parameter jumps.
+    """
     required = solution.problem.required_breakpoints(solution.instance)
     starts = np.asarray(solution.mesh.breakpoints)
     return np.any(np.abs(starts[:, None] - np.array([0.0, *required, 1.0])) < SAME, axis=1)
@@ -66,8 +79,10 @@ def known_boundaries(solution: Solution) -> NDArray[np.bool_]:
 def active_limits(solution: Solution) -> NDArray[np.bool_]:
     """Return whether each limit over time is active at each point, shape (n_points, n_limits).
 
-    At an interior-point solution the product of multiplier and slack is the same small number
-    everywhere; a limit is active where the multiplier is the larger of the two.
+    The limits are, in this order: lower bounds of states and algebraic variables, their upper
+    bounds, lower sides of path equations, and their upper sides. At an interior-point solution the
+    product of multiplier and slack is the same small number everywhere; a limit is active where the
+    multiplier is the larger of the two.
     """
     program, layout = solution.program, solution.program.layout
     bounds, scaling = solution.bounds, solution.scaling
@@ -101,6 +116,18 @@ def _exceeds(
     positions: NDArray[np.intp],
     density: FloatArray,
 ) -> NDArray[np.bool_]:
-    """Return whether scaled multiplier densities exceed scaled slacks; False for equalities."""
+    """Return whether scaled multiplier densities exceed scaled slacks; False for equalities.
+
+    Parameters
+    ----------
+    multipliers, slacks : ndarray, shape (n,)
+        Scaled multipliers and slacks of all unknowns or constraints.
+    held : ndarray of bool, shape (n,)
+        Whether lower and upper bound are equal.
+    positions : ndarray of int, shape (n_points, n_limits)
+        Position of each limit among the n.
+    density : ndarray, shape (n_points, 1)
+        Factor that makes a multiplier a scaled function of time.
+    """
     is_active = multipliers[positions] * density > slacks[positions]
     return np.asarray(is_active & ~held[positions])
