@@ -400,7 +400,7 @@ def _against_the_air(path: ReferencePath, plant: OutsidePlant) -> ReferencePath:
     forces = tuple((name, None) for name in AIR_FORCE)
 
     def told(t: float) -> Setpoint:
-        place, rate, acceleration = path(t)
+        place, rate, acceleration, _ = path(t)
         level = start_state(plant.scenario, dynamics)
         level[moving] = *place[:3], *rate[:3]
         controls = np.zeros((1, len(dynamics.control_names)))
@@ -426,7 +426,7 @@ def _flights_of_set(mission: _Mission) -> Iterator[Flown]:
     path = mission.path(Reference.PLAN)
 
     def turned(t: float) -> Setpoint:
-        place, rate, acceleration = path(t)
+        place, rate, acceleration, _ = path(t)
         return Setpoint([*place[:3], place[3] - theirs.turn], rate, acceleration)
 
     yield mission.under(Plant.WITHOUT_ROTOR_INERTIA, theirs, OUR_HEADING, turned, Reference.PLAN)
