@@ -1,8 +1,10 @@
-"""Minimum-energy quadrotor flight in wind, declared, solved, verified and compared.
+"""Minimum-energy flight of a quadrotor in wind: planning, verification and comparison.
 
-`load_scenario` reads a scenario, `solve` returns its `Plan`, `run_scenario` flies the baselines
-beside it, `export_plan` hands it to an autopilot, and `build_model` returns the Pyomo model that is
-solved.
+A scenario describes vehicle, battery, wind and mission. `load_scenario` reads a scenario file.
+`solve` returns the minimum-energy `Plan` of a scenario. `run_scenario` also flies an adaptive
+controller on the same mission, for comparison, and returns a `RunResult`. `export_plan` writes a
+plan in the format of an autopilot or simulator. `build_model` returns the Pyomo model of a
+scenario.
 """
 
 from importlib import import_module
@@ -34,7 +36,8 @@ __all__ = [
     "solve",
 ]
 
-# Pyomo, CasADi and SciPy take over a second to import: only who uses them waits for them.
+# Module that defines each public name. `__getattr__` imports the module on first use of the name,
+# because Pyomo, CasADi and SciPy together take over a second to import.
 _HOMES = {
     "Plan": "pyomo_quad.flight",
     "RunResult": "pyomo_quad.study.run",
@@ -58,26 +61,31 @@ register_presenter(_presenter)
 def solve(
     scenario: "Scenario | str | Path | Mapping[str, Any]", *, allow_code: bool = False
 ) -> "Plan":
-    """Solve a scenario with the margins that its risk requires, and verify the plan by simulation.
+    """Plan the minimum-energy flight of a scenario, and verify the plan by simulation.
+
+    If the scenario states a risk (the permitted probability that a flight breaks a limit), the
+    limits are tightened by the margins that this risk requires.
 
     Parameters
     ----------
     scenario : Scenario, str, Path or mapping
-        A scenario, the TOML file of one, or nested mappings that say what one would.
+        A loaded scenario, the path of a scenario file (TOML), or nested mappings with the same
+        keys as a scenario file.
     allow_code : bool, default False
-        Whether a model builder that the scenario names may run.
+        Whether to run the Python model builder that the scenario names, if it names one.
 
     Returns
     -------
     Plan
-        With its status: a solve that fails is a result, not an exception.
+        The planned flight with its `status`. A solve that fails numerically also returns a plan,
+        whose status and message give the reason; it raises no exception.
 
     Raises
     ------
     ScenarioError
-        If the scenario is not allowed; one line, naming the field.
+        If the scenario has an invalid value; the message is one line and names the field.
     FeasibilityError
-        If the rotors cannot carry the vehicle.
+        If the rotors cannot lift the vehicle.
 
     Examples
     --------

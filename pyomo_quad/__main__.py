@@ -1,4 +1,4 @@
-"""`python -m pyomo_quad` is `pyomo-quad`."""
+"""Entry point of `python -m pyomo_quad`, which runs the `pyomo-quad` command."""
 
 import sys
 

@@ -1,7 +1,9 @@
-"""Protocols by which plans and runs find the functions that draw and report them.
+"""Registry through which plans and runs call the functions that draw and report them.
 
-The lower floors import nothing that draws. The package tells this module, when it is imported, how
-to find the functions that do; a plan or a run asks for them when it is drawn.
+Methods such as `Plan.plot` need `pyomo_quad.report`, which imports matplotlib. Modules that define
+plans and runs must not import `pyomo_quad.report`, because imports go only from higher packages to
+lower packages. Therefore `pyomo_quad/__init__.py` registers here a function that imports the
+report package, and a plan or run calls `presenter()` when it is drawn or reported.
 """
 
 from collections.abc import Callable
@@ -10,49 +12,129 @@ from typing import Any, Protocol
 
 
 class Picture(Protocol):
-    """Drawn figure that notebooks show."""
+    """Interface of a drawn figure: a notebook displays it, and `save` writes it to a file."""
 
     @property
     def name(self) -> str:
-        """Name of the figure, or the column of the table that it shows."""
+        """Name of the figure, or the trajectory table's column that the figure shows."""
 
     @property
     def caption(self) -> str:
-        """Description of the figure, as a report prints it."""
+        """Caption that a report prints under the figure."""
 
     @property
     def figure(self) -> Any:  # noqa: ANN401  this floor does not import matplotlib
-        """The matplotlib figure, to change or to add to."""
+        """The matplotlib Figure itself, for changes and additions by the user."""
 
     def save(self, path: str | Path) -> Path:
-        """Write the figure to a file that ends in .png, .svg or .pdf, and return its path."""
+        """Write the figure to a file and return its path.
+
+        Parameters
+        ----------
+        path : str or Path
+            Name of the file, which ends in .png, .svg or .pdf.
+        """
 
 
 class Presenter(Protocol):
-    """Functions that draw and report plans and runs."""
+    """Interface of the module that draws and reports plans and runs: `report.presenting`.
+
+    A run is the result of `run_scenario`: a plan together with the baseline flights that it is
+    compared with.
+    """
 
     def picture_of_plan(self, plan: Any, what: str) -> Picture:  # noqa: ANN401
-        """Draw the figure named `what` of a plan, or the column named `what` of its table."""
+        """Draw one figure of a plan.
+
+        Parameters
+        ----------
+        plan : Plan
+            Planned flight.
+        what : str
+            Name of a figure of the plan's report, or a column of the plan's trajectory table, which
+            is then drawn against time.
+
+        Returns
+        -------
+        Picture
+            The drawn figure with its caption.
+        """
 
     def picture_of_run(self, result: Any, what: str) -> Picture:  # noqa: ANN401
-        """Draw the figure named `what` of a run, or the column named `what` of its plan's table."""
+        """Draw one figure of a run: a plan with the baseline flights it is compared with.
+
+        Parameters
+        ----------
+        result : RunResult
+            Result of `run_scenario`.
+        what : str
+            Name of a figure of the run's report, or a column of the plan's trajectory table, which
+            is then drawn against time.
+
+        Returns
+        -------
+        Picture
+            The drawn figure with its caption.
+        """
 
     def report_plan(self, plan: Any, folder: str | Path, figures: str) -> Path:  # noqa: ANN401
-        """Write the report of a plan into a folder and return its text file."""
+        """Write the report of a plan.
+
+        Parameters
+        ----------
+        plan : Plan
+            Planned flight.
+        folder : str or Path
+            Folder that receives the report.
+        figures : str
+            Which figures to write: a value of `pyomo_quad.report.Figures`.
+
+        Returns
+        -------
+        Path
+            The report's Markdown file.
+        """
 
     def report_run(self, result: Any, folder: str | Path, figures: str) -> Path:  # noqa: ANN401
-        """Write the report of a run into a folder and return its page."""
+        """Write the report of a run: a plan with the baseline flights it is compared with.
+
+        Parameters
+        ----------
+        result : RunResult
+            Result of `run_scenario`.
+        folder : str or Path
+            Folder that receives the report.
+        figures : str
+            Which figures to write: a value of `pyomo_quad.report.Figures`.
+
+        Returns
+        -------
+        Path
+            The report's HTML page.
+        """
 
 
 _supply: list[Callable[[], Presenter]] = []
 
 
 def register_presenter(supply: Callable[[], Presenter]) -> None:
-    """Register the function that imports and returns the presenter, once for the process."""
+    """Register the function that imports and returns the presenter, `report.presenting`.
+
+    A second registration replaces the first.
+
+    Parameters
+    ----------
+    supply : callable
+        Function without arguments that returns a `Presenter`. It is not called before the first
+        plan or run is drawn, because it imports matplotlib.
+    """
     _supply[:] = [supply]
 
 
 def presenter() -> Presenter:
-    """Return the presenter; the first call imports matplotlib."""
+    """Return the registered presenter, the module that draws and reports plans and runs.
+
+    The first call imports matplotlib.
+    """
     (supply,) = _supply
     return supply()

@@ -1,3 +1,3 @@
-"""Version of the package."""
+"""Version number of the package pyomo_quad."""
 
 __version__ = "0.2.0"

@@ -1,4 +1,8 @@
-"""The command line, which catches signals before it imports the commands."""
+"""Command line `pyomo-quad`.
+
+Signals such as Ctrl-C are caught before the commands are imported, because the imports take up to
+a second.
+"""
 
 from collections.abc import Sequence
 
@@ -9,7 +13,19 @@ __all__ = ["main"]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command."""
+    """Run one `pyomo-quad` command.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Arguments of the command. By default those of the process, which then belongs to the
+        command: signals end it, and threads and garbage collection are set for speed.
+
+    Returns
+    -------
+    int
+        Exit status, a value of `ExitCode`.
+    """
     if arguments is None:
         end_on_signals()
         own_process()

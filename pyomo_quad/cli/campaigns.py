@@ -1,4 +1,4 @@
-"""`pyomo-quad campaign`: repeated missions on one battery charge until it is at its limit."""
+"""Command `pyomo-quad campaign`: fly missions in turn until the battery is empty."""
 
 from pathlib import Path
 from typing import Annotated
@@ -39,7 +39,7 @@ def campaign(
     as_json: AsJson = False,
     allow_code: AllowCode = False,
 ) -> int:
-    """Plan missions one after the other on a battery charge, until it is at its limit."""
+    """Plan missions one after the other on one battery charge, until the battery is at a limit."""
     missions = [load_scenario(file, overrides or ()) for file in scenarios]
     folder = out or Path("reports") / f"{'+'.join(one.name for one in missions)}-campaign"
     refuse_output_folder(folder)

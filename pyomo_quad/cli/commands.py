@@ -1,4 +1,7 @@
-"""The `pyomo-quad` command: `fly`, `run`, `compare`, `solve`, and exit codes for all errors."""
+"""Command `pyomo-quad`: the commands `fly`, `run`, `compare` and `solve`, and error handling.
+
+Every error ends a command with one line on standard error and an exit status.
+"""
 
 import sys
 import traceback
@@ -58,7 +61,12 @@ if TYPE_CHECKING:
 
 
 class Controller(StrEnum):
-    """Controller of a simulated flight."""
+    """Controller of a simulated flight.
+
+    `ADAPTIVE` follows a reference with adaptive feedback, `OPEN_LOOP` applies the plan's controls
+    without feedback, `MPC` plans anew in flight, and `SE3` is the controller of the simulator
+    RotorPy.
+    """
 
     ADAPTIVE = "adaptive"
     OPEN_LOOP = "open_loop"
@@ -67,7 +75,7 @@ class Controller(StrEnum):
 
 
 class Plant(StrEnum):
-    """Simulated vehicle: the declared equations, or RotorPy."""
+    """Vehicle model of a simulated flight: the scenario's own equations, or RotorPy's."""
 
     DECLARED = "declared"
     ROTORPY = "rotorpy"
@@ -160,7 +168,8 @@ def fly(
     if controller is Controller.MPC and resolved.baseline.mpc is None:
         resolved = resolved.with_values({"baseline.mpc": {}})
     flown = [plant] if plant is Plant.ROTORPY else []
-    # A single flight must not replace the report of the scenario in reports/NAME.
+    # The folder's name contains the controller, so that a flight does not replace the report of the
+    # run in reports/NAME.
     name = "-".join((resolved.name, *flown, controller, followed or knowledge))
     folder = out or Path("reports") / name
     refuse_output_folder(folder)
@@ -179,7 +188,7 @@ def fly(
 
 
 def is_plan(path: Path) -> bool:
-    """Return whether a path names a plan, not a scenario."""
+    """Return whether a path names a saved plan (file or report folder), not a scenario."""
     return path.is_dir() or path.suffix == ".npz"
 
 
@@ -214,7 +223,14 @@ def _flown(
     knowledge: Knowledge,
     watch: Stopwatch,
 ) -> tuple[Scenario, "Flight"]:
-    """Return the mission flown, with its plan's times if it is planned, and the flight."""
+    """Simulate the flight that the options of `fly` describe.
+
+    Returns
+    -------
+    tuple of (Scenario, Flight)
+        The mission flown, with the plan's duration and passing times if it was planned; and the
+        flight.
+    """
     from pyomo_quad.cli import flying  # noqa: PLC0415  as above
     from pyomo_quad.flight.deadline import Deadline  # noqa: PLC0415
 
@@ -314,7 +330,7 @@ def compare(
 ) -> int:
     """Compare the flights of several scenarios in one table, with a figure and a page.
 
-    A finished run of the same scenario is read from its folder.
+    A finished run of the same scenario is read from its report folder instead of solved again.
     """
     missions = [load_scenario(file, overrides or ()) for file in scenarios]
     refuse_output_folder(out)
@@ -419,7 +435,7 @@ def solve(
     return solving.exit_code_of(plan)
 
 
-# Base class of errors in the command line: in click, or in the copy of click in newer typer.
+# Base class of the errors of click, or of the copy of click that newer versions of typer contain.
 _UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 
 app = typer.Typer(
@@ -463,7 +479,7 @@ def _before_any_command(
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Version.")
     ] = False,
 ) -> None:
-    """Handle the options before the command."""
+    """Handle the options that stand before the command's name."""
 
 
 def _end_other_processes() -> None:
@@ -473,7 +489,13 @@ def _end_other_processes() -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit status; see `pyomo_quad.cli.main`."""
+    """Run one command, print any error as one line, and return the exit status.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Arguments of the command; by default those of the process, as in `pyomo_quad.cli.main`.
+    """
     if arguments is None:
         before_the_end(_end_other_processes)
         before_the_end(discard_unfinished)
@@ -500,7 +522,7 @@ _NO_MEMORY = ("std::bad_alloc", "Cannot allocate memory")
 
 
 def _lacks_memory(error: BaseException | None) -> bool:
-    """Return whether an error or one of its causes is a lack of memory."""
+    """Return whether lack of memory caused an error, directly or through another error."""
     while error is not None:
         if isinstance(error, MemoryError) or any(said in str(error) for said in _NO_MEMORY):
             return True

@@ -1,4 +1,4 @@
-"""The end of a command: exit statuses, and the effect of Ctrl-C, SIGTERM and SIGHUP."""
+"""End of a command: exit statuses, and the effect of Ctrl-C, SIGTERM and SIGHUP."""
 
 import gc
 import os
@@ -11,7 +11,7 @@ from typing import Any
 
 
 class ExitCode(IntEnum):
-    """Exit status of `pyomo-quad`."""
+    """Exit status of a `pyomo-quad` command: 0 for success, otherwise the kind of failure."""
 
     VERIFIED = 0
     FAULT = 1  # the disk, the system or a bug
@@ -24,7 +24,7 @@ class ExitCode(IntEnum):
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _PATIENCE_S = 0.5  # a user who stops a command expects the prompt at once
-_REPORT_S = 60.0  # or, once, the report of the usable plan that is there
+_REPORT_S = 60.0  # time to write the report of a usable plan after the first signal
 _LINE = b"pyomo-quad: interrupted; no report was written.\n"
 # Erase the progress line of a solve, and show the cursor, which that line hid.
 _CLEAR = b"\r\x1b[K\x1b[?25h"
@@ -34,11 +34,14 @@ _is_told = False
 
 
 class Stopped(Exception):  # noqa: N818  a stop by the user is not an error
-    """Exception: the user stopped a command, and no message was printed yet."""
+    """Exception: the user stopped a command before it printed its result.
+
+    The handler prints a message, because none has been printed yet.
+    """
 
 
 class SolveStopped(Stopped):
-    """Exception: the user stopped a solve; ``plan`` holds its best iterate."""
+    """Exception: the user stopped a solve; ``plan`` holds its best iterate so far."""
 
     def __init__(self, plan: Any) -> None:  # noqa: ANN401  its type would import the engine
         super().__init__("interrupted")
@@ -46,9 +49,11 @@ class SolveStopped(Stopped):
 
 
 class Interruption:
-    """Record of the user's request to stop.
+    """Record of a user's request to stop the running command.
 
-    With `has_result` set, the command has the time to write its result, unless the user insists.
+    After the request the process ends within half a second. If `has_result` is set, because a
+    usable plan exists, the command has a minute to write its report, unless the user sends a second
+    signal.
     """
 
     def __init__(self) -> None:
@@ -56,12 +61,15 @@ class Interruption:
         self.has_result = False
 
     def request(self, _signal: int, _frame: FrameType | None) -> None:
-        """Record the first signal; raise at the second if no timer ends the process.
+        """Handle a signal: record the first, and start the timer that ends the process.
+
+        At a second signal the process ends sooner. In a process that does not belong to the
+        command, such as a test, no timer is set and the second signal raises.
 
         Raises
         ------
         KeyboardInterrupt
-            When the user insists, in a process that is not the command's own.
+            At a second signal in a process that does not belong to the command.
         """
         if self.is_requested and not _enforce(_PATIENCE_S):
             raise KeyboardInterrupt
@@ -71,19 +79,23 @@ class Interruption:
 
 
 def end_on_signals() -> None:
-    """Make Ctrl-C, SIGTERM and SIGHUP end this process from now on."""
+    """Make Ctrl-C, SIGTERM and SIGHUP end this process at once, from now on."""
     for number in (*_heeded(), signal.SIGALRM):
         signal.signal(number, _end)
 
 
 def _heeded() -> list[signal.Signals]:
-    """Return the signals that end a command; under nohup without SIGHUP."""
+    """Return the signals that end a command; under nohup, SIGHUP is not among them."""
     is_deaf = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
     return [number for number in _SIGNALS if number != signal.SIGHUP or not is_deaf]
 
 
 def leave(status: int) -> int:
-    """End the process at once if a signal requested it; else return the status."""
+    """Finish the process of a command.
+
+    Ends the process at once if a signal has requested this; otherwise returns the exit status and
+    disables the slow deallocation of objects at the end.
+    """
     if signal.getitimer(signal.ITIMER_REAL)[0] > 0.0:
         os._exit(status)
     gc.freeze()  # the process ends: freeing its objects one by one would take 0.3 s
@@ -91,19 +103,34 @@ def leave(status: int) -> int:
 
 
 def has_told() -> None:
-    """Record that the command printed its message, so that a timer prints no second message."""
+    """Record that the command has printed its last message.
+
+    If a timer ends the process later, it prints no second message.
+    """
     global _is_told  # noqa: PLW0603  a fact about the process
     _is_told = True
 
 
 def before_the_end(act: Callable[[], object]) -> None:
-    """Register a quick function to be called before a signal ends the process."""
+    """Register a quick function to be called before a signal ends the process.
+
+    Examples are the removal of temporary files and the end of child processes.
+    """
     _last_acts.append(act)
 
 
 @contextmanager
 def stop_on_interrupt() -> Iterator[Interruption]:
-    """Context that records a signal as a request to stop, and ends the process soon after."""
+    """Context manager: record signals as a request to stop, in place of ending the process.
+
+    A solve checks the record at each iteration, and can so return its best iterate. The process
+    still ends if the block takes longer than the time that `Interruption` grants.
+
+    Yields
+    ------
+    Interruption
+        The record.
+    """
     interruption = Interruption()
     with _handled_by(interruption.request):
         yield interruption
@@ -111,7 +138,15 @@ def stop_on_interrupt() -> Iterator[Interruption]:
 
 @contextmanager
 def raise_on_interrupt() -> Iterator[None]:
-    """Context that raises `KeyboardInterrupt` at the first signal."""
+    """Context manager: stop the ``with`` block at the first signal.
+
+    The signal raises `KeyboardInterrupt` inside the block, so that the block can clean up.
+
+    Raises
+    ------
+    Stopped
+        On leaving the block, if a signal arrived.
+    """
     is_asked = False
 
     def once(_signal: int, _frame: FrameType | None) -> None:
@@ -145,9 +180,17 @@ def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[No
 
 
 def _enforce(patience_s: float) -> bool:
-    """End the process after some seconds, or sooner if an earlier timer is set.
+    """Set a timer that ends the process, unless an earlier timer is set.
 
-    Return whether the process is the command's own; another process is left alone.
+    Parameters
+    ----------
+    patience_s : float
+        Seconds until the end.
+
+    Returns
+    -------
+    bool
+        Whether the process belongs to the command; in any other process no timer is set.
     """
     is_own = signal.getsignal(signal.SIGALRM) is _end
     left_s = signal.getitimer(signal.ITIMER_REAL)[0]

@@ -1,4 +1,4 @@
-"""`pyomo-quad fly --flights`: simulate one plan many times, and report."""
+"""Command `pyomo-quad fly --flights N`: simulate one plan in many random winds, and report."""
 
 from collections.abc import Iterator, Sequence
 from functools import partial
@@ -34,7 +34,34 @@ def fly_many(
     as_json: bool,
     is_code_allowed: bool,
 ) -> ExitCode:
-    """Simulate a plan many times; the plan comes from a file, a report or a scenario."""
+    """Simulate a plan many times, each time in a random wind, and write the report.
+
+    Parameters
+    ----------
+    path : Path
+        Scenario file to plan, file of a saved plan, or report folder of a run.
+    flights : int
+        Number of flights.
+    seed : int
+        Seed of the random winds.
+    cruises : sequence of float
+        Speeds [m/s] at which an autopilot flies the mission in the same winds, for comparison.
+    out : Path or None
+        Report folder; None for the default.
+    overrides : sequence of str
+        Changes of scenario fields, as ``PATH=VALUE``.
+    figures : Figures
+        Which figures to draw, and in which file formats.
+    is_quiet, as_json : bool
+        Whether to print nothing, or the result as JSON.
+    is_code_allowed : bool
+        Whether to run the Python model builder that the scenario names.
+
+    Returns
+    -------
+    ExitCode
+        `VERIFIED`, unless an error is raised.
+    """
     plan, planner = _plan_of(
         path, overrides, is_quiet=is_quiet or as_json, is_code_allowed=is_code_allowed
     )
@@ -86,7 +113,7 @@ def _refuse_equal_flights(mission: Scenario, flights: int) -> None:
 
 
 def _lines(flown: Ensemble, savings: Sequence[Saving]) -> Iterator[str]:
-    """Yield the printed lines on the flights and their savings."""
+    """Yield the printed lines on an ensemble of flights and on the plan's energy savings."""
     name, told = flown.scenario.name, flown.summary
     low, middle, high = flown.band("energy_J")
     yield f"{name}: {flown.held} of {flown.count} flights arrived and kept every limit."

@@ -1,4 +1,4 @@
-"""`pyomo-quad fly`: flights, their files, and the printed result."""
+"""Parts of the command `pyomo-quad fly`: plan, simulate, write files, print the result."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -32,7 +32,7 @@ from pyomo_quad.study.comparison import has_arrived
 
 
 def make_plan(planner: Planner, scenario: Scenario) -> Plan:
-    """Solve the plan for a flight; on failure print the reason and exit."""
+    """Plan the flight that is to be simulated; if no usable plan is found, exit with the reason."""
     plan = plan_at_risk(scenario, planner)
     if plan.is_flyable:
         return plan
@@ -45,7 +45,20 @@ _Outcome = TypeVar("_Outcome")
 
 
 def make_flight(scenario: Scenario, fly: Callable[[], _Outcome]) -> _Outcome:
-    """Simulate flights; if they are impossible print the reason and exit."""
+    """Call a function that simulates flights; if a flight is impossible, exit with the reason.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Mission, whose name the message prints.
+    fly : callable
+        Function without arguments that simulates and returns the flights.
+
+    Raises
+    ------
+    Exit
+        With status `NOT_SOLVED`, if the function raises `SolveError`.
+    """
     try:
         return fly()
     except SolveError as error:
@@ -56,9 +69,20 @@ def make_flight(scenario: Scenario, fly: Callable[[], _Outcome]) -> _Outcome:
 def fly_declared(
     planner: Planner, scenario: Scenario, reference: Reference | None, plan: Plan | None
 ) -> Flight:
-    """Simulate the adaptive controller along a reference, or the plan in open loop.
+    """Simulate a flight of the scenario's own vehicle model, under control or in open loop.
 
-    A cruise has the speed of the scenario, or the tuned settings where it has none.
+    Parameters
+    ----------
+    planner : Planner
+        Source of the vehicle's equations of motion.
+    scenario : Scenario
+        Mission and wind.
+    reference : Reference or None
+        Reference trajectory that the adaptive controller follows. None flies the plan's controls
+        without feedback. `CRUISE` flies an autopilot at the scenario's speed, or, if the scenario
+        gives none, at the speed with the least energy.
+    plan : Plan or None
+        Plan, where the flight needs one.
     """
     if reference is Reference.CRUISE:
         asked = scenario if plan is None else plan.scenario
@@ -72,13 +96,23 @@ def fly_declared(
 
 
 def fly_mpc(planner: Planner, scenario: Scenario, knowledge: Knowledge) -> Flight:
-    """Simulate model-predictive control, which re-plans the rest of the mission in flight."""
+    """Simulate a flight under model-predictive control, which re-plans the rest in flight.
+
+    Parameters
+    ----------
+    planner : Planner
+        Planner of the repeated solves.
+    scenario : Scenario
+        Mission and wind.
+    knowledge : Knowledge
+        Information on the wind that the repeated solves have.
+    """
     dynamics = vehicle_flown(planner, scenario)
     return fly_replanned(scenario, knowledge, dynamics=dynamics, planner=planner)
 
 
 def refuse_outside(scenario: Scenario) -> None:
-    """Raise an error for a scenario that RotorPy cannot fly."""
+    """Raise an error if the simulator RotorPy is missing or cannot fly the scenario."""
     rotorpy_module(MULTIROTOR)
     refuse_pushing_wind(scenario)
 
@@ -86,7 +120,21 @@ def refuse_outside(scenario: Scenario) -> None:
 def fly_rotorpy(
     planner: Planner, scenario: Scenario, pilot: str, followed: Reference, plan: Plan | None
 ) -> Flight:
-    """Simulate the scenario's vehicle in RotorPy."""
+    """Simulate the scenario's vehicle in RotorPy, a simulator by other authors.
+
+    Parameters
+    ----------
+    planner : Planner
+        Source of the vehicle's equations of motion.
+    scenario : Scenario
+        Mission and wind.
+    pilot : str
+        Controller of the flight: a value of `Pilot`.
+    followed : Reference
+        Reference trajectory.
+    plan : Plan or None
+        Plan, if the reference is a plan.
+    """
     plant = OutsidePlant(scenario, planner.dynamics(scenario))
     return fly_outside(plant, Pilot(pilot), followed, plan)
 
@@ -94,12 +142,20 @@ def fly_rotorpy(
 def write_flight(
     folder: Path, planner: Planner, scenario: Scenario, flight: Flight, wall_s: Mapping[str, float]
 ) -> dict[str, Any]:
-    """Write a flight's table and summary.
+    """Write a flight's table and summary into a folder, and return the summary.
 
     Parameters
     ----------
+    folder : Path
+        Existing empty folder.
+    planner : Planner
+        Source of the hover power.
+    scenario : Scenario
+        Mission that was flown.
+    flight : Flight
+        The flight.
     wall_s : mapping
-        Seconds of each phase.
+        Wall time [s] of each phase of the command.
     """
     summary = flight_summary(
         scenario,
@@ -114,7 +170,7 @@ def write_flight(
 
 
 def verdict(scenario: Scenario, flight: Flight) -> str:
-    """Return in one sentence whether a flight arrived, its energy, and whether it is confirmed."""
+    """Return one sentence on a flight: arrival, energy, and confirmation by a second integrator."""
     end = "arrived" if has_arrived(flight) else "did not arrive"
     confirmed = "confirmed" if flight.is_verified else "not confirmed"
     why = f": {flight.doubt}" if flight.doubt else ""

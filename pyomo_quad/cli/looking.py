@@ -1,4 +1,4 @@
-"""Commands on a scenario or its results: `init`, `check`, `library`, `schema`, `plot`."""
+"""Commands that inspect without solving: `init`, `check`, `library`, `schema` and `plot`."""
 
 import json
 import shutil
@@ -70,7 +70,7 @@ def check(
     as_json: AsJson = False,
     allow_code: AllowCode = False,
 ) -> int:
-    """Validate a scenario and print every field with its unit and origin."""
+    """Validate a scenario and its model, and print each field with unit and origin of its value."""
     resolved = load_scenario(scenario, overrides or ())
     # Pyomo takes a second to import: a refused scenario need not wait for it.
     import_scipy_alone()
@@ -168,7 +168,7 @@ def library(
     *,
     as_json: AsJson = False,
 ) -> int:
-    """List the library, or show an entry with the source of each number."""
+    """List the library of vehicles, batteries and winds, or show an entry with its sources."""
     if kind is not None and name is not None:
         _show_entry(library_entry(kind, name), as_json=as_json)
         return ExitCode.VERIFIED
@@ -215,7 +215,7 @@ def init(
     ] = "parcel",
     quiet: Quiet = False,
 ) -> int:
-    """Write a commented scenario that runs, and the schema with which editors complete it."""
+    """Write a commented example scenario that runs, and the JSON Schema for editors."""
     own = template if name is None else name
     text = started_scenario(template, own)
     schema_file = Path("scenario.schema.json")
@@ -237,12 +237,19 @@ def init(
 
 
 def write_new(file: Path, text: str) -> None:
-    """Write a new file; raise an error if it exists.
+    """Write a text to a new file.
+
+    Parameters
+    ----------
+    file : Path
+        File to create.
+    text : str
+        Content, written as UTF-8.
 
     Raises
     ------
     ScenarioError
-        If there is a file of that name.
+        If the file exists already.
     """
     try:
         with file.open("x", encoding="utf-8", newline="\n") as stream:
@@ -262,7 +269,7 @@ def _schema_text(model: type[BaseModel], kind: str, required: tuple[str, ...]) -
 def schema(
     out: Annotated[Path, option("--out", "DIR", "Folder of the three files.")] = Path(),
 ) -> int:
-    """Write the JSON Schemas of scenarios and studies, and a page that lists every field."""
+    """Write the JSON Schemas of scenario and study files, and a page that lists every field."""
     from pyomo_quad.report.render import render_markdown  # noqa: PLC0415  takes a second
     from pyomo_quad.sweep.study_file import Study  # noqa: PLC0415
 
@@ -277,7 +284,7 @@ def schema(
     if not out.is_dir():
         raise ScenarioError(f"--out {out}: is not a folder; create it first.")
     with ExitStack() as files:
-        # Check that all three files may be written before writing the first.
+        # Before any of the three files is replaced, check that all of them may be.
         asides = {name: files.enter_context(output_file(out / name)) for name in pages}
         for name, aside in asides.items():
             aside.write_text(pages[name], encoding="utf-8")
@@ -299,7 +306,7 @@ def plot(
     ] = None,
     quiet: Quiet = False,
 ) -> int:
-    """Draw a figure of a finished run: path, states, energy, battery, ... or any column."""
+    """Draw a figure of a finished run: path, states, energy, battery, ... or any table column."""
     flight, hover_energy_J, mission = _flight(run)
     front = read_front(run)
     from pyomo_quad.report.gallery import flight_drawings, front_drawing  # noqa: PLC0415
@@ -337,7 +344,10 @@ def _flight(run: Path) -> "tuple[StyledFlight, float, Scenario | None]":
 
 
 def _mission(summary: dict[str, Any]) -> Scenario | None:
-    """Return a report's scenario with passing times, None if this version cannot read it."""
+    """Return the scenario of a report's summary, with the times at which waypoints were passed.
+
+    None if this version of the package cannot read the scenario.
+    """
     try:
         scenario = Scenario.model_validate(summary["scenario_resolved"])
         return scenario.lasting(summary["duration_s"], summary.get("passing_times_s", ()))

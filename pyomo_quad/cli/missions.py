@@ -1,4 +1,4 @@
-"""Commands that pass missions to and from ground stations, autopilots and simulators."""
+"""Commands `export` and `import`: exchange of missions with ground stations and autopilots."""
 
 import json
 from enum import StrEnum
@@ -14,7 +14,10 @@ from pyomo_quad.cli.terminal import AllowCode, AsJson, Quiet, complain, option, 
 
 
 class Reader(StrEnum):
-    """Formats of `pyomo_quad.exports`, listed here because that package imports slowly."""
+    """Program for which `pyomo-quad export` writes a plan.
+
+    The names repeat the formats of `pyomo_quad.exports`, because that package imports slowly.
+    """
 
     QGROUNDCONTROL = "qgroundcontrol"
     MISSION_PLANNER = "missionplanner"
@@ -62,7 +65,7 @@ def export(
     as_json: AsJson = False,
     allow_code: AllowCode = False,
 ) -> int:
-    """Verify a plan again and write it for an autopilot, a swarm or a simulator."""
+    """Verify a plan again, and write it for an autopilot, a swarm or a simulator."""
     from pyomo_quad.exports import export_plan  # noqa: PLC0415  SciPy takes a second
 
     made = export_plan(
@@ -117,7 +120,7 @@ def import_(
     ] = 0.0,
     quiet: Quiet = False,
 ) -> int:
-    """Write a ground station's mission as a scenario: places, holds, fence and rally points."""
+    """Convert a ground station's mission file into a scenario, with fence and rally points."""
     from pyomo_quad.exports import read_mission  # noqa: PLC0415  SciPy takes a second
 
     read = read_mission(file, name=name, vehicle=vehicle, payload_kg=payload)

@@ -1,4 +1,4 @@
-"""Commands on vehicles: estimation from an owner's data, and comparison with measurements."""
+"""Commands `vehicle` and `vehicles`: vehicle files from an owner's data, and their accuracy."""
 
 import sys
 from pathlib import Path
@@ -52,9 +52,10 @@ def vehicle(
     out: Annotated[Path, option("--out", "DIR", "Where the files go.")] = Path(),
     quiet: Quiet = False,
 ) -> int:
-    """Write a vehicle and its battery from their owner's data, each number with its source.
+    """Estimate a vehicle and its battery from their owner's data, and write them as files.
 
-    Only mass and propeller are required; on a terminal the command asks for missing data.
+    Each number is written with its source. Only mass and propeller are required; on a terminal the
+    command asks for missing data.
     """
     from pyomo_quad.vehicles.files import (  # noqa: PLC0415  takes a second
         pack_name,
@@ -87,12 +88,12 @@ def vehicle(
 
 
 def is_asked(*, is_quiet: bool) -> bool:
-    """Return whether a user at a terminal can answer questions."""
+    """Return whether the command may ask questions, because a user sits at a terminal."""
     return not is_quiet and sys.stdin is not None and sys.stdin.isatty() and sys.stdout.isatty()
 
 
 def _asked(given: float | None, words: str, *, is_needed: bool = False) -> float | None:
-    """Return a given number, or the answer to a question; None if the answer is empty."""
+    """Return a number that was given as an option, or ask the user; None for an empty answer."""
     while given is None:
         answer = typer.prompt(words, default="" if not is_needed else None, show_default=False)
         if not answer.strip() and not is_needed:
@@ -210,7 +211,10 @@ def vehicles(
     figures: FigureChoice = Figures.SVG,
     quiet: Quiet = False,
 ) -> int:
-    """Compare library vehicles and six data sheets with measured powers, one page each."""
+    """Compare the powers of library vehicles and of six data sheets with measurements.
+
+    The report has one page for each vehicle.
+    """
     refuse_output_folder(out)
     from pyomo_quad.flight import Planner  # noqa: PLC0415  takes a second
     from pyomo_quad.vehicles.holding import held_vehicles  # noqa: PLC0415

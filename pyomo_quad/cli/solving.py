@@ -1,4 +1,7 @@
-"""Shared parts of the commands that solve; importing this module imports the slow engine."""
+"""Shared parts of the commands that solve: planner with progress display, printed results.
+
+Importing this module imports Pyomo, CasADi and Ipopt, which takes over a second.
+"""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
@@ -41,7 +44,7 @@ if TYPE_CHECKING:
 
     from pyomo_quad.study.run import RunResult
 
-# An interrupted solve keeps its best iterate if its relative violation is below this.
+# An interrupted solve saves its best iterate if its relative constraint violation is below this.
 _WORTH_KEEPING = 1e-4
 
 _EXIT_CODES = {
@@ -55,7 +58,10 @@ _EXIT_CODES = {
 
 
 class _CommandPlanner(Planner):
-    """Planner that shows progress, stops at a signal and reports model errors as bad input."""
+    """Planner of a command, which shows progress and stops at a signal.
+
+    Errors of the scenario's model are reported as bad input.
+    """
 
     def __init__(self, builder: Builder, *, is_quiet: bool, keeps_usable: bool) -> None:
         super().__init__(builder)
@@ -115,15 +121,26 @@ class _CommandPlanner(Planner):
 def planner_for(
     scenario: Scenario, *, is_code_allowed: bool, is_quiet: bool, keeps_usable: bool = False
 ) -> Planner:
-    """Return a planner for the scenario's model that shows progress and stops at signals.
+    """Return the planner of a command, which shows progress and stops at signals.
 
-    Stopped, it raises `SolveStopped`; with `keeps_usable` it returns the usable plan it may have.
+    Its `solve` raises `SolveStopped` if the user stops it, and ScenarioError if the scenario's
+    model cannot be transcribed.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Scenario to plan.
+    is_code_allowed : bool
+        Whether to run the Python model builder that the scenario names.
+    is_quiet : bool
+        Whether to show no progress.
+    keeps_usable : bool, default False
+        Whether a stopped solve returns the usable plan that it has found, in place of raising.
 
     Raises
     ------
     ScenarioError
-        If the scenario's own builder is not allowed or cannot be loaded; and, raised later, if the
-        model cannot be transcribed.
+        If the scenario's model builder is not allowed or cannot be loaded.
     """
     builder = model_builder(scenario, is_code_allowed=is_code_allowed)
     return _CommandPlanner(builder, is_quiet=is_quiet, keeps_usable=keeps_usable)
@@ -131,17 +148,20 @@ def planner_for(
 
 @contextmanager
 def report_folder(folder: Path) -> Iterator[Path]:
-    """Context with a new report folder; a stopped solve leaves the old report unchanged.
+    """Context manager: write a new report folder, unless the user stops the solve.
+
+    If the solve is stopped, an earlier report in the folder remains unchanged, the command prints
+    one line and exits.
 
     Yields
     ------
     Path
-        An empty folder that replaces the report at the end of the block.
+        An empty temporary folder, which becomes the report folder at the end of the block.
 
     Raises
     ------
     Exit
-        With the status of an interrupted command, after printing its one line.
+        With the status of an interrupted command.
     """
     try:
         with output_folder(folder) as aside:
@@ -153,7 +173,13 @@ def report_folder(folder: Path) -> Iterator[Path]:
 
 
 def _kept(plan: Plan, folder: Path) -> str:
-    """Save a stopped solve's best iterate if nearly feasible; return a message on its place."""
+    """Save the best iterate of a stopped solve in a folder of its own, if nearly feasible.
+
+    Returns
+    -------
+    str
+        Part of the message: where the iterate is, or that nothing was written.
+    """
     best = min((line.infeasibility for line in plan.iterations), default=1.0)
     if plan.solution is None or best > _WORTH_KEEPING:
         return "no report was written"
@@ -165,15 +191,28 @@ def _kept(plan: Plan, folder: Path) -> str:
 
 
 def plan_to_continue(run: Path, overrides: Sequence[str]) -> tuple[Plan, Scenario]:
-    """Return a stored plan and its mission at the accuracy to reach next.
+    """Load a stored plan, and choose the accuracy to which its solve continues.
 
-    The accuracy is `solver.accuracy` of the overrides; without it, the accuracy requested before if
-    the plan did not reach it, otherwise the next higher accuracy.
+    The accuracy is the override `solver.accuracy`. Without it, the accuracy is the one that the
+    plan was to reach, if it was not reached, and otherwise the next higher one.
+
+    Parameters
+    ----------
+    run : Path
+        File of a saved plan, or report folder of a solve.
+    overrides : sequence of str
+        Changes of fields of the table ``solver``, as ``PATH=VALUE``.
+
+    Returns
+    -------
+    tuple of (Plan, Scenario)
+        The plan to start from, and its scenario with the new accuracy.
 
     Raises
     ------
     ScenarioError
-        If there is no plan, an override is not a field of the solver, or no accuracy is higher.
+        If the folder holds no plan, an override is not a field of ``solver``, or no accuracy is
+        higher.
     """
     plan = Plan.load(run / PLAN_FILE_NAME if run.is_dir() else run)
     values = parse_overrides(overrides)
@@ -198,13 +237,20 @@ def plan_to_continue(run: Path, overrides: Sequence[str]) -> tuple[Plan, Scenari
 
 
 def _lacks_risk(plan: Plan) -> bool:
-    """Return whether a plan misses the risk that its scenario states."""
+    """Return whether the flights of a usable plan break limits more often than is permitted.
+
+    The scenario's risk states the permitted probability.
+    """
     is_stated = plan.scenario.mission.risk is not None
     return is_stated and plan.is_flyable and plan.risk is not None and not plan.risk.is_had
 
 
 def exit_code_of(plan: Plan) -> ExitCode:
-    """Return the exit status for a plan's status and risk."""
+    """Return the exit status of a command that made a plan.
+
+    It depends on the plan's status, and on whether flights of the plan break limits more often than
+    the scenario's risk permits.
+    """
     if _lacks_risk(plan):
         return ExitCode.RISK_NOT_HAD
     return _EXIT_CODES[plan.status]
@@ -218,7 +264,8 @@ _OUTCOMES = {
     PlanStatus.INFEASIBLE: "infeasible",
     PlanStatus.INTERRUPTED: "interrupted",
 }
-# Columns on the screen: heading, value of a row of the comparison, and format.
+# Columns of the printed comparison: value of a row of the comparison table and its format, by
+# heading.
 _SHOWN: dict[str, tuple[Callable[[Mapping[Any, Any]], Any], str]] = {
     "scenario": (lambda row: row[ComparisonColumn.SCENARIO], ""),
     "flight": (lambda row: row[ComparisonColumn.FLIGHT], ""),
@@ -235,12 +282,12 @@ _AMISS = {
     ComparisonColumn.VERIFIED: "not verified",
 }
 _GOOD = "arrived"
-# Columns on the left.
+# Columns whose cells are aligned left.
 _TEXTS = ("scenario", "flight")
 
 
 def verdict_lines(plan: Plan) -> Iterator[str]:
-    """Yield the printed lines on a plan, or on the causes of a failure."""
+    """Yield the printed lines on a plan: energy, accuracy and risk, or the causes of a failure."""
     if plan.is_flyable:
         beside = against_hovering(plan.energy - plan.hover_energy_J, digits=3)
         yield (
@@ -270,7 +317,17 @@ def verdict_lines(plan: Plan) -> Iterator[str]:
 
 
 def complain_about(plan: Plan, folder: Path, cautions: Sequence[str]) -> None:
-    """Write the causes of a failed plan and all cautions to standard error."""
+    """Print the causes of a failed plan, and all cautions, to standard error.
+
+    Parameters
+    ----------
+    plan : Plan
+        Plan of the command.
+    folder : Path
+        Report folder, to which the message refers.
+    cautions : sequence of str
+        Warnings that also concern a successful plan.
+    """
     name = plan.scenario.name
     if not plan.is_verified:
         causes = () if plan.failure is None else tuple(plan.failure.causes())
@@ -285,7 +342,10 @@ def complain_about(plan: Plan, folder: Path, cautions: Sequence[str]) -> None:
 
 
 def run_lines(result: "RunResult") -> Iterator[str | Table]:
-    """Yield the lines on a run: headline, plan, table of flights, and lower bound."""
+    """Yield the printed lines on a run: headline, plan, table of flights, and lower bound.
+
+    A run is a plan with the baseline flights that it is compared with.
+    """
     headline = headline_of(result)
     if headline is not None:
         yield f"{result.scenario.name}: {headline.words}"
@@ -312,13 +372,18 @@ def _certificate_lines(result: "RunResult") -> Iterator[str]:
 
 
 def comparison_table(comparison: "pd.DataFrame") -> Table:
-    """Return the flights of a comparison as a table for a terminal.
+    """Make the terminal's table of the flights of one or more scenarios.
+
+    Parameters
+    ----------
+    comparison : DataFrame
+        One row for each flight, with the columns of `ComparisonColumn`.
 
     Returns
     -------
     Table
-        Total energy, saving of the plan, time and outcome of each flight.  Without savings, or for
-        a single scenario, the column is left out.
+        Total energy, saving of the plan, time and outcome of each flight. The column of savings
+        is left out if there are none, the column of scenarios if there is only one.
     """
     table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     rows = comparison.to_dict("records")
@@ -346,7 +411,21 @@ def answer(
     is_quiet: bool,
     as_json: bool,
 ) -> None:
-    """Print the result of a command as JSON or as lines, or nothing if quiet."""
+    """Print the result of a command, and the folder of its report.
+
+    Parameters
+    ----------
+    lines : iterable of str or Table
+        Result in words.
+    summary : mapping
+        Result as JSON values.
+    folder : Path
+        Report folder.
+    is_quiet : bool
+        Whether to print nothing.
+    as_json : bool
+        Whether to print the summary as JSON instead of the lines.
+    """
     if as_json:
         print(summary_text(summary), end="")
     elif not is_quiet:

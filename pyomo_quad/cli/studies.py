@@ -1,4 +1,9 @@
-"""Commands of studies with a report: paper, polar, reach, RotorPy, identification."""
+"""Commands that run a study and write its report.
+
+The studies are the experiments of Yacef et al., whose model the package implements; steady flight
+(`polar`, `reach`); flights in the simulator RotorPy; and identification of vehicles from measured
+flights.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -45,7 +50,7 @@ def paper(
     figures: FigureChoice = Figures.SVG,
     quiet: Quiet = False,
 ) -> int:
-    """Reproduce and examine the paper: every experiment, table, figure and equation."""
+    """Reproduce and examine Yacef et al.: every experiment, table, figure and equation."""
     refuse_output_folder(out)
     # A second to import, and not needed to refuse a misspelt option.
     from pyomo_quad.paper.report import write_paper_report  # noqa: PLC0415
@@ -60,12 +65,12 @@ def paper(
 
 @contextmanager
 def _report_folder(folder: Path, *, is_quiet: bool) -> Iterator[tuple[Path, list[str]]]:
-    """Context with a report folder; prints the study's lines at the end.
+    """Context manager: write a report folder, and print the results at the end.
 
     Yields
     ------
     Path, list of str
-        The folder to write into, and the list that takes the lines.
+        The folder to write into, and a list to which the block appends lines to print.
     """
     lines: list[str] = []
     with output_folder(folder) as aside:
@@ -76,7 +81,13 @@ def _report_folder(folder: Path, *, is_quiet: bool) -> Iterator[tuple[Path, list
 
 @contextmanager
 def _follow(*, is_quiet: bool) -> Iterator[Callable[[str, int, int], None] | None]:
-    """Context that shows the number of finished results."""
+    """Context manager: show a progress bar of finished experiments on a terminal.
+
+    Yields
+    ------
+    callable or None
+        Function of name, number done and total number; None if no progress is shown.
+    """
     console = error_console()
     if is_quiet or not console.is_terminal:
         yield None
@@ -100,12 +111,17 @@ def _follow(*, is_quiet: bool) -> Iterator[Callable[[str, int, int], None] | Non
 def _steady_study(
     file: Path, overrides: list[str] | None, out: Path | None, study: str
 ) -> tuple[Scenario, Path]:
-    """Return the scenario and the report folder of a study of steady flight.
+    """Load the scenario of a study of steady flight, and check its report folder.
+
+    Returns
+    -------
+    tuple of (Scenario, Path)
+        The scenario and the report folder.
 
     Raises
     ------
     ScenarioError
-        If the scenario has a model builder of its own.
+        If the scenario names its own model builder, which these studies cannot read.
     """
     resolved = load_scenario(file, overrides or ())
     if resolved.model is not None:
@@ -123,7 +139,7 @@ def polar(
     figures: FigureChoice = Figures.SVG,
     quiet: Quiet = False,
 ) -> int:
-    """Solve steady flight over airspeed, payload and wind: best speeds, range, endurance, reach."""
+    """Solve steady flight over airspeed, payload and wind: best speeds, range and endurance."""
     resolved, folder = _steady_study(scenario, overrides, out, "polar")
     from pyomo_quad.polar.polar import find_polar  # noqa: PLC0415  takes a second
     from pyomo_quad.polar.report import write_polar  # noqa: PLC0415
@@ -178,7 +194,10 @@ def outside_plant(
     figures: FigureChoice = Figures.SVG,
     quiet: Quiet = False,
 ) -> int:
-    """Fly the paper's vehicle and two of RotorPy's in RotorPy, and report the differences."""
+    """Fly three vehicles in the simulator RotorPy, and report differences from the own model.
+
+    The vehicles are that of the paper (Yacef et al.) and two of RotorPy's.
+    """
     refuse_output_folder(out)
     from pyomo_quad.flight.outside_plant import MULTIROTOR, rotorpy_module  # noqa: PLC0415  heavy
 
@@ -197,7 +216,7 @@ def rotorpy_vehicle(
     out: Annotated[Path | None, option("--out", "FILE", "NAME.toml by default.")] = None,
     quiet: Quiet = False,
 ) -> int:
-    """Write a vehicle file of one of RotorPy's parameter sets, each number with its source."""
+    """Write a vehicle file from a parameter set of RotorPy, each number with its source."""
     from pyomo_quad.simulators.vehicles import vehicle_file  # noqa: PLC0415  a second
 
     text = vehicle_file(name)
@@ -209,7 +228,7 @@ def rotorpy_vehicle(
     return ExitCode.VERIFIED
 
 
-# Column of a list of flights, and its value for flights to read.
+# File of --flights: column that marks the flights to read, and its value for these flights.
 _SPLIT, _READ = "split", "fit"
 
 Logs = Annotated[
@@ -259,7 +278,7 @@ def identify(
     figures: FigureChoice = Figures.SVG,
     quiet: Quiet = False,
 ) -> int:
-    """Fit a vehicle's power to measured flights: a vehicle file and its accuracy."""
+    """Fit a vehicle's power model to measured flights; write a vehicle file and its accuracy."""
     if bool(logs) is (steady is not None):
         raise ScenarioError("identify: give LOGS of flights, or --steady CSV of steady points.")
     source = logs[0] if logs else steady
@@ -334,7 +353,11 @@ def _parameter_lines(
     parameters: "Sequence[FittedParameter | IdentifiedParameter]",
     together: Sequence[tuple[str, str]],
 ) -> Iterator[str]:
-    """Yield a line per fitted parameter, naming parameters that it cannot be told from."""
+    """Yield one printed line for each fitted parameter: value, deviation and remarks.
+
+    A parameter that the measurements do not determine keeps its value; the line names the parameter
+    from which the measurements cannot distinguish it.
+    """
     partners = dict(together)
     for one in parameters:
         edge = " (at the end of its range)" if one.is_at_bound and one.is_determined else ""
@@ -355,7 +378,7 @@ def _said(scores: "Scores") -> str:
 def predict(
     logs: Logs = None, *, vehicle: Vehicle, out: NewFolder = None, quiet: Quiet = False
 ) -> int:
-    """Compute the energy of measured flights from their motion, and compare."""
+    """Compute the energy of measured flights from their motion, and compare with measurements."""
     if not logs:
         raise ScenarioError("predict: give LOGS, one file of measured flights or more.")
     folder = out or Path("reports") / f"{logs[0].stem}_predicted"
@@ -372,7 +395,14 @@ def predict(
 def _read(
     logs: list[Path], vehicle: str, flights: Path | None
 ) -> "tuple[Scenario, pd.DataFrame, pd.DataFrame]":
-    """Return the vehicle, the rows of its flights, and their voltages if all logs have them."""
+    """Read measured flights and the vehicle that flew them.
+
+    Returns
+    -------
+    tuple of (Scenario, DataFrame, DataFrame)
+        Scenario with the vehicle, rows of all flights, and rows of battery voltage, which are empty
+        if any log lacks the voltage.
+    """
     import pandas as pd  # noqa: PLC0415
 
     from pyomo_quad.identification.logs import (  # noqa: PLC0415

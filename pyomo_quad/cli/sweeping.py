@@ -1,4 +1,4 @@
-"""`pyomo-quad sweep` and `sweep-report`: many cases of a scenario, with progress on a terminal."""
+"""Commands `sweep` and `sweep-report`: solve many variants of a scenario, and report."""
 
 import os
 from collections.abc import Iterator
@@ -61,7 +61,7 @@ def sweep(
     figures: FigureChoice = Figures.SVG,
     verbose: Verbose = False,
 ) -> int:
-    """Solve all cases of a study, or those still missing, and write the report."""
+    """Solve all cases of a study file, or those still missing, and write the report."""
     if out is not None:
         report = final_folder(out) / _REPORT_FOLDER
         try:
@@ -100,7 +100,7 @@ def sweep(
 def sweep_report(
     folder: SweepFolder, *, out: ReportOutput = None, figures: FigureChoice = Figures.SVG
 ) -> int:
-    """Write tables and figures of a sweep from its store; nothing is solved."""
+    """Write tables and figures of a sweep from its stored results; nothing is solved."""
     from pyomo_quad import sweep as sweeps  # noqa: PLC0415
 
     with sweeps.ResultStore.reading(folder) as store:
@@ -140,13 +140,20 @@ def _summary_line(design: "SweepDesign", summary: "SweepSummary", folder: Path) 
 
 
 _SECONDS_BETWEEN_LINES = 10.0
-# The time left is estimated from the last minute: early cases wait for their parents.
+# The remaining time is estimated from the rate of the last minute, because the first cases are
+# slower: other cases wait for their solutions.
 _SECONDS_OF_MEMORY = 60.0
 
 
 @contextmanager
 def follow_sweep(*, is_verbose: bool) -> Iterator["SweepListener"]:
-    """Context that shows the progress of a sweep, as a bar on a terminal, else as lines."""
+    """Context manager: show the progress of a sweep, as a bar on a terminal, otherwise as lines.
+
+    Yields
+    ------
+    SweepListener
+        Listener for `Sweep`.
+    """
     console = error_console()
     if not console.is_terminal:
         yield _Lines(console, is_verbose=is_verbose)
@@ -163,7 +170,7 @@ def follow_sweep(*, is_verbose: bool) -> Iterator["SweepListener"]:
 
 
 class _Listener:
-    """Counter of the cases of a sweep, which prints the counts."""
+    """Base class of listeners that count the cases of a sweep and print the counts."""
 
     total = done = failed = _solved = 0
 
@@ -173,12 +180,12 @@ class _Listener:
         self._began = monotonic()
 
     def start(self, total: int, already_ended: int) -> None:
-        """Record the number of cases, and of cases ended in earlier runs."""
+        """Record the number of all cases of the sweep, and of cases that ended in earlier runs."""
         self.total, self.done = total, already_ended
         self._show()
 
     def case_ended(self, case: "Case", outcome: "CaseOutcome", done: int) -> None:
-        """Count a case whose row has been committed."""
+        """Count a case of the sweep whose result was stored."""
         self.done = done
         self._solved += 1
         self.failed += not outcome.is_finished
@@ -188,7 +195,7 @@ class _Listener:
 
     @property
     def rate(self) -> float:
-        """Cases per second since the start."""
+        """Number of cases solved per second since the start of the sweep."""
         return self._solved / max(monotonic() - self._began, 1e-9)
 
     def _show(self) -> None:

@@ -1,4 +1,4 @@
-"""Shared parts of all commands: options, consoles, progress line and stopwatch."""
+"""Shared parts of all commands: options, output streams, progress line and stopwatch."""
 
 import errno
 import os
@@ -28,18 +28,18 @@ _WIDTH_WITHOUT_TERMINAL = 140
 
 
 def result_console() -> Console:
-    """Return a console on standard output, wide enough for tables in a pipe."""
+    """Return a console for standard output, wide enough for tables if this is not a terminal."""
     width = None if sys.stdout.isatty() else _WIDTH_WITHOUT_TERMINAL
     return Console(width=width, highlight=False)
 
 
 def error_console() -> Console:
-    """Return a console on standard error."""
+    """Return a console for standard error."""
     return Console(stderr=True, highlight=False)
 
 
 def complain(message: str) -> None:
-    """Write one line to standard error."""
+    """Print a message as one line to standard error."""
     try:
         print(" ".join(message.split()), file=sys.stderr, flush=True)
     except OSError:
@@ -47,7 +47,15 @@ def complain(message: str) -> None:
 
 
 def claim_streams() -> bool:
-    """Make the standard streams of this process safe to write to."""
+    """Replace closed standard streams, so that the process can print safely.
+
+    A message with characters that the terminal cannot encode is printed with escapes.
+
+    Returns
+    -------
+    bool
+        Whether standard output is open.
+    """
     for descriptor in (0, 1, 2):
         try:
             os.fstat(descriptor)
@@ -64,7 +72,10 @@ def claim_streams() -> bool:
 
 
 def gives_up_output(error: OSError) -> bool:
-    """Return whether an error comes from standard output, and discard further output."""
+    """Return whether an error shows that standard output cannot be written any more.
+
+    If so, all further output is discarded.
+    """
     if error.filename is not None or error.errno not in _LOST:
         return False
     _send_to_nowhere(1)  # Python itself flushes once more at the end
@@ -83,14 +94,14 @@ _SECONDS_BETWEEN_LINES = 10.0  # in a log file; a shorter solve writes no line
 
 @contextmanager
 def live_line(*, is_quiet: bool) -> Iterator[Callable[["State"], None] | None]:
-    """Context that shows the progress of a search in one line on the terminal.
+    """Context manager: show the progress of a search for a plan in one line on the terminal.
 
-    If standard error is not a terminal, a plain line is written every few seconds instead.
+    If standard error is not a terminal, a line is printed every ten seconds instead.
 
     Yields
     ------
-    To call at each iteration; None if quiet.
-        To call at each iteration; None when quiet.
+    callable or None
+        Function to call with the state of the search at each iteration; None if quiet.
     """
     if is_quiet:
         yield None
@@ -121,7 +132,7 @@ def _plain_lines(started: float) -> Callable[["State"], None]:
 
 
 def _state_of(now: "State") -> str:
-    """Return stage, best energy with uncertainty, and processor time of a search as a line."""
+    """Return one line on a search's state: stage, best energy, uncertainty, processor time."""
     best = "no energy yet"
     if isfinite(now.energy_J):
         known = f" ± {100.0 * now.uncertainty:.2g} %" if isfinite(now.uncertainty) else ""
@@ -140,7 +151,19 @@ _MOST_DIGITS = 9
 def option(
     flag: str, metavar: str, words: str, parser: Callable[[str], object] | None = None
 ) -> typer.models.OptionInfo:
-    """Declare an option with a value: its flag, the name of the value, and its help."""
+    """Declare a command-line option that takes a value.
+
+    Parameters
+    ----------
+    flag : str
+        Name of the option, such as ``--out``.
+    metavar : str
+        Name of the value in the help text.
+    words : str
+        Help text.
+    parser : callable, optional
+        Function that converts the text of the value.
+    """
     info: typer.models.OptionInfo = typer.Option(flag, metavar=metavar, parser=parser, help=words)
     return info
 
@@ -166,12 +189,12 @@ AllowCode = Annotated[
 
 
 def folder_of(scenario: Scenario, output: Path | None) -> Path:
-    """Return the output folder of a scenario's report."""
+    """Return the report folder: the given one, or ``reports/NAME`` for a scenario's name."""
     return output or Path("reports") / scenario.name
 
 
 def real_number(text: str) -> float:
-    """Read the value of an option as a real number.
+    """Convert the text of an option to a real number.
 
     Raises
     ------
@@ -185,7 +208,7 @@ def real_number(text: str) -> float:
 
 
 def positive_count(text: str) -> int:
-    """Read the value of an option as a whole number of at least 1.
+    """Convert the text of an option to a whole number of at least 1.
 
     Raises
     ------
@@ -199,14 +222,14 @@ def positive_count(text: str) -> int:
 
 
 class Stopwatch:
-    """Timer of the named phases of a command."""
+    """Wall time [s] of the named phases of a command, in the attribute `seconds`."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
 
     @contextmanager
     def phase(self, name: str) -> Iterator[None]:
-        """Add the time of a block to a phase."""
+        """Context manager: add the wall time of the ``with`` block to a phase."""
         started = perf_counter()
         try:
             yield

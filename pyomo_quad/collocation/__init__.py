@@ -1,7 +1,8 @@
 """Flipped-Radau collocation of any Pyomo.DAE model, solved with Ipopt.
 
-The entry point is `solve`. `compile` returns a problem that can be solved repeatedly with other
-parameters, horizons and meshes without being compiled again.
+`solve` transcribes and solves a model in a single call. `compile` translates a model into CasADi
+functions once, and returns a problem whose method `solve` can be called repeatedly with other
+parameter values, horizons and meshes, without another compilation.
 """
 
 from __future__ import annotations
@@ -104,7 +105,26 @@ def __dir__() -> list[str]:
 def compile(  # noqa: A001  as casadi, re and builtins do
     model: Any, *, final_time: Any = None, times: FreeTimes | None = None
 ) -> Any:
-    """Compile a Pyomo.DAE model: a `Problem` for one horizon, a `JointProblem` for several.
+    """Compile a Pyomo.DAE model for repeated solves by collocation.
+
+    Parameters
+    ----------
+    model : ConcreteModel
+        Model with one or several continuous sets that are not discretised, or with none.
+    final_time : Var, optional
+        Static variable that is the free end of the horizon; see `Problem`.
+    times : mapping, optional
+        Declared times that are free, with the static variables that replace them; see `Problem`.
+
+    Returns
+    -------
+    Problem or JointProblem
+        A `JointProblem` for a model with several continuous sets, which have a horizon each.
+
+    Raises
+    ------
+    TranscriptionError
+        If the declarations are incomplete or unsupported; the message names the component.
 
     Examples
     --------
@@ -131,14 +151,17 @@ def solve(
     starts: int = 1,
     progress: Progress | None = None,
 ) -> Solution | JointSolution:
-    """Compile and solve a Pyomo.DAE model, and load the values at its declared times.
+    """Compile and solve a Pyomo.DAE model, and load the solution into it at its declared times.
 
     Parameters
     ----------
     model : ConcreteModel
+        Model with one or several continuous sets that are not discretised, or with none. Its
+        variables receive the solution's values.
     final_time : Var, optional
+        Static variable that is the free end of the horizon; see `Problem`.
     times : mapping, optional
-        See `Problem`, or `JointProblem` for several continuous sets.
+        Declared times that are free, with the static variables that replace them; see `Problem`.
     mesh, tolerance, parameters, horizon, guess, warm_start, options, refinement, starts, progress
         See `Problem.solve`, or `JointProblem.solve` for several continuous sets.
 

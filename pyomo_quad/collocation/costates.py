@@ -27,25 +27,36 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.program.nonlinear import Bounds, Multipliers
     from pyomo_quad.collocation.program.transcription import Transcription
 
-# Magnitude, as a fraction of objective / state size, below which a costate counts as zero.
+# Magnitude of a costate, relative to magnitude of the objective / magnitude of the state, below
+# which the costate counts as zero.
 _LEAST = 1e-9
-# Fraction of a limit's pull in an element that a smooth polynomial does not explain, above which
-# the pull may be an impulse.
+# Fraction of the integrated multiplier of a limit in an element that a smooth polynomial does not
+# fit, above which the multiplier may be an impulse.
 _ROUGH = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
 class Costates:
-    """Element polynomials of the costates, through the left end and the collocation points.
+    """Costates of a solution as polynomials on the elements, with the Hamiltonian.
 
-    Shapes: starts (n_elements, n_states), just after each left end, where a costate may jump;
-    at_points, stages (n_points, n_states); hamiltonian (n_points,); sizes (n_states,).
+    The multipliers at the collocation points approximate the costates directly (`stages`), but at
+    one order less than the states. Integrating the adjoint equations with these values through each
+    element, from its left end, where the costate is accurate, restores the order (`at_points`).
 
-    The multipliers at the points approximate the costates directly (`stages`), but at one order
-    less than the states. Integrating the adjoint equations with these values through each element,
-    from its left end, where the costate is accurate, restores the order (`at_points`). `sizes` are
-    the largest magnitudes of the costates; a costate that is nearly zero gets a fraction of the
-    objective instead.
+    Attributes
+    ----------
+    mesh : Mesh
+    starts : ndarray, shape (n_elements, n_states)
+        Costates just after the left end of each element, where a costate may jump.
+    at_points : ndarray, shape (n_points, n_states)
+        Costates at the collocation points.
+    stages : ndarray, shape (n_points, n_states)
+        Costates at the collocation points, directly from the multipliers.
+    hamiltonian : ndarray, shape (n_points,)
+        Hamiltonian of the minimised objective, per unit of time.
+    sizes : ndarray, shape (n_states,)
+        Largest magnitude of each costate over the horizon; for a costate that is nearly zero, a
+        small fraction (1e-9) of objective / state instead.
     """
 
     mesh: Mesh
@@ -57,12 +68,12 @@ class Costates:
 
     @property
     def per_element(self) -> tuple[FloatArray, ...]:
-        """Costates of each element, shape (degree + 1, n_states), left end first."""
+        """Costates at the nodes of each element, in arrays of shape (degree + 1, n_states)."""
         inner = np.split(self.at_points, self.mesh.first_node[1:-1])
         return tuple(np.vstack(held) for held in zip(self.starts, inner, strict=True))
 
     def at(self, fractions: FloatArray) -> FloatArray:
-        """Return the costates at fractions of the horizon, shape (n, n_states)."""
+        """Return the costates at fractions of the horizon, shape (n_fractions, n_states)."""
         mesh, first = self.mesh, self.mesh.first_node
         found = np.empty((len(fractions), self.starts.shape[1]))
         for e, positions, local in by_element(mesh, fractions):
@@ -73,15 +84,23 @@ class Costates:
 
 @lru_cache(maxsize=64)
 def _roughness(degree: int) -> FloatArray:
-    """Return the matrix from nodal values to the residuals of a polynomial fit of degree - 2."""
+    """Return the matrix from values at an element's nodes to the residuals of a smooth fit.
+
+    The fit is the least-squares polynomial of degree - 2. The nodes are the left end and the
+    collocation points, so that the matrix has shape (degree + 1, degree + 1).
+    """
     smooth = legendre.legvander(2.0 * radau_rule(degree).nodes - 1.0, max(degree - 2, 0))
     return np.asarray(np.eye(degree + 1) - smooth @ np.linalg.pinv(smooth))
 
 
 def _by_degree(mesh: Mesh) -> list[tuple[int, np.ndarray, np.ndarray]]:
-    """Return each polynomial degree, with the indices of its elements and of their points.
+    """Group the elements of a mesh by polynomial degree, for vectorised evaluation.
 
-    Shapes (k,) and (k, degree), where k elements of the mesh have that degree.
+    Returns
+    -------
+    list of (int, ndarray, ndarray)
+        For each degree: the degree, the indices of its k elements, shape (k,), and the indices of
+        their collocation points, shape (k, degree).
     """
     degrees = np.asarray(mesh.degrees)
     groups = []
@@ -100,23 +119,31 @@ def costates_of(
     timeline: Timeline,
     objective: float,
 ) -> Costates:
-    """Map the multipliers of a solution to costates and Hamiltonian (covector mapping).
+    """Compute costates and Hamiltonian from the multipliers of a nonlinear program.
+
+    The covector mapping relates the multipliers of the collocation equations, divided by the
+    quadrature weights, to the costates of the optimal control problem.
 
     Parameters
     ----------
     program : Transcription
-        The nonlinear program on one mesh.
-    z : ndarray
-        Its unknowns at the solution.
+        Nonlinear program of the optimal control problem on one mesh.
+    z : ndarray, shape (n_unknowns,)
+        Unknowns of the program at the solution.
     multipliers : Multipliers
-        Multipliers as Ipopt returns them for the unscaled program.
+        Multipliers of constraints and bounds, as Ipopt returns them for the unscaled program.
     bounds : Bounds
-        Bounds of the unknowns and rows. The multiplier of a state's bound at a single
-        time acts at that time, and is left out of the element before it.
+        Bounds of unknowns and constraints. The multiplier of a state's bound at a single time acts
+        at that time, and is left out of the adjoint equations of the element that ends there.
     timeline : Timeline
-        Physical times of the horizon.
+        Mapping from fractions of the horizon to physical times.
     objective : float
-        Magnitude of the objective's terms, the reference of the smallest costate that counts.
+        Magnitude of the objective. A costate below 1e-9 times this magnitude, per magnitude of its
+        state, counts as zero.
+
+    Returns
+    -------
+    Costates
     """
     mesh = program.mesh or Mesh.uniform(1, 1)
     by_rate, by_state = _products(program, z, program.path_weights(z, multipliers.rows))
@@ -149,7 +176,22 @@ def costates_of(
 def _products(
     program: Transcription, z: FloatArray, weights: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return weighted sums of row derivatives by rates and states, shape (n_points, n_states)."""
+    """Return sums of weighted derivatives of the path equations, at each collocation point.
+
+    Parameters
+    ----------
+    program : Transcription
+    z : ndarray
+        Unknowns of the program.
+    weights : ndarray, shape (n_points, n_path_rows)
+        Weight of each path equation and integrand at each collocation point.
+
+    Returns
+    -------
+    ndarray, ndarray
+        Sums of derivatives with respect to the rates, and to the states, both of shape (n_points,
+        n_states).
+    """
     n, rows = program.layout.n_states, np.arange(weights.shape[1])
     slopes = program.path_slopes(
         program.path_variables(z), program.data.at_points(), rows, np.arange(2 * n)
@@ -159,7 +201,10 @@ def _products(
 
 
 def _pull_of_bounds(program: Transcription, multipliers: Multipliers, bounds: Bounds) -> FloatArray:
-    """Return the multipliers of the bounds on states over time, shape (n_points, n_states)."""
+    """Return upper minus lower multipliers of the bounds on states, shape (n_points, n_states).
+
+    Bounds that hold at a single time only, such as end conditions, count as 0.
+    """
     is_held = bounds.lower == bounds.upper
     for limit in limits_at_points(program):
         is_held[limit.columns] = True
@@ -175,12 +220,25 @@ def costate_errors_of(
     bounds: Bounds,
     costates: Costates,
 ) -> FloatArray:
-    """Estimate the largest error of each costate, relative to its size, shape (n_states,).
+    """Estimate the largest error of each costate over the horizon, relative to its magnitude.
 
-    Where the solution is smooth, the estimate is the change from one more integration of the
-    adjoint equations, with the costates in place of `stages`. A limit on a state that becomes
-    active or inactive inside an element may act as an impulse anywhere in it. Where the multiplier
-    does not vary smoothly, all of it counts as error, and so does its effect on the other costates.
+    Where the solution is smooth, the estimate is the change of a costate under one more integration
+    of the adjoint equations, with the integrated costates in place of those that come directly from
+    the multipliers. A limit on a state that becomes active or inactive inside an element may act on
+    the costates as an impulse anywhere in that element. Where its multiplier does not vary
+    smoothly, the whole multiplier of the element counts as error, and so does its effect on the
+    other costates.
+
+    Parameters
+    ----------
+    program, z, multipliers, bounds
+        As in `costates_of`.
+    costates : Costates
+        Result of `costates_of`.
+
+    Returns
+    -------
+    ndarray, shape (n_states,)
     """
     mesh, weights = costates.mesh, costates.mesh.quadrature_weights[:, None]
     equations = linearised(program, program.path_variables(z), program.data.at_points())

@@ -25,20 +25,37 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.program.transcription import Transcription
     from pyomo_quad.collocation.solution import Solution
 
-# Weight of the distance from the first point. It makes the unknowns unique that affect no slack,
+# Weight of the distance from the initial point. It makes the unknowns unique that affect no slack,
 # and is too small to outweigh a slack.
 _PROXIMITY = 1e-6
 
 
-# Family, row or -1, column or -1, sign, limit, and least size of a one-sided limit.
+# One-sided limit: name of the declaring component, index of the constraint or -1, index of the
+# unknown or -1, sign (1 for an upper limit), value of the limit, and least reference magnitude.
 _SoftRow = tuple[str, int, int, float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
 class SoftRows:
-    """One-sided limits: sign * (value - limit) <= slack * size, one entry each.
+    """One-sided limits that a diagnosis may relax: sign * (value - limit) <= slack * size.
 
-    `row` is the row of the program that is limited, or -1 if the unknown `column` is limited.
+    All limits of one component of the model (a family) share a slack.
+
+    Attributes
+    ----------
+    family : ndarray of int, shape (n,)
+        Position of each limit's family in `names`.
+    row, column : ndarray of int, shape (n,)
+        Index of the limited constraint in the program and -1, or -1 and index of the limited
+        unknown.
+    sign : ndarray, shape (n,)
+        1 for an upper limit, -1 for a lower one.
+    limit : ndarray, shape (n,)
+        Value of the limit.
+    size : ndarray, shape (n,)
+        Reference magnitude: the larger of the limit's magnitude and the scale of the value.
+    names : tuple of str
+        Names of the families.
     """
 
     family: NDArray[np.intp]
@@ -58,7 +75,7 @@ class SoftRows:
         limits: list[Limit],
         families: frozenset[str] | None = None,
     ) -> SoftRows:
-        """Collect the one-sided limits of chosen families, or of all families if None.
+        """Collect the one-sided limits of chosen families (component names), or of all if None.
 
         Raises
         ------
@@ -87,10 +104,12 @@ class SoftRows:
         )
 
     def __len__(self) -> int:
+        """Return the number of one-sided limits."""
         return len(self.family)
 
 
 def _soft_unknowns(limits: list[Limit], scaling: Scaling) -> Iterator[_SoftRow]:
+    """Yield the one-sided limits on unknowns of the program."""
     for limit in limits:
         for k, column in enumerate(limit.columns):
             size = 1.0 / float(scaling.unknowns[column])
@@ -102,6 +121,7 @@ def _soft_unknowns(limits: list[Limit], scaling: Scaling) -> Iterator[_SoftRow]:
 def _soft_program_rows(
     program: Transcription, bounds: Bounds, scaling: Scaling
 ) -> Iterator[_SoftRow]:
+    """Yield the one-sided limits of path inequalities and of conditions at declared times."""
     equations = program.compiled.declared.equations
     rows = [
         (point * len(equations) + k, equation.name)
@@ -125,7 +145,21 @@ _ELASTIC = SolverOptions(tolerance=1e-7, max_iterations=300)
 
 @dataclass(frozen=True, kw_only=True)
 class Residual:
-    """An equation that the best iterate violates, with the violation in the equation's own unit."""
+    """Equation that the best iterate violates, with the violation in the equation's own unit.
+
+    Attributes
+    ----------
+    name : str
+        Full name of the equation.
+    element : int, optional
+        Index of the element, from 0; None for a condition at a declared time.
+    time : float, optional
+        Physical time.
+    violation : float
+        Distance of the equation's value from its bounds.
+    unit : str
+        Unit of the violation, "" if it has none.
+    """
 
     name: str
     element: int | None
@@ -142,7 +176,19 @@ class Residual:
 
 @dataclass(frozen=True, kw_only=True)
 class ActiveLimit:
-    """A limit that is active at the best iterate: its value, and the fraction of points on it."""
+    """Limit that is active at the best iterate of a failed solve.
+
+    Attributes
+    ----------
+    name : str
+        Name of the component that declares the limit.
+    limit : float
+        Value of the limit.
+    unit : str
+        Unit of the limit, "" if it has none.
+    share : float
+        Fraction of the collocation points at which the limit is active.
+    """
 
     name: str
     limit: float
@@ -155,7 +201,19 @@ class ActiveLimit:
 
 @dataclass(frozen=True, kw_only=True)
 class Relaxation:
-    """Least relaxation of one declaration, in its own unit."""
+    """Least amount by which a component's limits must be relaxed to make a problem feasible.
+
+    Attributes
+    ----------
+    name : str
+        Name of the component that declares the limits.
+    amount : float
+        Relaxation, in the unit of the limit.
+    limit : float
+        Value of the limit, the largest one if it varies with time.
+    unit : str
+        Unit of both, "" if they have none.
+    """
 
     name: str
     amount: float
@@ -177,11 +235,12 @@ class Diagnosis:
     active : tuple of ActiveLimit
         Limits that are active at the best iterate.
     least_violation : float
-        Sum of the relative slacks of the elastic program; infinite if that did not converge.
+        Least sum of relative violations, one per component, with which all equations can be
+        satisfied; infinite if its computation did not converge.
     relaxations : tuple of Relaxation
-        Declarations that must be relaxed together; empty if all can be met.
+        Components whose limits must all be relaxed together; empty if every limit can be met.
     feasible_point : Trajectory or None
-        A trajectory that satisfies all declarations, if the elastic program found one.
+        A trajectory that satisfies all equations and limits, if one was found.
     """
 
     residuals: tuple[Residual, ...]
@@ -192,7 +251,7 @@ class Diagnosis:
 
     @property
     def is_infeasible(self) -> bool:
-        """Whether the elastic program converged with a positive violation."""
+        """Whether the least violation was found and is positive: no feasible point is near."""
         return np.isfinite(self.least_violation) and self.feasible_point is None
 
 
@@ -204,14 +263,17 @@ def diagnose(
 ) -> Diagnosis:
     """Find the reasons for the failure of a solve.
 
+    The limits of the model are relaxed by as little as possible until all equations can be
+    satisfied (an elastic program).
+
     Parameters
     ----------
     solution : Solution
         The result of a solve that did not converge; its unknowns are the best iterate.
     families : frozenset of str, optional
-        Names of the declarations that may be relaxed; all by default.
+        Names of the components whose limits may be relaxed; all by default.
     progress : callable, optional
-        Called at each iteration of the elastic solve.
+        Called at each iteration of the elastic program; returning False stops its solve.
 
     Returns
     -------
@@ -256,10 +318,11 @@ def diagnose(
 
 
 def _least_slacks(solution: Solution, soft: SoftRows, progress: Progress | None) -> IpoptResult:
-    """Minimise the sum of the slacks, one per family of limits; they end the result's unknowns.
+    """Minimise the sum of the slacks by which families of limits are violated.
 
-    The excess of each soft row of the program is an unknown, and at most the slack of its family.
-    Soft limits of unknowns become rows, and replace the unknowns' bounds.
+    Each family of limits has one slack; the slacks are the last unknowns of the result. For each
+    soft constraint its excess over the limit is an unknown too, and at most the slack of its
+    family. Soft limits on unknowns become constraints, and replace the unknowns' bounds.
     """
     program, bounds, z = solution.program, solution.bounds, solution.unknowns
     n, m, count, families = z.size, program.n_rows, len(soft), len(soft.names)
@@ -307,6 +370,7 @@ def _least_slacks(solution: Solution, soft: SoftRows, progress: Progress | None)
 
 
 def _residuals(solution: Solution) -> tuple[Residual, ...]:
+    """Return the ten worst violated equations at the last iterate, worst first."""
     program, bounds = solution.program, solution.bounds
     values = program.constraints(solution.unknowns)
     off = np.maximum(np.maximum(bounds.row_lower - values, values - bounds.row_upper), 0.0)
@@ -328,6 +392,7 @@ def _residuals(solution: Solution) -> tuple[Residual, ...]:
 
 
 def _active(solution: Solution, soft: SoftRows) -> tuple[ActiveLimit, ...]:
+    """Return the limits that are active at the last iterate, one entry per component."""
     values = solution.program.constraints(solution.unknowns)
     held = np.where(soft.row >= 0, values[soft.row], solution.unknowns[soft.column])
     touches = soft.sign * (held - soft.limit) >= -_MET * soft.size
@@ -351,6 +416,7 @@ def _active(solution: Solution, soft: SoftRows) -> tuple[ActiveLimit, ...]:
 
 
 def _relaxations(solution: Solution, soft: SoftRows, slacks: FloatArray) -> tuple[Relaxation, ...]:
+    """Return the positive slacks as relaxations in the limits' units, the largest slack first."""
     found = []
     for k in np.argsort(-slacks):
         if slacks[k] > _MET:

@@ -1,6 +1,6 @@
-"""The declared equations as functions of time: slopes, outputs, any variable or expression.
+"""Declared equations as an explicit right-hand side, for simulation and evaluation over time.
 
-`ClosedLoop` combines them with a control law into one function.
+`ClosedLoop` combines the right-hand side with a control law into one compiled function.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 
 # Residual at which Newton's method stops.
 _NEWTON_TOLERANCE = 1e-13
-# Number of Newton steps where it is fixed, starting at zero. The first step may overshoot by a
-# factor of 2^12, as for the induced velocity of a hovering rotor; later steps first halve it.
+# Number of Newton steps where it is fixed, starting from zero. The first step may overshoot by a
+# factor of 2^12, as for the induced velocity of a hovering rotor; later steps halve the overshoot.
 _NEWTON_STEPS = 20
 
 
@@ -43,8 +43,15 @@ _NEWTON_STEPS = 20
 class Instants:
     """States and controls at n times, with the corresponding rates and algebraic variables.
 
-    `read` evaluates components from the inputs of the equations; `numbers` replaces parameters,
-    given by full name, in the last of these inputs.
+    Attributes
+    ----------
+    inputs : list of ndarray, each with n rows
+        Rates, states, algebraic variables, static variables and data (fraction of the horizon and
+        parameters).
+    read : callable
+        ``(keys, *inputs)`` -> values of components, shape (n, n_keys); an `Evaluator`.
+    numbers : callable
+        (data, parameters by full name) -> data with new values of these parameters.
     """
 
     inputs: list[FloatArray]
@@ -56,21 +63,34 @@ class Instants:
         keys: tuple[tuple[str, Any], ...],
         changed: Mapping[str, ArrayLike] | None = None,
     ) -> FloatArray:
-        """Return components, given as (full name, index) pairs, shape (n, n_keys).
+        """Evaluate components of the model at the n times.
 
-        `changed` replaces parameters that affect neither rates nor algebraic variables.
+        Parameters
+        ----------
+        keys : tuple of (str, index)
+            Full names, and indices without time (None for none).
+        changed : mapping, optional
+            New values of parameters by full name; they must affect neither rates nor algebraic
+            variables.
+
+        Returns
+        -------
+        ndarray, shape (n, n_keys)
         """
         *held, data = self.inputs
         return self.read(keys, *held, self.numbers(data, changed or {}))
 
 
 class Dynamics:
-    """Explicit right-hand side and outputs of a compiled problem, for given numbers.
+    """Explicit right-hand side dx/dt = f(t, x, u) of a compiled problem, for given parameters.
+
+    Algebraic variables that an equation determines are solved for; the others are the controls u.
 
     Attributes
     ----------
     state_names : tuple of str
-        States of the program, followed by the output states.
+        States of the nonlinear program, followed by the output states (states that nothing depends
+        on).
     control_names : tuple of str
         Algebraic variables that no equation determines: the inputs of a simulation.
     """
@@ -97,10 +117,13 @@ class Dynamics:
         return type(self), (self._formulation, self._instance, self._statics)
 
     def _compile(self, states: tuple[Slot, ...]) -> Any:
-        """Return the function (x, u, statics, data) -> slopes and algebraics, (integrand, span).
+        """Return the CasADi function of the right-hand side.
 
-        Slopes and integrand are per fraction of the horizon; dividing by the span makes them per
-        time.
+        Its inputs are states, controls, static variables and data (fraction of the horizon and
+        parameters). Its first output holds the rates and the algebraic variables that equations
+        determine. Its second output holds the objective's integrand and the span, the derivative of
+        time with respect to the fraction of the horizon. Rates and integrand are per unit of the
+        fraction; dividing by the span makes them per unit of time.
         """
         declared = self._formulation.compiled.declared
         equations = [e for e in declared.equations if e.is_equality]
@@ -125,7 +148,7 @@ class Dynamics:
         return casadi.Function("right_hand_side", inputs, [casadi.densify(o) for o in outputs])
 
     def _implicit_side(self, core: _Core, inputs: list[Any]) -> Any:
-        """Return the right-hand side of implicit equations, by Newton's method to its tolerance."""
+        """Return the right-hand side of implicit equations, solved by CasADi's Newton method."""
         newton = casadi.rootfinder("slopes", "newton", core.residual, {"abstol": _NEWTON_TOLERANCE})
         symbols = [casadi.MX.sym(f"i{k}", i.shape[0]) for k, i in enumerate(inputs)]
         stacked = casadi.vertcat(*symbols)
@@ -133,18 +156,28 @@ class Dynamics:
         return casadi.Function("right_hand_side", symbols, list(core.known(found, stacked)))
 
     def without_iterations(self) -> Dynamics:
-        """Return the vehicle with a fixed number of Newton steps, in CasADi's fast symbols.
+        """Return the same right-hand side with implicit equations solved by fixed Newton steps.
 
-        Where equations are implicit, their iteration costs ten times as much as all others.
+        It consists of CasADi's fast scalar expressions (SX). Where equations are implicit, CasADi's
+        Newton iteration costs ten times as much as the evaluation of all other equations.
         """
         if self._right_hand_side.is_a("SXFunction"):
             return self
         return _WithoutIterations(self._formulation, self._instance, self._statics)
 
     def control_limits(self, breach: float = 0.0) -> tuple[FloatArray, FloatArray]:
-        """Return constant lower and upper limits of the controls, shape (n_controls,) each.
+        """Return constant lower and upper limits of the controls.
 
-        `breach` widens both limits, relative to the larger of 1 and the limit.
+        Parameters
+        ----------
+        breach : float, default 0
+            Both limits are widened by breach * max(1, abs(limit)).
+
+        Returns
+        -------
+        ndarray, ndarray
+            Shape (n_controls,) each; infinite where a control has no limit, or one that varies with
+            time.
         """
         names = [s.name for s in self._formulation.compiled.declared.algebraics]
         chosen = [names.index(name) for name in self.control_names]
@@ -152,14 +185,35 @@ class Dynamics:
         return lower[chosen], upper[chosen]
 
     def just_after(self, t: float) -> float:
-        """Return a time just after t, where equations with jumps have their right-hand values.
+        """Return a time just after t if parameters jump, else t.
 
-        Where they jump, t itself belongs to the left.
+        At a time t at which a parameter jumps, the equations take the value before the jump; at the
+        returned time they take the value after it.
+
+        Parameters
+        ----------
+        t : float
+            Physical time.
+
+        Returns
+        -------
+        float
         """
         return t + 2.0 * BESIDE * float(self.timeline.spans.max()) if self._instance.jumps else t
 
     def steps_between(self, start: float, end: float) -> list[float]:
-        """Return the times at which parameters given as `Steps` jump, between two times."""
+        """Return the times at which parameters given as `Steps` (piecewise constant) jump.
+
+        Parameters
+        ----------
+        start, end : float
+            Physical times between which the jumps lie.
+
+        Returns
+        -------
+        list of float
+            In rising order.
+        """
         given = [v for v in self._instance.overrides.values() if isinstance(v, Steps)]
         return sorted({edge for steps in given for edge in steps.edges(start, end)})
 
@@ -167,36 +221,79 @@ class Dynamics:
     def signal_names(self) -> tuple[str, ...]:
         """Full names of the time-dependent parameters, in the order of `moment`.
 
-        Signals of rules that branch on time follow them.
+        Further entries of `moment` follow them, for rules of the model that branch on time.
         """
         return tuple(slot.name for slot in self._formulation.compiled.declared.signals)
 
     def moment(self, t: float) -> list[float]:
-        """Return the time-dependent inputs of the equations: horizon fraction and signals."""
+        """Return the time-dependent inputs of the equations at a time.
+
+        Parameters
+        ----------
+        t : float
+            Physical time.
+
+        Returns
+        -------
+        list of float
+            The fraction of the horizon, the time-dependent parameters, and numbers that select the
+            branch of rules that branch on time.
+        """
         fraction = float(self.timeline.fraction(t))
         return [fraction, *self._signals(fraction)]
 
     def symbol(self, name: str, size: int) -> Any:
-        """Return a column of CasADi symbols of the type that `written` accepts."""
+        """Return a column of CasADi symbols of the type (SX or MX) that `written` accepts.
+
+        Parameters
+        ----------
+        name : str
+        size : int
+            Number of symbols.
+        """
         is_explicit = self._right_hand_side.is_a("SXFunction")
         return (casadi.SX if is_explicit else casadi.MX).sym(name, size)
 
     def parameter_column(self, changed: Mapping[str, Any]) -> Any:
-        """Return all parameters as a column, with some of them replaced by symbols."""
+        """Return the constant parameters as a CasADi column, some of them replaced.
+
+        Parameters
+        ----------
+        changed : mapping
+            Full name of a parameter -> symbol that replaces its value.
+        """
         pairs = zip(self.parameter_names, self._instance.parameters.tolist(), strict=True)
         return casadi.vertcat(*(changed.get(name, value) for name, value in pairs))
 
     def moment_column(self, moment: Any, changed: Mapping[str, Any]) -> Any:
-        """Return time-dependent inputs with some parameters replaced by symbols."""
+        """Return the time-dependent inputs of the equations, some parameters in them replaced.
+
+        Parameters
+        ----------
+        moment : casadi.SX or casadi.MX
+            Column of inputs, in the order of the method `moment`.
+        changed : mapping
+            Full name of a time-dependent parameter -> symbol that replaces it.
+        """
         own = casadi.vertsplit(moment)
         for k, name in enumerate(self.signal_names, start=1):
             own[k] = changed.get(name, own[k])
         return casadi.vertcat(*own)
 
     def written(self, moment: Any, x: Any, u: Any, parameters: Any = None) -> tuple[Any, Any]:
-        """Return dx/dt and the objective's integrand as CasADi expressions of the given symbols.
+        """Return dx/dt and the objective's integrand as CasADi expressions.
 
-        `parameters` is a column of `parameter_column`; without it they are the vehicle's own.
+        Parameters
+        ----------
+        moment, x, u : casadi.SX or casadi.MX
+            Columns of symbols: time-dependent inputs as in `moment`, states and controls.
+        parameters : optional
+            Column of all constant parameters as in `parameter_column`; by default their values.
+
+        Returns
+        -------
+        expression, expression
+            Column of dx/dt, and the integrand, both per unit of physical time.
         """
         numbers = self._instance.parameters if parameters is None else parameters
         data = casadi.vertcat(moment, numbers)
@@ -206,10 +303,18 @@ class Dynamics:
     def expressions(
         self, keys: tuple[tuple[str, Any], ...], t: float, values: Mapping[str, Any]
     ) -> list[Any]:
-        """Return components, given as (full name, index) pairs, as CasADi expressions.
+        """Return components of the model at one time as CasADi expressions.
 
-        An equation, by its name, yields its residual. `values` gives states and algebraic variables
-        by full name, as symbols or numbers; all others, and all rates, are zero.
+        Parameters
+        ----------
+        keys : tuple of (str, index)
+            Full names, and indices without time. The name of an equation over time gives its
+            residual.
+        t : float
+            Physical time at which the data are taken.
+        values : mapping
+            States and algebraic variables by full name, as symbols or numbers; all others, and all
+            rates, are zero.
         """
         declared, evaluator = self._formulation.compiled.declared, self._formulation.evaluator
         columns = [
@@ -229,27 +334,60 @@ class Dynamics:
         return casadi.vertsplit(found)
 
     def _row(self, t: float) -> FloatArray:
+        """Return the data of the equations at a time: time-dependent inputs, then parameters."""
         moment = self.moment(t)
         self._data[: len(moment)] = moment
         return self._data
 
     def _solve(self, t: float, x: FloatArray, u: FloatArray) -> list[FloatArray]:
+        """Evaluate the right-hand side at one time; see `_compile` for its two outputs."""
         row = self._row(t)
         return self._at_one(x[None, :], u[None, :], self._statics[None, :], row[None, :])
 
     def rates(self, t: float, x: FloatArray, u: FloatArray) -> FloatArray:
-        """Return dx/dt, shape (n_states,)."""
+        """Return the right-hand side dx/dt at a time.
+
+        Parameters
+        ----------
+        t : float
+            Physical time.
+        x : ndarray, shape (n_states,)
+        u : ndarray, shape (n_controls,)
+
+        Returns
+        -------
+        ndarray, shape (n_states,)
+        """
         return self.rates_and_integrand(t, x, u)[0]
 
     def rates_and_integrand(
         self, t: float, x: FloatArray, u: FloatArray
     ) -> tuple[FloatArray, float]:
-        """Return dx/dt and the objective's integrand in one evaluation."""
+        """Return the right-hand side dx/dt and the objective's integrand in one evaluation.
+
+        Parameters
+        ----------
+        t, x, u
+            As in `rates`.
+
+        Returns
+        -------
+        ndarray, shape (n_states,)
+            dx/dt.
+        float
+            Integrand per unit of physical time.
+        """
         unknowns, ((density, span),) = self._solve(t, x, u)
         return unknowns[0, : x.size] / span, float(density / span)
 
     def integrand(self, t: float, x: FloatArray, u: FloatArray) -> float:
-        """Return the objective's integrand per unit of physical time."""
+        """Return the objective's integrand per unit of physical time.
+
+        Parameters
+        ----------
+        t, x, u
+            As in `rates`.
+        """
         return self.rates_and_integrand(t, x, u)[1]
 
     def solved(
@@ -259,12 +397,22 @@ class Dynamics:
         controls: FloatArray,
         numbers: Mapping[str, ArrayLike] | None = None,
     ) -> Instants:
-        """Return states and controls at n times with the resulting rates and algebraics.
+        """Return states and controls at n times with the resulting rates and algebraic variables.
 
-        `numbers` gives parameters by full name, each as one number or a column of n.
+        Parameters
+        ----------
+        t : ndarray, shape (n,)
+            Physical times.
+        states, controls : ndarray, shape (n, n_states) and (n, n_controls)
+        numbers : mapping, optional
+            Values of parameters by full name, each a number or an array of shape (n,).
+
+        Returns
+        -------
+        Instants
         """
         n = len(t)
-        # Flights side by side share their times, and signals are read one by one.
+        # Several flights may share their times; evaluate time-dependent parameters once per time.
         times, which = np.unique(np.asarray(t, dtype=float), return_inverse=True)
         fractions = self.timeline.fraction(times)
         signals = self._formulation.signals(self._instance, fractions)[which]
@@ -278,7 +426,7 @@ class Dynamics:
         return Instants(inputs=inputs, read=self._formulation.evaluator, numbers=self._with_numbers)
 
     def _with_numbers(self, data: FloatArray, numbers: Mapping[str, ArrayLike]) -> FloatArray:
-        """Return a table of input data with the columns of some parameters set to other numbers."""
+        """Return a copy of a table of data with new values of some parameters, by full name."""
         names = self.parameter_names
         changed = data.copy()
         for name, column in numbers.items():
@@ -286,7 +434,7 @@ class Dynamics:
         return changed
 
     def _algebraics(self, determined: FloatArray, controls: FloatArray) -> FloatArray:
-        """Return all algebraic variables in their declared order."""
+        """Return all algebraic variables in their declared order, one row per time."""
         names = [s.name for s in self._determined]
         columns = [
             determined[:, names.index(s.name)]
@@ -304,17 +452,18 @@ class Dynamics:
         controls: FloatArray,
         index: Any = None,
     ) -> FloatArray:
-        """Return a variable or expression over time along a flown trajectory.
+        """Return the values of a variable or expression along a simulated trajectory.
 
         Parameters
         ----------
         component : Var, DerivativeVar, Expression or str
             A component over time of the model, or its full name.
         t : ndarray, shape (n,)
+            Physical times.
         states : ndarray, shape (n, n_states)
         controls : ndarray, shape (n, n_controls)
         index : optional
-            The component's index beside time.
+            The component's index without time.
 
         Returns
         -------
@@ -330,14 +479,26 @@ class Dynamics:
         states: FloatArray,
         controls: FloatArray,
     ) -> FloatArray:
-        """Return several components, as (full name, index) pairs, at once: shape (n, n_keys)."""
+        """Return the values of several components along a simulated trajectory.
+
+        Parameters
+        ----------
+        keys : tuple of (str, index)
+            Full names, and indices without time (None for none).
+        t, states, controls : ndarray
+            As in `evaluate`.
+
+        Returns
+        -------
+        ndarray, shape (n, n_keys)
+        """
         return self.solved(t, states, controls).table(keys)
 
     @property
     def states_used_up(self) -> tuple[str, ...]:
         """Names of states with a given start and a free end, such as the charge of a battery."""
         declared = self._formulation.compiled.declared
-        # An objective that reads the end of a state leaves it free.
+        # A state at the end remains free if only the objective depends on it.
         priced = symbol_names(declared.objective)
         points = [p for p in declared.point_symbols if p.symbol.name() not in priced]
         given = {(p.slot, p.fraction) for p in points} | set(declared.fixed)
@@ -347,16 +508,16 @@ class Dynamics:
 
     @property
     def tables_read(self) -> tuple[str, ...]:
-        """Names of the interpolation tables that the equations over time read."""
+        """Names of the interpolation tables that the equations over time evaluate."""
         return tuple(use.name for use in self._formulation.compiled.tables.over_time)
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
-        """Full names of the parameters that the equations read."""
+        """Full names of the constant parameters in the equations."""
         return tuple(p.name for p in self._formulation.compiled.declared.parameters)
 
     def initial_states(self) -> dict[str, float]:
-        """Return the values that the model's own variables hold at the start, zero if unset."""
+        """Return the initial values of the states in the Pyomo model by name, 0 where unset."""
         declared = self._formulation.compiled.declared
         held = {
             slot.name: dict(self._formulation.values.initial_values(slot))
@@ -365,25 +526,56 @@ class Dynamics:
         return {name: values.get(0.0, 0.0) for name, values in held.items()}
 
     def has(self, name: str) -> bool:
-        """Return whether the model has a component of this name."""
+        """Return whether the model has a component of this name.
+
+        Parameters
+        ----------
+        name : str
+            Full name.
+        """
         return self._formulation.source.has(name)
 
     def unit(self, name: str) -> str:
-        """Return the unit of a limit or a variable, "" where it has none."""
+        """Return the unit of a constraint or variable, "" if it has none.
+
+        Parameters
+        ----------
+        name : str
+            Full name.
+        """
         return self._formulation.source.unit(name)
 
     def violations(
         self, t: FloatArray, states: FloatArray, controls: FloatArray
     ) -> tuple[Violation, ...]:
-        """Return the worst violation of every limit over time, the worst first.
+        """Return the worst violation of every limit over time along a trajectory, the worst first.
 
         Limits are path inequalities and bounds; a limit that is met has size 0.
+
+        Parameters
+        ----------
+        t : ndarray, shape (n,)
+            Physical times.
+        states, controls : ndarray, shape (n, n_states) and (n, n_controls)
         """
         (found,) = self.violations_of(self.solved(t, states, controls), t)
         return found
 
     def violations_of(self, instants: Instants, t: FloatArray) -> list[tuple[Violation, ...]]:
-        """Return the `violations` of several flights that share the same times."""
+        """Return the worst violation of every limit for several flights with the same times.
+
+        Parameters
+        ----------
+        instants : Instants
+            The flights one after another, n times each.
+        t : ndarray, shape (n,)
+            Physical times.
+
+        Returns
+        -------
+        list of tuple of Violation
+            The `violations` of each flight, the worst first.
+        """
         limits = self.limits_of(instants)
         flights = (slice(k, k + len(t)) for k in range(0, len(instants.inputs[0]), len(t)))
         return [
@@ -397,7 +589,17 @@ class Dynamics:
         ]
 
     def limits_of(self, instants: Instants) -> list[LimitValues]:
-        """Return each path inequality and bound over time, with its values along a given flight."""
+        """Return values and bounds of each path inequality and bound over time along a flight.
+
+        Parameters
+        ----------
+        instants : Instants
+            States, controls, rates and algebraic variables of the flight, as from `solved`.
+
+        Returns
+        -------
+        list of LimitValues
+        """
         compiled = self._formulation.compiled
         declared, n_states = compiled.declared, len(compiled.declared.states)
         rates, all_states, algebraics, statics, data = instants.inputs
@@ -425,6 +627,16 @@ def split_algebraics(formulation: Formulation) -> tuple[tuple[Slot, ...], tuple[
 
     Equality equations without rates determine algebraic variables. A maximum matching of equations
     and variables decides which variables these are, with later declared variables first.
+
+    Parameters
+    ----------
+    formulation : Formulation
+        A compiled problem.
+
+    Returns
+    -------
+    tuple of Slot, tuple of Slot
+        Controls, and determined variables, in declared order.
 
     Examples
     --------
@@ -454,9 +666,20 @@ def split_algebraics(formulation: Formulation) -> tuple[tuple[Slot, ...], tuple[
 def control_limits(
     formulation: Formulation, instance: Instance, breach: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return constant limits of the algebraic variables that are controls, widened by `breach`.
+    """Return constant lower and upper limits of the controls among the algebraic variables.
 
-    Shape (n_algebraics,) each, infinite for variables that equations determine.
+    Parameters
+    ----------
+    formulation : Formulation
+    instance : Instance
+        Parameter values on which the limits depend.
+    breach : float
+        Both limits are widened by breach * max(1, abs(limit)).
+
+    Returns
+    -------
+    ndarray, ndarray
+        Shape (n_algebraics,) each, infinite for variables that equations determine.
     """
     controls = {slot.name for slot in split_algebraics(formulation)[0]}
     is_control = np.array([s.name in controls for s in formulation.compiled.declared.algebraics])
@@ -467,7 +690,7 @@ def control_limits(
 
 
 def _objective_density(formulation: Formulation) -> Any:
-    """Return the integrand of the objective, as declared, over the unit horizon."""
+    """Return the integrand of the declared objective, per unit of the fraction of the horizon."""
     declared = formulation.compiled.declared
     density = casadi.SX(0)
     for k in formulation.compiled.row_integrals:
@@ -478,7 +701,7 @@ def _objective_density(formulation: Formulation) -> Any:
 
 
 def _solve_linear(matrix: Any, right: Any) -> Any:
-    """Solve a linear system symbolically; one unknown per row needs only a division."""
+    """Solve a linear system symbolically; with one unknown per row only divisions are needed."""
     rows, columns = matrix.sparsity().get_triplet()
     n = matrix.shape[0]
     if sorted(rows) == list(range(n)) and sorted(columns) == list(range(n)):
@@ -490,17 +713,25 @@ def _solve_linear(matrix: Any, right: Any) -> Any:
 
 
 def _solved_for(rows: Any, unknowns: Any) -> Any:
-    """Solve equations for unknowns that enter them linearly."""
+    """Solve equations symbolically for unknowns that enter them linearly."""
     offset = casadi.substitute(rows, unknowns, casadi.DM.zeros(unknowns.shape[0]))
     return _solve_linear(casadi.jacobian(rows, unknowns), -offset)
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Core:
-    """Implicit equations, split into a nonlinear core for Newton's method and a linear rest.
+    """Implicit equations, split into a nonlinear part for Newton's method and a linear rest.
 
-    `inner` are its unknowns, `residual` takes them and all inputs as one column, and `known`
-    returns all unknowns, the integrand and the span of the same.
+    Attributes
+    ----------
+    inner : casadi.SX
+        Unknowns of the nonlinear part.
+    residual : casadi.Function
+        (inner unknowns, all inputs as one column) -> residual of the nonlinear part.
+    known : casadi.Function
+        (inner unknowns, all inputs as one column) -> all unknowns, and a column of two: the
+        objective's integrand, and the derivative of time with respect to the fraction of the
+        horizon.
     """
 
     inner: Any
@@ -509,10 +740,21 @@ class _Core:
 
     @classmethod
     def of(cls, rows: Any, unknowns: Any, inputs: list[Any], rest: Any) -> _Core:
-        """Split equations that are nonlinear in the slopes or algebraics.
+        """Split equations that are nonlinear in the rates or algebraic variables.
 
         Newton's method solves only those equations on which the others depend. Equations that are
         linear in the remaining unknowns are solved symbolically.
+
+        Parameters
+        ----------
+        rows : casadi.SX
+            Residuals of the equations.
+        unknowns : casadi.SX
+            Rates, then the algebraic variables that equations determine.
+        inputs : list of casadi.SX
+            States, controls, static variables and data.
+        rest : casadi.SX
+            Further expressions of the unknowns, to be evaluated at the solution.
         """
         core, others = _nonlinear_core(rows, unknowns)
         parameters = casadi.vertcat(*inputs)
@@ -531,9 +773,10 @@ class _Core:
 
 
 class _WithoutIterations(Dynamics):
-    """Implicit equations solved by `_NEWTON_STEPS` Newton steps, written out as expressions."""
+    """Right-hand side whose implicit equations are solved by 20 Newton steps, as expressions."""
 
     def _implicit_side(self, core: _Core, inputs: list[Any]) -> Any:
+        """Return the right-hand side with Newton's steps written out as CasADi expressions."""
         stacked = casadi.vertcat(*inputs)
         residual = core.residual(core.inner, stacked)
         slope = casadi.Function(
@@ -548,10 +791,15 @@ class _WithoutIterations(Dynamics):
 
 
 def _nonlinear_core(rows: Any, unknowns: Any) -> tuple[tuple[list[int], list[int]], ...]:
-    """Return equations and unknowns that Newton's method must solve, and those that remain linear.
+    """Separate equations and unknowns for Newton's method from those that remain linear.
 
     If the unknowns that enter nonlinearly outnumber the equations in them, Newton's method solves
-    all.
+    all equations.
+
+    Returns
+    -------
+    ((list of int, list of int), (list of int, list of int))
+        Positions of equations and unknowns: for Newton's method, and those that are linear.
     """
     everything = list(range(unknowns.shape[0]))
     jacobian = casadi.jacobian(rows, unknowns)
@@ -589,13 +837,13 @@ _OPERATIONS = _ARITHMETIC | _FUNCTIONS
 
 
 class Symbol(NDArrayOperatorsMixin):
-    """A symbolic number that records the NumPy functions applied to it, for compilation."""
+    """Symbolic number that records the NumPy functions applied to it, to compile a control law."""
 
     def __init__(self, expression: Any) -> None:
         self.expression = expression
 
     def __array_ufunc__(self, function: np.ufunc, method: str, *numbers: Any, **_: Any) -> Symbol:
-        """Record a function of symbols.
+        """Apply a NumPy function to symbols, as a CasADi expression.
 
         Raises
         ------
@@ -607,11 +855,12 @@ class Symbol(NDArrayOperatorsMixin):
         return Symbol(_OPERATIONS[function](*map(_expression, numbers)))
 
     def __bool__(self) -> bool:
-        """Raise an error: a law must not branch on a symbol."""
+        """Raise an error: a control law must not branch on a symbol."""
         raise _refusal("a branch on a number known in flight only")
 
 
 def _refusal(what: str) -> TranscriptionError:
+    """Return the error for a control law with an operation that cannot be compiled."""
     known = ", ".join(sorted(f"np.{function.__name__}" for function in _FUNCTIONS))
     return TranscriptionError(
         f"control law: {what} cannot be compiled; write it with arithmetic and {known}, and "
@@ -620,30 +869,51 @@ def _refusal(what: str) -> TranscriptionError:
 
 
 def _expression(number: Any) -> Any:
+    """Return the CasADi expression of a `Symbol`, or the number itself."""
     return number.expression if isinstance(number, Symbol) else number
 
 
 class Law(Protocol):
-    """Feedback law written with NumPy functions of single numbers."""
+    """Feedback control law, written with NumPy functions of single numbers."""
 
     def __call__(
         self, command: Sequence[Any], x: Sequence[Any], own: Sequence[Any], /
     ) -> tuple[Sequence[Any], Sequence[Any]]:
-        """Return the controls and the time derivatives of the law's own states.
+        """Return the controls, and the time derivatives of the law's own states.
 
-        Arguments: the command to follow, the vehicle's states, the law's own states.
+        Parameters
+        ----------
+        command : sequence
+            Values that the law is to follow, for example a reference position.
+        x : sequence
+            States of the vehicle.
+        own : sequence
+            States of the law itself, for example an integral or an adapted parameter.
         """
 
 
 def written_law(dynamics: Dynamics, law: Law, sizes: tuple[int, int, int]) -> Any:
-    """Compile a law to a function (joint state, command) -> (controls, rates of its own states).
+    """Compile a control law to a CasADi function.
 
-    Sizes are those of moment, joint state and command.
+    Parameters
+    ----------
+    dynamics : Dynamics
+        Right-hand side of the vehicle.
+    law : callable
+        See `Law`.
+    sizes : (int, int, int)
+        Numbers of time-dependent inputs, joint states and components of the command; the joint
+        state is that of vehicle and law, and the integral of the objective's integrand.
+
+    Returns
+    -------
+    casadi.Function
+        (joint state, command) -> (controls, time derivatives of the law's own states).
 
     Raises
     ------
     TranscriptionError
-        If the law returns another number of controls or rates than there are.
+        If the law returns a wrong number of controls or of derivatives.
     """
     n_states = len(dynamics.state_names)
     joint, command = casadi.SX.sym("joint", sizes[1]), casadi.SX.sym("command", sizes[2])
@@ -663,7 +933,7 @@ def written_law(dynamics: Dynamics, law: Law, sizes: tuple[int, int, int]) -> An
 
 
 def joint_sizes(dynamics: Dynamics, n_command: int, n_own: int) -> tuple[int, int, int]:
-    """Return the lengths of time-dependent inputs, joint state and command of a closed loop."""
+    """Return the numbers of time-dependent inputs, joint states and commands of a closed loop."""
     moment = len(dynamics.moment(dynamics.start))
     return moment, len(dynamics.state_names) + n_own + 1, n_command
 
@@ -671,9 +941,23 @@ def joint_sizes(dynamics: Dynamics, n_command: int, n_own: int) -> tuple[int, in
 def closed(
     dynamics: Dynamics, law: Law, sizes: tuple[int, int, int], numbers: Mapping[str, Any]
 ) -> tuple[list[Any], Any, Any]:
-    """Return the symbols of a closed loop's inputs, the rates of its joint state, and its controls.
+    """Return a closed loop as CasADi expressions.
 
-    `numbers` replaces parameters, by full name, by symbols.
+    Parameters
+    ----------
+    dynamics, law, sizes
+        As in `written_law`.
+    numbers : mapping
+        Symbols that replace parameters, by full name.
+
+    Returns
+    -------
+    list of symbols
+        Columns of the time-dependent inputs, the joint state and the command.
+    expression
+        Time derivative of the joint state.
+    expression
+        Controls.
     """
     written = written_law(dynamics, law, sizes)
     names = ("moment", "joint", "command")
@@ -690,7 +974,7 @@ def closed(
 
 
 class ClosedLoop:
-    """Compiled closed loop of a vehicle and a feedback law.
+    """Closed loop of a vehicle and a feedback law, compiled to one function for simulation.
 
     The joint state consists of the vehicle's states, the law's own states, and the integral of the
     objective's integrand.
@@ -698,12 +982,12 @@ class ClosedLoop:
     Parameters
     ----------
     dynamics : Dynamics
-        The vehicle.
+        Right-hand side of the vehicle's equations.
     law : callable
         (command, x, own) -> (controls, rates of own), sequences of numbers; see `Law`. It is called
         once, with symbols.
     n_command, n_own : int
-        Number of commands that the law follows, and number of its own states.
+        Number of components of the command that the law follows, and number of its own states.
 
     Raises
     ------
@@ -729,9 +1013,9 @@ class ClosedLoop:
         self._held = buffer, controls
 
     def _compiled(self, law: Law, sizes: tuple[int, int, int]) -> Any:
-        """Return the function (moment, joint, command) -> rates of the joint state, controls."""
+        """Return the function (time-dependent inputs, joint state, command) -> rates, controls."""
         symbols, rates, controls = closed(self._dynamics, law, sizes, {})
-        # To tell whether two calls are the same, CasADi writes each table down in full.
+        # To find common subexpressions, CasADi would write out the data of each table in full.
         has_tables = bool(self._dynamics.tables_read)
         options = {"cse": not has_tables}
         return casadi.Function("closed_loop", symbols, [rates, controls], options)
@@ -739,7 +1023,17 @@ class ClosedLoop:
     def rates(
         self, t: float, joint: FloatArray, command: Sequence[float] | FloatArray
     ) -> FloatArray:
-        """Return the time derivative of the joint state, shape (n_joint,)."""
+        """Return the time derivative of the joint state, shape (n_joint,).
+
+        Parameters
+        ----------
+        t : float
+            Physical time.
+        joint : ndarray, shape (n_joint,)
+            States of vehicle and law, and the integral of the objective's integrand.
+        command : sequence, length n_command
+            Values that the law is to follow.
+        """
         self._moment[:] = self._dynamics.moment(t)
         self._joint[:] = joint
         self._command[:] = command
@@ -749,10 +1043,23 @@ class ClosedLoop:
     def slopes(
         self, t: FloatArray, joint: FloatArray, command: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return derivatives of the joint state's rates at n times, by moment and by joint state.
+        """Return partial derivatives of the joint state's rates at n times.
 
-        Shapes (n, n_joint, n_moment) and (n, n_joint, n_joint); where the law has a corner, those
-        of one side.
+        Where the law has a corner (as of fmin), the derivatives are those of one side.
+
+        Parameters
+        ----------
+        t : ndarray, shape (n,)
+        joint : ndarray, shape (n, n_joint)
+            States of vehicle and law, and the integral of the objective's integrand.
+        command : ndarray, shape (n, n_command)
+
+        Returns
+        -------
+        ndarray, shape (n, n_joint, n_moment)
+            Derivatives with respect to the time-dependent inputs of the equations.
+        ndarray, shape (n, n_joint, n_joint)
+            Derivatives with respect to the joint state.
         """
         names = self._function.name_in()
         jacobians = [f"jac:{self._function.name_out(0)}:{names[k]}" for k in (0, 1)]
@@ -770,6 +1077,20 @@ class ClosedLoop:
         )
 
     def controls(self, t: FloatArray, joint: FloatArray, command: FloatArray) -> FloatArray:
-        """Return the controls that the law applies at n times, shape (n, n_controls)."""
+        """Return the controls that the law applies at n times.
+
+        Parameters
+        ----------
+        t : ndarray, shape (n,)
+            Physical times.
+        joint : ndarray, shape (n, n_joint)
+            States of vehicle and law, and the integral of the objective's integrand.
+        command : ndarray, shape (n, n_command)
+            Values that the law is to follow.
+
+        Returns
+        -------
+        ndarray, shape (n, n_controls)
+        """
         moments = np.array([self._dynamics.moment(float(time)) for time in t])
         return MappedFunction(self._function, len(t))(moments, joint, command)[1]

@@ -1,4 +1,4 @@
-"""Enclosures of declared expressions over boxes of their variables, by interval arithmetic.
+"""Guaranteed ranges (enclosures) of expressions over boxes of variables, by interval arithmetic.
 
 Each elementary operation of the compiled expression is evaluated on the lower and upper bounds of
 its arguments, for many boxes at once (Moore, Interval Analysis, 1966). Rounding is not directed: an
@@ -26,12 +26,14 @@ Interval = tuple[FloatArray, FloatArray]
 
 
 def _number(value: float) -> Interval:
+    """Return the interval that contains a single number only."""
     both = np.array(value)
     return both, both
 
 
 def _product(a: Interval, b: Interval) -> Interval:
     # Both ends of a constant interval, as most factors are, share one array.
+    """Return the interval of the products of two intervals' numbers."""
     ours, theirs = (ends[:1] if ends[0] is ends[1] else ends for ends in (a, b))
     corners = [x * y for x in ours for y in theirs]
     low = reduce(np.minimum, corners)
@@ -43,6 +45,7 @@ def _product(a: Interval, b: Interval) -> Interval:
 
 
 def _inverse(a: Interval) -> Interval:
+    """Return the interval of 1 / x; the whole real line if the interval of x contains 0."""
     low, high = a
     holds_nought = (low <= 0.0) & (high >= 0.0)
     with np.errstate(divide="ignore"):
@@ -53,16 +56,19 @@ def _inverse(a: Interval) -> Interval:
 
 
 def _square(a: Interval) -> Interval:
+    """Return the interval of the squares of an interval's numbers."""
     low, high = np.abs(a[0]), np.abs(a[1])
     spans = (a[0] < 0.0) & (a[1] > 0.0)
     return np.where(spans, 0.0, np.minimum(low, high) ** 2), np.maximum(low, high) ** 2
 
 
 def _difference(a: Interval, b: Interval) -> Interval:
+    """Return the interval of the differences of two intervals' numbers."""
     return a[0] - b[1], a[1] - b[0]
 
 
 def _root(a: Interval) -> Interval:
+    """Return the interval of the square roots of an interval's numbers that are not negative."""
     return np.sqrt(np.maximum(a[0], 0.0)), np.sqrt(np.maximum(a[1], 0.0))
 
 
@@ -80,7 +86,15 @@ _OPERATIONS: dict[int, Callable[..., Interval]] = {
 
 
 def symbols(*names: str) -> list[Any]:
-    """Return symbols for `Dynamics.expressions` and an enclosure.
+    """Return CasADi symbols with the given names, for `Dynamics.expressions` and `Enclosure`.
+
+    Parameters
+    ----------
+    *names : str
+
+    Returns
+    -------
+    list of casadi.SX
 
     Examples
     --------
@@ -95,19 +109,19 @@ def symbols(*names: str) -> list[Any]:
 
 
 class Enclosure:
-    """Enclosures of expressions, and of the derivatives of the first expression, over boxes.
+    """Lower and upper bounds of expressions, and of a gradient, over boxes of their variables.
 
     Parameters
     ----------
-    expressions : sequence
-        CasADi expressions, as from `Dynamics.expressions`; slopes are those of the first.
-    variables, numbers : sequence
+    expressions : sequence of casadi.SX
+        CasADi expressions, as from `Dynamics.expressions`; the gradient is that of the first.
+    variables, numbers : sequence of casadi.SX
         Symbols that range over intervals, and symbols with single values.
 
     Raises
     ------
     TranscriptionError
-        If the expressions hold an operation without an enclosure.
+        If the expressions contain an operation that interval arithmetic does not implement here.
     """
 
     def __init__(
@@ -120,18 +134,36 @@ class Enclosure:
         self._all = _Steps(casadi.Function("enclosed", list(columns), [values, slopes]))
 
     def over(self, low: FloatArray, high: FloatArray, numbers: ArrayLike) -> tuple[Interval, ...]:
-        """Return enclosures of the expressions and of the derivatives of the first expression.
+        """Return bounds of the expressions, and of the first expression's gradient, over n boxes.
 
         Parameters
         ----------
         low, high : ndarray, shape (n_variables, n)
             Lower and upper corners of n boxes; equal for points.
         numbers : array_like, shape (n_numbers,)
+            Values of the symbols with single values.
+
+        Returns
+        -------
+        (ndarray, ndarray), (ndarray, ndarray)
+            Lower and upper bounds of the expressions, shape (n_expressions, n), and of the
+            gradient, shape (n_variables, n).
         """
         return self._all.over(low, high, numbers)
 
     def at(self, points: FloatArray, numbers: ArrayLike) -> FloatArray:
-        """Return the expressions at points, shape (n_variables, n): one row per expression."""
+        """Return the values of the expressions at n points.
+
+        Parameters
+        ----------
+        points : ndarray, shape (n_variables, n)
+        numbers : array_like, shape (n_numbers,)
+            Values of the symbols with single values.
+
+        Returns
+        -------
+        ndarray, shape (n_expressions, n)
+        """
         ((values, _),) = self._values.over(points, points, numbers)
         return values
 
@@ -145,6 +177,7 @@ class _Steps:
         self._steps = list(map(self._step, range(function.n_instructions())))
 
     def _step(self, k: int) -> tuple[int, list[int], list[int], float]:
+        """Return the k-th operation: its code, its input and output registers, and its constant."""
         f = self._function
         operation = f.instruction_id(k)
         known = (*_OPERATIONS, casadi.OP_CONST, casadi.OP_INPUT, casadi.OP_OUTPUT)
@@ -154,7 +187,7 @@ class _Steps:
         return operation, f.instruction_input(k), f.instruction_output(k), constant
 
     def over(self, low: FloatArray, high: FloatArray, numbers: ArrayLike) -> tuple[Interval, ...]:
-        """Return enclosures of the function's outputs."""
+        """Return lower and upper bounds of the function's outputs over n boxes."""
         given = np.asarray(numbers, dtype=float)
         held: dict[int, Interval] = {}
         outputs = [np.empty((2, size, low.shape[1])) for size in self._sizes]

@@ -6,13 +6,13 @@ class EngineError(Exception):
 
 
 class TranscriptionError(EngineError, ValueError):
-    """The declarations cannot be transcribed; the message names the component."""
+    """Error in the declarations of a model or in an argument; the message names the component."""
 
 
 class SolveError(EngineError, RuntimeError):
-    """A solve that the caller required to succeed did not converge."""
+    """Error of a numerical solve that did not converge although its caller requires a result."""
 
 
 def raised(error: Exception) -> str:
-    """Return type and message of an error raised by the user's code."""
+    """Return type and message of an exception raised by the user's code, as "Type: message"."""
     return f"{type(error).__name__}: {error}".removesuffix(": ")

@@ -1,4 +1,8 @@
-"""First solve of a problem: strategies that vary initial point, mesh and settings on failure."""
+"""First solve of a problem, on its initial mesh, with fallback strategies if it fails.
+
+The strategies of the table in `strategies` change the initial point, the mesh or the settings of
+Ipopt. This module carries them out, on a model with one horizon or several.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +39,10 @@ _COARSE_MESH = Mesh.uniform(elements=4, degree=3)
 
 @dataclass(kw_only=True)
 class FirstSolve(Search[S], Generic[S]):
-    """Search for a first solution by trying strategies in order, on one horizon or several.
+    """Search for a first solution of a problem, trying fallback strategies in a fixed order.
+
+    The first strategy solves as the caller requested. If that solve fails, its feasibility is
+    examined, and further strategies change the initial point, the mesh or the settings of Ipopt.
 
     Attributes
     ----------
@@ -44,12 +51,16 @@ class FirstSolve(Search[S], Generic[S]):
     finish : callable
         (solve, mesh, start) -> the solution, on refined meshes if a tolerance is given.
     judge : callable
-        Failed solution -> the same, with a message on which equations cannot be met together (from
-        the elastic program, which minimises the constraint violation).
+        Failed solution -> the same solution with a message on which equations cannot be satisfied
+        together, as found by minimising the constraint violation (elastic program).
     mesh : Mesh, list of Mesh, or None
-        The initial mesh.
+        Initial mesh, a list for several horizons, None for a model without time.
     start : Start
+        Initial guess or warm start that the caller requested.
     options : SolverOptions
+        Settings of Ipopt that the caller requested.
+    first : Solution or JointSolution, optional
+        Result of the solve as the caller requested it, once it has run.
     """
 
     solve: Callable[..., S]
@@ -62,25 +73,37 @@ class FirstSolve(Search[S], Generic[S]):
 
     @cached_property
     def judged(self) -> S:
-        """Failed requested solve, with the verdict of its elastic program on its feasibility."""
+        """Failed solve that the caller requested, with the verdict on the problem's feasibility.
+
+        Computing it minimises the constraint violation near the last iterate; the result is cached.
+        """
         return self.judge(self.failed)
 
     @property
     def failed(self) -> S:
-        """Result of the solve that the caller requested, which failed."""
+        """Failed solve with the start, mesh and settings that the caller requested.
+
+        Raises
+        ------
+        LookupError
+            If no solve has failed yet.
+        """
         if self.first is None:
             raise LookupError("no solve has failed yet")
         return self.first
 
     def holds(self, fact: Fact) -> bool:
-        """Return whether the condition of a strategy is met."""
+        """Return whether a condition (`Fact`) of a strategy in the table is true at present."""
         is_judged = self.first is not None and self.judged.status is not Status.INTERRUPTED
         if fact is Fact.POSSIBLE:
             return is_judged and self.judged.status is not Status.INFEASIBLE
         return fact is Fact.JUDGED and is_judged
 
     def attempt(self, strategy: Strategy) -> S | None:
-        """Solve with a strategy's initial point, mesh and settings; None if it does not apply."""
+        """Solve with the initial point, mesh and settings of a strategy of the table.
+
+        The result is None if the strategy does not apply to this problem.
+        """
         own = partial(
             self.solve, options=strategy.settings(self.options), is_scaled=strategy.is_scaled
         )
@@ -93,12 +116,29 @@ class FirstSolve(Search[S], Generic[S]):
         return found
 
     def begun(self, first: First, own: Callable[..., S], mesh: Any) -> S | None:
-        """Solve from the kind of initial point that a strategy names, None if there is none."""
+        """Solve from the kind of initial point that a strategy requires.
+
+        With several horizons there is one kind only, the start that the caller requested. A
+        subclass provides further kinds, and returns None if the problem has no initial point of a
+        kind.
+
+        Parameters
+        ----------
+        first : First
+            Kind of initial point.
+        own : callable
+            (mesh, start) -> solution on one mesh, with the strategy's settings.
+        mesh : Mesh, list of Mesh, or None
+        """
         del first
         return self.finish(own, mesh, self.start)
 
     def is_final(self, found: S) -> bool:
-        """Return whether a result ends the search."""
+        """Return whether a result ends the search.
+
+        A successful solve does. The failed solve that the caller requested does too if it diverged
+        (the problem is unbounded), or if the caller allows few iterations only.
+        """
         is_hasty = self.options.max_iterations < PATIENCE
         is_first = found is self.first
         return not found.status.has_failed or (
@@ -106,23 +146,29 @@ class FirstSolve(Search[S], Generic[S]):
         )
 
     def failure(self, last: S) -> S:
-        """Return the failed requested solve, with the verdict on its feasibility."""
+        """Return the result if all strategies failed: the requested solve, with a verdict.
+
+        The verdict tells whether the problem is infeasible near the last iterate.
+        """
         del last
         return self.judged
 
 
 @dataclass(kw_only=True)
 class FirstSolveOfOne(FirstSolve["Solution"]):
-    """Search for a first solution on one horizon.
+    """Search for a first solution of a problem with one horizon, by all strategies.
 
     Attributes
     ----------
     bounds_of : callable
-        Program -> its bounds with all conditions.
+        Transcription (nonlinear program on one mesh) -> its bounds, with all conditions imposed.
     simulate : callable, optional
-        Returns a simulated trajectory, None if any variable is free; None if a guess is given.
+        Returns a trajectory simulated from the initial states, or None if any variable is free.
+        Absent if the caller gave a guess.
     instance : Instance
+        Parameter values, horizon and fixed variables of the solve.
     progress : callable or None
+        Called at each iteration; returning False stops the solve.
     is_overdetermined : bool
         Whether there are more equations than free unknowns.
     is_mesh_free : bool
@@ -137,7 +183,7 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     is_mesh_free: bool
 
     def holds(self, fact: Fact) -> bool:
-        """Return whether the condition of a strategy is met."""
+        """Return whether a condition (`Fact`) of a strategy in the table is true at present."""
         known = {
             Fact.ONE_HORIZON: True,
             Fact.OVERDETERMINED: self.is_overdetermined and self.first is None,
@@ -149,7 +195,13 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
         return known[fact] if fact in known else super().holds(fact)
 
     def begun(self, first: First, own: Callable[..., Solution], mesh: Any) -> Solution | None:
-        """Solve from the kind of initial point that a strategy names, None if there is none."""
+        """Solve from the kind of initial point that a strategy requires.
+
+        These are the caller's start, a simulation, the point of least constraint violation, the
+        optimum on a coarse mesh, the optimum of the elastic program (equations violated at a
+        penalty), and a solve without redundant conditions. The result is None if no initial point
+        of that kind exists.
+        """
         if first is First.GIVEN:
             return self._ended(self.finish(own, mesh, self.start))
         if first is First.REDUCED:
@@ -164,18 +216,29 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
         return self._ended(self.finish(own, mesh, Start(guess=path))) if path else None
 
     def _simulated(self) -> Any:
+        """Return a trajectory simulated from the initial states, None if variables are free.
+
+        None also if the caller gave a guess.
+        """
         return self.simulate and self.simulate()
 
     def _ended(self, found: Solution) -> Solution:
-        """Return a result, with a message if it is unbounded or has redundant equations."""
+        """Complete the message of a solve that diverged, or that has more equations than unknowns.
+
+        A diverged solve gets a message that names the unbounded variable; a successful solve of an
+        over-determined model gets a note on its redundant equations. Others are returned unchanged.
+        """
         diverged = found.status.has_failed and found.ipopt_code == DIVERGED_CODE
         return without_bound(found) if diverged else with_surplus(found)
 
     def _reduced(self, solve_on: Callable[..., Solution], mesh: Mesh | None) -> Solution | None:
         """Solve without redundant conditions, and check that the solution satisfies them.
 
-        They are detected at the point of least violation near the guess: with them, a coarse mesh
-        has spurious solutions or none.
+        A redundant condition follows from the other equations, as an end condition on a conserved
+        quantity does. Redundant conditions are detected at the point of least constraint violation
+        near the guess. If they were imposed too, a coarse mesh would have spurious solutions or
+        none. The result is None if no condition is redundant, the solve fails, or its solution
+        violates a condition.
         """
         near = solve_on(mesh, self.start, options=replace(self.options, max_iterations=0))
         least = violation_of(near, self.options, self.progress)

@@ -1,6 +1,8 @@
-"""Compiled Pyomo.DAE model: its equations, its data, and its programs on meshes.
+"""Compiled Pyomo.DAE model: its equations, its data, and its nonlinear programs on meshes.
 
-The structural index tells how often the equations must be differentiated with respect to time.
+The module also evaluates any component of the model, solves for output states (states that no other
+equation depends on), and computes the structural index, the number of times by which the equations
+must be differentiated to obtain an ODE.
 """
 
 from __future__ import annotations
@@ -45,23 +47,34 @@ if TYPE_CHECKING:
 
 
 class WrittenComponents:
-    """Components over time as CasADi expressions, detached from the Pyomo model for pickling.
+    """Model components over time as CasADi expressions, which pickle without the Pyomo model.
+
+    A substitute for `TemplateWriter`, which translates components of a live Pyomo model on demand.
 
     Parameters
     ----------
     written : dict
-        Expression by name and index without time, or the reason why it cannot be written.
+        Keys are (full name, index without time). Values are the CasADi expression of the component,
+        or a text with the reason why it cannot be written as an expression.
     """
 
     def __init__(self, written: dict[tuple[str, tuple[Any, ...]], Any]) -> None:
         self._written = written
 
     def components_over_time(self) -> Iterator[tuple[str, tuple[Any, ...]]]:
-        """Yield name and index of all components."""
+        """Yield the full name and the index without time of each component."""
         yield from self._written
 
     def over_time(self, name: str, index: tuple[Any, ...]) -> Any:
-        """Return a component's expression, None if no component has this name."""
+        """Return the CasADi expression of a component, or None if no component has this name.
+
+        Raises
+        ------
+        TranscriptionError
+            If the component cannot be written as an expression.
+        KeyError
+            If the component has no such index.
+        """
         if all(name != known for known, _ in self._written):
             return None
         found = self._written[name, index]
@@ -71,10 +84,20 @@ class WrittenComponents:
 
 
 class Evaluator:
-    """Compiler and evaluator of model components at points, with a cache of functions.
+    """Compiler and evaluator of model components at points, with a cache of compiled functions.
 
-    The inputs of a function are the rates, states and algebraic variables (outputs after the
-    states of the program), the static variables, and the data: fraction, signals, parameters.
+    A component is a variable, derivative or named expression over time. Its CasADi function has
+    five inputs, evaluated at one time: the rates (derivatives of the states with respect to the
+    fraction of the horizon), the states, the algebraic variables, the static variables, and the
+    data (fraction of the horizon, time-dependent parameters, constant parameters). Output states,
+    which no other equation depends on, follow the states of the nonlinear program.
+
+    Parameters
+    ----------
+    inputs : tuple of casadi.SX
+        Column vectors of the symbols of these five inputs.
+    writer : TemplateWriter or WrittenComponents
+        Source of the expressions of the components.
     """
 
     def __init__(self, inputs: tuple[Any, ...], writer: TemplateWriter | WrittenComponents) -> None:
@@ -98,7 +121,7 @@ class Evaluator:
         return cls(inputs, writer)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle each component once, as an expression."""
+        """Pickle each component as a CasADi expression, and all expressions as a single text."""
         written: dict[tuple[str, tuple[Any, ...]], Any] = {}
         for name, index in self._writer.components_over_time():
             try:
@@ -108,11 +131,18 @@ class Evaluator:
         return _unpacked, (packed((self.inputs, written)),)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Evaluator:
-        """Return the evaluator itself, which holds no data of the model."""
+        """Return the evaluator itself: it holds no parameter values, so copies can share it."""
         return self
 
     def expression(self, component: Any, index: Any = None) -> Any:
-        """Return a component over time as a CasADi expression of the inputs.
+        """Return a component over time as a CasADi expression of the evaluator's inputs.
+
+        Parameters
+        ----------
+        component : Pyomo component or str
+            Variable or expression, or its full name.
+        index : optional
+            Index without time; None for a component that is indexed by time only.
 
         Raises
         ------
@@ -138,14 +168,18 @@ class Evaluator:
         return written
 
     def is_over_time(self, component: str, index: Any = None) -> bool:
-        """Return whether a variable or expression over this horizon has a name."""
+        """Return whether a variable or expression of this name is indexed by the horizon's time."""
         try:
             return self._writer.over_time(component, index_tuple(index)) is not None
         except KeyError:
             return True
 
     def function(self, keys: tuple[tuple[str, Any], ...]) -> Any:
-        """Return the CasADi function of some (name, index) pairs, compiled at first use."""
+        """Return the CasADi function that evaluates several components, compiled at first use.
+
+        `keys` are pairs (full name, index without time). The function's only output is a column
+        vector with one component per row.
+        """
         if keys not in self._functions:
             rows = casadi.vertcat(*[self.expression(name, index) for name, index in keys])
             self._functions[keys] = casadi.Function(
@@ -159,9 +193,9 @@ class Evaluator:
         Parameters
         ----------
         keys : tuple of (str, index)
-            Full names and indices beside time (None for none).
+            Full names and indices without time (None for a component that has no other index).
         inputs : ndarray, shape (n, k)
-            Rates, states, algebraics, statics and data, one row per point.
+            Rates, states, algebraic variables, static variables and data, one row per point each.
 
         Returns
         -------
@@ -171,6 +205,7 @@ class Evaluator:
 
 
 def _unpacked(kept: Packed) -> Evaluator:
+    """Return the evaluator that a pickle contains."""
     inputs, written = kept.unpacked()
     return Evaluator(inputs, WrittenComponents(written))
 
@@ -180,7 +215,11 @@ _NEWTON_TOLERANCE = 1e-13
 
 
 class OutputStates:
-    """Compiled equations of the output states."""
+    """Solver for the output states: states that neither objective nor other equations depend on.
+
+    Output states, for example an energy that is only reported, are left out of the nonlinear
+    program. For a given solution this class solves their collocation equations by Newton's method.
+    """
 
     def __init__(self, compiled: CompiledModel) -> None:
         declared = compiled.declared
@@ -202,11 +241,16 @@ class OutputStates:
         self._starts = self._start_function(declared)
 
     def __len__(self) -> int:
+        """Return the number of output states, the states that nothing else depends on."""
         return len(self._slots)
 
     @staticmethod
     def _start_function(declared: Declarations) -> Any:
-        """Return a function of the parameters: the start value of each output, or NaN."""
+        """Return the CasADi function from parameters to initial values of the output states.
+
+        Output states are states that nothing else depends on. An initial value comes from the
+        condition that the model declares for the state at the start; NaN if there is none.
+        """
         parameters = stacked([s.symbol for s in declared.parameters])
         values = []
         for slot in declared.outputs:
@@ -221,7 +265,18 @@ class OutputStates:
         return casadi.Function("output_starts", [parameters], [stacked(values)])
 
     def start(self, parameters: FloatArray, fixed: dict[tuple[str, float], float]) -> FloatArray:
-        """Return the output states at the start of the horizon, shape (n_outputs,)."""
+        """Return the initial values of the output states, shape (n_outputs,).
+
+        Output states are states that nothing else depends on.
+
+        Parameters
+        ----------
+        parameters : ndarray, shape (n_parameters,)
+            Values of the parameters without time.
+        fixed : dict
+            Fixed values of variables by (name, fraction of the horizon); they take precedence over
+            initial conditions.
+        """
         held = np.asarray(self._starts(parameters)).ravel()
         return np.array(
             [fixed.get((s.name, 0.0), held[k]) for k, s in enumerate(self._slots)], dtype=float
@@ -230,7 +285,26 @@ class OutputStates:
     def solve(
         self, layout: Layout, start: FloatArray, path_variables: FloatArray, data: FloatArray
     ) -> FloatArray:
-        """Return the output states at the nodes, shape (n_points + 1, n_outputs).
+        """Solve the collocation equations of the output states by Newton's method.
+
+        Output states are states that nothing else depends on, and no unknowns of the nonlinear
+        program.
+
+        Parameters
+        ----------
+        layout : Layout
+            Positions of variables on the mesh, with its differentiation matrix.
+        start : ndarray, shape (n_outputs,)
+            Initial values.
+        path_variables : ndarray, shape (n_points, n_variables)
+            Rates, states, algebraic and static variables of the nonlinear program, at the points.
+        data : ndarray, shape (n_points, n_data)
+            Fraction of the horizon, time-dependent parameters and constant parameters.
+
+        Returns
+        -------
+        ndarray, shape (n_points + 1, n_outputs)
+            Output states at the nodes: start of the horizon and collocation points.
 
         Raises
         ------
@@ -258,18 +332,26 @@ class OutputStates:
     @staticmethod
     def _blocks(values: FloatArray, n: int) -> csr_matrix:
         # CasADi stores a point's matrix by columns.
+        """Return a block-diagonal sparse matrix with an n x n block per point.
+
+        `values` holds one block per row, as CasADi returns it.
+        """
         matrices = values.reshape(-1, n, n).transpose(0, 2, 1)
         count = len(matrices)
         return bsr_matrix((matrices, np.arange(count), np.arange(count + 1))).tocsr()
 
 
 _CACHED_MESHES = 4
-# Fractions of the horizon at which a limit is evaluated to see whether it varies.
+# Fractions of the horizon at which a limit is evaluated to find out whether it varies with time.
 _LOOKED_AT = (0.0, 0.2718, 0.5772, 1.0)
 
 
 class Formulation:
-    """A Pyomo.DAE model compiled for collocation; `Problem` lists the accepted declarations."""
+    """Pyomo.DAE model translated to CasADi functions, with its data and programs on meshes.
+
+    Base class of `Problem`, which documents the arguments and the accepted declarations. The
+    nonlinear programs of the last four meshes are cached.
+    """
 
     def __init__(
         self,
@@ -281,7 +363,7 @@ class Formulation:
 
     @classmethod
     def of(cls, model: Any, declared: Declarations, reader: ModelReader) -> Self:
-        """Compile declarations that were already read."""
+        """Return the formulation of a model whose declarations have been read already."""
         formulation = object.__new__(cls)
         formulation._hold(*_compiled(model, declared, reader))
         return formulation
@@ -289,6 +371,7 @@ class Formulation:
     def _hold(
         self, compiled: CompiledModel, source: LiveModel | ModelSnapshot, evaluator: Evaluator
     ) -> None:
+        """Set all attributes, from the compiled equations and the source of the model's data."""
         self.compiled = compiled
         self.source = source
         self.evaluator = evaluator
@@ -297,7 +380,7 @@ class Formulation:
         self._programs: dict[Mesh | None, Transcription] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle equations and data without the Pyomo model."""
+        """Pickle the compiled equations and the model's data, without the Pyomo model."""
         return _restored, (type(self), self.compiled, self.values.snapshot(), self.evaluator)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
@@ -333,11 +416,15 @@ class Formulation:
 
     @property
     def has_horizon(self) -> bool:
-        """Whether the model has a continuous set."""
+        """Whether the model has a continuous set, and therefore variables over time."""
         return self.compiled.declared.has_horizon
 
     def required_breakpoints(self, instance: Instance) -> tuple[float, ...]:
-        """Return the fractions of the horizon at which elements must end: conditions, jumps."""
+        """Return the fractions of the horizon at which an element of every mesh must end.
+
+        At these interior fractions, in increasing order, a condition is imposed on a variable, a
+        variable is fixed, or a time-dependent parameter jumps.
+        """
         declared = self.compiled.declared
         fractions = {p.fraction for p in declared.point_symbols} | {f for _, f in declared.fixed}
         return tuple(sorted(f for f in fractions.union(instance.jumps) if 0.0 < f < 1.0))
@@ -345,7 +432,20 @@ class Formulation:
     def instance(
         self, parameters: Overrides | None = None, horizon: tuple[float, float] | None = None
     ) -> Instance:
-        """Read the data of one solve from the model and the arguments."""
+        """Collect the data of a single solve: parameter values, horizon and fixed variables.
+
+        Parameters
+        ----------
+        parameters : mapping, optional
+            Values that replace those of the model's mutable parameters, by component or full name.
+        horizon : (float, float), optional
+            Start and end of the horizon, in place of the continuous set's.
+
+        Raises
+        ------
+        TranscriptionError
+            If the horizon does not end after its start, or a parameter is unknown or has no value.
+        """
         if horizon is not None and not horizon[1] > horizon[0]:
             raise TranscriptionError(
                 f"horizon: end {horizon[1]:g} is not after start {horizon[0]:g}."
@@ -359,23 +459,40 @@ class Formulation:
         )
 
     def signals(self, instance: Instance, fractions: FloatArray) -> FloatArray:
-        """Return the fraction and the time-dependent parameters, one row per fraction."""
+        """Return the time-dependent parameters at fractions of the horizon.
+
+        Shape (n_fractions, 1 + n_signals). The first column repeats the fractions; each further
+        column is one time-dependent parameter.
+        """
         if not self.compiled.declared.has_signals:
             return fractions[:, None]
         at = self.values.signals(instance)
         return np.array([[fraction, *at(fraction)] for fraction in fractions.tolist()])
 
     def data_of(self, instance: Instance, fractions: FloatArray) -> Data:
-        """Return parameter values, and time-dependent parameters at fractions of the horizon."""
+        """Return the numbers in the equations at fractions of the horizon.
+
+        The `Data` holds the constant parameters of the instance (data of one solve) and the
+        time-dependent parameters at each fraction.
+        """
         return Data(parameters=instance.parameters, signals=self.signals(instance, fractions))
 
     def data_at_starts(self, instance: Instance) -> FloatArray:
-        """Return fraction, signals and parameters, row by row: at the start, after each jump."""
+        """Return the numbers in the equations at the start of the horizon and just after each jump.
+
+        Shape (1 + n_jumps, n_data). A jump is a discontinuity of a time-dependent parameter; no
+        collocation point lies just after it. The columns are the fraction of the horizon, the
+        time-dependent parameters and the constant parameters.
+        """
         after = np.array(instance.jumps) + 2.0 * BESIDE
         return self.data_of(instance, np.concatenate([np.zeros(1), after])).at_points()
 
     def program(self, mesh: Mesh | None, instance: Instance) -> Transcription:
-        """Return the program on a mesh, from a cache if the mesh was used before."""
+        """Return the nonlinear program on a mesh, with the data of one solve.
+
+        The structure of the program (sparsity, index arrays) is cached for the last four meshes.
+        `mesh` is None for a model without time.
+        """
         data = self.data_of(instance, mesh.point_fractions if mesh else np.zeros(0))
         if mesh not in self._programs:
             if len(self._programs) >= _CACHED_MESHES:
@@ -384,14 +501,22 @@ class Formulation:
         return self._programs[mesh].with_data(data)
 
     def timeline(self, statics: FloatArray, instance: Instance) -> Timeline:
-        """Return the times of the horizon, taken from the static variables where they are free."""
+        """Return the mapping between fractions of the horizon and physical time.
+
+        Parameters
+        ----------
+        statics : ndarray, shape (n_statics,)
+            Values of the static variables, which include the free times.
+        instance : Instance
+            Data of one solve, with the times that are not free.
+        """
         times = np.array(self.compiled.times(statics, instance.parameters)).ravel()
         return Timeline(fractions=np.array(self.compiled.declared.clock.fractions), times=times)
 
     def algebraic_limits(self, instance: Instance) -> tuple[FloatArray, FloatArray]:
         """Return lower and upper limits of the algebraic variables, shape (n_algebraics,) each.
 
-        Infinite where there is no limit, or where the limit varies with time.
+        A limit is infinite where none is declared, or where it varies with time.
         """
         compiled, first = self.compiled, len(self.compiled.declared.states)
         data = self.data_of(instance, np.array(_LOOKED_AT)).at_points()
@@ -408,6 +533,13 @@ class Formulation:
 def _compiled(
     model: Any, declared: Declarations, reader: ModelReader
 ) -> tuple[CompiledModel, LiveModel, Evaluator]:
+    """Compile declarations that were read from a model, refusing a DAE of index above 2.
+
+    Returns
+    -------
+    CompiledModel, LiveModel, Evaluator
+        The compiled equations, the source of the model's data, and the evaluator of components.
+    """
     refuse_high_index(declared)
     compiled = compile_declarations(declared)
     time = reader.copy.time
@@ -422,12 +554,14 @@ def _restored(
     source: ModelSnapshot,
     evaluator: Evaluator,
 ) -> Formulation:
+    """Return the formulation that a pickle contains, without its Pyomo model."""
     formulation = object.__new__(kind)
     formulation._hold(compiled, source, evaluator)
     return formulation
 
 
-# Highest index that is solved without reformulation: an equation of states implies a control.
+# Highest index that is solved as declared; at index 2, an equation among states determines a
+# control.
 _HIGHEST = 2
 _ABSENT = -1e6
 _ORDERS = {2: "second", 3: "third", 4: "fourth", 5: "fifth"}
@@ -435,18 +569,29 @@ _ORDERS = {2: "second", 3: "third", 4: "fourth", 5: "fifth"}
 
 @dataclass(frozen=True, kw_only=True)
 class StructuralIndex:
-    """Index of the equations over time, and the number of differentiations that each needs."""
+    """Structural index of a DAE, and how often each of its equations must be differentiated.
+
+    Attributes
+    ----------
+    index : int
+        0 for an ODE.
+    differentiated : dict
+        Name of an equation -> number of differentiations with respect to time; equations that need
+        none are left out.
+    """
 
     index: int
     differentiated: dict[str, int]
 
 
 def structural_index(declared: Declarations) -> StructuralIndex:
-    """Return the structural index (0 for an ODE), by Pryce's signature matrix.
+    """Return the structural index of the equations over time, by Pryce's signature matrix.
 
-    Controls count as unknowns like any other algebraic variable, so that an equation among states
-    that a control must satisfy counts like one in a model without controls. Source: Pryce (2001),
-    BIT Numerical Mathematics 41, 364-394.
+    The index is 0 for an ODE. It is also 0 where the method does not apply: there are no equations,
+    more equations than variables, or no assignment of equations to variables. Controls count as
+    unknowns like any other algebraic variable, so that an equation among states that a control must
+    satisfy counts like one in a model without controls. Source: Pryce (2001), BIT Numerical
+    Mathematics 41, 364-394.
     """
     equations = [e for e in declared.equations if e.is_equality]
     names = [s.name for s in (*declared.states, *declared.algebraics)]
@@ -468,7 +613,8 @@ def structural_index(declared: Declarations) -> StructuralIndex:
         highest = np.max(orders + counts[:, None], axis=0)
         counts[rows] = highest[columns] - orders[rows, columns]
     found = dict(zip((e.name for e in equations), counts.astype(int).tolist(), strict=True))
-    # A variable is algebraic if none of its rates is determined.
+    # A variable is algebraic if no equation determines a derivative of it; the index of a DAE is 1
+    # larger than the largest number of differentiations.
     is_dae = bool(np.any(highest == 0.0))
     return StructuralIndex(
         index=int(counts.max()) + is_dae,
@@ -477,7 +623,7 @@ def structural_index(declared: Declarations) -> StructuralIndex:
 
 
 def refuse_high_index(declared: Declarations) -> None:
-    """Raise an error for a DAE of index above 2.
+    """Raise an error for a DAE of index above 2, which collocation cannot solve as declared.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Initial points for Ipopt from the model's values, a function, a table or a trajectory."""
+"""Initial points for Ipopt, from a guess, the values in the model, and the model's equations."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ if TYPE_CHECKING:
 
 TIME_COLUMN = "time"
 
-#: A mapping from slot name to a function of time, a constant, or samples over `TIME_COLUMN`; a
-#: pandas frame with a time column and one column per slot is a mapping of this kind. Or a complete
-#: trajectory on any mesh.
+#: A mapping from the name of a variable, as in ``rotors.omega[1]``, to a function of time, a
+#: constant, or samples at the times in `TIME_COLUMN`; a pandas frame with a time column and one
+#: column per variable is a mapping of this kind. Or a complete trajectory on any mesh.
 Guess: TypeAlias = "Mapping[str, Any] | pd.DataFrame | Trajectory"
 
 
 def point_from_trajectory(program: Transcription, trajectory: Trajectory) -> FloatArray:
-    """Return a trajectory's values, from any mesh, as unknowns on this program's mesh."""
+    """Interpolate a trajectory from any mesh to the unknowns of a program, shape (n_unknowns,)."""
     layout, mesh, z = program.layout, program.mesh, np.zeros(program.layout.unknowns)
     if mesh is not None:
         same, path = trajectory.mesh == mesh, trajectory
@@ -50,9 +50,28 @@ def initial_point(
 ) -> FloatArray:
     """Return an initial point interpolated between known values and moved inside the bounds.
 
-    Known values come from a guess, from `initialize` rules at any time, from the model's variables,
-    and from boundary conditions. Algebraic variables without a known value are computed from their
-    defining equations.
+    Known values come from a guess, from `initialize` rules of the model, from the values of its
+    variables, and from boundary conditions. Algebraic variables without a known value are computed
+    from the equations that define them.
+
+    Parameters
+    ----------
+    program : Transcription
+        Nonlinear program on one mesh.
+    bounds : Bounds
+    values : ModelValues
+        Reader of the values in the Pyomo model.
+    guess : mapping, DataFrame or Trajectory, optional
+        See `Guess`.
+
+    Returns
+    -------
+    ndarray, shape (n_unknowns,)
+
+    Raises
+    ------
+    TranscriptionError
+        If the guess has a name that is no variable of the model.
     """
     if isinstance(guess, Trajectory):
         return np.clip(point_from_trajectory(program, guess), bounds.lower, bounds.upper)
@@ -87,9 +106,18 @@ def first_point(
     guess: Guess | None,
     seed: int = 0,
 ) -> FloatArray:
-    """Return an initial point where all equations are defined and equalities nearly hold.
+    """Return an initial point where all equations are defined and equations among states hold.
 
-    A `seed` above 0 makes it random; see `scattered`.
+    Parameters
+    ----------
+    program, bounds, values, guess
+        As in `initial_point`.
+    seed : int, default 0
+        If above 0, the point is random between the bounds; see `scattered`.
+
+    Returns
+    -------
+    ndarray, shape (n_unknowns,)
     """
     z = initial_point(program, bounds, values, guess)
     z = scattered(program, bounds, z, seed) if seed else z
@@ -99,7 +127,17 @@ def first_point(
 
 @dataclass(frozen=True)
 class _Known:
-    """Sources of an initial point: bounds, values of the model, and the guess of the user."""
+    """Sources of an initial point: bounds, values in the Pyomo model, and the user's guess.
+
+    Attributes
+    ----------
+    program : Transcription
+    bounds : Bounds
+    values : ModelValues
+        Reader of the values in the Pyomo model.
+    given : mapping or DataFrame
+        The user's guess by variable name, empty if there is none.
+    """
 
     program: Transcription
     bounds: Bounds
@@ -107,7 +145,21 @@ class _Known:
     given: Mapping[str, Any] | pd.DataFrame
 
     def over_time(self, slot: Slot, columns: Any, fractions: FloatArray) -> FloatArray:
-        """Return the initial values of a variable over time at the fractions of its columns."""
+        """Return initial values of a variable over time, interpolated between its known values.
+
+        Parameters
+        ----------
+        slot : Slot
+            The variable: one member of a Pyomo variable, for example ``rotors.omega[1]``.
+        columns : ndarray of int, shape (n,)
+            Positions of its values among the unknowns of the program.
+        fractions : ndarray, shape (n,)
+            Times of these values as fractions of the horizon.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+        """
         if slot.name in self.given:
             return self._told(slot.name, fractions)
         fixed = _are_fixed(self.bounds, columns)
@@ -123,6 +175,10 @@ class _Known:
         return np.interp(fractions, at, np.array([known[f] for f in at]))
 
     def _told(self, name: str, fractions: FloatArray) -> FloatArray:
+        """Return the guessed values of a variable at fractions of the horizon, in their shape.
+
+        The guess is a function of time, a constant, or samples at the times in the guess.
+        """
         times = np.array([self.program.time_of(float(f)) for f in fractions])
         held = self.given[name]
         if callable(held):
@@ -137,7 +193,11 @@ class _Known:
         return np.interp(times, np.asarray(self.given[TIME_COLUMN], dtype=float), samples)
 
     def with_defined_algebraics(self, z: FloatArray) -> FloatArray:
-        """Compute algebraic variables without a guess from the equations that define them."""
+        """Compute algebraic variables without a known value from the equations that define them.
+
+        The result is the point `z` with these values, inside the bounds; `z` itself if a value
+        would not be finite.
+        """
         program, bounds = self.program, self.bounds
         columns = program.layout.algebraic_columns
         unknown = [
@@ -158,7 +218,10 @@ class _Known:
         return np.clip(moved, bounds.lower, bounds.upper) if np.all(np.isfinite(moved)) else z
 
     def order_times(self, z: FloatArray) -> None:
-        """Give free times without a value their declared times, and sort all times."""
+        """Give free times without a value their declared times, and make all times increase.
+
+        The array `z` of unknowns is changed in place.
+        """
         program, bounds = self.program, self.bounds
         statics, clock = program.compiled.declared.statics, program.compiled.declared.clock
         slots = {slot.name: k for k, slot in enumerate(statics)}
@@ -181,6 +244,7 @@ class _Known:
 
 
 def _are_fixed(bounds: Bounds, columns: Any) -> NDArray[np.bool_]:
+    """Return which of the unknowns at the given columns have equal lower and upper bounds."""
     return np.asarray(bounds.lower[columns] == bounds.upper[columns])
 
 
@@ -188,10 +252,10 @@ _STEPS = 3
 
 
 def with_consistent_algebraics(program: Transcription, bounds: Bounds, z: FloatArray) -> FloatArray:
-    """Return a point whose algebraic variables nearly satisfy the equations at each point.
+    """Adjust the algebraic variables so that the equations nearly hold at each point.
 
-    Takes a few Gauss-Newton steps with fixed states: a control without a known value becomes the
-    one that the states require.
+    Three Gauss-Newton steps with fixed states are taken: a control without a known value becomes
+    the control that the states require. Returns unknowns inside the bounds, shape (n_unknowns,).
     """
     columns, n = program.layout.algebraic_columns, program.layout.n_states
     if program.mesh is None or not columns.size:
@@ -208,16 +272,19 @@ def with_consistent_algebraics(program: Transcription, bounds: Bounds, z: FloatA
     return moved
 
 
-# Number of steps onto equations among states, and residual to reach relative to the first one.
+# Largest number of Gauss-Newton steps that project states onto equations among states, and largest
+# final residual relative to the initial one.
 _PROJECTIONS, _LEFT = 30, 1e-9
 
 
 def on_path_equalities(program: Transcription, bounds: Bounds, z: FloatArray) -> FloatArray:
-    """Return a point near a given one whose states satisfy the equations among states alone.
+    """Move states as little as possible until they satisfy the equations among states alone.
 
-    Such an equation has index 2: far from it, its slopes at the first point give little information
-    on the rates and controls that maintain it. Each Gauss-Newton step is the shortest one in units
-    of the states' sizes.
+    An equation among states, such as a path that a vehicle must follow, has index 2: far from it,
+    its slopes at the first point give little information on the rates and controls that maintain
+    it. Each Gauss-Newton step is the shortest one in units of the states' magnitudes. Returns
+    unknowns inside the bounds, shape (n_unknowns,); the given unknowns if the residual does not
+    decrease.
     """
     compiled, layout = program.compiled, program.layout
     path, n = compiled.path, layout.n_states
@@ -248,13 +315,20 @@ def on_path_equalities(program: Transcription, bounds: Bounds, z: FloatArray) ->
     return with_consistent_algebraics(program, bounds, moved) if largest < first else z
 
 
-# Number of instants between which random functions are linear; larger bounds count as absent.
+# Number of instants between which random functions of time are linear; and magnitude above which a
+# bound counts as absent.
 _INSTANTS = 4
 _LARGEST_BOUND = 1e6
 
 
 def scattered(program: Transcription, bounds: Bounds, z: FloatArray, seed: int) -> FloatArray:
-    """Return a random point: between bounds where both are finite, else around a given point."""
+    """Return a random initial point, drawn between the bounds of each variable.
+
+    Each variable over time is piecewise linear between four random values. Where a variable lacks a
+    finite bound, its random values are normally distributed around the given point `z`, with the
+    magnitude of its values there as standard deviation. Returns unknowns inside the bounds, shape
+    (n_unknowns,).
+    """
     generator = np.random.default_rng(seed)
     layout, moved = program.layout, np.array(z)
     groups = [(layout.static_columns[None, :], np.zeros(1))]
@@ -279,7 +353,10 @@ def scattered(program: Transcription, bounds: Bounds, z: FloatArray, seed: int) 
 
 
 def _inside(number: float, bounds: Bounds, column: int) -> float:
-    """Move an initial value inside its bounds; NaN becomes the middle of two finite bounds."""
+    """Return an initial value moved inside its bounds.
+
+    A value outside them, or NaN, becomes the middle of two finite bounds, or the only finite bound.
+    """
     lower, upper = bounds.lower[column], bounds.upper[column]
     if lower <= number <= upper:
         return number
@@ -289,11 +366,12 @@ def _inside(number: float, bounds: Bounds, column: int) -> float:
 
 
 def known_names(declared: Declarations) -> set[str]:
-    """Return the names that a guess may hold."""
+    """Return the names that a guess may contain: "time", and those of all variables."""
     return {TIME_COLUMN, *(slot.name for slot in (*declared.varying, *declared.statics))}
 
 
 def _refuse_unknown_names(program: Transcription, guess: Mapping[str, Any] | pd.DataFrame) -> None:
+    """Raise an error if a guess contains a name that is no variable of the model."""
     known = known_names(program.compiled.declared)
     for name in guess:
         if name not in known:

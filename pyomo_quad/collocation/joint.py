@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.starts import WarmStart
 
 
-# Attributes of an outcome that each horizon has of its own.
+# Attributes of an outcome that differ between the horizons.
 _OWN = ("ipopt_code", "objective", "iterations", "wall_s")
 
 
@@ -65,9 +65,10 @@ class JointSolution(Outcome):
     horizons : dict
         Solution on each horizon, by the name of its continuous set.
     coupling : Solution
-        Solution of the program of the objective and the conditions on several horizons or none.
+        Values of the variables that belong to no horizon, with the objective and the conditions on
+        several horizons or none.
     size : (int, int)
-        Number of unknowns and of rows.
+        Number of unknowns and of constraints of the joint nonlinear program.
     """
 
     horizons: dict[str, Solution]
@@ -76,7 +77,7 @@ class JointSolution(Outcome):
 
     @property
     def summary(self) -> dict[str, str]:
-        """Status, objective, error and sizes."""
+        """Status, objective, error, sizes of the meshes and message, as text by label."""
         sizes = {name: part.mesh.summary for name, part in self.horizons.items()}
         return {
             "status": self.status.value,
@@ -89,35 +90,51 @@ class JointSolution(Outcome):
 
     @cached_property
     def parts(self) -> tuple[Solution, ...]:
-        """Solutions on the horizons, with status, error and history of the joint solve."""
+        """Solutions on the horizons, each with status, error and history of the joint solve."""
         shared = [f.name for f in fields(Outcome) if f.name not in _OWN]
         whole = {name: getattr(self, name) for name in shared}
         return tuple(part.updated(**whole) for part in self.horizons.values())
 
     def updated(self, **changes: Any) -> JointSolution:
-        """Return this solution with changed attributes, shared by the solutions on its horizons."""
+        """Return a copy with other values of the given attributes, shared by its `parts`.
+
+        Parameters
+        ----------
+        **changes
+            Attributes by name, as in `status` or `message`.
+        """
         other = replace(self, **changes)
         horizons = zip(self.horizons, other.parts, strict=True)
         return replace(other, horizons=dict(horizons))
 
     @property
     def warm_start(self) -> tuple[WarmStart, ...]:
-        """Warm start for another solve: one part per horizon, and one for the coupling."""
+        """Warm start for another solve: one part per horizon, and one for the coupling.
+
+        The coupling consists of the objective, and of the constraints on several horizons or none.
+        """
         return tuple(part.warm_start for part in (*self.horizons.values(), self.coupling))
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings about a converged solution, one line each."""
+        """Warnings about a converged solution, one line each, with the name of the horizon."""
         found = ((name, line) for name, p in self.horizons.items() for line in p.warnings)
         return tuple(f"{name}: {line}" for name, line in found)
 
     def on(self, component: Any, index: Any = None) -> Solution:
-        """Return the solution on one horizon, named by a component over it or by its full name.
+        """Return the solution on the horizon that indexes a given component.
+
+        Parameters
+        ----------
+        component : Var, DerivativeVar, Expression or str
+            A component of the model over the horizon, or its full name.
+        index : optional
+            The component's index without time.
 
         Raises
         ------
         TranscriptionError
-            If no horizon indexes it.
+            If no horizon indexes the component.
         """
         name = component if isinstance(component, str) else component.name
         for part in self.horizons.values():
@@ -128,7 +145,27 @@ class JointSolution(Outcome):
         )
 
     def value(self, component: Any, t: Any = None, index: Any = None) -> Any:
-        """Return a variable's or expression's value; see `Solution.value`."""
+        """Return the value of a variable or expression, at times if it depends on time.
+
+        Parameters
+        ----------
+        component : Var, DerivativeVar, Expression or str
+            A component of the model or its full name.
+        t : float or array, optional
+            Physical times; omitted for a static variable or an integral.
+        index : optional
+            The component's index without time.
+
+        Returns
+        -------
+        float or ndarray
+            In the shape of `t`.
+
+        Raises
+        ------
+        TranscriptionError
+            If the model has no such component, or a time lies outside its horizon.
+        """
         if t is not None:
             return self.on(component, index).value(component, t, index)
         for part in self.horizons.values():
@@ -139,25 +176,41 @@ class JointSolution(Outcome):
         return self.coupling.value(component, index=index)
 
     def costate(self, state: Any, t: Any, index: Any = None) -> Any:
-        """Return the costate of a state at times; see `Solution.costate`."""
+        """Return a state's costate: the derivative of the optimal cost with respect to the state.
+
+        Parameters
+        ----------
+        state, t, index
+            As in `Solution.costate`, on the horizon of the state.
+
+        Returns
+        -------
+        float or ndarray
+            In the shape of `t`.
+
+        Raises
+        ------
+        TranscriptionError
+            If the model has no such state, or a time lies outside its horizon.
+        """
         return self.on(state, index).costate(state, t, index)
 
 
 class JointProblem(Summarised):
-    """A Pyomo.DAE model with several continuous sets, compiled for collocation.
+    """Pyomo.DAE model with several continuous sets, compiled for collocation.
 
     Parameters
     ----------
     model : ConcreteModel
-        With several ContinuousSets that are not discretised, each the horizon of its own
-        variables.  Values at their ends, integrals and static variables couple them.
+        With several ContinuousSets that are not discretised, each the horizon of its own variables.
+        Values at their ends, integrals and static variables couple the horizons.
     times : mapping, optional
         Name of the set -> declared time -> static variable that replaces it.
 
     Attributes
     ----------
     horizons : dict
-        Declarations over each horizon, by the name of the set.
+        Compiled declarations over each horizon, by the name of the set.
     coupling : Formulation
         The objective, and the declarations on several horizons or none.
 
@@ -180,13 +233,13 @@ class JointProblem(Summarised):
 
     @property
     def summary(self) -> dict[str, str]:
-        """Horizons of the problem, with their numbers of states."""
+        """Number of states on each horizon, as text by the name of its continuous set."""
         counts = {n: len(p.compiled.declared.states) for n, p in self.horizons.items()}
         return {name: f"{count} states" for name, count in counts.items()}
 
     @property
     def is_maximised(self) -> bool:
-        """Whether the objective is maximised."""
+        """Whether the model's objective is to be maximised."""
         return self.coupling.compiled.declared.maximise
 
     def solve(
@@ -203,11 +256,31 @@ class JointProblem(Summarised):
         starts: int = 1,
         progress: Progress | None = None,
     ) -> JointSolution:
-        """Solve on given meshes, or refine each until the errors meet a tolerance.
+        """Solve on given meshes, or refine each mesh until the estimated errors meet a tolerance.
 
-        The arguments are those of `Problem.solve`. `mesh` may be one mesh for all horizons or a
-        mapping by the names of the sets, and `guess` may likewise hold one guess per horizon.
-        `horizon` and several `starts` are refused.
+        Parameters
+        ----------
+        mesh : Mesh or mapping, optional
+            A mesh for all horizons, or a mapping from the names of the continuous sets to meshes.
+        guess : mapping, optional
+            As in `Problem.solve`, or with a guess per horizon under the name of its continuous set.
+        warm_start : JointSolution or tuple of WarmStart, optional
+            Solution of the same model on any meshes.
+        horizon, starts
+            Refused, unless `None` and 1: problems with several horizons do not support them.
+        tolerance, parameters, options, refinement, progress
+            As in `Problem.solve`.
+
+        Returns
+        -------
+        JointSolution
+            The result with its status; a failure of the numerics is a result, not an exception.
+
+        Raises
+        ------
+        TranscriptionError
+            If an argument is refused, bounds cross, a value is missing, or an equation is not
+            finite at the guess.
         """
         self._refuse_of_one_horizon(horizon, starts)
         given = self._meshes(mesh)
@@ -257,6 +330,7 @@ class JointProblem(Summarised):
         )
 
     def _refuse_of_one_horizon(self, horizon: tuple[float, float] | None, starts: int) -> None:
+        """Raise an error for the arguments `horizon` and `starts`, which need a single horizon."""
         names = ", ".join(self.horizons)
         if horizon is not None:
             raise TranscriptionError(
@@ -269,6 +343,7 @@ class JointProblem(Summarised):
             )
 
     def _meshes(self, mesh: Mesh | Mapping[str, Mesh] | None) -> list[Mesh | None]:
+        """Return the mesh of each horizon, None for each if no mesh is given."""
         if mesh is None or isinstance(mesh, Mesh):
             return [mesh] * len(self.horizons)
         if mesh.keys() != self.horizons.keys():
@@ -280,15 +355,19 @@ class JointProblem(Summarised):
 
     @property
     def _parts(self) -> list[Formulation]:
+        """Formulations of the horizons, followed by that of the coupling.
+
+        The coupling consists of the objective, and of the constraints on several horizons or none.
+        """
         return [*self.horizons.values(), self.coupling]
 
     def _guesses(self, guess: Mapping[str, Any] | None) -> list[Any]:
-        """Return the guess of each horizon and of the coupling.
+        """Return the guess for the variables of each horizon, and for those of no horizon.
 
         Raises
         ------
         TranscriptionError
-            If a name is neither a horizon nor a variable.
+            If a name in the guess is neither a horizon nor a variable.
         """
         guess = {} if guess is None else guess
         known = [known_names(part.compiled.declared) for part in self._parts]
@@ -302,7 +381,17 @@ class JointProblem(Summarised):
         return [guess.get(name, held) for name, held in zip([*self.horizons, ""], own, strict=True)]
 
     def union(self, meshes: Sequence[Mesh | None], instances: Sequence[Instance]) -> Union:
-        """Return the union of the horizons' programs on meshes and of the coupling's program."""
+        """Return the nonlinear programs of all horizons and of the coupling, joined in a `Union`.
+
+        The coupling consists of the objective, and of the constraints on several horizons or none.
+
+        Parameters
+        ----------
+        meshes : sequence of Mesh or None
+            Mesh of each horizon, and None for the coupling.
+        instances : sequence of Instance
+            Parameter values and horizon of the solve, for each of them.
+        """
         programs = [
             part.program(mesh, instance)
             for part, mesh, instance in zip(self._parts, meshes, instances, strict=True)
@@ -322,7 +411,19 @@ class JointProblem(Summarised):
         change: float | None = None,
         most: float = inf,
     ) -> JointSolution:
-        """Solve once, with one mesh per horizon; see `Problem.solve_on_mesh`."""
+        """Solve the joint nonlinear program once, with a given mesh per horizon.
+
+        Parameters
+        ----------
+        meshes : sequence of Mesh
+        start : Start
+        dampings : tuple of Damping or None
+            Penalty on the distance of the controls from those of the last mesh, for each horizon.
+        instances : list of Instance
+            Parameter values, for each horizon and the coupling of the horizons.
+        options, progress, is_scaled, change, most
+            As in `Problem.solve_on_mesh`.
+        """
         parts = self._parts
         chosen = [
             mesh and mesh.with_breakpoints(part.required_breakpoints(instance))
@@ -360,7 +461,10 @@ class JointProblem(Summarised):
     def _judged(
         self, failed: JointSolution, options: SolverOptions, progress: Progress | None
     ) -> JointSolution:
-        """Return a failed solution with the verdict of its elastic program."""
+        """Return a failed solution with a verdict on the feasibility of its problem.
+
+        The least sum of constraint violations near the last iterate decides.
+        """
         parts = [*failed.horizons.values(), failed.coupling]
         union = Union([part.program for part in parts], self._states)
         scaling = Scaling(
@@ -403,6 +507,7 @@ class JointProblem(Summarised):
         bounds: Bounds,
         scaling: Scaling,
     ) -> JointSolution:
+        """Return the `JointSolution` of Ipopt's result, with a solution on each horizon."""
         found = [
             solution_from(
                 part,
@@ -431,6 +536,10 @@ class JointProblem(Summarised):
     def _first_point(
         self, union: Union, bounds: Bounds, start: Start
     ) -> tuple[FloatArray, Multipliers | None]:
+        """Return the initial point of the joint program, and the multipliers of a warm start.
+
+        The multipliers are None without a warm start.
+        """
         if start.warm is not None:
             starts = zip(start.warm, union.programs, strict=True)
             points, multipliers = zip(*[transfer(*pair) for pair in starts], strict=True)
@@ -447,7 +556,7 @@ class JointProblem(Summarised):
         return np.clip(z, bounds.lower, bounds.upper), None
 
     def _set_links(self, union: Union, program: Transcription, z: FloatArray, places: Any) -> None:
-        """Initialise the static variables that stand for values of the horizons."""
+        """Set the static variables that stand for values of a horizon to these values, in `z`."""
         if program.mesh is None:
             return
         conditions = [c.name for c in program.compiled.declared.conditions]
@@ -457,6 +566,7 @@ class JointProblem(Summarised):
                 z[union.statics[name]] += off
 
     def _refuse_unsolvable(self, union: Union, bounds: Bounds, z: FloatArray) -> None:
+        """Raise an error if the joint program is not finite at `z`, or is over-determined."""
         held = set()
         for k, program in enumerate(union.programs):
             refuse_not_finite(program, z[union.places[k]])
@@ -466,17 +576,30 @@ class JointProblem(Summarised):
         refuse_overdetermined(CoupledProgram(union, union.programs), bounds, z, held)
 
     def load(self, solution: JointSolution) -> None:
-        """Put a solution's values into the Pyomo model, at the times it declares."""
+        """Load a solution's values into the variables of the Pyomo model, at its declared times.
+
+        Duals, reduced costs and costates are loaded into the suffixes `dual`, `rc` and `costate`,
+        if the model declares them as imported suffixes.
+
+        Parameters
+        ----------
+        solution : JointSolution
+
+        Raises
+        ------
+        TranscriptionError
+            If the problem was pickled; a pickle does not contain the model.
+        """
         load_values(*solution.horizons.values(), solution.coupling)
 
 
 def compiled_of(model: Any, final_time: Any = None, times: FreeTimes | None = None) -> Any:
-    """Return the compiled model of a `Problem` or a `JointProblem`.
+    """Return the compiled problem of a model: a `JointProblem` if it has several continuous sets.
 
     Raises
     ------
     TranscriptionError
-        If a final time is given for several horizons.
+        If a final time is given for several horizons, or the declarations are unsupported.
     """
     names = [time.name for time in continuous_sets(model)]
     if len(names) < 2:

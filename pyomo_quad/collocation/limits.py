@@ -1,4 +1,4 @@
-"""Limits over time: the limited values, their bounds, and the worst violation."""
+"""Limits on variables and expressions over time: values, bounds, and the worst violation."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Violation:
-    """The worst violation of one limit: its name, size in its own unit, bound and time."""
+    """Worst violation of a limit over time: its name, size in the limit's unit, bound and time."""
 
     name: str
     size: float
@@ -22,13 +22,16 @@ class Violation:
 
     @property
     def relative(self) -> float:
-        """Size relative to the larger of 1 and the bound."""
+        """Size of the violation relative to max(1, abs(bound)), dimensionless."""
         return self.size / max(1.0, abs(self.bound))
 
 
 @dataclass(frozen=True)
 class LimitValues:
-    """A limit at n instants: its name, the limited values and their bounds."""
+    """Values of a limited quantity at n times, with the lower and upper bounds at these times.
+
+    The three arrays have shape (n,); a bound that does not exist is infinite.
+    """
 
     name: str
     values: FloatArray
@@ -36,7 +39,20 @@ class LimitValues:
     upper: FloatArray
 
     def worst(self, chosen: slice, t: FloatArray) -> Violation:
-        """Return the worst violation among some of the instants."""
+        """Return the worst violation of the limit among a range of times.
+
+        Parameters
+        ----------
+        chosen : slice
+            Positions of these times among all n times.
+        t : ndarray
+            The chosen times.
+
+        Returns
+        -------
+        Violation
+            With a size of 0 if the limit is satisfied at all of them.
+        """
         values, lower, upper = self.values[chosen], self.lower[chosen], self.upper[chosen]
         below, above = lower - values, values - upper
         size = np.maximum(below, above)

@@ -1,4 +1,4 @@
-"""The mesh, its flipped Radau points, and the polynomials through values on it.
+"""Mesh of elements with flipped Radau points, and polynomials through values on the mesh.
 
 See docs/theory/transcription.md, eqs. (1) to (3) and (8).
 """
@@ -25,7 +25,23 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class RadauRule:
-    """Points, weights and matrices of one degree on the unit interval."""
+    """Flipped Radau rule of one degree on the unit interval, with d collocation points.
+
+    Attributes
+    ----------
+    degree : int
+        Number d of collocation points.
+    points, weights : ndarray, shape (d,)
+        Collocation points, the last at 1, and quadrature weights.
+    nodes : ndarray, shape (d + 1,)
+        0 and the collocation points: the places of a state's values.
+    differentiation : ndarray, shape (d, d + 1)
+        Matrix from values at the nodes to slopes at the points.
+    slope_at_start : ndarray, shape (d + 1,)
+        Weights that give the slope at 0 from values at the nodes.
+    integration : ndarray, shape (d, d)
+        Matrix from slopes at the points to changes from 0 to each point.
+    """
 
     degree: int
     points: FloatArray
@@ -37,10 +53,10 @@ class RadauRule:
 
 
 def barycentric_weights(nodes: FloatArray) -> FloatArray:
-    """Return the barycentric weights of distinct nodes on an interval of length 1.
+    """Return the barycentric weights of distinct nodes in the unit interval, shape (n_nodes,).
 
-    Differences are multiplied by 4, the inverse capacity of the interval, so that the
-    products neither underflow nor overflow at high degree.
+    Differences are multiplied by 4, the inverse capacity of the interval, so that the products
+    neither underflow nor overflow at high degree.
     """
     differences = 4.0 * (nodes[:, None] - nodes[None, :])
     np.fill_diagonal(differences, 1.0)
@@ -48,7 +64,7 @@ def barycentric_weights(nodes: FloatArray) -> FloatArray:
 
 
 def interpolation_matrix(nodes: FloatArray, targets: FloatArray) -> FloatArray:
-    """Return the matrix that maps values at `nodes` to values at `targets`.
+    """Return the matrix that maps a polynomial's values at nodes to its values at other points.
 
     Parameters
     ----------
@@ -72,6 +88,7 @@ def interpolation_matrix(nodes: FloatArray, targets: FloatArray) -> FloatArray:
 
 
 def _square_differentiation(nodes: FloatArray) -> FloatArray:
+    """Return the matrix from values at nodes to the polynomial's slopes at the same nodes."""
     weights = barycentric_weights(nodes)
     difference = nodes[:, None] - nodes[None, :]
     np.fill_diagonal(difference, 1.0)
@@ -83,12 +100,16 @@ def _square_differentiation(nodes: FloatArray) -> FloatArray:
 
 @lru_cache(maxsize=256)
 def radau_rule(degree: int) -> RadauRule:
-    """Return the flipped Radau rule with `degree` collocation points.
+    """Return the flipped Radau rule with a given number of collocation points.
 
     Parameters
     ----------
     degree : int
         Number of collocation points in the element, at least 1.
+
+    Returns
+    -------
+    RadauRule
 
     Raises
     ------
@@ -128,13 +149,14 @@ def radau_rule(degree: int) -> RadauRule:
 def real_array(
     held: Mapping[str, NDArray[Any]], name: str, shape: tuple[int | None, ...]
 ) -> FloatArray:
-    """Return a checked copy of one of several untrusted arrays.
+    """Return a checked copy of one array from a mapping of untrusted arrays.
 
     Parameters
     ----------
     held : mapping
-        Name to array.
+        Name to array, for example as read from a file.
     name : str
+        Name of the wanted array.
     shape : tuple of int or None
         Required shape; None allows any length.
 
@@ -172,10 +194,17 @@ def real_array(
 
 @dataclass(frozen=True, kw_only=True)
 class Trajectory:
-    """States at the nodes, algebraic variables at the points, static variables.
+    """States, algebraic variables and static variables on a mesh.
 
-    Shapes: states (n_points + 1, n_states), algebraics (n_points, n_algebraics),
-    statics (n_statics,).
+    Attributes
+    ----------
+    mesh : Mesh
+    states : ndarray, shape (n_points + 1, n_states)
+        Values at the nodes: start of the horizon and collocation points.
+    algebraics : ndarray, shape (n_points, n_algebraics)
+        Values of algebraic variables (controls included) at the collocation points.
+    statics : ndarray, shape (n_statics,)
+        Values of the variables without time.
     """
 
     mesh: Mesh
@@ -184,24 +213,61 @@ class Trajectory:
     statics: FloatArray
 
     def states_at(self, fractions: FloatArray) -> FloatArray:
-        """Return the state polynomials at fractions of the horizon."""
+        """Evaluate the state polynomials.
+
+        Parameters
+        ----------
+        fractions : ndarray, shape (n,)
+            Times as fractions of the horizon.
+
+        Returns
+        -------
+        ndarray, shape (n, n_states)
+        """
         return interpolate(self.mesh, self.states, fractions, with_start=True)
 
     def rates_at(self, fractions: FloatArray) -> FloatArray:
-        """Return d state / d fraction of the state polynomials."""
+        """Evaluate the derivatives of the state polynomials with respect to the fraction.
+
+        Parameters
+        ----------
+        fractions : ndarray, shape (n,)
+            Times as fractions of the horizon.
+
+        Returns
+        -------
+        ndarray, shape (n, n_states)
+            d state / d fraction of the horizon.
+        """
         return interpolate_rates(self.mesh, self.states, fractions)
 
     def algebraics_at(self, fractions: FloatArray) -> FloatArray:
-        """Return the polynomials through the algebraic variables."""
+        """Evaluate the polynomials through the algebraic variables (controls included).
+
+        Parameters
+        ----------
+        fractions : ndarray, shape (n,)
+            Times as fractions of the horizon.
+
+        Returns
+        -------
+        ndarray, shape (n, n_algebraics)
+        """
         return interpolate(self.mesh, self.algebraics, fractions, with_start=False)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Timeline:
-    """Times at given fractions of the declared horizon, linear in between.
+    """Mapping between fractions of the declared horizon and physical time, linear by phases.
 
-    Shapes: fractions (n,) from 0 to 1, times (n,), both increasing. A time at which a phase ends
-    and the next one begins belongs to the phase that ends.
+    A time at which a phase ends and the next phase begins belongs to the phase that ends.
+
+    Attributes
+    ----------
+    fractions : ndarray, shape (n,)
+        Boundaries of the phases as fractions of the declared horizon, increasing from 0 to 1.
+    times : ndarray, shape (n,)
+        Physical times of these boundaries, increasing.
     """
 
     fractions: FloatArray
@@ -213,18 +279,50 @@ class Timeline:
         return np.diff(self.times) / np.diff(self.fractions)
 
     def span_at(self, fractions: FloatArray) -> FloatArray:
-        """Return the derivative of time with respect to the fraction of the horizon."""
+        """Return the derivative of physical time with respect to the fraction of the horizon.
+
+        Parameters
+        ----------
+        fractions : ndarray
+            Fractions of the horizon at which it is evaluated.
+
+        Returns
+        -------
+        ndarray
+            In the shape of `fractions`.
+        """
         return self.spans[np.searchsorted(self.fractions[1:-1], fractions)]
 
     def time(self, fractions: Any) -> Any:
-        """Return the times at fractions of the declared horizon, in the same shape."""
+        """Return the physical times at fractions of the declared horizon.
+
+        Parameters
+        ----------
+        fractions : float or ndarray
+
+        Returns
+        -------
+        ndarray
+            In the shape of `fractions`.
+        """
         phase = np.searchsorted(self.fractions[1:-1], fractions)
         inside = self.spans[phase] * (fractions - self.fractions[phase])
         ends = fractions == self.fractions[phase + 1]
         return np.where(ends, self.times[phase + 1], self.times[phase] + inside)
 
     def fraction(self, times: Any) -> Any:
-        """Return the fractions of the declared horizon at times, in the same shape."""
+        """Return the fractions of the declared horizon at physical times.
+
+        Parameters
+        ----------
+        times : float or ndarray
+            Physical times.
+
+        Returns
+        -------
+        float or ndarray
+            In the shape of `times`.
+        """
         if len(self.times) == 2:
             return (times - self.times[0]) / (self.times[1] - self.times[0])
         phase = np.searchsorted(self.times[1:-1], times)
@@ -235,7 +333,14 @@ class Timeline:
 
 
 def by_element(mesh: Mesh, fractions: FloatArray) -> list[tuple[int, np.ndarray, FloatArray]]:
-    """Return (element, positions, local coordinates) for each element that holds a fraction."""
+    """Group fractions of the horizon by the element that contains them.
+
+    Returns
+    -------
+    list of (int, ndarray, ndarray)
+        For each element with at least one fraction: its index, the positions of its fractions in
+        the argument, and their local coordinates from 0 to 1.
+    """
     elements = mesh.locate(fractions)
     starts = np.asarray(mesh.breakpoints)
     groups = []
@@ -252,7 +357,7 @@ def by_element(mesh: Mesh, fractions: FloatArray) -> list[tuple[int, np.ndarray,
 def interpolate(
     mesh: Mesh, values: FloatArray, fractions: FloatArray, *, with_start: bool
 ) -> FloatArray:
-    """Evaluate element polynomials.
+    """Evaluate the polynomials through values on a mesh at fractions of the horizon.
 
     Parameters
     ----------
@@ -261,7 +366,7 @@ def interpolate(
         Values at nodes if `with_start`, else at collocation points.
     fractions : ndarray, shape (n,)
     with_start : bool
-        Whether each element's polynomial also passes through its left end.
+        Whether each element's polynomial also passes through the value at the element's left end.
 
     Returns
     -------
@@ -287,7 +392,19 @@ def interpolate(
 
 
 def interpolate_rates(mesh: Mesh, states: FloatArray, fractions: FloatArray) -> FloatArray:
-    """Evaluate the slopes of the state polynomials, shape (n, n_states).
+    """Evaluate the slopes of state polynomials at fractions of the horizon.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    states : ndarray, shape (n_points + 1, n_states)
+        Values at the nodes.
+    fractions : ndarray, shape (n,)
+
+    Returns
+    -------
+    ndarray, shape (n, n_states)
+        Derivatives with respect to the fraction of the horizon.
 
     Examples
     --------
@@ -308,7 +425,8 @@ def interpolate_rates(mesh: Mesh, states: FloatArray, fractions: FloatArray) -> 
     return result
 
 
-# Times per point at which a polynomial is evaluated to see whether it exceeds limits.
+# Number of times per collocation point at which a polynomial is evaluated to find out whether it
+# exceeds limits.
 _LOOKS = 4
 
 
@@ -320,7 +438,7 @@ def control_polynomial(
     end: float,
     limits: tuple[FloatArray, FloatArray] = (np.array(-np.inf), np.array(np.inf)),
 ) -> Callable[[float], FloatArray]:
-    """Return one element's polynomial through values at its points, as a function of time.
+    """Return an element's polynomial through values at its points, as a function of time.
 
     The polynomial is clipped to the limits where it exceeds them between the points.
 
@@ -328,11 +446,13 @@ def control_polynomial(
     ----------
     mesh : Mesh
     values : ndarray, shape (n_points, k)
+        Values of k variables at the collocation points of the whole mesh.
     element : int
+        Index of the element.
     start, end : float
-        Times of the element's ends.
+        Physical times of the element's ends.
     limits : (ndarray, ndarray), optional
-        Lower and upper, shape (k,).
+        Lower and upper limits, shape (k,) each.
 
     Returns
     -------
@@ -377,20 +497,20 @@ _HIGHEST_DEGREE = 100
 
 
 class Summarised(ABC):
-    """Base class with a one-line summary as text and a small table in notebooks."""
+    """Base class of objects that print a summary: one line as text, a small table in notebooks."""
 
     @property
     @abstractmethod
     def summary(self) -> dict[str, str]:
-        """Main properties of the object, as text by name."""
+        """Main properties of the object, as text by label."""
 
     def __repr__(self) -> str:
-        """Return the summary in one line."""
+        """Return the class name and the summary in one line."""
         told = ", ".join(f"{name}: {text}" for name, text in self.summary.items())
         return f"<{type(self).__name__} {told}>"
 
     def _repr_html_(self) -> str:
-        """Return the summary as a table."""
+        """Return the summary as an HTML table for a notebook."""
         rows = "".join(
             f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>"
             for name, text in self.summary.items()
@@ -401,7 +521,7 @@ class Summarised(ABC):
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Mesh(Summarised):
-    """Elements of any widths and degrees on the horizon, measured as fractions from 0 to 1.
+    """Mesh of elements of any widths and degrees; times are fractions of the horizon, 0 to 1.
 
     Parameters
     ----------
@@ -439,7 +559,7 @@ class Mesh(Summarised):
 
     @property
     def summary(self) -> dict[str, str]:
-        """Elements, points and degrees."""
+        """Numbers of elements and points, and range of degrees, as text by label."""
         low, high = min(self.degrees), max(self.degrees)
         degrees = f"{low}" if low == high else f"{low} to {high}"
         return {
@@ -450,7 +570,20 @@ class Mesh(Summarised):
 
     @classmethod
     def uniform(cls, elements: int, degree: int) -> Mesh:
-        """Return a mesh of equal elements of one degree."""
+        """Return a mesh of equally wide elements of the same degree.
+
+        Parameters
+        ----------
+        elements : int
+            Number of elements, at least 1.
+        degree : int
+            Collocation points per element, at least 1.
+
+        Raises
+        ------
+        TranscriptionError
+            If either number is below 1.
+        """
         if elements < 1:
             raise TranscriptionError(f"mesh: {elements} elements; must be at least 1.")
         breakpoints = tuple(float(b) for b in np.arange(elements + 1) / elements)
@@ -458,7 +591,12 @@ class Mesh(Summarised):
 
     @classmethod
     def from_arrays(cls, held: Mapping[str, NDArray[Any]]) -> Mesh:
-        """Return the mesh held in untrusted arrays "breakpoints" and "degrees".
+        """Read a mesh from untrusted arrays.
+
+        Parameters
+        ----------
+        held : mapping
+            Arrays by name: "breakpoints", real numbers, and "degrees", whole numbers.
 
         Raises
         ------
@@ -477,7 +615,16 @@ class Mesh(Summarised):
         )
 
     def with_breakpoints(self, fractions: Iterable[float]) -> Mesh:
-        """Return this mesh with additional element boundaries, without duplicates."""
+        """Return this mesh with additional element boundaries.
+
+        Both parts of an element that is split keep its degree; existing boundaries are not
+        repeated.
+
+        Parameters
+        ----------
+        fractions : iterable of float
+            The boundaries as fractions of the horizon.
+        """
         breakpoints, degrees = list(self.breakpoints), list(self.degrees)
         for fraction in sorted(fractions):
             nearest = min(range(len(breakpoints)), key=lambda i: abs(breakpoints[i] - fraction))
@@ -495,7 +642,7 @@ class Mesh(Summarised):
 
     @cached_property
     def points(self) -> int:
-        """Number of collocation points."""
+        """Number of collocation points in all elements."""
         return int(sum(self.degrees))
 
     @cached_property
@@ -505,12 +652,12 @@ class Mesh(Summarised):
 
     @cached_property
     def first_node(self) -> NDArray[np.intp]:
-        """Index of the node at the start of each element, shape (n_elements + 1,)."""
+        """Index of the node at the start of each element and at the end: (n_elements + 1,)."""
         return np.concatenate(([0], np.cumsum(self.degrees))).astype(np.intp)
 
     @cached_property
     def element_of_point(self) -> NDArray[np.intp]:
-        """Element that each collocation point belongs to, shape (n_points,)."""
+        """Index of the element that each collocation point belongs to, shape (n_points,)."""
         return np.repeat(np.arange(self.elements), self.degrees)
 
     @cached_property
@@ -525,17 +672,33 @@ class Mesh(Summarised):
 
     @cached_property
     def node_fractions(self) -> FloatArray:
-        """State nodes as fractions of the horizon: 0 and the points, shape (n_points + 1,)."""
+        """Nodes (places of state values) as fractions of the horizon, shape (n_points + 1,).
+
+        They are 0 and the collocation points.
+        """
         return np.concatenate(([0.0], self.point_fractions))
 
     @cached_property
     def quadrature_weights(self) -> FloatArray:
-        """Radau weights times element widths, sum 1, shape (n_points,)."""
+        """Radau weights of all points times element widths, with sum 1, shape (n_points,)."""
         return np.concatenate(
             [self.widths[e] * radau_rule(d).weights for e, d in enumerate(self.degrees)]
         )
 
     def locate(self, fractions: FloatArray) -> NDArray[np.intp]:
-        """Return the element of each fraction; a boundary belongs to the element it ends."""
+        """Return the index of the element that contains each of several times.
+
+        A boundary belongs to the element that ends there.
+
+        Parameters
+        ----------
+        fractions : ndarray
+            The times as fractions of the horizon.
+
+        Returns
+        -------
+        ndarray of int
+            In the shape of `fractions`.
+        """
         inner = np.asarray(self.breakpoints)[1:-1]
         return np.searchsorted(inner, fractions, side="left").astype(np.intp)

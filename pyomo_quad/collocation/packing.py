@@ -1,4 +1,8 @@
-"""Pickling of data with CasADi expressions, by writing all expressions as one text."""
+"""Pickling of data that contain CasADi expressions.
+
+CasADi expressions cannot be pickled. All expressions are serialised into a single text, so that
+subexpressions that they share are stored once.
+"""
 
 from __future__ import annotations
 
@@ -13,28 +17,41 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class _Place:
-    """Placeholder for an expression, with the expression's position in the text."""
+    """Placeholder for a CasADi expression in packed data, with its position in the text."""
 
     position: int
 
 
 @dataclass(frozen=True, kw_only=True)
 class Packed:
-    """Data with placeholders for its expressions, and the expressions as one text."""
+    """Data that can be pickled: placeholders for its CasADi expressions, and these as a text.
+
+    Attributes
+    ----------
+    data : nested data
+        The data, with a placeholder in place of each expression.
+    text : str
+        All expressions, serialised by CasADi.
+    count : int
+        Number of expressions in the text.
+    """
 
     data: Any
     text: str
     count: int
 
     def unpacked(self) -> Any:
-        """Return the data with its expressions."""
+        """Return the original data, with CasADi expressions in place of the placeholders."""
         reader = casadi.StringDeserializer(self.text)
         expressions = [reader.unpack() for _ in range(self.count)]
         return _changed(self.data, _Place, lambda place: expressions[place.position])
 
 
 def packed(data: Any) -> Packed:
-    """Replace the expressions in data classes, tuples and dictionaries by placeholders."""
+    """Return data in a form that can be pickled, with its CasADi expressions as one text.
+
+    Data classes, tuples and dictionaries are searched for expressions recursively.
+    """
     writer, count = casadi.StringSerializer(), 0
 
     def place(expression: Any) -> _Place:
@@ -48,7 +65,10 @@ def packed(data: Any) -> Packed:
 
 
 def _changed(data: Any, kind: type, change: Callable[[Any], Any]) -> Any:
-    """Return nested data with a function applied to each instance of a type."""
+    """Return nested data with `change` applied to each instance of the type `kind`.
+
+    Data classes, tuples and dictionaries are searched recursively.
+    """
     if isinstance(data, kind):
         return change(data)
     if isinstance(data, tuple):

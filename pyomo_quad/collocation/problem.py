@@ -1,4 +1,4 @@
-"""Compiled problem that can be solved repeatedly with new data."""
+"""Optimal control problem on one horizon, compiled once and solved repeatedly with new data."""
 
 from __future__ import annotations
 
@@ -52,15 +52,17 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.refining.remeshing import RefinementOptions
     from pyomo_quad.collocation.starts import WarmStart
 
-# Steps between the nodes of a first mesh, and a state above which a simulation has diverged.
+# Runge-Kutta steps between neighbouring nodes of the first mesh, in the simulation that provides an
+# initial guess; and the magnitude to which its states are clipped, since it may diverge.
 _SUBSTEPS, _LARGEST_STATE = 10, 1e12
 
 
 class Problem(Summarised, Formulation):
     """Pyomo.DAE model compiled for collocation.
 
-    It can be pickled.  The restored problem solves and evaluates as before, with the numbers that
-    the model held when it was pickled; the model itself is not included.
+    A problem can be pickled. The restored problem solves and evaluates as before, with the
+    parameter values, bounds and initial values that the model held when it was pickled; the model
+    itself is not included.
 
     Parameters
     ----------
@@ -81,7 +83,7 @@ class Problem(Summarised, Formulation):
 
     @property
     def summary(self) -> dict[str, str]:
-        """Number of components of each kind in the model."""
+        """Objective, number of components of each kind, and DAE index if above 1, as text."""
         declared = self.compiled.declared
         counts = {
             "states": declared.states,
@@ -101,7 +103,7 @@ class Problem(Summarised, Formulation):
 
     @property
     def is_maximised(self) -> bool:
-        """Whether the objective is maximised."""
+        """Whether the model's objective is to be maximised."""
         return self.compiled.declared.maximise
 
     def solve(
@@ -118,7 +120,7 @@ class Problem(Summarised, Formulation):
         starts: int = 1,
         progress: Progress | None = None,
     ) -> Solution:
-        """Solve on a given mesh, or refine the mesh until the error meets a tolerance.
+        """Solve on a given mesh, or refine the mesh until the estimated error meets a tolerance.
 
         Parameters
         ----------
@@ -127,22 +129,26 @@ class Problem(Summarised, Formulation):
         tolerance : float, optional
             Required relative error of the states; default 1e-6 if no mesh is given.
         parameters : mapping, optional
-            New values of mutable parameters, by component or full name; a function of time
-            for a parameter over time.
+            New values of mutable parameters, by component or full name; a function of time for a
+            parameter over time.
         horizon : (float, float), optional
             Start and end of the horizon, in place of the continuous set's.
         guess : mapping, optional
-            Initial values by slot name: functions of time, constants, or samples beside "time", for
-            example a frame of `Solution.to_frame`.
+            Initial values by the name of a variable, as in ``rotors.omega[1]``: a function of time,
+            a constant, or samples at the times under the key "time". A frame of `Solution.to_frame`
+            is a mapping of this kind.
         warm_start : Solution or WarmStart, optional
-            On any mesh; its trajectory and multipliers are the initial point.
+            Solution of the same model on any mesh; its trajectory and multipliers are the initial
+            point.
         options : SolverOptions, optional
+            Settings of Ipopt.
         refinement : RefinementOptions, optional
+            Settings of the mesh refinement.
         starts : int, default 1
             Number of initial points on the first mesh, all but one random between the bounds; the
             best optimum is kept. This does not guarantee a global optimum.
         progress : callable, optional
-            Called at each iteration; returning False stops the solve.
+            Called with an `Iteration` at each iteration of Ipopt; returning False stops the solve.
 
         Returns
         -------
@@ -185,7 +191,11 @@ class Problem(Summarised, Formulation):
         starts: int,
         instance: Instance,
     ) -> Solution:
-        """Solve once, from a warm start or from a guess; see `solve`."""
+        """Solve from one starting point (warm start or guess), with mesh refinement if required.
+
+        The arguments are those of `solve`, with defaults resolved; `instance` holds the parameter
+        values and the horizon of this solve.
+        """
         if self.has_horizon and tolerance is not None:
             options = options.suiting(tolerance)
         first = mesh
@@ -232,7 +242,15 @@ class Problem(Summarised, Formulation):
         return first_success(Scope.FIRST, search)
 
     def _simulated(self, mesh: Mesh, instance: Instance) -> Trajectory | None:
-        """Return the trajectory simulated from the first states, None if any variable is free."""
+        """Simulate a model without controls from its initial states, as an initial guess.
+
+        Returns
+        -------
+        Trajectory or None
+            States clipped to 1e12 in magnitude; None if the model has controls, a free initial
+            state or output states (states that nothing else depends on), or if the simulated states
+            are not finite.
+        """
         mesh = mesh.with_breakpoints(self.required_breakpoints(instance))
         program, declared = self.program(mesh, instance), self.compiled.declared
         bounds = bounds_of(program, self.data_at_starts(instance), instance.fixed)
@@ -262,7 +280,10 @@ class Problem(Summarised, Formulation):
 
     @staticmethod
     def _best_of(starts: int, solve: Callable[..., Solution], first: Start) -> Solution | None:
-        """Solve from a first point and from random points, and return the best optimum."""
+        """Solve from the given start and from `starts` - 1 random points; return the best optimum.
+
+        The result is None if no solve converges. An interruption ends the search.
+        """
         found = []
         for seed in range(starts):
             try:
@@ -292,13 +313,45 @@ class Problem(Summarised, Formulation):
         breach: float = inf,
         progress: Progress | None = None,
     ) -> Solution:
-        """Solve once on one mesh; see `solve`, `Start` and `Damping` for the arguments.
+        """Solve the nonlinear program of one mesh once, without refinement.
 
-        Without `is_scaled` Ipopt solves the program as declared. If `to_the_gap` is true, the solve
-        continues until the complementarity gap is negligible relative to the objective. `change` is
-        the expected change of a warm start's objective, where known, and `most` a limit of
-        iterations. A finite `breach` is the bound
-        violation between collocation points that a warm start may have.
+        Parameters
+        ----------
+        mesh : Mesh or None
+            None for a model without time. Element boundaries are added where a condition is imposed
+            or a parameter jumps.
+        start : Start
+            Initial point: a guess or a warm start.
+        damping : Damping, optional
+            Penalty on the distance of the controls from those of the last mesh.
+        instance : Instance
+            Parameter values and horizon of this solve.
+        options : SolverOptions
+            Settings of Ipopt.
+        is_scaled : bool, default True
+            Whether Ipopt solves the scaled program; otherwise the program as declared.
+        to_the_gap : bool, default False
+            Whether to continue until the complementarity gap (the sum of multipliers times slacks)
+            is negligible relative to the objective.
+        change : float, optional
+            Expected change of the objective from that of the warm start, in the unit of the
+            objective. It determines the initial barrier parameter.
+        most : float, optional
+            Limit of Ipopt's iterations, in addition to that of `options`.
+        breach : float, optional
+            Allowed violation of bounds between collocation points, relative to max(1, abs(bound)).
+            If finite, a solve with a warm start also bounds the variables between the points.
+        progress : callable, optional
+            Called at each iteration; returning False stops the solve.
+
+        Returns
+        -------
+        Solution
+
+        Raises
+        ------
+        TranscriptionError
+            If bounds cross, a value is missing, or an equation is not finite at the initial point.
         """
         if mesh is not None:
             mesh = mesh.with_breakpoints(self.required_breakpoints(instance))
@@ -329,7 +382,8 @@ class Problem(Summarised, Formulation):
             multipliers = multipliers.extended(rows=within.lower.size)
         is_damped = damping is not None and damping.controls.size > 0
         if change is not None and multipliers is not None and not is_damped:
-            # Controls that next to nothing holds are found again only from a larger barrier.
+            # A small initial barrier parameter is not used with damping: controls on which the
+            # objective hardly depends are determined again only from a larger one.
             options = options.for_a_change(change * scaling.objective, kept.sides)
         if damping is not None and damping.gap and start.warm is not None:
             parameter = damping.gap * scaling.objective / kept.sides
@@ -356,10 +410,30 @@ class Problem(Summarised, Formulation):
         met: float = 1e-7,
         progress: Progress | None = None,
     ) -> Solution:
-        """Return the first trajectory near a solution that satisfies all equations on another mesh.
+        """Find a trajectory near a solution that satisfies all equations on another mesh.
 
-        It is flyable, but not optimal, and takes few iterations; see `program.feasible`. Bounds may
-        be violated by a relative `breach`, scaled equations by `met`.
+        The trajectory can be flown, but is not optimal. The search takes few iterations, because it
+        stops at the first iterate that satisfies the equations; see `program.feasible`.
+
+        Parameters
+        ----------
+        near : Solution
+            Solution on any mesh, from which the search starts.
+        mesh : Mesh
+            Mesh of the trajectory, usually finer than that of `near`.
+        parameters, horizon
+            As in `solve`.
+        breach : float, default 0
+            Allowed violation of bounds, relative to max(1, abs(bound)).
+        met : float, default 1e-7
+            Largest violation of the scaled equations that is accepted.
+        progress : callable, optional
+            Called at each iteration; returning False stops the search.
+
+        Returns
+        -------
+        Solution
+            Converged if the equations are satisfied, whatever its objective.
         """
         instance = self.instance(parameters, horizon)
         program = self.program(mesh.with_breakpoints(self.required_breakpoints(instance)), instance)
@@ -380,9 +454,19 @@ class Problem(Summarised, Formulation):
         horizon: tuple[float, float] | None = None,
         statics: FloatArray | None = None,
     ) -> Dynamics:
-        """Return the explicit right-hand side of the model for a simulation.
+        """Return the explicit right-hand side dx/dt = f(t, x, u) of the model for a simulation.
 
-        Static variables take their values in the model unless given.
+        Parameters
+        ----------
+        parameters, horizon
+            As in `solve`.
+        statics : ndarray, shape (n_statics,), optional
+            Values of the static variables (those without time); by default their values in the
+            model, NaN where a variable has none.
+
+        Returns
+        -------
+        Dynamics
         """
         declared = self.compiled.declared
         if statics is None:
@@ -391,10 +475,19 @@ class Problem(Summarised, Formulation):
         return Dynamics(self, self.instance(parameters, horizon), statics)
 
     def load(self, solution: Solution) -> None:
-        """Load a solution's values into the Pyomo model, at its declared times.
+        """Load a solution's values into the variables of the Pyomo model, at its declared times.
 
-        Duals, reduced costs and costates are loaded into suffixes of these names, if the model has
-        them.
+        Duals, reduced costs and costates are loaded into the suffixes `dual`, `rc` and `costate`,
+        if the model declares them as imported suffixes.
+
+        Parameters
+        ----------
+        solution : Solution
+
+        Raises
+        ------
+        TranscriptionError
+            If the problem was pickled; a pickle does not contain the model.
         """
         load_values(solution)
 
@@ -406,7 +499,11 @@ def _refined(
     tolerance: float,
     refinement: RefinementOptions,
 ) -> Solution:
-    """Refine the mesh, starting from a given mesh."""
+    """Solve with mesh refinement on one horizon, by adapting a one-mesh solve to `refine`.
+
+    `own` solves on one mesh, as `Problem.solve_on_mesh` does; the refinement starts from `mesh`,
+    and its result is returned.
+    """
 
     def on_meshes(
         meshes: tuple[Mesh, ...],
@@ -437,7 +534,22 @@ def march(
     times: FloatArray,
     start: FloatArray,
 ) -> FloatArray:
-    """Return states at times by the classical Runge-Kutta method, for an initial guess."""
+    """Integrate an ODE by the classical Runge-Kutta method, with ten steps between given times.
+
+    Parameters
+    ----------
+    rates : callable
+        rates(t, x, u) -> dx/dt; called with an empty control vector u.
+    times : ndarray, shape (n,)
+        Times of the returned states; the first is the initial time.
+    start : ndarray, shape (n_states,)
+        Initial state.
+
+    Returns
+    -------
+    ndarray, shape (n, n_states)
+        States, accurate enough for an initial guess; they may be infinite or NaN.
+    """
     none, states = np.zeros(0), [start]
     with np.errstate(all="ignore"):
         for first, last in pairwise(times.tolist()):
@@ -454,7 +566,11 @@ def march(
 
 
 def load_values(*solutions: Solution) -> None:
-    """Load the values of solutions into the Pyomo model, each over its own horizon."""
+    """Load the values of solutions into the Pyomo model to which they belong.
+
+    Each solution covers one horizon (continuous set) of the model. Static variables, variables and
+    derivatives at the declared times, integrals and imported suffixes receive their values.
+    """
     for solution in solutions:
         declared, values = solution.problem.compiled.declared, solution.problem.values
         for slot, number in zip(declared.statics, solution.trajectory.statics, strict=True):

@@ -1,7 +1,7 @@
-"""The engine as a Pyomo solver: ``SolverFactory("pyomo_quad").solve(model)``.
+"""The collocation engine as a Pyomo solver: ``SolverFactory("pyomo_quad").solve(model)``.
 
-It accepts a continuous model, a model that `pyomo.dae` has discretised already, and a model without
-time: a plain nonlinear program.
+The solver accepts a continuous model, a model that `pyomo.dae` has discretised already, and a model
+without time (a plain nonlinear program).
 """
 
 from __future__ import annotations
@@ -56,12 +56,12 @@ _BY_CODE = {
     "pyomo_quad", doc="Flipped-Radau collocation with mesh refinement, solved with Ipopt"
 )
 class PyomoSolver:
-    """Pyomo's solver interface to the engine.
+    """Pyomo's solver interface to the collocation engine.
 
     Parameters
     ----------
     **options
-        Ipopt options, to which `options` of `solve` adds.
+        Options of Ipopt by name, for all solves; the argument `options` of `solve` adds to them.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -71,7 +71,13 @@ class PyomoSolver:
 
     @staticmethod
     def available(exception_flag: bool = False) -> bool:
-        """Return True: Ipopt comes with the package's dependencies."""
+        """Return True, as the solver is always available: Ipopt is a dependency of the package.
+
+        Parameters
+        ----------
+        exception_flag : bool, default False
+            Part of Pyomo's interface; without effect.
+        """
         del exception_flag
         return True
 
@@ -103,17 +109,18 @@ class PyomoSolver:
         ----------
         model : ConcreteModel
         tee : bool, optional
-            Print a line for each iteration.
+            Print a line for each iteration of Ipopt.
         logfile : str or Path, optional
-            File that gets these lines.
+            File to which the lines on the iterations are written.
         keepfiles : bool, optional
-            Write these lines to a temporary file and print its name, if no `logfile` is given.
+            Write the lines on the iterations to a temporary file and print its name, if no
+            `logfile` is given.
         timelimit : float, optional
             Wall-clock time limit [s] for all meshes together; the option `max_wall_time` is the
             same.
         warmstart : bool, optional
             Start from the trajectory and multipliers that this solver last found for the model.
-            Otherwise the values of the model's variables are the first point.
+            Otherwise the values of the model's variables are the initial point.
         options : dict, optional
             Ipopt options by name.
         load_solutions : bool, optional
@@ -121,8 +128,10 @@ class PyomoSolver:
         symbolic_solver_labels : bool, optional
             Ignored: messages always name the model's components.
         final_time : Var, optional
+            Static variable that is the free end of the horizon; see `Problem`.
         times : mapping, optional
-            See `Problem`.
+            Declared times that are free, with the static variables that replace them; see
+            `Problem`.
         **arguments
             See `Problem.solve`: `tolerance`, `mesh`, `guess` and so on.
 
@@ -130,13 +139,14 @@ class PyomoSolver:
         -------
         SolverResults
             In the form that every Pyomo solver returns, for example for
-            `assert_optimal_termination`. Its `solution_on_mesh` is the engine's `Solution`.
+            `assert_optimal_termination`. Its attribute `solution_on_mesh` is the engine's
+            `Solution`.
 
         Raises
         ------
         TranscriptionError
-            If the model's declarations are incomplete or unsupported, or the time limit is not
-            above 0.
+            If the model's declarations are incomplete or unsupported, an argument is unknown, or
+            the time limit is not above 0.
         """
         del symbolic_solver_labels
         chosen = {**self.options, **(options or {})}
@@ -169,6 +179,7 @@ class PyomoSolver:
 
 
 def _refuse_unknown(arguments: dict[str, Any], problem: Problem | JointProblem) -> None:
+    """Raise an error if an argument of `PyomoSolver.solve` is unknown to the problem's `solve`."""
     known = {*signature(PyomoSolver.solve).parameters, *signature(problem.solve).parameters}
     taken = known - {"self", "model", "arguments", "progress"}
     for name in arguments.keys() - taken:
@@ -178,7 +189,7 @@ def _refuse_unknown(arguments: dict[str, Any], problem: Problem | JointProblem) 
 
 
 def _results(problem: Problem | JointProblem, solution: Solution | JointSolution) -> SolverResults:
-    """Return a solution in the form of Pyomo's `SolverResults`."""
+    """Convert a solution to Pyomo's `SolverResults`, with Pyomo's termination condition."""
     results = SolverResults()
     results.solver.name = "pyomo_quad"
     ended = _TERMINATION[solution.status]
@@ -199,7 +210,10 @@ def _results(problem: Problem | JointProblem, solution: Solution | JointSolution
 
 
 def _printed(writers: list[Callable[[str], Any]]) -> Callable[[Iteration], None]:
-    """Return a progress callback that passes each line to all writers."""
+    """Return a progress callback that formats each iteration as a line and writes it everywhere.
+
+    `writers` are the functions that write a text, to the terminal or to a file.
+    """
 
     def write(line: Iteration) -> None:
         text = (

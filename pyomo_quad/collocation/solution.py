@@ -1,4 +1,4 @@
-"""Solution of a solve: values, costates, Hamiltonian, errors and history."""
+"""Solution of a solve: values, multipliers, costates, Hamiltonian, errors and history."""
 
 from __future__ import annotations
 
@@ -42,13 +42,17 @@ if TYPE_CHECKING:
 # Root mean square deviation, relative to the Hamiltonian's size, above which rounding and mesh
 # error cannot explain it.
 _SUSPICIOUS = 1e-2
-# As a fraction of the horizon: a point at an interior condition belongs to the part that ends
-# there.
+# As a fraction of the horizon, subtracted from a point's place: a point at the time of an interior
+# condition belongs to the part of the horizon that ends there.
 _JUST_BEFORE = 1e-9
 
 
 def hamiltonian_warnings(solution: Solution) -> tuple[str, ...]:
     """Return a warning if the Hamiltonian varies although the problem is autonomous.
+
+    The Hamiltonian of an autonomous problem (no explicit dependence on time) is constant along an
+    optimum, between the times of interior conditions. If it varies by more than mesh errors can
+    explain, the costates are wrong.
 
     Parameters
     ----------
@@ -94,14 +98,28 @@ def _reads_time(compiled: CompiledModel) -> bool:
     return bool(is_varying) or declared.clock.fraction.name() in read
 
 
-# Largest unit of the objective's scaling that counts, in units of the objective's size (at least
-# 1).
+# Cap on the reference size of an objective that is taken from its scaling, in multiples of
+# max(1, abs(objective)).
 _STEEPEST = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class MeshRecord:
-    """Record of one mesh of a refinement: size, solve and error."""
+    """Record of one mesh of a refinement: size of the mesh, iterations, objective and error.
+
+    Attributes
+    ----------
+    elements, points : int
+        Numbers of elements and collocation points, over all horizons.
+    iterations : int
+        Iterations of Ipopt.
+    objective : float
+        Objective as declared.
+    error : float
+        Estimated largest relative error.
+    wall_s : float
+        Wall-clock time of Ipopt [s].
+    """
 
     elements: int
     points: int
@@ -113,7 +131,7 @@ class MeshRecord:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Outcome(Summarised):
-    """Outcome of a solve, on one horizon or several.
+    """Base class of the results of a solve, on one horizon or several.
 
     Attributes
     ----------
@@ -123,11 +141,11 @@ class Outcome(Summarised):
     message : str
         Reason why the solve ended, in one sentence.
     objective : float
-        Objective as declared, by the scheme's own quadrature.
+        Objective as declared, with integrals by Radau quadrature at the collocation points.
     iterations : tuple of Iteration
         Ipopt's progress in the last solve.
     wall_s : float
-        Time of the last solve [s].
+        Wall-clock time of the last solve [s].
     error_estimate : float
         Largest relative error over elements and states; infinite if not estimated.
     state_error : float
@@ -137,7 +155,8 @@ class Outcome(Summarised):
     history : tuple of MeshRecord
         One record per mesh.
     cold_start : ColdStart or None
-        Iterations without a warm start; after a warm start, the record that came with it.
+        Iterations of the solve without a warm start. After a warm start: the record that came with
+        it.
     tried : tuple of str
         Strategies that were tried and how they ended, where more than one was needed.
     """
@@ -156,13 +175,13 @@ class Outcome(Summarised):
 
     @property
     def is_converged(self) -> bool:
-        """Whether the solve converged, and the refinement if a tolerance was given."""
+        """Whether the solve converged, and the refinement met its tolerance if one was given."""
         return self.status is Status.CONVERGED
 
     @property
     @abstractmethod
     def parts(self) -> tuple[Solution, ...]:
-        """Solutions on the horizons, with the history of the joint solve."""
+        """Solutions on the individual horizons, each with status and history of the whole solve."""
 
     @property
     @abstractmethod
@@ -170,7 +189,13 @@ class Outcome(Summarised):
         """Warm start for another solve, independent of this solution's problem."""
 
     def updated(self, **changes: Any) -> Self:
-        """Return this solution with other attributes."""
+        """Return a copy of this solution with other values of the given attributes.
+
+        Parameters
+        ----------
+        **changes
+            Attributes by name, as in `status` or `message`.
+        """
         return replace(self, **changes)
 
 
@@ -180,10 +205,22 @@ class Solution(Outcome):
 
     Attributes
     ----------
+    problem : Formulation
+        Compiled problem that was solved.
     program : Transcription
-        The nonlinear program of the last mesh, with this solution's own data.
+        The nonlinear program of the last mesh, with the parameter values of this solution.
+    instance : Instance
+        Parameter values, horizon and fixed variables of the solve.
     trajectory : Trajectory
-        Unknowns on the mesh.
+        States, algebraic variables and static variables on the mesh.
+    multipliers : Multipliers
+        Multipliers of the program's constraints and bounds, as Ipopt returns them.
+    unknowns : ndarray, shape (n_unknowns,)
+        Unknowns of the program at the solution.
+    bounds : Bounds
+        Bounds of the program's unknowns and constraints.
+    scaling : Scaling
+        Scaling factors of the program.
     restraint : Restraint or None
         Change of the objective caused by bounds between the points; None if none are imposed.
     notes : tuple of str
@@ -203,12 +240,12 @@ class Solution(Outcome):
 
     @property
     def mesh(self) -> Mesh:
-        """The last mesh."""
+        """Mesh of the solution, the last mesh of a refinement."""
         return self.trajectory.mesh
 
     @property
     def summary(self) -> dict[str, str]:
-        """Status, objective, error and size."""
+        """Status, objective, errors, size and message, as text by label."""
         size = {}
         if self.problem.has_horizon:
             size = {
@@ -227,7 +264,7 @@ class Solution(Outcome):
         }
 
     def _errors_of_others(self) -> dict[str, str]:
-        """Return the estimated errors of states and costates, if they were estimated."""
+        """Return the estimated errors of states and costates as text by label, if estimated."""
         if not (np.isfinite(self.state_error) and self.problem.compiled.declared.states):
             return {}
         name, error = max(self.costate_errors.items(), key=lambda item: item[1])
@@ -238,28 +275,28 @@ class Solution(Outcome):
 
     @property
     def parts(self) -> tuple[Solution, ...]:
-        """Solution on the only horizon, as a tuple."""
+        """Solution on the only horizon, as a tuple with one item."""
         return (self,)
 
     @property
     def size(self) -> tuple[int, int]:
-        """Number of unknowns and of rows."""
+        """Number of unknowns and of constraints of the nonlinear program."""
         return self.unknowns.size, self.program.n_rows
 
     @property
     def nominal_objective(self) -> float:
-        """Reference size for changes of the objective: its magnitude or its scale.
+        """Reference magnitude for changes of the objective, in the unit of the objective.
 
-        A penalty may make the slopes at the first point, and therefore the unit of the scaling, far
-        larger than any slope that matters. That unit is therefore capped at a multiple of the
-        objective's size.
+        The larger of the objective's magnitude and the inverse of its scaling factor. A penalty may
+        make the slopes at the initial point, and therefore that inverse, far larger than any slope
+        that matters; it is therefore capped at 10 max(1, abs(objective)).
         """
         size = abs(self.objective)
         return max(size, min(1.0 / self.scaling.objective, _STEEPEST * max(1.0, size)))
 
     @cached_property
     def timeline(self) -> Timeline:
-        """Physical times of the free declared times, and of start and end."""
+        """Mapping between fractions of the horizon and physical times of this solution."""
         return self.problem.timeline(self.trajectory.statics, self.instance)
 
     @property
@@ -288,9 +325,11 @@ class Solution(Outcome):
 
     @cached_property
     def output_states(self) -> FloatArray:
-        """Output states at the nodes, shape (n_points + 1, n_outputs).
+        """Values of the output states at the nodes, shape (n_points + 1, n_outputs).
 
-        No other unknown depends on them, so they are solved for on demand.
+        Output states are states on which no other equation depends, for example an energy that is
+        only reported. They are no unknowns of the nonlinear program, and are computed at first
+        access.
         """
         program, outputs = self.program, self.problem.outputs
         if not len(outputs) or program.mesh is None:
@@ -304,16 +343,26 @@ class Solution(Outcome):
 
     @property
     def dynamics(self) -> Dynamics:
-        """Right-hand side of the equations with the data of the solution."""
+        """Right-hand side dx/dt = f(t, x, u) of the model, with the parameters of the solution."""
         return Dynamics(self.problem, self.instance, self.trajectory.statics)
 
     @cached_property
     def times(self) -> FloatArray:
-        """Physical times of the nodes, shape (n_points + 1,)."""
+        """Physical times of the nodes: start of the horizon and points, shape (n_points + 1,)."""
         return np.asarray(self.timeline.time(self.mesh.node_fractions))
 
     def fractions(self, times: Any) -> FloatArray:
-        """Return times as fractions of the horizon.
+        """Return physical times as fractions of the horizon.
+
+        Parameters
+        ----------
+        times : float or array
+            Physical times.
+
+        Returns
+        -------
+        ndarray, shape (n_times,)
+            Flattened, whatever the shape of `times`.
 
         Raises
         ------
@@ -334,21 +383,26 @@ class Solution(Outcome):
         return np.clip(fractions, 0.0, 1.0)
 
     def value(self, component: Any, t: Any = None, index: Any = None) -> Any:
-        """Return a variable's or expression's value.
+        """Return the value of a variable or expression, at times if it depends on time.
 
         Parameters
         ----------
         component : Var, DerivativeVar, Expression or str
             A component of the model or its full name.
         t : float or array, optional
-            Times; omitted for a static variable or an integral.
+            Physical times; omitted for a static variable or an integral.
         index : optional
-            The component's index beside time.
+            The component's index without time.
 
         Returns
         -------
         float or ndarray
             In the shape of `t`.
+
+        Raises
+        ------
+        TranscriptionError
+            If the model has no such component, or a time lies outside the horizon.
         """
         name = component if isinstance(component, str) else component.name
         if t is None:
@@ -358,6 +412,7 @@ class Solution(Outcome):
         return float(values[0]) if np.ndim(t) == 0 else values.reshape(np.shape(t))
 
     def _static(self, name: str, index: tuple[Any, ...]) -> float:
+        """Return the value of a static variable or of an integral, by name and index."""
         declared = self.problem.compiled.declared
         for slot, number in zip(declared.statics, self.trajectory.statics, strict=True):
             if (slot.component, slot.index) == (name, index) or slot.name == name:
@@ -368,7 +423,11 @@ class Solution(Outcome):
         raise TranscriptionError(f"{name}: is not a static variable or integral; give a time t.")
 
     def _inputs(self, fractions: FloatArray) -> list[FloatArray]:
-        """Return the inputs of an evaluated function at fractions of the horizon."""
+        """Return the five inputs of an `Evaluator` at fractions of the horizon.
+
+        They are, with one row per fraction: rates, states, algebraic variables, static variables,
+        and data (fraction and parameters).
+        """
         path, n = self.trajectory, len(fractions)
         states, rates = path.states_at(fractions), path.rates_at(fractions)
         if self.output_states.shape[1]:
@@ -381,7 +440,13 @@ class Solution(Outcome):
 
     @cached_property
     def costates(self) -> Costates:
-        """Costates per element and Hamiltonian at the points; see `collocation.costates`."""
+        """Costates and Hamiltonian at the collocation points; see `collocation.costates`.
+
+        Raises
+        ------
+        TranscriptionError
+            If the model has no states over time.
+        """
         if not self.problem.compiled.declared.states or not self.problem.has_horizon:
             raise TranscriptionError("costate: the model has no states over time.")
         return costates_of(
@@ -394,7 +459,28 @@ class Solution(Outcome):
         )
 
     def costate(self, state: Any, t: Any, index: Any = None) -> Any:
-        """Return a state's costate at times: the derivative of the optimal cost by the state."""
+        """Return a state's costate: the derivative of the optimal cost with respect to the state.
+
+        Parameters
+        ----------
+        state : Var or str
+            The state or its full name.
+        t : float or array
+            Physical times.
+        index : optional
+            The state's index without time.
+
+        Returns
+        -------
+        float or ndarray
+            In the shape of `t`. The cost is the minimised objective: the negative of the declared
+            objective if that is maximised.
+
+        Raises
+        ------
+        TranscriptionError
+            If the model has no such state, or a time lies outside the horizon.
+        """
         name = state if isinstance(state, str) else state.name
         slots = self.problem.compiled.declared.states
         wanted = (name, index_tuple(index))
@@ -408,9 +494,10 @@ class Solution(Outcome):
     def costate_errors(self) -> dict[str, float]:
         """Estimated largest error of each costate over the horizon, by the name of its state.
 
-        Relative to the costate's largest magnitude. If a limit on a state becomes active or
-        inactive inside an element, the error in that element is as large as a jump. Infinite if the
-        errors of the states were not estimated.
+        The error is relative to the costate's largest magnitude. If a limit on a state becomes
+        active or inactive inside an element, the costate may jump there, and its error in that
+        element is as large as the jump. The error is infinite if the errors of the states were not
+        estimated.
         """
         own = costate_errors_of(
             self.program,
@@ -425,18 +512,39 @@ class Solution(Outcome):
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings about a converged solution, one line each."""
+        """Warnings about a converged solution, one line each; empty if it has not converged."""
         return (*self.notes, *hamiltonian_warnings(self)) if self.is_converged else ()
 
     def hamiltonian(self, t: Any) -> Any:
-        """Return the Hamiltonian H = L + p . dx/dt at times."""
+        """Return the Hamiltonian H = L + p . dx/dt at physical times.
+
+        L is the integrand of the minimised objective, p the costates, and x the states.
+
+        Parameters
+        ----------
+        t : float or array
+            Physical times.
+
+        Returns
+        -------
+        float or ndarray
+            In the shape of `t`.
+
+        Raises
+        ------
+        TranscriptionError
+            If a time lies outside the horizon, or the model has no states.
+        """
         held = self.costates.hamiltonian[:, None]
         values = interpolate(self.mesh, held, self.fractions(t), with_start=False)[:, 0]
         return float(values[0]) if np.ndim(t) == 0 else values.reshape(np.shape(t))
 
     @cached_property
     def running_objective(self) -> FloatArray:
-        """Integral part of the objective accumulated until each node, shape (n_points + 1,)."""
+        """Integral part of the objective accumulated from the start to each node.
+
+        Shape (n_points + 1,), in the unit and with the sign of the declared objective.
+        """
         program, mesh = self.program, self.mesh
         density = program.objective_density(self.unknowns)
         sign = -1.0 if self.problem.compiled.declared.maximise else 1.0
@@ -449,21 +557,40 @@ class Solution(Outcome):
 
     @cached_property
     def algebraic_limits(self) -> tuple[FloatArray, FloatArray]:
-        """Constant lower and upper bounds of the algebraic variables."""
+        """Constant lower and upper bounds of the algebraic variables, shape (n_algebraics,) each.
+
+        A bound is infinite where none is declared, or where it varies with time.
+        """
         return self.problem.algebraic_limits(self.instance)
 
     @property
     def algebraic_ranges(self) -> FloatArray:
-        """Upper minus lower limit of each algebraic variable; without limits, its own range."""
+        """Range of each algebraic variable, shape (n_algebraics,), in the variable's unit.
+
+        Upper minus lower limit; for a variable without both limits, the range of its values in the
+        solution.
+        """
         lower, upper = self.algebraic_limits
         own = np.ptp(self.trajectory.algebraics, axis=0)
         return np.where(np.isfinite(upper - lower), upper - lower, own)
 
     def to_frame(self, times: Any = None) -> pd.DataFrame:
-        """Return states, outputs and algebraic variables as columns over the nodes' times.
+        """Return states, output states and algebraic variables as a table over time.
 
-        Column "time" comes first, then one column per slot, named as in ``rotors.omega[1]``. A
-        variable of the model that is itself called time becomes "time (variable)".
+        Output states are states that nothing else depends on, and no unknowns of the nonlinear
+        program.
+
+        Parameters
+        ----------
+        times : array, optional
+            Physical times of the rows; by default those of the nodes.
+
+        Returns
+        -------
+        DataFrame
+            Column "time" comes first, then one column per variable, named as in
+            ``rotors.omega[1]``. A variable of the model that is itself called time becomes "time
+            (variable)".
         """
         import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
@@ -486,7 +613,19 @@ def solution_from(
     bounds: Bounds,
     scaling: Scaling,
 ) -> Solution:
-    """Make a solution from Ipopt's result."""
+    """Return the solution of a problem from Ipopt's result on the problem's nonlinear program.
+
+    Parameters
+    ----------
+    problem : Formulation
+    program : Transcription
+        Nonlinear program on the last mesh.
+    instance : Instance
+        Parameter values, horizon and fixed variables of the solve.
+    result : IpoptResult
+    bounds, scaling : Bounds, Scaling
+        Bounds and scaling factors with which the program was solved.
+    """
     z = result.z
     return Solution(
         problem=problem,

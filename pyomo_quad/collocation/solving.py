@@ -1,4 +1,4 @@
-"""Complete solve: budget of the warm start, time limit, and the best finished mesh."""
+"""Complete solve: budget of the warm start, time limit, and the most accurate finished mesh."""
 
 from __future__ import annotations
 
@@ -33,14 +33,27 @@ S = TypeVar("S", bound=Outcome)
 
 @dataclass(kw_only=True)
 class _WholeSolve(Search[S], Generic[S]):
-    """Solve from a warm start, and from the guess if the warm start takes too many iterations.
+    """Search that solves from a warm start, and from the guess if the warm start is too slow.
 
     Attributes
     ----------
     solve : callable
         (start, progress) -> solution.
+    start : Start
+        Warm start and guess that the caller gave.
     known : ColdStart, optional
-        Budget of the warm start; without it there is no limit.
+        Iterations that the solve from the guess took, as the budget of the warm start; without it
+        there is no budget.
+    tolerance : float
+        Tolerance of the mesh refinement, 0 for a single mesh.
+    progress : callable or None
+        Called at each iteration; returning False stops the solve.
+    warm : Solution or JointSolution, optional
+        Result of the last solve from the warm start.
+    spent : int
+        Iterations of that solve.
+    has_ended : bool
+        Whether the last solve ended by itself rather than at its budget.
     """
 
     solve: Callable[[Start, Progress], S]
@@ -53,13 +66,19 @@ class _WholeSolve(Search[S], Generic[S]):
     has_ended: bool = False
 
     def holds(self, fact: Fact) -> bool:
-        """Return whether the condition of a strategy is met."""
+        """Return whether a condition (`Fact`) of a strategy in the table is true at present.
+
+        It is that a warm start was given, or that the solve from the guess failed after it.
+        """
         return (fact is Fact.WARM_START and self.start.warm is not None) or (
             fact is Fact.COLD_FAILED and self.warm is not None
         )
 
     def attempt(self, strategy: Strategy) -> S:
-        """Solve by one strategy."""
+        """Solve from the warm start, from the guess, or from the last iterate of the warm start.
+
+        The strategy determines which of them, and whether the iterations are limited.
+        """
         known = self.known if strategy.iterations is None else None
         limits = (known.first, known.iterations) if known else (inf, inf)
         effort = Effort(limits=limits, progress=self.progress)
@@ -73,7 +92,7 @@ class _WholeSolve(Search[S], Generic[S]):
         return found.updated(cold_start=known) if known and self.has_ended else found
 
     def _cold(self, effort: Effort) -> S:
-        """Solve from the guess, and record the iterations that it takes."""
+        """Solve from the guess, and record the iterations that the solve takes in its result."""
         cold = self.solve(self.start.cold, effort)
         took = ColdStart(first=effort.first, iterations=effort.count, tolerance=self.tolerance)
         self.has_ended = self.warm is None or not cold.status.has_failed
@@ -86,7 +105,10 @@ class _WholeSolve(Search[S], Generic[S]):
         return cold.updated(cold_start=took, message=message)
 
     def is_final(self, found: S) -> bool:
-        """Return whether a result ends the search; a warm start over budget does not."""
+        """Return whether a result ends the search: any, unless the solve exceeded its budget.
+
+        The budget is a limit of iterations.
+        """
         del found
         return self.has_ended
 
@@ -99,11 +121,30 @@ def within_budget(
     *,
     is_known: bool = True,
 ) -> S:
-    """Solve from a warm start within the iterations of the cold start, else from the guess.
+    """Solve from a warm start within the iterations of its cold start, else from the guess.
 
-    The first solve may take the iterations of the cold start's first mesh, and all solves together
-    those of all its meshes, if they are known for the same tolerance; otherwise, and without
-    `is_known`, there is no limit. If the new cold start fails, the warm start is continued.
+    A warm start is useful only if it is faster than a solve from the guess (cold start). Its first
+    solve may take as many iterations as the cold start's first mesh, and all solves together as
+    many as all meshes of the cold start. If it takes more, the problem is solved from the guess; if
+    that fails, the warm start is continued.
+
+    Parameters
+    ----------
+    solve : callable
+        (start, progress) -> solution.
+    start : Start
+        Warm start and guess; a warm start carries the iterations of its cold start.
+    tolerance : float or None
+        Tolerance of the mesh refinement. The recorded iterations are a budget only if they belong
+        to the same tolerance.
+    progress : callable or None
+        Called at each iteration; returning False stops the solve.
+    is_known : bool, default True
+        Whether the recorded iterations may serve as a budget.
+
+    Returns
+    -------
+    Solution or JointSolution
     """
     demand, known = tolerance or 0.0, start.cold_start if is_known else None
     known = known if known is not None and known.tolerance == demand else None
@@ -122,14 +163,38 @@ def carried_out(
     progress: Progress | None,
     is_known: bool = True,
 ) -> S:
-    """Solve within the time limit and the ranges of the tables, refining if a tolerance is given.
+    """Solve within the time limit, with mesh refinement if a tolerance is given.
 
-    If a refinement is interrupted or fails, the most accurate finished mesh is returned.
+    If a refinement is interrupted or fails, the solution on the most accurate finished mesh is
+    returned, with the status of the failure. Doubts about the result, such as tables that are read
+    outside their range, are recorded in its status and message.
 
     Parameters
     ----------
     attempt : callable
         (start, progress, options, tolerance, refinement) -> solution.
+    start : Start
+        Warm start and guess.
+    tolerance : float or None
+        Required relative error of the states; default 1e-6 if the caller gave no mesh.
+    has_mesh : bool
+        Whether the caller gave a mesh.
+    options : SolverOptions or None
+        Settings of Ipopt, with the time limit.
+    refinement : RefinementOptions or None
+    progress : callable or None
+        Called at each iteration; returning False stops the solve.
+    is_known : bool, default True
+        Whether the iterations recorded in a warm start are its budget; see `within_budget`.
+
+    Returns
+    -------
+    Solution or JointSolution
+
+    Raises
+    ------
+    TranscriptionError
+        If the tolerance is not above 0.
     """
     if tolerance is not None and not tolerance > 0.0:
         raise TranscriptionError(f"tolerance: {tolerance:g}; must be above 0.")
@@ -156,7 +221,11 @@ def carried_out(
 
 
 def _finished_of(finished: list[S], ended: S) -> S:
-    """Replace an unconverged iterate by the solution on the most accurate finished mesh."""
+    """Return the solution on the most accurate finished mesh in place of an unconverged iterate.
+
+    Solves without redundant conditions do not count as finished. The message says which mesh the
+    solution belongs to.
+    """
     whole = [solution for solution in finished if not solution.parts[0].instance.left_out]
     if not whole or ended.status not in (Status.INTERRUPTED, Status.NOT_CONVERGED):
         return ended
@@ -170,7 +239,7 @@ def _finished_of(finished: list[S], ended: S) -> S:
 
 
 def _in_time(solution: S, deadline: Effort) -> S:
-    """Return a solution with a message if the deadline ended its solve."""
+    """Return a solution with a message on the time limit, if that limit interrupted the solve."""
     if not deadline.is_over or solution.status is not Status.INTERRUPTED:
         return solution
     message = (

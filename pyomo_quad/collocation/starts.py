@@ -1,4 +1,4 @@
-"""Starting points of a solve: a guess, or point and multipliers of another solution."""
+"""Starting points of a solve: an initial guess, or trajectory and multipliers of a solution."""
 
 from __future__ import annotations
 
@@ -26,14 +26,17 @@ _PARTS = ("states", "algebraics", "statics")
 
 @dataclass(frozen=True, kw_only=True)
 class ColdStart:
-    """Iterations of a solve from the guess, as a budget for warm starts of the same problem.
+    """Record of the iterations that a solve from an initial guess (cold start) took.
+
+    A warm start of the same problem carries this record. If it takes more iterations, it is
+    abandoned.
 
     Attributes
     ----------
     first, iterations : int
         Iterations on the first mesh, and on all meshes.
     tolerance : float
-        Tolerance of that solve, 0 for a single mesh.
+        Tolerance of the mesh refinement of that solve, 0 for a single mesh.
     """
 
     first: int
@@ -42,12 +45,20 @@ class ColdStart:
 
     @property
     def array(self) -> FloatArray:
-        """Return the three numbers as an array for `from_arrays`."""
+        """The record as an array of three numbers, which `from_arrays` reads."""
         return np.array([float(self.first), float(self.iterations), self.tolerance])
 
     @classmethod
     def from_arrays(cls, held: Mapping[str, NDArray[Any]]) -> ColdStart | None:
-        """Read the record from untrusted arrays, None if they hold none."""
+        """Read the record from a mapping of array names to untrusted arrays.
+
+        The result is None if the mapping has no array named "cold_start".
+
+        Raises
+        ------
+        TranscriptionError
+            If that array does not hold three finite real numbers.
+        """
         if "cold_start" not in held:
             return None
         first, iterations, tolerance = real_array(held, "cold_start", (3,)).tolist()
@@ -56,20 +67,23 @@ class ColdStart:
 
 @dataclass(frozen=True, kw_only=True)
 class WarmStart:
-    """Point and multipliers of a solution, independent of its problem.
+    """Trajectory and multipliers of a solution, stored without the problem that was solved.
+
+    A later solve of the same equations, on any mesh, can start from it.
 
     Attributes
     ----------
     model : str
         Fingerprint of the equations to which the multipliers belong.
     trajectory : Trajectory
-        The point itself.
+        States, algebraic variables and static variables.
     lower, upper : Trajectory
-        Multipliers of the bounds, in the form of a trajectory.
+        Multipliers of the lower and upper bounds of these variables, in the form of a trajectory.
     equations : ndarray, shape (n_points, n_equations)
-        Multipliers of the equations over time.
+        Multipliers of the equations over time at the collocation points.
     conditions : ndarray, shape (n_conditions,)
-        Multipliers of all other rows.
+        Multipliers of all other constraints: conditions at declared times, and definitions of
+        integrals that are unknowns.
     cold_start : ColdStart, optional
         Iterations of the solve without a warm start, if known.
     """
@@ -88,16 +102,23 @@ class WarmStart:
 
     @property
     def mesh(self) -> Mesh:
-        """Mesh of the solution."""
+        """Mesh of the stored trajectory."""
         return self.trajectory.mesh
 
     @property
     def is_finite(self) -> bool:
-        """Whether all numbers are finite; those of a failed solve may not be."""
+        """Whether trajectory and multipliers are finite; after a failed solve they may not be."""
         return all(bool(np.all(np.isfinite(array))) for array in self._numbers().values())
 
     def fits(self, compiled: CompiledModel) -> bool:
-        """Return whether a compiled model has the same equations as the warm start."""
+        """Return whether the warm start belongs to the same equations as a compiled model.
+
+        Fingerprint and array sizes are compared.
+
+        Parameters
+        ----------
+        compiled : CompiledModel
+        """
         held, declared = self.trajectory, compiled.declared
         return (
             self.model == compiled.fingerprint
@@ -109,17 +130,24 @@ class WarmStart:
         )
 
     def continued(self, mesh: Mesh, was: Timeline, now: Timeline) -> WarmStart:
-        """Return the warm start on another mesh, with its values at the same times.
+        """Interpolate the warm start to another mesh and horizon, at equal physical times.
 
-        Multipliers of quantities imposed at a point, divided by the duration that the point
-        represents, are samples of a function of time, which is interpolated.
+        A multiplier belongs to a constraint at a collocation point. Divided by the duration that
+        the point represents (its quadrature weight times the horizon), the multipliers of a
+        constraint are samples of a function of time, and that function is interpolated. Multipliers
+        of bounds are kept non-negative.
 
         Parameters
         ----------
         mesh : Mesh
-            Mesh of the same horizon, or of another one inside it.
+            Mesh of the result.
         was, now : Timeline
-            Times of its own horizon, and of the other.
+            Physical times of the horizon of this warm start, and of the horizon of the result,
+            which is the same or lies inside it.
+
+        Returns
+        -------
+        WarmStart
         """
         nodes, points = (
             was.fraction(now.time(fractions))
@@ -146,12 +174,13 @@ class WarmStart:
         return replace(self, trajectory=moved, lower=lower, upper=upper, equations=equations)
 
     def _numbers(self) -> dict[str, FloatArray]:
+        """Return trajectory and multipliers as arrays by the names used in files."""
         sides = {"": self.trajectory, "lower_": self.lower, "upper_": self.upper}
         named = {f"{side}{part}": getattr(t, part) for side, t in sides.items() for part in _PARTS}
         return named | {"equations": self.equations, "conditions": self.conditions}
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the warm start as named arrays for `from_arrays`."""
+        """Return the warm start as a dictionary of named arrays, which `from_arrays` reads."""
         about = {
             "model": np.frombuffer(self.model.encode("ascii"), dtype=np.uint8),
             "breakpoints": np.asarray(self.mesh.breakpoints),
@@ -164,6 +193,11 @@ class WarmStart:
     @classmethod
     def from_arrays(cls, held: Mapping[str, NDArray[Any]]) -> WarmStart:
         """Read a warm start from untrusted arrays.
+
+        Parameters
+        ----------
+        held : mapping
+            Arrays by name, as `arrays` returns them.
 
         Raises
         ------
@@ -207,7 +241,18 @@ def warm_start_of(
     multipliers: Multipliers,
     cold_start: ColdStart | None,
 ) -> WarmStart:
-    """Make a warm start from a program's point and multipliers."""
+    """Return a warm start from the unknowns and multipliers of a nonlinear program.
+
+    Parameters
+    ----------
+    program : Transcription
+        The nonlinear program on its mesh.
+    z : ndarray, shape (n_unknowns,)
+    multipliers : Multipliers
+        Multipliers of the program's bounds and constraints.
+    cold_start : ColdStart or None
+        Iterations of the solve without a warm start.
+    """
     first = program.first_condition_row
     return WarmStart(
         model=program.compiled.fingerprint,
@@ -223,7 +268,14 @@ def warm_start_of(
 
 
 def transfer(start: WarmStart, program: Transcription) -> tuple[FloatArray, Multipliers]:
-    """Interpolate unknowns and multipliers of a warm start to the mesh of a program.
+    """Interpolate trajectory and multipliers of a warm start to the mesh of a nonlinear program.
+
+    Returns
+    -------
+    ndarray, shape (n_unknowns,)
+        Unknowns of the program.
+    Multipliers
+        Multipliers of its bounds and constraints.
 
     Raises
     ------
@@ -247,19 +299,21 @@ def transfer(start: WarmStart, program: Transcription) -> tuple[FloatArray, Mult
 
 @dataclass(frozen=True, kw_only=True)
 class Start:
-    """Starting point of a solve, with an optional warm start.
+    """Starting point of a solve: a warm start, an initial guess, or the model's own values.
 
     Attributes
     ----------
     warm : WarmStart or tuple of WarmStart, optional
-        Point and multipliers of another solution; with several horizons, one for each and for
-        their coupling.
+        Trajectory and multipliers of another solution. For several horizons: one warm start per
+        horizon, and one for the constraints that couple them.
     guess : mapping, Trajectory or list, optional
-        First point where there is no warm start; with several horizons, one for each.
+        Initial values where there is no warm start; for several horizons, a list with one item per
+        horizon. By default the values of the model's variables.
     seed : int
-        If above 0, the first point is random between the bounds.
+        If above 0, the initial point is random between the bounds, generated with this seed.
     is_elastic : bool
-        Whether the first point is the optimum of the elastic program.
+        Whether the initial point is first replaced by the optimum of the elastic program, in which
+        the equations over time may be violated at a penalty.
     """
 
     warm: Any = None
@@ -269,20 +323,24 @@ class Start:
 
     @classmethod
     def of(cls, given: Any, guess: Any = None) -> Start:
-        """Make a start from a warm start or from an object that has one: a solution, a plan."""
+        """Return the `Start` of a solve from its arguments `warm_start` and `guess`.
+
+        `given` is None, a warm start, or an object with an attribute `warm_start`: a solution or a
+        plan.
+        """
         return cls(warm=getattr(given, "warm_start", given), guess=guess)
 
     @property
     def cold(self) -> Start:
-        """Starting point without the warm start."""
+        """The same starting point without the warm start."""
         return replace(self, warm=None)
 
     @property
     def cold_start(self) -> ColdStart | None:
-        """Iterations of the solve from the guess, if known."""
+        """Record of the iterations of the solve from a guess; None if the warm start has none."""
         first = self.warm[0] if isinstance(self.warm, tuple) else self.warm
         return first and first.cold_start
 
 
-#: The start at the model's own values.
+#: Start at the values that the variables of the Pyomo model have.
 AT_THE_MODEL = Start()

@@ -1,8 +1,9 @@
-"""Simulation of many vehicles under one law, each with its own parameters, in fixed steps.
+"""Simulation of many closed loops, each with its own parameters, by fixed Runge-Kutta steps.
 
-A step is the classical Runge-Kutta method of order 4, see docs/theory/flights.md, eq. (1); its four
-stages form one function, which is mapped over the vehicles. The individual numbers may change from
-step to step, so that they include noise that is held over a step, a parameter over time.
+All vehicles follow the same control law. A step is the classical Runge-Kutta method of order 4, see
+docs/theory/flights.md, eq. (1); its four stages form one CasADi function, which is mapped over the
+vehicles. The parameters that differ between vehicles may change from step to step, and may thus
+represent noise that is constant during a step.
 """
 
 from __future__ import annotations
@@ -25,11 +26,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class SteppedFlights:
-    """Flights of n vehicles, sampled at the same times.
+    """Simulated flights of n vehicles, sampled at the same times.
 
-    Shapes: t (n_samples,), joint (n_samples, n, n_joint), controls (n_samples, n, n_controls).
-    The joint state is that of the vehicle, the law's own, and the integral of the objective's
-    integrand, as in a `ClosedLoop`.
+    Attributes
+    ----------
+    t : ndarray, shape (n_samples,)
+        Times [s].
+    joint : ndarray, shape (n_samples, n, n_joint)
+        States of the vehicle, states of the control law, and the integral of the objective's
+        integrand from the start of the flight, as in a `ClosedLoop`.
+    controls : ndarray, shape (n_samples, n, n_controls)
+        Controls that the law applies.
     """
 
     t: FloatArray
@@ -38,16 +45,16 @@ class SteppedFlights:
 
 
 class SteppedLoops:
-    """Closed loops of many vehicles, simulated together.
+    """Closed loops of a vehicle with a control law, simulated together for many parameter values.
 
     Parameters
     ----------
     dynamics : Dynamics
-        The vehicle.
+        Right-hand side of the vehicle's equations.
     law : callable
         Control law, as in `ClosedLoop`.
     n_command, n_own : int
-        Number of commands that the law follows, and number of its own states.
+        Number of components of the command that the law follows, and number of the law's states.
     varied : sequence of str
         Full names of the parameters, constant or over time, that differ between the vehicles.
     """
@@ -74,20 +81,26 @@ class SteppedLoops:
         *,
         sampled: FloatArray,
     ) -> SteppedFlights:
-        """Simulate from the first time to the last; every time ends a step.
+        """Simulate all closed loops from the first time to the last, with one step between times.
 
         Parameters
         ----------
         times : ndarray, shape (n_steps + 1,)
+            Ends of the steps [s].
         start : ndarray, shape (n, n_joint)
-            Joint states at the first time.
+            States of vehicle and law at the first time, with the integral of the objective's
+            integrand.
         command : callable
-            Time in s -> command of the law, the same for all vehicles.
+            Time [s] -> command of the law, the same for all vehicles.
         numbers : sequence of ndarray, shape (n,) or (n_steps, n)
             Values of each parameter that differs between the vehicles: one number for the whole
             flight, or one for each step.
         sampled : ndarray of bool, shape (n_steps + 1,)
-            Times at which the flights are stored.
+            Whether the flights are stored at each time.
+
+        Returns
+        -------
+        SteppedFlights
 
         Raises
         ------
@@ -126,7 +139,11 @@ class SteppedLoops:
     def _around(
         self, begin: float, end: float, command: Callable[[float], Sequence[float]]
     ) -> list[FloatArray]:
-        """Return the inputs of a step that all vehicles share: length, times, commands."""
+        """Return the inputs of a step that are the same for all vehicles.
+
+        They are the length of the step [s], then the time-dependent inputs of the equations, and
+        then the commands, both at the start, the middle and the end of the step.
+        """
         middle = 0.5 * (begin + end)
         # If the equations jump, a step starts after the jump and the previous step ends before it.
         moments = map(self._dynamics.moment, (self._dynamics.just_after(begin), middle, end))
@@ -135,7 +152,24 @@ class SteppedLoops:
 
 
 def _step(flow: Any, dynamics: Dynamics, sizes: tuple[int, int, int], n_varied: int) -> Any:
-    """Return a step as a function of shared inputs, joint state and individual numbers."""
+    """Return the CasADi function of one Runge-Kutta step of a closed loop.
+
+    Parameters
+    ----------
+    flow : casadi.Function
+        (time-dependent inputs, joint state, command, varied parameters) -> d joint state / dt.
+    dynamics : Dynamics
+    sizes : (int, int, int)
+        Numbers of time-dependent inputs, joint states and components of a command.
+    n_varied : int
+        Number of parameters that differ between the vehicles.
+
+    Returns
+    -------
+    casadi.Function
+        (length, three time-dependent inputs, three commands, joint state, varied parameters) ->
+        joint state at the end of the step.
+    """
     n_moment, n_joint, n_command = sizes
     length = dynamics.symbol("length", 1)
     moments = [dynamics.symbol(f"moment{k}", n_moment) for k in range(3)]

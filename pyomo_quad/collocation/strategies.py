@@ -1,8 +1,10 @@
-"""Strategies of a solve: one ordered table, and the loop that tries them.
+"""Table of the solution strategies that are tried in order, and the loop that tries them.
 
-A whole solve begins at a warm start or at the guess. From there the first mesh is solved, by the
-initial points, meshes and settings of the scope `FIRST`. A refinement solves each further mesh by
-the strategies of the scope `MESH`, and begins again from better controls, by the one of `RESTART`.
+A whole solve (scope `WHOLE`) starts from a warm start or from the guess. Its first mesh is solved
+by the strategies of the scope `FIRST`, which differ in initial point, mesh and settings of Ipopt.
+The mesh refinement solves each further mesh by the strategies of the scope `MESH`. If Pontryagin's
+principle shows that other controls are better, the strategy of the scope `RESTART` starts the
+refinement again from those controls.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Scope(Enum):
-    """Part of a solve to which a strategy belongs."""
+    """Part of a solve in which a strategy is tried: whole solve, first mesh, next mesh, restart."""
 
     WHOLE = auto()
     FIRST = auto()
@@ -29,11 +31,11 @@ class Scope(Enum):
 
 
 class Fact(Enum):
-    """Condition of a strategy, which a search affirms or denies."""
+    """Condition that a strategy may require; the search that uses the strategy evaluates it."""
 
     #: A warm start is given.
     WARM_START = auto()
-    #: The warm start exceeded its budget, and the cold start failed.
+    #: The warm start exceeded its budget of iterations, and the solve from the guess failed.
     COLD_FAILED = auto()
     #: There are more equations than free unknowns.
     OVERDETERMINED = auto()
@@ -51,26 +53,31 @@ class Fact(Enum):
     ONE_HORIZON = auto()
     #: By Pontryagin's principle, other controls gain more than the tolerance.
     BETTER_CONTROLS = auto()
-    #: Controls are damped, or the barrier begins as small as the last objective's change.
+    #: The next solve is kept near the last one: by damping of the controls, or by an initial
+    #: barrier parameter that corresponds to the last change of the objective.
     HELD = auto()
-    #: Neither is so.
+    #: Neither damping nor a small barrier parameter keeps the next solve near the last one.
     FREE = auto()
 
 
 class First(Enum):
-    """Initial point of a strategy."""
+    """Kind of initial point from which a strategy solves."""
 
+    #: The start that the caller requested: warm start or guess.
     GIVEN = auto()
+    #: The caller's guess, or the model's values, without the warm start.
     GUESS = auto()
     #: The last iterate of the warm start.
     REACHED = auto()
+    #: A simulation from the initial states.
     SIMULATED = auto()
+    #: The point of least constraint violation near the last iterate of a failed solve.
     LEAST_VIOLATION = auto()
     #: The point of least violation, without the conditions that follow from others.
     REDUCED = auto()
     #: The optimum on a coarse mesh.
     COARSE = auto()
-    #: The optimum of the elastic program.
+    #: The optimum of the elastic program, whose equations may be violated at a penalty.
     PRICED = auto()
     #: The controls that minimise the Hamiltonian at each point.
     IMPROVED = auto()
@@ -78,29 +85,33 @@ class First(Enum):
 
 @dataclass(frozen=True)
 class Strategy:
-    """Row of the table of strategies: name, condition, action and budget.
+    """Strategy for a solve: name, conditions, initial point, settings and budget of iterations.
+
+    The instances are the rows of the table `STRATEGIES`.
 
     Attributes
     ----------
     scope : Scope
+        Part of a solve in which the strategy is tried.
     name : str
-        Name in the record of strategies.
+        Name in the record of the strategies that were tried.
     when : set of Fact
-        Facts that must all hold.
+        Conditions that must all be true.
     first : First
+        Kind of initial point.
     finer : int
         Factor on the number of elements of the first mesh.
     barrier : str, optional
-        Ipopt's strategy for its barrier.
+        Value of Ipopt's option `mu_strategy`: "monotone" or "adaptive".
     is_scaled : bool
         Whether Ipopt solves the scaled program.
     is_firm : bool
-        Whether damping is increased, and the barrier begins larger.
+        Whether the damping of the controls is increased, and the barrier parameter begins larger.
     iterations : float or None
-        Budget on each mesh; None for the iterations of the cold start, on its first mesh and on
-        all of them.
+        Limit of iterations on each mesh. None: a warm start may take as many iterations as the
+        solve from the guess took, on its first mesh and on all meshes together.
     times : int
-        How often it may be tried.
+        How often the strategy may be tried.
     """
 
     scope: Scope
@@ -115,7 +126,7 @@ class Strategy:
     times: int = 1
 
     def settings(self, options: SolverOptions) -> SolverOptions:
-        """Return Ipopt's settings for the strategy."""
+        """Return the caller's settings of Ipopt with the changes that the strategy makes."""
         if self.barrier is None:
             return options
         limited = options.at_most(self.iterations or inf)
@@ -125,8 +136,8 @@ class Strategy:
 #: Iterations of a strategy with other settings of Ipopt on the mesh that failed; successful ones
 #: need fewer. A caller who allows fewer needs a quick answer, as in flight: nothing else is tried.
 PATIENCE = 200
-#: Iterations of a solve from the last mesh while its other settings are still to be tried: such
-#: solves take 5 to 50, and one that has not ended after these seldom ends at all.
+#: Iterations of a solve from the last mesh while the strategies with other settings are still to be
+#: tried: such solves take 5 to 50, and a solve that has not ended after these seldom ends at all.
 _HELD_PATIENCE = 150
 #: Number of restarts of a refinement from controls that minimise the Hamiltonian: each gains more
 #: than the tolerance, and hardly any problem has more than two.
@@ -135,7 +146,7 @@ RESTART = "restart from the least Hamiltonian"
 
 _W, _F, _M, _R = Scope.WHOLE, Scope.FIRST, Scope.MESH, Scope.RESTART
 _POSSIBLE, _FREE = {Fact.POSSIBLE}, {Fact.JUDGED, Fact.FREE_MESH, Fact.FREE_GUESS}
-# A first mesh may be too coarse for the limits, or too fine for the error of the first point.
+# A first mesh may be too coarse for the limits, or too fine for the error of the initial point.
 STRATEGIES = (
     Strategy(_W, "warm start", {Fact.WARM_START}, iterations=None),
     Strategy(_W, "cold start", first=First.GUESS),
@@ -165,29 +176,43 @@ S = TypeVar("S", bound=Any)
 
 
 class Search(ABC, Generic[S]):
-    """A search for a solution by the strategies of one scope."""
+    """Search for a solution by the strategies of one scope, in the order of the table.
+
+    Subclasses define how a strategy is carried out, when its conditions are true, and which results
+    end the search.
+    """
 
     @abstractmethod
     def holds(self, fact: Fact) -> bool:
-        """Return whether the condition of a strategy is met at present."""
+        """Return whether a condition (`Fact`) of a strategy in the table is true at present."""
 
     @abstractmethod
     def attempt(self, strategy: Strategy) -> S | None:
-        """Return the result of a strategy, None if it does not apply."""
+        """Solve as a strategy prescribes; the result is None if the strategy does not apply."""
 
     def is_final(self, found: S) -> bool:
-        """Return whether the search ends with a result."""
+        """Return whether a result ends the search: by default any solve that has not failed."""
         return not found.status.has_failed
 
     def failure(self, last: S) -> S:
-        """Return the result of a search without a final result: by default the last result."""
+        """Return the result if no strategy has succeeded: by default that of the last strategy."""
         return last
 
 
 def first_success(scope: Scope, search: Search[S]) -> S:
-    """Try the strategies of a scope in their order, and return the first final result.
+    """Try the strategies of a scope in the order of the table, until one gives a final result.
 
-    The result holds the record of the strategies that were tried, if there were several.
+    Parameters
+    ----------
+    scope : Scope
+    search : Search
+        Carries the strategies out, and decides which results are final.
+
+    Returns
+    -------
+    Solution or JointSolution
+        The final result, or the result of `search.failure`. If several strategies were tried, its
+        attribute `tried` records their names and outcomes.
     """
     tried: list[str] = []
     last: Any = None

@@ -1,4 +1,8 @@
-"""Pyomo's suffixes `dual`, `rc` and `costate`: objective derivatives by limits and states."""
+"""Pyomo's suffixes `dual`, `rc` and `costate`: derivatives of the objective from multipliers.
+
+`dual` holds the derivatives with respect to the constant sides of constraints, `rc` (reduced costs)
+those with respect to bounds of variables, and `costate` those with respect to states.
+"""
 
 from __future__ import annotations
 
@@ -22,13 +26,25 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Sensitivities:
-    """Sensitivities of the declared objective, by name: functions of declared time, and numbers."""
+    """Derivatives of the declared objective with respect to constraints, bounds or states.
+
+    Attributes
+    ----------
+    over_time : dict
+        Name of a component over time -> function of declared time, in the model's unit of time,
+        that returns the derivative per unit of time (for a state: the costate).
+    once : dict
+        Name of a component without time -> derivative.
+    """
 
     over_time: dict[str, Callable[[float], float]] = field(default_factory=dict)
     once: dict[str, float] = field(default_factory=dict)
 
     def add(self, name: str, price: Callable[[float], float]) -> None:
-        """Add a sensitivity over time to others of the same name, as for both sides of a limit."""
+        """Add a function of time under a name, summing functions of the same name.
+
+        Both sides of a limit (lower and upper) share a name; at any time at most one is active.
+        """
         held = self.over_time.get(name)
         if held is None:
             self.over_time[name] = price
@@ -39,9 +55,11 @@ class Sensitivities:
 def load_suffixes(*solutions: Solution) -> None:
     """Fill the suffixes `dual`, `rc` and `costate` of a model that imports them.
 
-    They are the derivatives of the declared objective by the constant side of a constraint, by a
-    bound of a variable, and by a state; over time, per unit of time. Several solutions are those of
-    several horizons.
+    The suffixes hold derivatives of the declared objective: with respect to the constant side of a
+    constraint (`dual`), to a bound of a variable (`rc`), and to a state (`costate`). For a
+    constraint or bound over time, the derivative is per unit of time. A model with several horizons
+    has one solution per horizon. Nothing is done for a problem that was pickled, which has no
+    model.
     """
     source = solutions[0].problem.source
     if not isinstance(source, LiveModel):
@@ -59,7 +77,7 @@ def load_suffixes(*solutions: Solution) -> None:
 
 
 def _suffixes(solution: Solution) -> dict[str, Sensitivities]:
-    """Return the contents of the suffixes by name."""
+    """Return the contents of the suffixes `dual`, `rc` and `costate`, as a dictionary."""
     problem = solution.problem
     dual, reduced = _sensitivities(solution)
     costates = Sensitivities()
@@ -72,10 +90,19 @@ def _suffixes(solution: Solution) -> dict[str, Sensitivities]:
 
 
 def _costate(solution: Solution, state: int, sign: float) -> Callable[[float], float]:
+    """Return a state's costate for the declared objective, as a function of declared time.
+
+    `state` is the position among the states; `sign` is -1 if the objective is maximised.
+    """
     return lambda time: sign * float(solution.costates.at(_fraction(solution, time))[0, state])
 
 
 def _function(solution: Solution, density: FloatArray) -> Callable[[float], float]:
+    """Return the polynomials through values at the collocation points, as a function of time.
+
+    `density` has shape (n_points,); the function's argument is declared time.
+    """
+
     def at(time: float) -> float:
         fractions = _fraction(solution, time)
         return float(
@@ -86,12 +113,13 @@ def _function(solution: Solution, density: FloatArray) -> Callable[[float], floa
 
 
 def _fraction(solution: Solution, time: float) -> FloatArray:
+    """Return a declared time as a fraction of the declared horizon, an array of shape (1,)."""
     first, last = solution.problem.values.declared_horizon
     return np.array([(time - first) / (last - first)])
 
 
 def _sensitivities(solution: Solution) -> tuple[Sensitivities, Sensitivities]:
-    """Return the sensitivities to constraints and to bounds."""
+    """Return the derivatives of the objective with respect to constraints, and to bounds."""
     program, multipliers = solution.program, solution.multipliers
     declared = program.compiled.declared
     sign = -1.0 if program.is_negated else 1.0
@@ -109,7 +137,10 @@ def _sensitivities(solution: Solution) -> tuple[Sensitivities, Sensitivities]:
 
 
 def _widths(solution: Solution) -> FloatArray:
-    """Return the length of time that each collocation point represents."""
+    """Return the duration that each collocation point represents, shape (n_points,).
+
+    This is its quadrature weight times the length of the horizon (or of its phase).
+    """
     mesh = solution.mesh
     return np.asarray(solution.timeline.span_at(mesh.point_fractions) * mesh.quadrature_weights)
 
@@ -117,7 +148,12 @@ def _widths(solution: Solution) -> FloatArray:
 def _assign_bounds(
     solution: Solution, sign: float, dual: Sensitivities, reduced: Sensitivities
 ) -> None:
-    """Assign the multipliers of bounds to the variables and constraints that declare them."""
+    """Convert the multipliers of bounds to derivatives for the components that declare the bounds.
+
+    A bound may come from the bounds of a variable or from a constraint on a single variable. The
+    derivatives are added to `reduced` for variables, and to `dual` for constraints; `sign` is -1 if
+    the objective is maximised.
+    """
     program, bounds = solution.program, solution.bounds
     compiled = program.compiled
     first = len(compiled.declared.states) + len(compiled.declared.algebraics)

@@ -22,7 +22,7 @@ S = TypeVar("S", bound=Outcome)
 
 
 def without_bound(solution: Solution) -> Solution:
-    """Return a solution whose message names the variable that diverges."""
+    """Return a diverged solution with a message that names the diverging variable."""
     program, sizes = solution.program, np.abs(solution.unknowns) * solution.scaling.unknowns
     name = unknown_place(program, int(np.nanargmax(sizes))).name
     objective = program.compiled.declared.objective_name
@@ -35,7 +35,10 @@ def without_bound(solution: Solution) -> Solution:
 
 
 def with_surplus(solution: Solution) -> Solution:
-    """Return a solution with a message if it has more equations than unknowns."""
+    """Add a note to a successful solution of a model with more equations than free unknowns.
+
+    Some of its equations are redundant, so that their multipliers are not unique.
+    """
     if solution.bounds.surplus <= 0 or not solution.status.is_solved:
         return solution
     note = (
@@ -48,7 +51,10 @@ def with_surplus(solution: Solution) -> Solution:
 def violation_of(
     failed: Solution, options: SolverOptions, progress: Progress | None
 ) -> LeastViolation | None:
-    """Return the least violation near a failed solution, None if it is not finite."""
+    """Find the point of least constraint violation near the last iterate of a failed solve.
+
+    The result is None if the last iterate or its constraints are not finite.
+    """
     z = failed.unknowns
     if not np.all(np.isfinite(z)) or not np.all(np.isfinite(failed.program.constraints(z))):
         return None
@@ -58,19 +64,39 @@ def violation_of(
 
 
 def verdict_on(failed: Solution, options: SolverOptions, progress: Progress | None) -> Solution:
-    """Return a failed solution with its verdict; interrupted if the user stopped the search."""
+    """Return a failed solution with a verdict on the feasibility of its problem.
+
+    The least constraint violation near the last iterate decides whether the status becomes
+    infeasible, and which equations the message names. If the user stops that search, the status
+    becomes interrupted.
+    """
     found = violation_of(failed, options, progress)
     if found is not None and found.result.status is Status.INTERRUPTED:
         return failed.updated(status=Status.INTERRUPTED)
     return failed if found is None else judged(failed, found)
 
 
-# Number of rows that a message names.
+# Number of violated equations that a message names.
 _NAMED = 3
 
 
 def judged(failed: Solution, found: LeastViolation) -> Solution:
-    """Return a failed solution with the verdict of its elastic program, and its point."""
+    """Return a failed solution moved to the point of least violation, with the verdict there.
+
+    Parameters
+    ----------
+    failed : Solution
+        Solution of the failed solve.
+    found : LeastViolation
+        Point at which the sum of constraint violations is least.
+
+    Returns
+    -------
+    Solution
+        Infeasible, with a message on the violated equations, if the least violation is positive;
+        not converged if it is zero although Ipopt reported infeasibility; else with the same
+        status.
+    """
     told = replace(
         failed,
         unknowns=found.z,
@@ -87,16 +113,26 @@ def judged(failed: Solution, found: LeastViolation) -> Solution:
 
 
 def violation(failed: Solution, row: int, slack: float) -> tuple[str, str]:
-    """Return an equation's name with place and amount of its violation in its own unit."""
+    """Return the name of a violated equation, and a line with its place and its violation.
+
+    Parameters
+    ----------
+    failed : Solution
+    row : int
+        Row of the equation in the nonlinear program.
+    slack : float
+        Violation of the scaled equation; the line gives it in the equation's own unit.
+    """
     place = row_place(failed.program, row)
     missed, unit = slack / failed.scaling.rows[row], failed.problem.source.unit(place.name)
     return place.name, f"{place} by {missed:.3g} {unit}".rstrip()
 
 
 def verdict(violated: list[tuple[str, str]]) -> str:
-    """Return the message on a positive least violation: the violated equations, the worst first.
+    """Return the message for an infeasible problem, which lists violated equations, worst first.
 
-    Each equation is named once.
+    `violated` holds pairs (name of an equation, line on its violation), worst first. An equation
+    that is violated at several times is listed once, with its worst violation.
     """
     worst: dict[str, str] = {}
     for name, line in violated:
@@ -117,7 +153,11 @@ _UNBOUNDED = 1e12
 
 
 def diverging_multipliers(solution: Solution) -> tuple[str, ...]:
-    """Return the equations over time whose multipliers exceed any regular size."""
+    """Return the names of the equations over time whose multipliers have diverged.
+
+    Diverging multipliers show that no constraint qualification holds at the solution, so that the
+    optimality conditions are meaningless there.
+    """
     program, scaling = solution.program, solution.scaling
     if not program.n_points:
         return ()
@@ -134,7 +174,10 @@ _RANGE_SLACK = 1e-6
 
 
 def outside_tables(solution: Solution) -> str:
-    """Return one line naming the argument farthest outside its table's range, or ""."""
+    """Return a line on the argument that lies farthest outside the range of its table, or "".
+
+    A table interpolates data over a range of its argument, and has no meaning outside that range.
+    """
     program, z = solution.program, solution.unknowns
     tables = program.compiled.tables
     found = []
@@ -162,12 +205,16 @@ def outside_tables(solution: Solution) -> str:
 
 
 def doubted(solution: S) -> S:
-    """Record doubts about a solution in its status and message."""
+    """Record doubts about a solution in its status and message.
+
+    The doubts concern a problem without an objective, diverging multipliers together with a
+    Hamiltonian that is not constant, and tables that are read outside their range.
+    """
     return _within_tables(_undoubted(_without_objective(solution)))
 
 
 def _without_objective(solution: S) -> S:
-    """Add a message to the solution of a problem without an objective."""
+    """State in the message of a converged solution that its problem has no objective."""
     declared = solution.parts[0].problem.compiled.declared
     if declared.objective_name or solution.status is not Status.CONVERGED:
         return solution
@@ -178,7 +225,11 @@ def _without_objective(solution: S) -> S:
 
 
 def _undoubted(solution: S) -> S:
-    """Return a solution as not converged if multipliers or Hamiltonian contradict it."""
+    """Return a solution as not converged if its multipliers and its Hamiltonian contradict it.
+
+    That is the case if multipliers diverge and the Hamiltonian varies in a problem that does not
+    depend on time.
+    """
     for part in solution.parts if solution.status is Status.CONVERGED else ():
         names, warnings = diverging_multipliers(part), hamiltonian_warnings(part)
         if names and warnings:
@@ -192,7 +243,7 @@ def _undoubted(solution: S) -> S:
 
 
 def _within_tables(solution: S) -> S:
-    """Add a message to a solution that reads a table beyond its range."""
+    """Return a solution as not converged if it reads a table outside the table's range."""
     line = next(filter(None, map(outside_tables, solution.parts)), "")
     if not line:
         return solution

@@ -1,7 +1,8 @@
-"""Export formats of plans: their options, their files, and their deviation from the plan.
+"""Export of plans: file formats, their options, and the deviation of a file from the plan.
 
-Streams of setpoints serve PX4's offboard mode and, as a trajectory message, ROS 2; a few geodetic
-waypoints with speeds form a mission of QGroundControl.
+A stream of setpoints serves PX4's offboard mode and, as a trajectory message, ROS 2. A mission of a
+few geodetic waypoints with speeds serves ground stations. Pieces of polynomials serve Crazyflie
+swarms and the simulator RotorPy.
 """
 
 import inspect
@@ -43,7 +44,7 @@ from pyomo_quad.scenario.messages import shown
 
 #: Rates [Hz] below which PX4 leaves its offboard mode, and above which no link carries the stream.
 SLOWEST_STREAM_HZ, FASTEST_STREAM_HZ = 2.0, 1000.0
-# MAVLink's SET_POSITION_TARGET_LOCAL_NED: MAV_FRAME_LOCAL_NED, with no field ignored.
+# Values of MAVLink's message SET_POSITION_TARGET_LOCAL_NED: MAV_FRAME_LOCAL_NED, no field ignored.
 _LOCAL_NED, _ALL_FIELDS = 1, 0
 _LONGEST_STREAM_S = (2**32 - 1) / 1000.0  # time_boot_ms is an unsigned number of 32 bits
 _MS_PER_S = 1000.0
@@ -55,10 +56,22 @@ _WORLD, _BODY = "map", "base_link"
 
 
 def offboard(motion: Motion, rate_hz: float) -> pd.DataFrame:
-    """Return SET_POSITION_TARGET_LOCAL_NED messages, one a row: x north, y east, z down.
+    """Make the stream of setpoints for PX4's offboard mode.
 
-    The plan's x is east and its y north, so its yaw counts from east and MAVLink's from north.
-    Numbers have the 32 bits of the message.
+    Each row is a MAVLink message SET_POSITION_TARGET_LOCAL_NED with axes x north, y east, z down.
+    In the plan x is east and y north; the plan's yaw counts from east, MAVLink's from north.
+
+    Parameters
+    ----------
+    motion : Motion
+        The plan's motion.
+    rate_hz : float
+        Setpoints per second.
+
+    Returns
+    -------
+    DataFrame
+        Fields of the message in SI units, rounded to the message's 32 bits.
 
     Raises
     ------
@@ -95,7 +108,15 @@ def offboard(motion: Motion, rate_hz: float) -> pd.DataFrame:
 
 
 def offboard_deviation(motion: Motion, stream: pd.DataFrame) -> tuple[float, float]:
-    """Return the largest deviation of a stream from the plan: position [m] and yaw [rad]."""
+    """Return the largest deviation of a stream of setpoints from the plan: position [m], yaw [rad].
+
+    Parameters
+    ----------
+    motion : Motion
+        The plan's motion.
+    stream : DataFrame
+        Setpoints from `offboard`.
+    """
     t = stream["time_boot_ms"].to_numpy() / _MS_PER_S
     place = _north_east_down(stream[["x", "y", "z"]].to_numpy(dtype=float))
     velocity = _north_east_down(stream[["vx", "vy", "vz"]].to_numpy(dtype=float))
@@ -104,15 +125,29 @@ def offboard_deviation(motion: Motion, stream: pd.DataFrame) -> tuple[float, flo
 
 
 def write_bag(motion: Motion, rate_hz: float, folder: Path) -> int:
-    """Write a ROS 2 bag of one trajectory message, and return its number of points.
+    """Write a plan as a ROS 2 bag with a single trajectory message.
 
     The world axes are x east, y north and z up, the body axes x forward, y left and z up (REP 103).
     Linear velocities and accelerations are in world axes, angular velocities in body axes.
 
+    Parameters
+    ----------
+    motion : Motion
+        The plan's motion.
+    rate_hz : float
+        Trajectory points per second.
+    folder : Path
+        Folder of the bag, which must not exist.
+
+    Returns
+    -------
+    int
+        Number of trajectory points.
+
     Raises
     ------
     ScenarioError
-        If the plan lacks a state, or rosbags is not installed.
+        If the plan lacks a state, the rate is not allowed, or the package rosbags is not installed.
     """
     motion.require(
         (*POSITION_STATES, *VELOCITY_STATES, *ATTITUDE_STATES, *RATE_STATES), "a ROS 2 trajectory"
@@ -166,20 +201,38 @@ def _points(motion: Motion, t: FloatArray, make: dict[str, type]) -> list[object
 
 
 def sampled_deviation(motion: Motion, rate_hz: float) -> float:
-    """Return the largest distance from the plan between the samples of a stream [m]."""
+    """Return the largest distance between the plan and a spline through its samples [m].
+
+    Parameters
+    ----------
+    motion : Motion
+        The plan's motion.
+    rate_hz : float
+        Samples per second.
+    """
     t = motion.samples(rate_hz)
     return _between(motion, t, motion.position(t), motion.velocity(t))
 
 
 def _between(motion: Motion, t: FloatArray, place: FloatArray, velocity: FloatArray) -> float:
-    """Return the largest distance [m] from the plan of a spline through a stream's samples."""
+    """Return the largest distance [m] between the plan and a cubic spline through setpoints.
+
+    Parameters
+    ----------
+    motion : Motion
+        The plan's motion.
+    t : ndarray, shape (n,)
+        Times of the setpoints [s].
+    place, velocity : ndarray, shape (n, 3)
+        Positions [m] and velocities [m/s] of the setpoints.
+    """
     between = np.unique(np.concatenate([t, t[:-1] + np.diff(t) / 2.0]))
     drawn = CubicHermiteSpline(t, place, velocity)(between)
     return float(np.linalg.norm(drawn - motion.position(between), axis=1).max())
 
 
 def _north_east_down(values: FloatArray) -> FloatArray:
-    """Convert east, north, up to north, east, down, and back."""
+    """Convert vectors from axes east, north, up to axes north, east, down, or the reverse."""
     return values[:, [1, 0, 2]] * np.array([1.0, 1.0, -1.0])
 
 
@@ -189,12 +242,17 @@ def _wrapped(angle: FloatArray) -> FloatArray:
 
 
 def origin_of(text: str) -> GeodeticOrigin:
-    """Read LAT,LON,ALT in degrees and metres above the sea.
+    """Read the option `--origin`: LAT,LON,ALT in degrees and in metres above the sea.
+
+    Parameters
+    ----------
+    text : str
+        Value of the option, such as "47.3977,8.5456,488".
 
     Raises
     ------
     ScenarioError
-        If it is not three numbers, or not a position on the globe.
+        If the text is not three numbers, or not a position on the globe.
     """
     try:
         given = dict(zip(GLOBE, map(number_in_text, text.split(",")), strict=True))
@@ -213,7 +271,7 @@ def origin_of(text: str) -> GeodeticOrigin:
 
 
 class Format(StrEnum):
-    """Programs and autopilots that read an exported plan."""
+    """Program or autopilot that reads an exported plan."""
 
     QGROUNDCONTROL = "qgroundcontrol"
     MISSION_PLANNER = "missionplanner"
@@ -225,22 +283,23 @@ class Format(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Export:
-    """Result of an export: its file and its deviation from the plan.
+    """Result of an export: the written file and its deviation from the plan.
 
     Attributes
     ----------
     path : str
-        Path of the file, or of the folder of a bag.
+        Path of the file, or of the folder of a ROS 2 bag.
     parts : int
-        Number of waypoints, setpoints, points or pieces.
+        Number of waypoints, setpoints, trajectory points or polynomial pieces.
     what : str
-        Name of the parts, such as "setpoints".
+        Name of these parts, such as "setpoints".
     position_error_m : float
-        Largest distance from the plan, at any time, of a vehicle that follows the export exactly.
+        Largest distance from the plan, at any time, of a vehicle that follows the file exactly.
     yaw_error_rad : float or None
         Largest deviation of the heading; None if the autopilot chooses the heading.
     is_paper_plan : bool
-        Whether the plan was made without a risk, and so leaves nothing to the controller.
+        Whether the plan was made without margins for a risk, so that a controller that corrects
+        disturbances may break a limit.
     """
 
     path: str
@@ -251,7 +310,7 @@ class Export:
     is_paper_plan: bool = False
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return the result as a mapping, by the names of its fields."""
+        """Return the result as a dictionary, by the names of its fields."""
         return asdict(self)
 
 
@@ -260,10 +319,20 @@ _Written = tuple[int, str, float, float | None]
 
 @dataclass(frozen=True, kw_only=True)
 class _Writer:
-    """Writer of a format, the suffix of its file, and the options that it accepts.
+    """Export format: function that writes it, ending of its files, and accepted option.
 
-    ``option`` is a number with a default, the second argument of ``write`` after the path; a
-    geodetic format also takes an origin.
+    Attributes
+    ----------
+    write : callable
+        Function of motion, path and value of the option, for a geodetic format also of the origin.
+    ending : str
+        Ending of the default file name.
+    option : str
+        Name of the option that sets the accuracy: ``--path-error`` or ``--rate``.
+    default : float
+        Value of this option if not given.
+    is_on_globe : bool
+        Whether positions are latitudes and longitudes, for which an origin is needed.
     """
 
     write: Callable[..., _Written]
@@ -274,11 +343,11 @@ class _Writer:
 
     @property
     def takes(self) -> tuple[str, ...]:
-        """Options that the format accepts."""
+        """Names of the command-line options that the format accepts."""
         return ("--origin", self.option) if self.is_on_globe else (self.option,)
 
 
-_DIGITS = "%.9g"  # all digits of a number of 32 bits
+_DIGITS = "%.9g"  # nine digits distinguish all floating-point numbers of 32 bits
 _MOST_ROTORPY_PIECES = 2000
 _CRAZYFLIE_MEMORY, _BYTES_OF_A_PIECE = 4096, 132
 #: Number of pieces that fit into a Crazyflie's trajectory memory.
@@ -298,38 +367,38 @@ def export_plan(
 ) -> Export:
     """Write a verified plan in the format of an autopilot, a swarm, a simulator or ROS 2.
 
-    The plan is flown again first; a file's own claim to be verified is not trusted.
+    The plan is first simulated again; a file's own claim to be verified is not trusted.
 
     Parameters
     ----------
     plan : Plan, str or Path
-        A plan, its file, or the report folder of a run.
+        A plan, the file of a saved plan, or the report folder of a run.
     to : Format or str
         Format of the export.
     out : str or Path, optional
-        The file to write, for ROS 2 a folder; by default named after the scenario in the working
+        File to write, for ROS 2 a folder; by default named after the scenario, in the working
         folder. An earlier export is replaced, any other existing file is not. A device or a FIFO is
         written to.
     origin : str, optional
-        Position of the plan's origin, "LAT,LON,ALT" in degrees and metres above the sea; the
-        mission's own by default. Missions of ground stations need one of them.
+        Position of the plan's origin on earth, "LAT,LON,ALT" in degrees and in metres above the
+        sea; by default the mission's own. Missions of ground stations need an origin.
     path_error_m : float, optional
-        The largest distance from the plan allowed for waypoints and pieces.
+        Largest permitted distance of waypoints or polynomial pieces from the plan.
     rate_hz : float, optional
         Setpoints per second.
     is_code_allowed : bool, optional
-        Whether the scenario's own model builder may be run, to fly the plan.
+        Whether to run the Python model builder that the scenario names, if it names one.
 
     Returns
     -------
     Export
-        The export, with its deviation from the plan.
+        The written file, with its deviation from the plan.
 
     Raises
     ------
     ScenarioError
-        If there is no verified plan, its flight does not confirm it, the plan lacks a state that
-        the format needs, an option is not allowed, a limit of the format is exceeded, or the
+        If there is no verified plan, the simulation does not confirm it, the plan lacks a state
+        that the format needs, an option is not allowed, a limit of the format is exceeded, or the
         format's library is not installed. Nothing is written.
     OutputError
         If the output cannot be written.
@@ -388,7 +457,7 @@ def _refuse_options(to: Format, writer: _Writer, given: list[str]) -> None:
 
 
 def _origin(motion: Motion, given: GeodeticOrigin | None, to: Format) -> GeodeticOrigin:
-    """Return the position of the plan's origin on earth, as given or from the mission."""
+    """Return the position of the plan's origin on earth: the given one or the mission's."""
     origin = given or motion.mission.mission.origin
     if origin is None:
         raise ScenarioError(
@@ -399,7 +468,7 @@ def _origin(motion: Motion, given: GeodeticOrigin | None, to: Format) -> Geodeti
 
 
 def _refuse_source(path: Path, source: Path) -> None:
-    """Raise an error for an output path that contains the plan to export."""
+    """Raise an error if writing to the output path would replace the plan that is exported."""
     read, written = final_folder(source), final_folder(path)
     if written == read or written in read.parents:
         raise ScenarioError(f"--out {path}: holds the plan that is exported; choose another --out.")
@@ -418,7 +487,23 @@ def _write_mission(
     error_m: float,
     origin: GeodeticOrigin,
 ) -> _Written:
-    """Write a plan's waypoints by a function that spells a mission in its format."""
+    """Write a plan as a mission of waypoints.
+
+    Parameters
+    ----------
+    spelled : callable
+        Function that converts a QGroundControl mission (a mapping) to the text of the format.
+    mark : str
+        Text by which a later export recognises that it may replace the file.
+    motion : Motion
+        The plan's motion.
+    path : Path
+        File to write.
+    error_m : float
+        Largest permitted distance of the straight legs from the plan.
+    origin : GeodeticOrigin
+        Position of the plan's origin on earth.
+    """
     legs = thin(motion, error_m)
     _write_text(path, spelled(mission(legs, origin, motion, error_m)), mark)
     return len(legs.times), "waypoints", _deviation(legs, motion), None
@@ -429,7 +514,7 @@ def _as_json(held: dict[str, Any]) -> str:
 
 
 def _deviation(legs: Legs, motion: Motion) -> float:
-    """Return the largest distance between plan and straight legs at equal times [m]."""
+    """Return the largest distance [m] between the plan and straight legs at equal times."""
     t = motion.samples(len(legs.times) / motion.duration * 100)
     return float(np.linalg.norm(legs.at(t) - motion.position(t), axis=1).max())
 
@@ -453,10 +538,10 @@ def _write_ros2(motion: Motion, path: Path, rate_hz: float) -> _Written:
 
 def _write_crazyflie(motion: Motion, path: Path, error_m: float) -> _Written:
     durations, coefficients = fit_pieces(motion, error_m, MOST_CRAZYFLIE_PIECES)
-    # The vehicle stores numbers of 32 bits; the deviation includes their rounding.
+    # The vehicle stores numbers of 32 bits, whose rounding the deviation includes.
     rows = np.column_stack([durations, coefficients.reshape(len(durations), -1)])
     rows = rows.astype(np.float32)
-    # Readers ignore the names. Files of other programs give no unit of the duration.
+    # Readers ignore the names of columns. Other programs write no unit of the duration.
     names = ["duration_s"]
     names += [f"{axis}^{power}" for axis in ("x", "y", "z", "yaw") for power in range(8)]
     header = ",".join(names)
@@ -482,7 +567,7 @@ def _write_rotorpy(motion: Motion, path: Path, error_m: float) -> _Written:
     return len(durations), "pieces", *piece_deviation(motion, durations, coefficients)
 
 
-# The file is a program, so it takes numbers of the plan but no text.
+# The file is a program. It contains numbers of the plan, but none of its text, which could be code.
 _ROTORPY_TITLE = "A trajectory for RotorPy: from NAME import trajectory. It needs NumPy."
 _ROTORPY_MODULE = '''"""{title}"""
 

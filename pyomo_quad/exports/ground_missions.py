@@ -1,6 +1,6 @@
-"""Import of ground station missions as scenarios: places, holds, headings, fence, rally points.
+"""Import of a ground station's mission as a scenario: places, holds, headings, fence, rally points.
 
-Speeds and the way between the places are left to the plan. The formats are those that
+Speeds and the paths between the places are left to the plan. The formats are those that
 `exports.ground_station` writes; Mission Planner's text has neither fence nor rally points.
 """
 
@@ -37,9 +37,9 @@ _PLACES = {
 }
 _RELATIVE = {Frame.GLOBAL_RELATIVE_ALTITUDE, Frame.GLOBAL_RELATIVE_ALTITUDE_INT}
 _ABOVE_SEA = {Frame.GLOBAL, Frame.GLOBAL_INT}
-# Fields of a waypoint in a scenario, and their values where they are not written.
+# Fields of a scenario's waypoint, with the values that need not be written.
 _UNSTATED = {"position": None, "hold": 0.0, "radius": 0.0, "yaw": None, "release": 0.0}
-# Places of two items are one where they are no farther apart [m].
+# Distance up to which the places of two successive items are the same place [m].
 _SAME_M = 1e-3
 _LARGEST_BYTES = 20_000_000
 _FURTHEST_M = 1e5
@@ -49,15 +49,16 @@ _NAME_LENGTH = 64
 
 @dataclass(frozen=True, kw_only=True)
 class ImportedMission:
-    """Mission of a ground station as a scenario, with notes on omitted parts.
+    """Mission of a ground station, converted to a scenario.
 
     Attributes
     ----------
     scenario : Scenario
+        The scenario.
     text : str
-        The scenario's file, TOML.
+        Text of the scenario's file (TOML).
     left_out : tuple of str
-        Contents of the file that the scenario does not hold, each with its reason.
+        Contents of the mission file that the scenario cannot hold, each with the reason.
     """
 
     scenario: Scenario
@@ -67,9 +68,10 @@ class ImportedMission:
 
 @dataclass(frozen=True, kw_only=True)
 class _Item:
-    """A command of a mission with its seven numbers, None where a number is not given.
+    """Command of a ground station's mission, with its seven parameters.
 
-    ``altitude`` is QGroundControl's, given where the seventh number depends on the terrain.
+    A parameter is None if the file does not give it. `altitude` is QGroundControl's altitude, which
+    the file gives where the seventh parameter depends on the terrain.
     """
 
     where: str
@@ -79,13 +81,13 @@ class _Item:
     altitude: float | None = None
 
     def param(self, k: int) -> float:
-        """Return a parameter of the command, zero if absent."""
+        """Return the parameter with index k, from 0; zero if it is not given."""
         return self.params[k] or 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class _File:
-    """Content of a ground station's file, in degrees and metres."""
+    """Content of a ground station's mission file: home, commands, fence, rally points."""
 
     home: GeodeticOrigin
     items: tuple[_Item, ...]
@@ -95,7 +97,10 @@ class _File:
 
 @dataclass(kw_only=True)
 class _Place:
-    """Place on the globe with its passing conditions, in scenario notation."""
+    """Place that a mission flies to, in latitude and longitude, with the conditions there.
+
+    The fields are those of a scenario's waypoint; `is_opened_at` says whether a gripper opens.
+    """
 
     position: dict[str, float]
     hold: float = 0.0
@@ -112,28 +117,35 @@ def read_mission(
     vehicle: str = "dji_matrice_100",
     payload_kg: float = 0.0,
 ) -> ImportedMission:
-    """Read a mission of QGroundControl (.plan) or Mission Planner (QGC WPL 110) as a scenario.
+    """Convert a mission file of QGroundControl (.plan) or Mission Planner to a scenario.
 
     The flight begins hovering at the altitude of the take-off and ends hovering above the place of
-    landing; its duration is free. Altitudes over the terrain count from the home's, as over flat
-    ground. Exclusion fences have neither bottom nor top; an inclusion circle becomes a polygon
-    inside of it.
+    landing; its duration is free. Altitudes above the terrain are counted from home, as above flat
+    ground. Exclusion fences become zones without bottom and top; an inclusion circle becomes a
+    polygon inside the circle.
 
     Parameters
     ----------
     file : str or Path
+        Mission file: QGroundControl's plan file, or the text format QGC WPL 110.
     name : str, optional
-        Name of the scenario; the file's by default.
+        Name of the scenario; by default that of the file.
     vehicle : str, optional
-        A vehicle of the library, or the file of one.
+        A vehicle of the library, or a vehicle file.
     payload_kg : float, optional
-        Carried from the start, and left where the mission opens a gripper or places a payload.
+        Mass carried from the start, and released where the mission opens a gripper or places a
+        payload.
+
+    Returns
+    -------
+    ImportedMission
+        The scenario, its text, and the contents that it leaves out.
 
     Raises
     ------
     ScenarioError
-        If the file is no mission, has a command that no scenario can hold, or its scenario is
-        refused; one line.
+        If the file is not a mission, has a command that no scenario can hold, or gives an invalid
+        scenario; one line.
 
     Examples
     --------
@@ -209,7 +221,7 @@ def _number(value: object, where: str, low: float, high: float) -> float:
 
 
 def _on_globe(place: Sequence[object], where: str) -> tuple[float, float]:
-    """Return the latitude and longitude with which a list of coordinates begins."""
+    """Return the latitude and longitude [deg] with which a list of coordinates begins."""
     if len(place) < 2:
         _refuse(where, "a place needs latitude and longitude")
     found = []
@@ -253,7 +265,10 @@ def _plan_file(document: object, source: str) -> _File:
 
 
 def _plan_items(items: list[Any], source: str) -> Iterator[_Item]:
-    """Yield the commands of a plan's items; a survey's are those that it consists of."""
+    """Yield the commands of a QGroundControl mission.
+
+    A complex item, such as a survey, is replaced by the commands that it consists of.
+    """
     for k, written in enumerate(items, start=1):
         where, item = f"{source}, item {k}", _table(written)
         if item.get("type") == "ComplexItem":
@@ -301,7 +316,7 @@ def _waypoint_file(text: str, source: str) -> _File:
         if home is None:
             home = _home(numbers[8:11], where)
             continue
-        # The text cannot leave a heading open: 0 is what Mission Planner writes for any.
+        # The text format cannot leave a heading out; Mission Planner writes 0 for any heading.
         held: list[float | None] = [*numbers[4:11]]
         held[3] = held[3] or None
         items.append(_item(where, numbers[3], numbers[2], held))
@@ -311,7 +326,10 @@ def _waypoint_file(text: str, source: str) -> _File:
 
 
 def _places(read: _File, notes: Counter[str]) -> Iterator[_Place]:
-    """Yield the places of a mission in order; nearer ones than a millimetre are one."""
+    """Yield the places that a mission flies to, in order.
+
+    Successive places that are less than a millimetre apart are merged.
+    """
     last: _Place | None = None
     first: _Place | None = None
     for item in read.items:
@@ -344,7 +362,7 @@ def _apart(home: GeodeticOrigin, *places: _Place) -> float:
 def _place_of(
     item: _Item, read: _File, first: _Place | None, last: _Place | None, notes: Counter[str]
 ) -> _Place | None:
-    """Return the place that an item flies to; None of a command without a place."""
+    """Return the place that a mission's command flies to; None for a command without a place."""
     if item.command == Command.RETURN_TO_LAUNCH and first is not None:
         return _Place(position=dict(first.position))
     if item.command == Command.DO_JUMP:
@@ -352,7 +370,7 @@ def _place_of(
     if item.command not in _PLACES:
         return None
     latitude, longitude = item.params[4], item.params[5]
-    if not latitude and not longitude:  # where the vehicle is
+    if not latitude and not longitude:  # zeros stand for the vehicle's present position
         near = last.position if last is not None else None
         latitude = read.home.latitude if near is None else near["latitude"]
         longitude = read.home.longitude if near is None else near["longitude"]
@@ -375,12 +393,12 @@ def _place_of(
 
 
 def _towards(heading: float | None) -> float | None:
-    """Convert a heading [deg clockwise from north] to an angle from east [rad]."""
+    """Convert a heading [deg clockwise from north] to a yaw angle from east [rad]."""
     return None if heading is None else remainder(radians(90.0 - heading), tau)
 
 
 def _height(item: _Item, home: GeodeticOrigin, notes: Counter[str]) -> float:
-    """Return the height of a place over the home [m]."""
+    """Return the height of the place of a mission's command above home [m]."""
     written = item.params[6]
     if item.frame in _ABOVE_SEA and written is not None:
         return written - home.altitude
@@ -396,7 +414,7 @@ def _height(item: _Item, home: GeodeticOrigin, notes: Counter[str]) -> float:
 
 
 def _apply(item: _Item, place: _Place, notes: Counter[str]) -> None:
-    """Apply a command without a place to the place where it is given."""
+    """Apply a mission's command without a place, such as a delay, to the place before it."""
     if item.command == Command.DELAY:
         place.hold += _number(item.param(0), item.where, 0.0, _LONGEST_S)
     elif item.command == Command.DO_GRIPPER and item.param(1) == GRIPPER_OPENED:
@@ -408,7 +426,7 @@ def _apply(item: _Item, place: _Place, notes: Counter[str]) -> None:
 
 
 def _release(places: list[_Place], payload_kg: float, notes: Counter[str]) -> None:
-    """Leave the whole payload at the first place where the mission lets go of one."""
+    """Release the whole payload at the first place where the mission opens a gripper."""
     opened = [place for place in places if place.is_opened_at]
     if opened and not payload_kg:
         notes["the release of a payload; give --payload KG"] += 1
@@ -438,7 +456,11 @@ def _mission(read: _File, places: list[_Place]) -> dict[str, Any]:
 
 
 def _airspace(read: _File, source: str) -> dict[str, Any]:
-    """Return the table of the fence: at most one to stay inside of, and zones to keep out of."""
+    """Return the scenario's table `airspace` with the mission's fence.
+
+    An inclusion fence becomes `keep_in`, of which there may be only one; exclusions become
+    `keep_out`.
+    """
     inside: list[list[dict[str, float]]] = []
     zones: list[dict[str, Any]] = []
     polygons = _list(read.fence.get("polygons"))
@@ -475,7 +497,7 @@ def _corner(written: object, where: str) -> dict[str, float]:
 def _inscribed(
     home: GeodeticOrigin, centre: Mapping[str, float], radius: float
 ) -> list[dict[str, float]]:
-    """Return the corners of a regular polygon inside of a circle."""
+    """Return the corners of a regular polygon that is inscribed in a circle."""
     (x, y, _), *_ = home.local([[*centre.values(), 0.0]]).tolist()
     angles = [tau * k / MOST_CORNERS for k in range(MOST_CORNERS)]
     ring = [[x + radius * cos(angle), y + radius * sin(angle), 0.0] for angle in angles]
@@ -484,7 +506,15 @@ def _inscribed(
 
 
 def _toml(tables: Mapping[str, Any], left_out: Sequence[str]) -> str:
-    """Return tables as TOML, with a comment for each content of the file that is left out."""
+    """Write a scenario's tables as TOML text, with comments on the mission file's other content.
+
+    Parameters
+    ----------
+    tables : mapping
+        Tables of the scenario.
+    left_out : sequence of str
+        Contents of the mission file that the scenario cannot hold, one comment each.
+    """
     lines = ["#:schema ./scenario.schema.json"]
     lines += [f"# Not of the mission's file: {note}." for note in left_out]
     for name, value in tables.items():

@@ -1,9 +1,10 @@
 """Export of verified plans as ground station missions: a few geodetic waypoints with speeds.
 
-Start, waypoints and goal are among them; those that only shape the path are marked, so that an
-exported mission is read again as the mission that was planned (`exports.ground_missions`). The
-files are QGroundControl's plan file (developer guide, Plan File Format: version 1, with missions
-and fences of version 2) and MAVLink's plain-text format (QGC WPL 110) of Mission Planner.
+The waypoints include the mission's start, waypoints and goal. Waypoints that only shape the path
+are marked, so that an exported mission is read again as the mission that was planned
+(`exports.ground_missions`). The files are QGroundControl's plan file (developer guide, Plan File
+Format: version 1, with missions and fences of version 2) and MAVLink's plain-text format (QGC WPL
+110) of Mission Planner.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,7 +26,7 @@ from pyomo_quad.scenario.earth import GeodeticOrigin
 
 
 class Command(IntEnum):
-    """MAVLink commands for places and conditions of a mission."""
+    """Numbers of the MAVLink commands that a mission uses."""
 
     WAYPOINT = 16
     LOITER_UNLIMITED = 17
@@ -45,7 +46,10 @@ class Command(IntEnum):
 
 
 class Frame(IntEnum):
-    """MAVLink frames: reference of an altitude, or none for an item without a place."""
+    """Numbers of MAVLink's frames, which give the reference of an altitude.
+
+    `MISSION` is the frame of a command without a place.
+    """
 
     GLOBAL = 0
     MISSION = 2
@@ -55,27 +59,35 @@ class Frame(IntEnum):
     GLOBAL_TERRAIN_ALTITUDE = 10
 
 
-# A slower leg becomes a pause of the mission, because autopilots do not hold such a speed [m/s].
+# Least speed of a leg [m/s]. A slower leg becomes a hold, because autopilots cannot keep its speed.
 _SLOWEST = 0.05
 #: Number of mission items that PX4 stores on its smaller boards.
 MOST_ITEMS = 500
-_CHECKED = 4001  # samples of a flight at which the distance of the legs is checked
-# The autopilot and the vehicle named in the file.
+_CHECKED = 4001  # samples of a flight at which the distance of the legs from the plan is checked
+# Numbers of the autopilot and of the kind of vehicle in the file.
 _PX4, _QUADROTOR = 12, 2
 _GROUND_SPEED = 1
-#: Second number of DO_GRIPPER where it lets go.
+#: Second parameter of the command DO_GRIPPER that opens the gripper.
 GRIPPER_OPENED = 0
 _PLAN_VERSION, _MISSION_VERSION, _FENCE_VERSION, _RALLY_VERSION = 1, 2, 2, 2
-#: Key of a waypoint that shapes the path of an exported plan and is no place of its mission.
+#: Key that marks a waypoint which only shapes the path, and is no start, waypoint or goal of the
+#: mission.
 SHAPES_PATH = "shapesPath"
 WAYPOINT_FILE_HEADER = "QGC WPL 110"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Legs:
-    """Straight legs at constant speed through places (n, 3) [m] at times (n,) [s].
+    """Straight legs at constant speed that approximate a plan.
 
-    ``is_of_mission`` (n,) says which places are start, waypoints and goal; all by default.
+    Attributes
+    ----------
+    times : ndarray, shape (n,)
+        Times at which the legs begin and end [s].
+    places : ndarray, shape (n, 3)
+        Positions x, y, z at these times [m].
+    is_of_mission : ndarray of bool, shape (n,)
+        Whether a position is the mission's start, a waypoint or the goal; empty if all are.
     """
 
     times: FloatArray
@@ -83,20 +95,33 @@ class Legs:
     is_of_mission: NDArray[np.bool_] = field(default_factory=lambda: np.array([], dtype=bool))
 
     def at(self, t: FloatArray) -> FloatArray:
-        """Return the places at times, shape (n, 3)."""
+        """Return the positions on the legs at times [s], shape (n, 3) [m]."""
         return np.column_stack([np.interp(t, self.times, axis) for axis in self.places.T])
 
     def shapes_path(self, number: int) -> bool:
-        """Return whether a place only shapes the path and is no waypoint of the mission."""
+        """Return whether a position only shapes the path, and is no waypoint of the mission.
+
+        Parameters
+        ----------
+        number : int
+            Index of the position.
+        """
         return bool(self.is_of_mission.size) and not self.is_of_mission[number]
 
 
 def thin(motion: Motion, path_error_m: float) -> Legs:
-    """Approximate a plan by the fewest straight legs within the path error at all times.
+    """Approximate a plan by straight legs, few in number, within a distance at all times.
 
-    The plan is split at its waypoints, and then where it is farthest from the position, at the same
-    time, of a flight at constant speed, until the deviation is small enough everywhere (the
-    top-down time-ratio algorithm of Meratnia and de By, 2004).
+    The plan is split at its waypoints, and then repeatedly where it is farthest from the position,
+    at the same time, of a flight at constant speed, until the deviation is small enough everywhere
+    (the top-down time-ratio algorithm of Meratnia and de By, 2004).
+
+    Parameters
+    ----------
+    motion : Motion
+        The plan's motion.
+    path_error_m : float
+        Largest permitted distance from the plan.
     """
     motion.require(POSITION_STATES, "a QGroundControl mission")
     passed = _passing_times(motion)
@@ -118,7 +143,7 @@ def thin(motion: Motion, path_error_m: float) -> Legs:
 
 
 def _passing_times(motion: Motion) -> list[float]:
-    """Return the times within the flight at which waypoints are reached and left."""
+    """Return the times [s] at which a plan reaches and leaves the mission's waypoints."""
     waypoints = motion.mission.mission.waypoints
     reached = [(w.at, w.hold) for w in waypoints if w.at is not None]
     times = [time for at, hold in reached for time in (at, at + hold)]
@@ -128,15 +153,26 @@ def _passing_times(motion: Motion) -> list[float]:
 def mission(
     legs: Legs, origin: GeodeticOrigin, motion: Motion, path_error_m: float
 ) -> dict[str, Any]:
-    """Return a QGroundControl plan file, with heights above the origin (home).
+    """Make a QGroundControl plan file of a plan, as nested mappings.
 
-    The fence and the rally points are those of the mission; zones of finite height are none of its
+    Fence and rally points are those of the mission. Zones of finite height are not part of the
     fence, since the flight may pass above them.
+
+    Parameters
+    ----------
+    legs : Legs
+        Straight legs from `thin`.
+    origin : GeodeticOrigin
+        Position of the plan's origin on earth, the home of the file, from which heights count.
+    motion : Motion
+        The plan's motion.
+    path_error_m : float
+        Distance with which the legs were made, for the message.
 
     Raises
     ------
     ScenarioError
-        If there are more legs than an autopilot stores.
+        If there are more mission items than an autopilot stores.
     """
     items = _items(legs, origin, _releases(legs, motion.mission))
     if len(items) > MOST_ITEMS:
@@ -169,9 +205,14 @@ def mission(
 
 
 def waypoint_file(mission_of_plan: Mapping[str, Any]) -> str:
-    """Convert a QGroundControl plan (a mapping) to Mission Planner's text format of waypoints.
+    """Convert a QGroundControl plan to Mission Planner's text format of waypoints (QGC WPL 110).
 
-    Fence and rally points have files of their own there, and are left out.
+    Fence and rally points are left out, because Mission Planner keeps them in files of their own.
+
+    Parameters
+    ----------
+    mission_of_plan : mapping
+        Plan from `mission`.
     """
     held = mission_of_plan["mission"]
     home = [0.0, 0.0, 0.0, 0.0, *held["plannedHomePosition"]]
@@ -190,7 +231,7 @@ def _speeds(legs: Legs) -> FloatArray:
 
 
 def _releases(legs: Legs, scenario: Scenario) -> set[int]:
-    """Return the numbers of the places at which a part of the payload is released."""
+    """Return the indices of the legs' ends at which a part of the payload is released."""
     passed = [(w.at, w.hold) for w in scenario.mission.waypoints if w.release and w.at is not None]
     return {int(np.abs(legs.times - (at + hold)).argmin()) for at, hold in passed}
 
@@ -202,7 +243,7 @@ def _items(legs: Legs, origin: GeodeticOrigin, releases: set[int]) -> list[dict[
     for number, (place, span, speed) in enumerate(zip(globe[1:], spans, speeds, strict=True), 1):
         shape = {SHAPES_PATH: True} if legs.shapes_path(number) else {}
         if speed < _SLOWEST:
-            # A hold of the mission stays where it began, whatever the plan's tolerance.
+            # A hold at a waypoint stays where it began, although the plan may drift a little.
             is_hold = not (legs.shapes_path(number - 1) or legs.shapes_path(number))
             held = globe[number - 1] if is_hold else place
             items.append(_waypoint(held, hold_s=float(span)) | shape)
@@ -217,7 +258,7 @@ def _items(legs: Legs, origin: GeodeticOrigin, releases: set[int]) -> list[dict[
 
 def _waypoint(place: FloatArray, hold_s: float = 0.0) -> dict[str, Any]:
     latitude, longitude, height = (float(value) for value in place)
-    # Yaw None: the autopilot chooses. Radii of 0: the settings of the autopilot.
+    # Yaw None: the autopilot chooses the heading. Radii of 0: the autopilot's settings apply.
     params = [hold_s, 0, 0, None, latitude, longitude, height]
     item = _item(Command.WAYPOINT, Frame.GLOBAL_RELATIVE_ALTITUDE, params)
     return item | {"Altitude": height, "AltitudeMode": 1, "AMSLAltAboveTerrain": None}
@@ -234,13 +275,13 @@ def _item(command: Command, frame: Frame, params: list[Any]) -> dict[str, Any]:
 
 
 def _globe(places: Sequence[Sequence[float]], origin: GeodeticOrigin) -> list[list[float]]:
-    """Convert positions [m] to latitude [deg], longitude [deg] and height [m], one row each."""
+    """Convert positions [m] to rows of latitude [deg], longitude [deg] and height [m]."""
     rows: list[list[float]] = origin.geodetic(np.reshape(places, (-1, 3))).tolist()
     return rows
 
 
 def _fence(scenario: Scenario, origin: GeodeticOrigin) -> dict[str, Any]:
-    """Return QGroundControl's geofence: inclusion polygon, zones without a top as exclusions."""
+    """Return QGroundControl's geofence: the mission's fence, and zones without bottom and top."""
     airspace = scenario.airspace
     rings = [] if airspace.keep_in is None else [(True, airspace.keep_in.corners)]
     endless = [zone for zone in airspace.keep_out if _is_endless(zone)]

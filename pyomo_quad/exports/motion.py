@@ -1,6 +1,6 @@
-"""Motion of a verified plan as a function of time, from a plan or its report.
+"""Motion of a verified plan as a function of time, read from a plan or from its report.
 
-Polynomials of degree 7 approximate the motion for Crazyflie swarms and for RotorPy.
+For Crazyflie swarms and for RotorPy the motion is approximated by polynomials of degree 7.
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,7 +21,7 @@ from pyomo_quad.flight import Plan
 from pyomo_quad.flight.columns import ALL_COLUMNS, TIME
 from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
 from pyomo_quad.flight.plan import FLYABLE, Trajectories
-from pyomo_quad.flight.proof import TABLE, exactly, refuse_unproven
+from pyomo_quad.flight.proof import TABLE, refuse_unproven
 from pyomo_quad.report.tables import PLAN_NAME, SUMMARY_NAME, read_report, refuse_report
 from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.messages import PyomoQuadError, printable, shown
@@ -38,16 +38,18 @@ _AGAIN = "solve the scenario again"
 
 @dataclass(frozen=True, kw_only=True)
 class ProvenPlan:
-    """Plan that simulation with the mission's own equations confirmed, with the mission.
+    """Plan that was simulated again and so confirmed, with its mission.
 
     Attributes
     ----------
     mission : Scenario
-        With the times of the plan.
+        The mission, with the plan's duration and passing times of waypoints.
     held : Trajectories
-        Read from a report's table, it holds every column both as a state and as a control.
+        States and controls of the plan. If they were read from a report's table, each column serves
+        both as a state and as a control.
     is_paper_plan : bool
-        Whether it was made without a risk, and so leaves nothing to the controller.
+        Whether the plan was made without margins for a risk, so that a controller that corrects
+        disturbances may break a limit.
     """
 
     mission: Scenario
@@ -56,12 +58,19 @@ class ProvenPlan:
 
 
 def read_proven(path: str | Path, *, is_code_allowed: bool = False) -> ProvenPlan:
-    """Read a plan file or a report folder, and verify the plan again.
+    """Read a saved plan or a report folder, and verify the plan again by simulation.
+
+    Parameters
+    ----------
+    path : str or Path
+        File of a saved plan, or report folder of a run.
+    is_code_allowed : bool, optional
+        Whether to run the Python model builder that the scenario names, if it names one.
 
     Raises
     ------
     ScenarioError
-        If there is no plan, it is damaged or not verified, or the flight does not confirm it.
+        If there is no plan, it is damaged or not verified, or the simulation does not confirm it.
     """
     place = Path(path)
     if place.is_dir():
@@ -77,7 +86,7 @@ def _proven(plan: Plan, *, is_code_allowed: bool) -> ProvenPlan:
         held,
         plan.energy,
         plan.passing_times_s,
-        exactly(plan.figures_checked),
+        plan.figures_checked,
         None if plan.solution is None else plan.dynamics,
         is_code_allowed=is_code_allowed,
     )
@@ -118,23 +127,24 @@ def _proven_report(folder: Path, *, is_code_allowed: bool) -> ProvenPlan:
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """State polynomials of a verified plan in SI units; world axes x, y and z up.
+    """Motion of a verified plan: state polynomials over time, in world axes x, y and z up.
 
     Attributes
     ----------
     name : str
         Name of the scenario.
     mission : Scenario
-        With the times of the plan.
+        The mission, with the plan's duration and passing times of waypoints.
     times : ndarray, shape (n_nodes,)
         Times of the mesh's nodes [s], strictly increasing.
     states : ndarray, shape (n_nodes, n_states)
+        States at the nodes, SI units.
     names : tuple of str
-        States, by their names in the model.
+        Names of the states in the model.
     degrees : tuple of int
-        Degrees of the elements, in order; their sum is n_nodes - 1.
+        Polynomial degree of each element, in order; their sum is n_nodes - 1.
     is_paper_plan : bool
-        As of a `ProvenPlan`.
+        Whether the plan was made without margins for a risk; see `ProvenPlan`.
     """
 
     name: str
@@ -147,25 +157,37 @@ class Motion:
 
     @classmethod
     def of(cls, plan: Plan, *, is_code_allowed: bool = False) -> Self:
-        """Verify a plan again and return its motion.
+        """Verify a plan again by simulation, and return its motion.
+
+        Parameters
+        ----------
+        plan : Plan
+            The plan.
+        is_code_allowed : bool, optional
+            Whether to run the Python model builder that the scenario names, if it names one.
 
         Raises
         ------
         ScenarioError
-            If the plan is neither verified nor usable, or the flight does not confirm it.
+            If the plan is neither verified nor usable, or the simulation does not confirm it.
         """
         return cls._along(_proven(plan, is_code_allowed=is_code_allowed))
 
     @classmethod
     def read(cls, path: str | Path, *, is_code_allowed: bool = False) -> Self:
-        """Read a plan file or a report folder, verify the plan again, and return its motion.
+        """Read a saved plan or a report folder, verify the plan again, and return its motion.
 
-        The plan is flown once more; a model builder named in its scenario is run only if allowed.
+        Parameters
+        ----------
+        path : str or Path
+            File of a saved plan, or report folder of a run.
+        is_code_allowed : bool, optional
+            Whether to run the Python model builder that the scenario names, if it names one.
 
         Raises
         ------
         ScenarioError
-            If there is no plan, it is damaged, it is neither verified nor usable, or the flight
+            If there is no plan, it is damaged, it is neither verified nor usable, or the simulation
             does not confirm it.
         """
         return cls._along(read_proven(path, is_code_allowed=is_code_allowed))
@@ -185,7 +207,7 @@ class Motion:
 
     @cached_property
     def mesh(self) -> Mesh:
-        """Elements as fractions of the flight."""
+        """Mesh of the plan, with element boundaries as fractions of the flight's duration."""
         return _mesh(self.times, self.degrees)
 
     @property
@@ -194,12 +216,19 @@ class Motion:
         return float(self.times[-1] - self.times[0])
 
     def require(self, needed: Sequence[str], reader: str) -> None:
-        """Raise an error for a plan without the states that a format needs.
+        """Check that the plan has all states that an export format needs.
+
+        Parameters
+        ----------
+        needed : sequence of str
+            Names of the states.
+        reader : str
+            Name of the format, for the message.
 
         Raises
         ------
         ScenarioError
-            Naming the first state that is missing.
+            If a state is missing; the message names the first.
         """
         missing = next((name for name in needed if name not in self.names), None)
         if missing is not None:
@@ -209,41 +238,79 @@ class Motion:
             )
 
     def values(self, t: FloatArray, names: Sequence[str]) -> FloatArray:
-        """Return states at times after the start, shape (n, len(names)); clipped to the flight."""
+        """Evaluate states at times after the start.
+
+        Parameters
+        ----------
+        t : ndarray, shape (n,)
+            Times [s]; outside the flight the state at its nearer end is returned.
+        names : sequence of str
+            Names of the states.
+
+        Returns
+        -------
+        ndarray, shape (n, len(names))
+            States, SI units.
+        """
         return interpolate(self.mesh, self._states(names), self._fractions(t), with_start=True)
 
     def slopes(self, t: FloatArray, names: Sequence[str]) -> FloatArray:
-        """Return the states' derivatives at times after the start, shape (n, len(names))."""
+        """Evaluate the time derivatives of states at times after the start.
+
+        Parameters
+        ----------
+        t : ndarray, shape (n,)
+            Times [s].
+        names : sequence of str
+            Names of the states.
+
+        Returns
+        -------
+        ndarray, shape (n, len(names))
+            Derivatives, SI units per second.
+        """
         slopes = interpolate_rates(self.mesh, self._states(names), self._fractions(t))
         return slopes / self.duration
 
     def position(self, t: FloatArray) -> FloatArray:
-        """Return positions [m], shape (n, 3)."""
+        """Return the positions x, y, z at times after the start [m], shape (n, 3)."""
         return self.values(t, POSITION_STATES)
 
     def velocity(self, t: FloatArray) -> FloatArray:
-        """Return velocities [m/s], shape (n, 3)."""
+        """Return the velocities along x, y, z at times after the start [m/s], shape (n, 3)."""
         return self.values(t, VELOCITY_STATES)
 
     def acceleration(self, t: FloatArray) -> FloatArray:
-        """Return accelerations [m/s^2], shape (n, 3)."""
+        """Return the accelerations along x, y, z at times after the start [m/s²], shape (n, 3)."""
         return self.slopes(t, VELOCITY_STATES)
 
     def yaw(self, t: FloatArray) -> FloatArray:
-        """Return yaw angles [rad], counter-clockwise from x, not wrapped, shape (n,)."""
+        """Return the yaw angles at times after the start [rad], shape (n,).
+
+        They count counter-clockwise from x and are not wrapped to one turn.
+        """
         return self.values(t, ATTITUDE_STATES[2:])[:, 0]
 
     def yaw_rate(self, t: FloatArray) -> FloatArray:
-        """Return slopes of the yaw angle [rad/s], shape (n,)."""
+        """Return the time derivatives of the yaw angle [rad/s], shape (n,)."""
         return self.slopes(t, ATTITUDE_STATES[2:])[:, 0]
 
     def quaternions(self, t: FloatArray) -> FloatArray:
-        """Return unit quaternions x, y, z, w of the body in the world, shape (n, 4)."""
+        """Return the body's attitudes at times after the start as unit quaternions, shape (n, 4).
+
+        The components are x, y, z, w. A quaternion rotates vectors from body axes to world axes.
+        """
         roll_pitch_yaw = self.values(t, ATTITUDE_STATES)
         return np.asarray(Rotation.from_euler("ZYX", roll_pitch_yaw[:, ::-1]).as_quat())
 
     def samples(self, rate_hz: float) -> FloatArray:
-        """Return times after the start, including both ends, at a rate or slightly above [s]."""
+        """Return equally spaced times from start to end of the flight [s].
+
+        Parameters
+        ----------
+        rate_hz : float
+            Least number of times per second.
+        """
         count = int(np.ceil(self.duration * rate_hz * (1.0 - 1e-12)))
         return np.linspace(0.0, self.duration, max(count, 1) + 1)
 
@@ -255,16 +322,16 @@ class Motion:
 
 
 def _mesh(times: FloatArray, degrees: tuple[int, ...]) -> Mesh:
-    """Return the mesh with elements of these degrees and nodes at these times."""
+    """Return the mesh with elements of the given degrees and nodes at the given times."""
     ends = times[np.concatenate(([0], np.cumsum(degrees)))]
     fractions = (ends - ends[0]) / (ends[-1] - ends[0])
     return Mesh(breakpoints=tuple(fractions.tolist()), degrees=degrees)
 
 
 def _trajectories(frame: "pd.DataFrame", degrees: tuple[int, ...]) -> Trajectories:
-    """Return the trajectories of a report's table at the nodes of a mesh.
+    """Convert the table of a report to trajectories at the nodes of a mesh.
 
-    All columns serve as states and as controls; the equations select those they need.
+    All columns serve both as states and as controls; the equations select those that they need.
     """
     times = frame[TIME].to_numpy(dtype=float)
     columns = [c for c in ALL_COLUMNS if c.name in frame]
@@ -296,22 +363,22 @@ def _refuse_unverified(name: str, status: str) -> None:
 
 DEGREE = 7
 _FIRST_PIECES = 4
-# Step of the finite difference for the jerk at an end, as a fraction of the flight.
+# Step of the finite difference for the jerk at start and end, as a fraction of the duration.
 _END_STEP = 1e-3
 _CHECKED_PER_PIECE = 16
 _MOST_CHECKED = 20_001
 
 
 class PolynomialTrajectory:
-    """Piecewise polynomial trajectory of the flat outputs, with RotorPy's interface.
+    """Piecewise polynomial trajectory of position and yaw, with RotorPy's interface.
 
     Parameters
     ----------
     durations : array, shape (n_pieces,)
         Durations of the pieces [s].
     coefficients : array, shape (n_pieces, 4, n_coefficients)
-        Coefficients of x, y, z [m] and yaw [rad] as polynomials of the time since the piece
-        began [s], the constant first.
+        Coefficients of x, y, z [m] and yaw [rad] as polynomials of the time since the start of the
+        piece [s], the constant first.
     """
 
     def __init__(self, durations: ArrayLike, coefficients: ArrayLike) -> None:
@@ -320,7 +387,17 @@ class PolynomialTrajectory:
         self.coefficients = np.asarray(coefficients, dtype=float)
 
     def derivative(self, t: float, order: int) -> np.ndarray:
-        """Return a derivative of x, y, z and yaw; constant before the start and after the end."""
+        """Return a time derivative of x, y, z and yaw, shape (4,).
+
+        Before the start and after the end of the trajectory, position and yaw are constant.
+
+        Parameters
+        ----------
+        t : float
+            Time since the start [s].
+        order : int
+            Order of the derivative; 0 for the values themselves.
+        """
         inside = min(max(float(t), 0.0), float(self.ends[-1]))
         if order > 0 and inside != t:
             return np.zeros(4)
@@ -330,7 +407,7 @@ class PolynomialTrajectory:
         return np.asarray(held)
 
     def update(self, t: float) -> dict[str, np.ndarray | float]:
-        """Return the flat outputs at one time in the form of RotorPy's controllers."""
+        """Return position, yaw and their derivatives at one time, in the form of RotorPy."""
         place, speed, acceleration, jerk, snap = (self.derivative(t, k) for k in range(5))
         return {
             "x": place[:3],
@@ -347,10 +424,28 @@ class PolynomialTrajectory:
 def fit_pieces(
     motion: Motion, path_error_m: float, most_pieces: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Fit the fewest polynomial pieces of equal length within the path error.
+    """Approximate a plan by a spline of polynomial pieces of equal duration.
 
-    The pieces belong to a spline of degree 7 through the plan, with the plan's velocity,
-    acceleration and jerk at both ends; all derivatives except the last are continuous.
+    The number of pieces is increased until position and yaw are within the path error. The spline
+    has degree 7 and the plan's velocity, acceleration and jerk at both ends; all derivatives except
+    the last are continuous.
+
+    Parameters
+    ----------
+    motion : Motion
+        The plan's motion.
+    path_error_m : float
+        Largest permitted deviation of position [m] and yaw [rad].
+    most_pieces : int
+        Largest number of pieces.
+
+    Returns
+    -------
+    durations : ndarray, shape (n_pieces,)
+        Durations of the pieces [s].
+    coefficients : ndarray, shape (n_pieces, 4, 8)
+        Coefficients of x, y, z [m] and yaw [rad] as polynomials of the time since the start of the
+        piece [s], the constant first.
 
     Raises
     ------
@@ -374,7 +469,15 @@ def fit_pieces(
 def piece_deviation(
     motion: Motion, durations: FloatArray, coefficients: FloatArray
 ) -> tuple[float, float]:
-    """Return the largest deviation of polynomial pieces from a plan: position [m], yaw [rad]."""
+    """Return the largest deviation of polynomial pieces from a plan: position [m] and yaw [rad].
+
+    Parameters
+    ----------
+    motion : Motion
+        The plan's motion.
+    durations, coefficients : ndarray
+        Pieces from `fit_pieces`.
+    """
     t = np.linspace(
         0.0, motion.duration, min(_MOST_CHECKED, _CHECKED_PER_PIECE * len(motion.times))
     )
@@ -398,7 +501,7 @@ def _pieces(motion: Motion, pieces: int) -> tuple[FloatArray, FloatArray]:
     t = np.linspace(0.0, motion.duration, pieces + 1)
     outputs = np.column_stack([motion.position(t), motion.yaw(t)])
     spline = make_interp_spline(t, outputs, k=DEGREE, bc_type=_end_slopes(motion))
-    # Each piece is a Taylor polynomial about its start.
+    # The coefficients of each piece are those of its Taylor polynomial about its start.
     held = [spline(t[:-1], order) / factorial(order) for order in range(DEGREE + 1)]
     return np.diff(t), np.stack(held, axis=2)
 

@@ -1,4 +1,8 @@
-"""Simulated flights that are compared with a plan: references under feedback, and open loop."""
+"""Simulated flights that are compared with a plan: references under feedback, and open loop.
+
+A reference is a path over time that the adaptive controller follows, such as the plan itself or a
+smooth path from start to goal. In open loop the plan's controls are applied without feedback.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -59,7 +63,16 @@ _STATE_OF_CHARGE = "battery.state_of_charge"
 
 
 def start_state(scenario: Scenario, dynamics: Dynamics, plan: Plan | None = None) -> FloatArray:
-    """Return the initial state of a flight: the plan's, or declared hover.
+    """Return the initial state of a simulated flight: the plan's, or hover at the start.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission.
+    dynamics : Dynamics
+        Simulated vehicle, whose states are to be filled.
+    plan : Plan, optional
+        Plan whose initial state to use.
 
     Returns
     -------
@@ -87,7 +100,7 @@ def start_state(scenario: Scenario, dynamics: Dynamics, plan: Plan | None = None
 
 
 def _filters_at_start(dynamics: Dynamics) -> dict[str, float]:
-    """Return the initial states of the turbulence filters, empty without turbulence."""
+    """Return the initial states of the turbulence filters by name; empty without turbulence."""
     if not set(FILTER_STATES) <= set(dynamics.state_names):
         return {}
     begun = dynamics.initial_states()
@@ -95,7 +108,13 @@ def _filters_at_start(dynamics: Dynamics) -> dict[str, float]:
 
 
 def declared_start(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
-    """Return the initial states that the mission defines: hover, and the state of the battery."""
+    """Return the initial states that the mission defines: hover, and the state of the battery.
+
+    Returns
+    -------
+    dict
+        State name -> value in the state's unit.
+    """
     known = _hovering(scenario, scenario.mission.start, dynamics)
     if CHARGE_STATE in dynamics.state_names and dynamics.has(_STATE_OF_CHARGE):
         known[CHARGE_STATE] = _charge_drawn(scenario, dynamics)
@@ -104,7 +123,13 @@ def declared_start(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
 
 
 def wanted_at_goal(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
-    """Return the required final value of each state: hover at the goal."""
+    """Return the required final value of each state: hover at the goal.
+
+    Returns
+    -------
+    dict
+        State name -> value in the state's unit; the battery's states are free.
+    """
     lighter = sqrt(scenario.mass_at_goal / scenario.vehicle.total_mass)
     return _hovering(scenario, scenario.mission.goal, dynamics, lighter)
 
@@ -120,7 +145,7 @@ def _hovering(
 
 
 def _charge_drawn(scenario: Scenario, dynamics: Dynamics) -> float:
-    """Return the charge already drawn from the full battery at the start of the flight."""
+    """Return the charge already drawn from the full battery at the start of the flight [A h]."""
     states = np.zeros((2, len(dynamics.state_names)))
     states[1, dynamics.state_names.index(CHARGE_STATE)] = 1.0
     controls = np.zeros((2, len(dynamics.control_names)))
@@ -128,9 +153,10 @@ def _charge_drawn(scenario: Scenario, dynamics: Dynamics) -> float:
     return (scenario.battery.initial_state_of_charge - full) / (less - full)
 
 
-# This tolerance gives energies to 1e-7 or better with either integrator.
+# Tolerance of the integrators, which gives energies to 1e-7 or better with either of them.
 _TOLERANCE = 1e-7
-# Longest step, s, so that a smooth stretch does not step over a gust or a change of reference.
+# Longest step of the integrators [s], so that no step in smooth flight misses a gust or a change of
+# the reference.
 LONGEST_STEP = 0.1
 # A controlled flight takes some 500 evaluations per second of flight. Ten times that number
 # indicates a tumble, which would keep the integrator busy for hours.
@@ -140,7 +166,17 @@ RATE_HZ = 100.0
 
 
 class TumblingGuard:
-    """Guard that stops an integration with far more evaluations than a controlled flight needs."""
+    """Guard that stops a simulation of a vehicle out of control, by counting its evaluations.
+
+    A tumbling vehicle needs far more evaluations of the right-hand side than a controlled one.
+
+    Parameters
+    ----------
+    flight : str
+        Name of the flight, for the message.
+    duration : float
+        Duration of the flight [s], which the limit grows with.
+    """
 
     def __init__(self, flight: str, duration: float) -> None:
         self.evaluations = 0
@@ -148,7 +184,15 @@ class TumblingGuard:
         self._most = _MOST_EVALUATIONS_PER_SECOND * max(1.0, duration)
 
     def evaluated(self, t: float) -> None:
-        """Count an evaluation of the right-hand side; raise an error above the limit."""
+        """Count an evaluation of the right-hand side at time t [s] and compare with the limit.
+
+        Raises
+        ------
+        SolveError
+            If the number exceeds the limit.
+        TimeIsUpError
+            If the time limit of the command has passed.
+        """
         keep_time()
         self.evaluations += 1
         if self.evaluations > self._most:
@@ -159,7 +203,7 @@ class TumblingGuard:
 
 
 class Integrator(StrEnum):
-    """Two integrators of SciPy that share no code, for independent checks."""
+    """Two integrators of SciPy that share no code, so that each can confirm the other's flight."""
 
     RUNGE_KUTTA = "DOP853"
     MULTISTEP = "LSODA"
@@ -167,14 +211,21 @@ class Integrator(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class ClosedLoopFlight:
-    """States of the vehicle and the controller, sampled over a controlled flight."""
+    """Samples of the vehicle and of the controller over a simulated flight under feedback.
+
+    Attributes
+    ----------
+    flown : Flown
+        Samples of the vehicle; its controls are the rotor accelerations applied.
+    controller_states : ndarray, shape (n, 22)
+        The `CONTROLLER_STATES` at the same times.
+    evaluations : int
+        Evaluations of the right-hand side.
+    """
 
     flown: Flown
-    """The vehicle; its controls are the rotor accelerations applied."""
     controller_states: FloatArray
-    """The `CONTROLLER_STATES`, shape (n, 22)."""
     evaluations: int
-    """Evaluations of the right-hand side."""
 
 
 def fly(
@@ -192,17 +243,28 @@ def fly(
 
     Parameters
     ----------
+    dynamics : Dynamics
+        Simulated vehicle in its wind.
+    controller : AdaptiveController
+        Control law and its gains.
     reference : callable
-        Time in s -> Setpoint.
+        Time [s] -> Setpoint: place, velocity and acceleration to follow.
     initial_state : ndarray, shape (n_states,)
         State of the vehicle at the first time.
     times : ndarray, shape (n,)
-        Rising times of the returned samples, s.
+        Increasing times of the returned samples [s].
+    integrator : Integrator, optional
+        SciPy's integration method.
     tolerance : float, optional
         Relative and absolute tolerance of the integrator.
     last : ndarray, shape (22,), optional
         States of the controller (`CONTROLLER_STATES`) at the first time, if it followed another
-        reference until then; started afresh by default.
+        reference before; without it the controller starts anew.
+
+    Returns
+    -------
+    ClosedLoopFlight
+        States of vehicle and controller, controls and energy at `times`.
 
     Raises
     ------
@@ -212,26 +274,27 @@ def fly(
     """
     loop = _Loop(dynamics, controller, reference, duration=times[-1] - times[0])
     span = float(times[0]), float(times[-1])
-    solution = integrate(
+    rows = integrate(
         loop.rates,
         span,
         loop.started(times[0], initial_state, last),
         times,
         dynamics.steps_between(*span),
+        flight="controlled flight",
+        remedy="Check the gains and limits of the scenario.",
         method=integrator.value,
         rtol=tolerance,
         atol=tolerance,
         max_step=LONGEST_STEP,
     )
-    if solution.stopped_at is not None:
-        raise SolveError(
-            f"controlled flight: {solution.message} Check the gains and limits of the scenario."
-        )
-    return loop.flight(times, solution.y.T)
+    return loop.flight(times, rows.T)
 
 
 class _Loop:
-    """Closed loop of vehicle and controller, with the spent energy as the last state."""
+    """Closed loop of vehicle and controller as a system of differential equations.
+
+    Its joint state holds the states of the vehicle, of the controller, and the energy spent.
+    """
 
     def __init__(
         self,
@@ -252,18 +315,22 @@ class _Loop:
         self._guard = TumblingGuard("controlled flight", duration)
 
     def started(self, t: float, state: FloatArray, last: FloatArray | None) -> FloatArray:
-        """Return the initial joint state of vehicle, controller and energy."""
+        """Return the initial joint state of vehicle, controller and energy at time t [s].
+
+        `state` is that of the vehicle; `last` that of the controller, None for a controller that
+        starts anew.
+        """
         body, before = state[self._body].tolist(), None if last is None else last.tolist()
         own = self._controller.started(self._reference(t), body, before)
         return np.array([*state, *own, 0.0])
 
     def rates(self, t: float, joint: FloatArray) -> FloatArray:
-        """Return the time derivative of the joint state."""
+        """Return the time derivative of the joint state of vehicle, controller and energy."""
         self._guard.evaluated(t)
         return self._system.rates(t, joint, self._controller.command(self._reference, t))
 
     def flight(self, times: FloatArray, rows: FloatArray) -> ClosedLoopFlight:
-        """Return a flight from joint states at given times."""
+        """Return the simulated flight made of joint states (vehicle, controller, energy)."""
         commands = np.array([self._controller.command(self._reference, t) for t in times.tolist()])
         return ClosedLoopFlight(
             flown=Flown(
@@ -286,30 +353,47 @@ _PATHS = {
 }
 # Samples of the plan per second, between which the reference is interpolated.
 _PLAN_RATE_HZ = 5.0
-# Place, its rate and its acceleration, by their names in the declared model.
+# Position and yaw, their rates and accelerations, by their names in the declared model.
 _PLACE = (*POSITION_STATES, "rigid_body.psi")
 _RATE = (*VELOCITY_STATES, "rigid_body.dpsi_dt")
 _ACCELERATION = tuple(f"rigid_body.d{name}_dt" for name in ("vx", "vy", "vz", "r"))
 _YAW_REACTION = "rotors.yaw_reaction"
-# s, step of the difference quotient of the planned yaw rate.
+# Step of the difference quotient of the planned yaw rate [s].
 _INSTANT = 1e-4
 
 
 def baseline_name(reference: Reference, speed: float | None = None) -> str:
-    """Return the name of a controlled flight, a cruise with its speed [m/s]."""
+    """Return the name of a flight under feedback: "adaptive/quintic", "adaptive/cruise 6 m/s".
+
+    `speed` [m/s] is given for an autopilot's cruise only.
+    """
     return f"adaptive/{reference.value}" + ("" if speed is None else f" {speed:g} m/s")
 
 
 def fly_baseline(
     scenario: Scenario, reference: Reference, *, dynamics: Dynamics, plan: Plan | None = None
 ) -> Flight:
-    """Fly a mission under the adaptive controller, in the wind of `dynamics`.
-
-    A cruise flies the mission with the times of `cruise_at`.
+    """Simulate a mission under the adaptive controller along a reference, and verify the flight.
 
     The flight is verified if a second integrator, which shares no code with the first, ends at the
     same place with the same energy, within the tolerances for plans, and if the battery can give
     the power.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission with fixed times; for the cruise of an autopilot, with the times of `cruise_at`.
+    reference : Reference
+        Path that the controller follows.
+    dynamics : Dynamics
+        Simulated vehicle in its wind.
+    plan : Plan, optional
+        Plan to follow, or whose costates give the energy to complete the flight.
+
+    Returns
+    -------
+    Flight
+        The flight, with its table and results.
 
     Raises
     ------
@@ -349,14 +433,25 @@ def fly_reference(
     rate_hz: float = RATE_HZ,
     tolerance: float = _TOLERANCE,
 ) -> ClosedLoopFlight:
-    """Simulate a mission under feedback; return its samples with the states of the controller.
+    """Simulate a mission under the adaptive controller along a reference, once.
+
+    Unlike `fly_baseline`, it neither verifies the flight nor tabulates it.
 
     Parameters
     ----------
+    scenario, reference, dynamics, plan
+        As for `fly_baseline`.
+    integrator : Integrator, optional
+        SciPy's integration method.
     rate_hz : float, optional
         Samples per second; both ends are always included.
     tolerance : float, optional
-        Relative and absolute tolerance of the integrator; by default that of a confirmed flight.
+        Relative and absolute tolerance of the integrator; by default that of a verified flight.
+
+    Returns
+    -------
+    ClosedLoopFlight
+        Samples of vehicle and controller.
     """
     refuse_other_vehicles(scenario, dynamics)
     duration = scenario.mission.fixed_duration
@@ -376,10 +471,19 @@ def reference_path(
 ) -> ReferencePath:
     """Return the path that a named reference prescribes, as a function of time.
 
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission with fixed times.
+    reference : Reference
+        Step, quintic polynomial, minimum snap, an autopilot's cruise, or the plan.
+    plan : Plan, optional
+        Plan to follow.
+
     Returns
     -------
     callable
-        Time in s -> Setpoint.
+        Time [s] -> Setpoint.
 
     Raises
     ------
@@ -399,7 +503,22 @@ def reference_path(
 
 
 def fly_open_loop(scenario: Scenario, plan: Plan, dynamics: Dynamics) -> Flight:
-    """Simulate the rotor accelerations of a plan without feedback."""
+    """Simulate the rotor accelerations of a plan without feedback, and verify the flight.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission with the times of the plan.
+    plan : Plan
+        Its controls are applied.
+    dynamics : Dynamics
+        Simulated vehicle in the actual wind.
+
+    Returns
+    -------
+    Flight
+        The flight, named `OPEN_LOOP`.
+    """
     began = perf_counter()
     held = plan.trajectories
     start = start_state(scenario, dynamics, plan)
@@ -420,8 +539,26 @@ def assembled_flight(
 ) -> Flight:
     """Join the simulated parts of a flight, verify them, and estimate the energy to complete it.
 
-    It is verified if, for each part, two integrators agree that start from the same state, and if
-    the battery can give the power.
+    Parameters
+    ----------
+    name : str
+        Name of the flight in comparisons.
+    scenario : Scenario
+        The mission.
+    dynamics : Dynamics
+        Simulated vehicle.
+    flown_twice : sequence of (Flown, Flown)
+        Each part of the flight by two integrators that start from the same state. Several parts
+        arise where the plan is replaced in flight.
+    plan : Plan or None
+        Plan whose costates give the energy to complete the flight from its end state.
+    began : float
+        Clock at the start of the simulation, `perf_counter` [s].
+
+    Returns
+    -------
+    Flight
+        Verified if the integrators agree on each part and the battery can give the power.
     """
     flown = _joined([part for part, _ in flown_twice])
     final = dict(zip(dynamics.state_names, flown.states[-1].tolist(), strict=True))
@@ -444,12 +581,12 @@ def assembled_flight(
     return replace(flight, broken_limits=(*flight.broken_limits, *missed), doubt=doubt)
 
 
-# Two integrators must agree about a flight to these figures.
+# Tolerances within which two integrators must agree on a flight.
 _AGREEING = FIGURES[Accuracy.PROOF]
-# A controlled flight may pass a waypoint, and hold there, with the distance and speed that are
-# allowed on arrival; the limits of a hold are on squares. The limit that keeps the heading applies
-# to plans only: feedback must be free to turn back to the heading, and the final heading is judged
-# with the rest of the final state.
+# Tolerated violations of limits under feedback. A controlled flight may pass a waypoint, and hover
+# there, with the distance and speed that are allowed on arrival; the limits of a hover are on
+# squares. The limit that keeps the heading applies to plans only: feedback must be free to turn
+# back to the heading, and the final heading is compared with the rest of the final state.
 _ALLOWED_UNDER_CONTROL = {
     "mission.hold_distance": (HOVERING_M + ARRIVAL_DISTANCE_M) ** 2 - HOVERING_M**2,
     "mission.hold_speed": (HOVERING_M_PER_S + ARRIVAL_SPEED_M_PER_S) ** 2 - HOVERING_M_PER_S**2,
@@ -460,10 +597,23 @@ _ALLOWED_UNDER_CONTROL = {
 def broken_under_control(
     scenario: Scenario, dynamics: Dynamics, flown: Flown, breaches: Sequence[Violation]
 ) -> dict[str, float]:
-    """Return the limits that a flight under feedback violates, in words, with amounts.
+    """Return the limits that a flight under feedback violates, in words, with relative amounts.
 
-    Each breach is relative to the larger of 1 and the limit; ``breaches`` are those of the declared
-    limits, as `Dynamics.violations` returns them.
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission.
+    dynamics : Dynamics
+        Simulated vehicle.
+    flown : Flown
+        Samples of the flight.
+    breaches : sequence of Violation
+        Violations of the declared limits, as `Dynamics.violations` returns them.
+
+    Returns
+    -------
+    dict
+        Limit in words -> violation relative to the larger of 1 and the limit.
     """
     broken = {
         limit_words(breach.name): breach.relative
@@ -476,7 +626,7 @@ def broken_under_control(
 
 @dataclass(frozen=True, kw_only=True)
 class _Missed:
-    """Violation of a limit at a waypoint: name, relative amount and message."""
+    """Waypoint passed too far away or too fast: name of the limit, relative violation, message."""
 
     limit: str
     relative: float
@@ -484,7 +634,7 @@ class _Missed:
 
 
 def _missed_waypoints(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> Iterator[_Missed]:
-    """Yield the violations of the limits at waypoints with given times."""
+    """Yield the waypoints with given times that a flight passes too far away or too fast."""
     states = [dynamics.state_names.index(name) for name in (*POSITION_STATES, *VELOCITY_STATES)]
     for k, waypoint in enumerate(scenario.mission.waypoints):
         if waypoint.at is None:
@@ -511,7 +661,25 @@ def _missed_waypoints(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> I
 
 
 def path_of(held: Trajectories, dynamics: Dynamics, vehicle: Vehicle) -> SampledPath:
-    """Return a plan as a reference path, with accelerations and air forces from its equations."""
+    """Return a plan as a reference path for the controller, sampled at 5 Hz.
+
+    Velocities, accelerations and the forces of the air, which the controller feeds forward, follow
+    from the plan's equations.
+
+    Parameters
+    ----------
+    held : Trajectories
+        The plan's states and controls.
+    dynamics : Dynamics
+        The plan's equations.
+    vehicle : Vehicle
+        Mass and inertia.
+
+    Returns
+    -------
+    SampledPath
+        Time [s] -> Setpoint.
+    """
     times = even_times(*held.horizon, _PLAN_RATE_HZ)
     controls = held.controls_at(times, dynamics.control_limits(HELD_BREACH))
     flown = times, held.states_at(times), controls
@@ -534,7 +702,7 @@ def path_of(held: Trajectories, dynamics: Dynamics, vehicle: Vehicle) -> Sampled
 def _yaw_acceleration(
     dynamics: Dynamics, times: FloatArray, states: FloatArray, controls: FloatArray
 ) -> FloatArray:
-    """Return the time derivative of the planned yaw rate [rad/s^2]."""
+    """Return the time derivative of the planned yaw rate by central differences [rad/s^2]."""
     steps = _INSTANT * np.array(
         [dynamics.rates(t, x, u) for t, x, u in zip(times.tolist(), states, controls, strict=True)]
     )
@@ -546,7 +714,11 @@ def _yaw_acceleration(
 def _doubts(
     dynamics: Dynamics, flown_twice: Sequence[tuple[Flown, Flown]], flown: Flown
 ) -> Iterator[str]:
-    """Yield the reasons why a flight is not confirmed: second integrator, or battery shortfall."""
+    """Yield the reasons why a simulated flight is not verified, in words.
+
+    The two integrators differ in final position or energy, or the battery cannot give the power or
+    the voltage.
+    """
     columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
     ends = np.array([[flown.states[-1, columns] for flown in pair] for pair in flown_twice])
     spent = np.array([[flown.energy[-1] for flown in pair] for pair in flown_twice])
@@ -581,7 +753,7 @@ def _doubts(
 
 
 def _joined(parts: Sequence[Flown]) -> Flown:
-    """Join consecutive parts of a flight; a shared instant keeps the end of the first part."""
+    """Join consecutive parts of a simulated flight; the state at a shared time is kept once."""
     spent = np.cumsum([0.0, *(part.energy[-1] for part in parts)])
     kept = [slice(0, None), *(slice(1, None) for _ in parts[1:])]
     return Flown(
@@ -595,7 +767,13 @@ def _joined(parts: Sequence[Flown]) -> Flown:
 
 
 def refuse_other_vehicles(scenario: Scenario, dynamics: Dynamics) -> None:
-    """Raise an error for a model without the states that the controller measures."""
+    """Raise an error for a model that lacks a state which the controller measures.
+
+    Raises
+    ------
+    ScenarioError
+        Naming the state.
+    """
     missing = next((name for name in MEASURED_STATES if name not in dynamics.state_names), None)
     if missing is not None:
         raise ScenarioError(
@@ -605,5 +783,5 @@ def refuse_other_vehicles(scenario: Scenario, dynamics: Dynamics) -> None:
 
 
 def even_times(start: float, end: float, rate_hz: float) -> FloatArray:
-    """Return equally spaced times at a sampling rate, with both ends."""
+    """Return equally spaced times from start to end at a sampling rate, with both ends [s]."""
     return np.linspace(start, end, max(2, round((end - start) * rate_hz) + 1))

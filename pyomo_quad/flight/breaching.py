@@ -23,14 +23,15 @@ from pyomo_quad.flight.margins import FIELDS, HOLD, RADIUS, SPEED
 from pyomo_quad.model.mission import HOVERING_M, HOVERING_M_PER_S
 from pyomo_quad.scenario import Scenario
 
-# A deviation below this share of the larger of 1 and the limit is rounding.
+# Smallest standard deviation that a distance is divided by.
 _ROUNDING = 1e-9
-# Samples of the normal distribution of an end: a probability of 1e-3 is found within 14 %.
+# Number of samples of the normal distribution at a place: a probability of 1e-3 is found within
+# 14 %.
 _SAMPLES = 50_000
-# Steps of a spread between two derivatives of the limits, which change with the path and not with
-# each gust.
+# Steps of a spread between two evaluations of the derivatives of the limits, which change slowly
+# along the path.
 _GRADIENT_STEPS = 4
-# s, between instants of a hold that are judged as if they were independent.
+# Time between instants of a hover at a waypoint that are treated as independent [s].
 _HOLD_STEP = 0.25
 
 THERE, AT_REST = "distance from the goal at the end", "speed at the end"
@@ -38,22 +39,23 @@ THERE, AT_REST = "distance from the goal at the end", "speed at the end"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Approach:
-    """Distance between flights and one end of a limit over time, as mean and standard deviation.
+    """Distance of flights in turbulence from one end of a limit over time (the room).
 
     Attributes
     ----------
     name : str
-        Of the limit in the declared model.
+        Name of the limit in the declared model.
     field : str
-        Field of the scenario that sets this end.
+        Scenario field that sets this end of the limit.
     room : ndarray, shape (n,)
-        Room left by the flight without gusts, before any margin.
+        Distance of the flight without gusts from the limit, in its unit, before any margin (amount
+        by which a plan stays inside it).
     planned : ndarray, shape (n,)
-        Room left by the plan.
+        Distance of the plan from the limit.
     deviation : ndarray, shape (n,)
-        Standard deviation of the room.
+        Standard deviation of the distance of flights.
     correlation : ndarray, shape (n - 1,)
-        Of the room at one time and at the next.
+        Correlation of the distances at one time and at the next.
     """
 
     name: str
@@ -65,26 +67,33 @@ class Approach:
 
     @property
     def present(self) -> float:
-        """Probability that a flight of the present plan breaks the limit at any time."""
+        """Probability that a flight which follows the present plan breaks the limit at any time."""
         return _crossing(self.room, self.deviation, self.correlation)
 
     def probability(self, held: float = 0.0, margin: float = 0.0) -> float:
-        """Predict the probability that a flight breaks the limit if the plan keeps another margin.
+        """Predict the probability that a flight breaks the limit if the plan had another margin.
+
+        The plan is assumed to change only where its distance from the limit is less than the new
+        margin, or where the present margin is active, so that it will follow the new margin. A
+        margin is the amount by which a plan stays inside the limit.
 
         Parameters
         ----------
         held : float
-            Margin of the plan as it is.
+            Margin of the present plan.
         margin : float
-            Margin of a plan to come; where the plan is nearer than that it will give way, and
-            where it is held by its margin it will follow.
+            Margin of the changed plan.
         """
         is_held = self.planned <= held + _ACTIVE * max(held, self.deviation.max())
         to_come = np.where(is_held, margin, np.maximum(self.planned, margin))
         return _crossing(self.room + (to_come - self.planned), self.deviation, self.correlation)
 
     def margin_for(self, share: float, held: float, most: float) -> float:
-        """Return the smallest margin, up to ``most``, that limits the probability to ``share``."""
+        """Return the smallest margin with which the probability of a violation is ``share``.
+
+        `held` is the margin of the present plan; the result is at most ``most``. A margin is the
+        amount by which a plan stays inside the limit.
+        """
         if self.probability(held, 0.0) <= share:
             return 0.0
         low, high = 0.0, most
@@ -94,30 +103,46 @@ class Approach:
         return high
 
 
-# Of the margin or the deviation, as near to which a plan is held by the limit.
+# Distance of a plan from its tightened limit, relative to the margin or to the standard deviation,
+# below which the limit counts as active.
 _ACTIVE = 0.25
 _HALVINGS = 30
 
 
 def _crossing(room: FloatArray, deviation: FloatArray, correlation: FloatArray) -> float:
-    """Return the probability that a flight starts beyond the limit or crosses it later."""
+    """Return the probability that a flight starts beyond a limit or crosses it later.
+
+    Parameters
+    ----------
+    room, deviation : ndarray, shape (n,)
+        Mean and standard deviation of the distance from the limit over time.
+    correlation : ndarray, shape (n - 1,)
+        Correlation of the distances at one time and at the next.
+    """
     beyond = room / np.maximum(deviation, _ROUNDING)
-    # Where the mean comes nearer, more flights are beyond after a step than before it.
+    # If the mean approaches the limit during a step, more flights are beyond it after the step.
     outside = ndtr(-beyond)
     carried = np.maximum(np.diff(outside), 0.0)
-    # Rice's rate of crossings about a mean that stays, of a known correlation over a step.
+    # Rice's rate of crossings about a constant mean, from the correlation over a step.
     rate = np.sqrt(np.maximum(2 * (1 - correlation), 0.0)) / (2 * pi)
     crossings = rate * np.exp(-(np.maximum(beyond[1:], 0.0) ** 2) / 2)
     return float(min(outside[0] + carried.sum() + crossings.sum(), 1.0))
 
 
 def approaches(spread: Spread, states: FloatArray, controls: FloatArray) -> Iterator[Approach]:
-    """Yield an `Approach` for each end of a limit over time that a field of the scenario sets.
+    """Yield the distance of flights from each end of a limit that a scenario field sets.
 
     Parameters
     ----------
-    states, controls : ndarray
-        Of the plan at the times of the spread.
+    spread : Spread
+        Distribution of flights about a plan.
+    states, controls : ndarray, shapes (n, n_states), (n, n_controls)
+        The plan at the times of the spread.
+
+    Yields
+    ------
+    Approach
+        One for each end of a limit over time.
     """
     dynamics = spread.dynamics
     gradients = _gradients(spread)
@@ -145,7 +170,13 @@ def approaches(spread: Spread, states: FloatArray, controls: FloatArray) -> Iter
 
 
 def _gradients(spread: Spread) -> dict[str, FloatArray]:
-    """Return the derivatives of all limits with respect to the states, by finite differences."""
+    """Return the derivatives of all limits by the states over time, by finite differences.
+
+    Returns
+    -------
+    dict
+        Name of a limit -> ndarray, shape (n, n_states).
+    """
     dynamics, n_states = spread.dynamics, spread.states.shape[1]
     last = len(spread.t) - 1
     chosen = np.unique([*range(0, last, _GRADIENT_STEPS), last])
@@ -154,7 +185,7 @@ def _gradients(spread: Spread) -> dict[str, FloatArray]:
     deviations = deviations[chosen]
     found: dict[str, FloatArray] = {}
     for state in range(n_states):
-        # Long before a state spreads, it is told by how much it does at most.
+        # While the standard deviation of a state is still small, the step follows its maximum.
         step = np.maximum(deviations[:, state], 1e-3 * deviations[:, state].max())
         if not step.any():
             continue
@@ -172,14 +203,14 @@ def _gradients(spread: Spread) -> dict[str, FloatArray]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Miss:
-    """Distance from a place, or speed there, of flights at the instants at which it is limited.
+    """Distance of flights in turbulence from a place, or speed there, at the instants of its limit.
 
     Attributes
     ----------
     words : str
-        Of the limit.
+        The limit in words.
     field : str
-        Margin that makes the miss rarer; empty where only a reserve of the rotors does.
+        Margin that makes the miss rarer; empty if only a reserve of thrust does.
     off : ndarray, shape (n_instants, n_samples)
         Samples of the distance [m] or the speed [m/s].
     within : float
@@ -193,21 +224,40 @@ class Miss:
 
     @property
     def probability(self) -> float:
-        """Probability that a flight exceeds the limit at any instant, with independent instants."""
+        """Probability that a flight is too far from the place, or too fast, at any instant.
+
+        The instants of the limit are treated as independent.
+        """
         return float(min((self.off > self.within).mean(axis=1).sum(), 1.0))
 
     def shrunk(self, share: float) -> "Miss":
-        """Return this miss with all distances or speeds multiplied by a factor."""
+        """Return a copy with all distances or speeds multiplied by a factor (weaker turbulence)."""
         return replace(self, off=share * self.off)
 
     def excess(self, share: float) -> float:
-        """Return the decrease of distance [m] or speed [m/s] needed for a miss probability."""
+        """Return the decrease of distance [m] or speed [m/s] that would make the miss rare enough.
+
+        `share` is the allowed probability of the miss.
+        """
         most = np.quantile(self.off, 1.0 - share / len(self.off), axis=1).max()
         return max(float(most) - self.within, 0.0)
 
 
 def missing(scenario: Scenario, spread: Spread) -> tuple[Miss, ...]:
-    """Return the misses of goal, waypoints and holds by the flights of a plan."""
+    """Return the distances of flights from goal and waypoints, and their speeds there.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission with fixed times.
+    spread : Spread
+        Distribution of flights about a plan.
+
+    Returns
+    -------
+    tuple of Miss
+        With the probability of each miss.
+    """
     draws = np.random.default_rng(0).standard_normal((_SAMPLES, 3))
     mission, still = scenario.mission, np.zeros(3)
     end = np.array([mission.fixed_duration])

@@ -19,7 +19,7 @@ class Recent(Generic[Value]):
     Parameters
     ----------
     most : int
-        Largest number of values held; it may be changed at any time.
+        Largest number of values kept; it may be changed at any time.
     """
 
     def __init__(self, most: int) -> None:
@@ -27,11 +27,11 @@ class Recent(Generic[Value]):
         self._held: dict[Hashable, Value] = {}
 
     def get(self, key: Hashable) -> Value | None:
-        """Return the value stored under a key, or None."""
+        """Return the value stored in the cache under a key, or None."""
         return self._held.get(key)
 
     def store(self, key: Hashable, value: Value) -> Value:
-        """Store a value under a key and return the value."""
+        """Store a value in the cache under a key and return the value."""
         self._held.pop(key, None)
         self._held[key] = value
         while len(self._held) > self.most:
@@ -39,16 +39,17 @@ class Recent(Generic[Value]):
         return value
 
 
-#: Compiled problems of a planner: in the wind that the optimiser assumes, and in the wind that
-#: blows, and as many for a second planner.
+#: Number of compiled problems to keep: two planners, each with the wind of the forecast, which
+#: plans assume, and with the actual wind, in which flights are simulated.
 MOST_PROBLEMS = 4
-#: Steady flights of a planner: in each of these two winds.
+#: Number of steady flights that a planner keeps: one in each of these two winds.
 MOST_STEADY = 2
-#: Scenario and problem compiled from the declared model, for all planners of the process, by the
-#: scenario's structure.
+#: Compiled problems of all planners of the process, with the scenario of which each was built, by
+#: the scenario's structure (`model.structure_key`).
 PROBLEMS: Recent[tuple[Scenario, Problem]] = Recent(MOST_PROBLEMS)
-#: Problems in turbulence, by structure: missions as planned and as flown at a cruise speed, with
-#: one neighbour each.
+#: Compiled problems with turbulence, by structure: enough for a mission as planned and as flown by
+#: an autopilot, and for a second mission.
 IN_TURBULENCE: Recent[Problem] = Recent(4)
-#: Problems of the mission that remains after each waypoint, of the last scenario re-planned.
+#: Compiled problems of the rest of a mission after each waypoint, of the last scenario that was
+#: planned again in flight.
 REMAINING: Recent[tuple[Problem, ...]] = Recent(1)

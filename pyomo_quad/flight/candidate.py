@@ -1,6 +1,8 @@
 """Candidate plan of a mission, with the conditions and actions of the planning strategies.
 
-Each action returns its outcome for the record of the search, or None where it led to nothing.
+A candidate is the best solution that the search for a plan has found so far. `flight.strategies`
+has the table that combines them. Each action returns its outcome for the record of the search, or
+None where it has none.
 """
 
 from __future__ import annotations
@@ -36,16 +38,16 @@ if TYPE_CHECKING:
     from pyomo_quad.flight.search import Search
     from pyomo_quad.scenario import Scenario
 
-# Number of single limits that a diagnosis relaxes alone, and the names of limits.
+# Largest number of limits that a diagnosis relaxes one at a time, and the prefix of their names.
 _MOST_REMEDIES = 3
 _LIMITS = "limits."
-# Factor by which the tolerance is tightened for a flight that went astray.
+# Factor by which the tolerance is tightened if a simulated flight does not confirm the solution.
 _TIGHTER = 0.1
 
 
 @dataclass(frozen=True)
 class AlongShortest:
-    """Starting point: a flight along the shortest route, solved on one mesh."""
+    """Start of the search for a plan: a solution along the shortest route, on one mesh."""
 
     flight: Solution
 
@@ -60,21 +62,31 @@ class Candidate:
     Attributes
     ----------
     scenario : Scenario
+        The scenario to plan.
     mission : MissionProblem
-        Of the scenario as the optimiser knows it.
+        Compiled problem of the scenario in its forecast wind.
     search : Search
+        Stops solves, and records the outcomes of the strategies.
     start : Start or None
-        Similar flight, for the initial point.
+        Similar solution from which to start.
     solution : Solution or None
         The first solution or, if that failed, the first success of a retry.
     routes : tuple of TriedRoute
+        Results of the routes that were tried.
     is_closed : bool
         Whether zones block every route.
-    diagnosis, slower, shortest : Diagnosis, Trajectory and Solution, or None
-        Diagnosis of the failed solution, a flight of a longer duration, and that of the least time.
+    diagnosis : Diagnosis or None
+        Diagnosis of the failed solution.
+    slower : Trajectory or None
+        Solution for a longer duration.
+    shortest : Solution or None
+        Solution of least duration.
     failure : Failure or None
+        Reason why all strategies failed.
     flown : Plan or None
-        The plan of the solution, with the verdict of its flight.
+        The plan of the solution, with the result of its simulation.
+    tolerance : float
+        Tolerance of the mesh refinement, smaller after each failed simulation.
     """
 
     scenario: Scenario
@@ -97,7 +109,13 @@ class Candidate:
 
     @property
     def found(self) -> Solution:
-        """Present solution of the mission; raises an error before any strategy has made one."""
+        """Present solution of the mission.
+
+        Raises
+        ------
+        RuntimeError
+            Before any strategy has made a solution.
+        """
         if self.solution is None:
             raise RuntimeError("no strategy has solved the mission yet")
         return self.solution
@@ -116,23 +134,35 @@ class Candidate:
     # First solutions
 
     def has_routes(self) -> bool:
-        """Return whether routes round zones are to be compared."""
+        """Return whether several routes are to be compared, round zones or through a wind field."""
         is_open = self.start is None or isinstance(self.start, AlongShortest)
         return is_open and self.mission.has_routes
 
     def fly_routes(self) -> str | None:
-        """Solve the mission along its candidate routes and keep the best flight."""
+        """Solve the mission along its candidate routes and keep the best solution.
+
+        Returns
+        -------
+        str or None
+            The solver's status if the solve failed.
+        """
         known = self.start.flight if isinstance(self.start, AlongShortest) else None
         self.solution, self.routes = RouteFlights(self.mission, known).best()
         self.is_closed = not self.routes
         return self._outcome()
 
     def starts_at_flight(self) -> bool:
-        """Return whether the caller gave the solution of a similar problem."""
+        """Return whether the search starts from the solution of a similar problem."""
         return isinstance(self.start, Solution)
 
     def from_flight(self) -> str | None:
-        """Solve with the solution of a similar problem as the initial guess, on its mesh."""
+        """Solve the mission with the solution of a similar problem as initial guess, on its mesh.
+
+        Returns
+        -------
+        str or None
+            The solver's status if the solve failed.
+        """
         if not isinstance(self.start, Solution):
             return None
         path = self._held_by(self.mission, self.start)
@@ -141,7 +171,7 @@ class Candidate:
 
     @staticmethod
     def _held_by(mission: MissionProblem, similar: Solution) -> Trajectory:
-        """Return a similar problem's trajectory, with static variables in a mission's order."""
+        """Return a similar problem's trajectory with static variables in the mission's order."""
         slots = similar.problem.compiled.declared.statics
         held = dict(zip((slot.name for slot in slots), similar.trajectory.statics, strict=True))
         statics = [held[slot.name] for slot in mission.problem.compiled.declared.statics]
@@ -153,13 +183,22 @@ class Candidate:
         return start if isinstance(start, WarmStart) else None
 
     def starts_warm(self) -> bool:
-        """Return whether the caller gave a warm start of the same compiled problem."""
+        """Return whether the search starts from a warm start of the same compiled problem."""
         start = self._warm_start
         return start is not None and start.fits(self.mission.problem.compiled)
 
     def from_warm_start(self) -> str | None:
-        """Solve from a warm start; with a kinked power, discard a solve that does not converge."""
-        # Its mesh is the first, and the mission's own where the warm start is given up.
+        """Solve the mission from a warm start.
+
+        If the power has a corner at zero (no regeneration), a solve that does not converge is
+        discarded, so that other strategies follow.
+
+        Returns
+        -------
+        str or None
+            The solver's status if the solve failed.
+        """
+        # The first mesh is that of the warm start, or the mission's own if the start is discarded.
         solution = self.mission.solve(mesh=None, warm_start=self._warm_start)
         if self.mission.easier and solution.status is Status.NOT_CONVERGED:
             return solution.status.value
@@ -167,23 +206,39 @@ class Candidate:
         return self._outcome()
 
     def starts_at_plan(self) -> bool:
-        """Return whether the caller gave a plan whose trajectory was not tried yet."""
+        """Return whether the search starts from a plan whose trajectory was not tried yet."""
         return self.solution is None and isinstance(self.start, Plan)
 
     def from_plan(self) -> str | None:
-        """Solve with the trajectory of a plan as the initial guess, on its mesh."""
+        """Solve the mission with the trajectory of a plan as initial guess, on its mesh.
+
+        Returns
+        -------
+        str or None
+            The solver's status if the solve failed.
+        """
         if isinstance(self.start, Plan):
             self.solution = self.mission.solve_from(self.start.guess(), self.start.mesh)
         return self._outcome()
 
     def is_long(self) -> bool:
-        """Return whether the flight is long compared with the time to change attitude."""
+        """Return whether the flight is long compared with the time to change attitude.
+
+        That is the case for straight flights of the package's own model that no strategy has solved
+        yet.
+        """
         mission = self.mission
         is_simple = self.solution is None and mission.problems.is_declared and not mission.easier
         return is_simple and is_long(mission.told)
 
     def from_cruise(self) -> str | None:
-        """Solve with steady flight as the initial guess and short elements at both ends."""
+        """Solve the mission with steady flight as initial guess and short elements at both ends.
+
+        Returns
+        -------
+        str or None
+            The solver's status if the solve failed.
+        """
         mission, told = self.mission, self.mission.told
         guess = guess_of(told, mission.steady)
         duration = (guess or {}).get("duration", told.nominal_duration)
@@ -193,8 +248,8 @@ class Candidate:
             self.solution = mission.solve(
                 mesh=fine_mesh(rough.horizon[1], told.solver.degree),
                 options=mission.arguments["options"].for_small_changes(),
-                # One limit or two hold for long, at the ends: their junctions are few, and worth
-                # finding.
+                # Only one or two limits are active, for long times near the ends of the flight:
+                # their few junctions are worth locating.
                 refinement=replace(mission.arguments["refinement"], limits_move=False),
                 warm_start=rough,
             )
@@ -205,27 +260,39 @@ class Candidate:
         return self.solution is None
 
     def from_nothing(self) -> str | None:
-        """Solve from the default initial guess of the model."""
+        """Solve the mission from the default initial guess of the model.
+
+        Returns
+        -------
+        str or None
+            The solver's status if the solve failed.
+        """
         self.solution = self.mission.solve_from()
         return self._outcome()
 
     def _outcome(self) -> str | None:
-        """Return the status of the first solution for the record if it failed, None otherwise."""
+        """Return the solver's status of the first solution if it failed, None otherwise."""
         status = self.found.status
         return status.value if status.has_failed else None
 
     # Retries of a solution that failed
 
     def has_failed(self) -> bool:
-        """Return whether the solve failed although zones leave a route."""
+        """Return whether the solve failed although zones leave a route to the goal."""
         return self.found.status.has_failed and not self.is_closed
 
     def has_failed_at_waypoints(self) -> bool:
-        """Return whether the solve failed and exact passages of the waypoints are easier."""
+        """Return whether the solve failed and a start through the exact waypoints is possible."""
         return self.has_failed() and self.mission.past_waypoints is not None
 
     def past_waypoints(self) -> str | None:
-        """Retry from a solution that flies exactly through the waypoints."""
+        """Solve the failed mission again from a solution that passes exactly through the waypoints.
+
+        Returns
+        -------
+        str or None
+            The solver's status; None if the solution through the waypoints fails.
+        """
         past = self.mission.past_waypoints
         plain = None if past is None else past.solve_roughly()
         if plain is None or not plain.status.is_solved:
@@ -233,18 +300,35 @@ class Candidate:
         return self._retried(plain.trajectory)
 
     def restore(self) -> str | None:
-        """Diagnose the failure by an elastic problem; retry from its optimum where feasible."""
+        """Diagnose the failed solve by an elastic problem; solve again from its feasible point.
+
+        Returns
+        -------
+        str or None
+            The solver's status; None if the elastic problem has no feasible point.
+        """
         self.diagnosis = diagnose(self.found, progress=self.search)
         feasible = self.diagnosis.feasible_point
         return None if feasible is None else self._retried(feasible)
 
     def may_be_slower(self) -> bool:
-        """Return whether a failed mission, not proven infeasible, may have too short a duration."""
+        """Return whether a failed mission of fixed duration may be feasible in a longer duration.
+
+        A mission that is proven infeasible is excluded.
+        """
         is_infeasible = self.diagnosis is not None and self.diagnosis.is_infeasible
         return self.has_failed() and not is_infeasible and not self.mission.told.mission.is_free
 
     def slow_down(self, by: float) -> str:
-        """Solve in a longer duration, with a solution of a still longer duration as the guess."""
+        """Solve the mission in ``by`` times its duration, from the solution of a longer duration.
+
+        Without such a solution the model's own initial guess is used.
+
+        Returns
+        -------
+        str
+            The solver's status.
+        """
         longest = self.mission.told.mission.longest.value
         slow = self.mission.solve_roughly(horizon=(0.0, by * longest), guess=self.slower)
         if slow.status is Status.INTERRUPTED:
@@ -258,30 +342,42 @@ class Candidate:
         return self.has_failed() and self.slower is not None
 
     def speed_up(self) -> str | None:
-        """Retry in the mission's duration, from the solution of the longer duration."""
+        """Solve the failed mission again, starting from the solution of a longer duration.
+
+        Returns
+        -------
+        str or None
+            The solver's status.
+        """
         return None if self.slower is None else self._retried(self.slower)
 
     def find_shortest(self) -> str:
-        """Solve for the least duration of the mission."""
+        """Solve for the least duration of the mission and return it in words."""
         mission = self.mission
         model = mission.problems.builder(mission.told)
         self.shortest = shortest_flight(model, mission.told, self.search)
         return "none found" if self.shortest is None else f"{self.shortest.objective:.4g} s"
 
     def has_shorter(self) -> bool:
-        """Return whether the least duration proves that the mission's duration suffices."""
+        """Return whether the mission failed although the least duration is below its duration."""
         longest = self.mission.told.mission.longest.value
         found = self.shortest
         return self.has_failed() and found is not None and found.objective <= longest
 
     def from_shortest(self) -> str | None:
-        """Retry from the solution of least duration."""
+        """Solve the failed mission again, starting from the solution of least duration.
+
+        Returns
+        -------
+        str or None
+            The solver's status.
+        """
         if self.shortest is None:
             return None
         return self._retried(self.mission.in_own_variables(self.shortest, self.found))
 
     def _retried(self, trajectory: Trajectory) -> str:
-        """Solve from a trajectory, keep the solution if it succeeds, and return its status."""
+        """Solve the mission from a trajectory, keep a success, and return the solver's status."""
         # A flight found on a finer mesh may be infeasible on the first mesh.
         solution = self.mission.solve_from(trajectory, trajectory.mesh)
         if not solution.status.has_failed:
@@ -289,7 +385,7 @@ class Candidate:
         return solution.status.value
 
     def judge(self) -> None:
-        """Record why the mission failed; the status becomes infeasible only if that is proven."""
+        """Record why the mission failed, and set its status to infeasible if that is proven."""
         if self.diagnosis is None:
             return
         is_infeasible = self.diagnosis.is_infeasible
@@ -316,30 +412,39 @@ class Candidate:
             found.extend(alone.relaxations)
         return tuple(found)
 
-    # Proof by a flight
+    # Verification by a simulated flight
 
     def is_solved(self) -> bool:
-        """Return whether there is a solution whose controls can be simulated."""
+        """Return whether there is a converged solution whose controls can be simulated."""
         return self.found.status.is_solved
 
     def fly(self) -> None:
         """Verify the solution by simulating its controls."""
         self.flown = verified(self.plan, self.found)
-        # The solve's own time is without that of the flight.
+        # The time of the solve does not include that of the simulation.
         self._began += self.flown.timings.get("verify", 0.0)
 
     def is_astray(self) -> bool:
-        """Return whether a converged solution failed its verification for lack of a finer mesh."""
+        """Return whether simulation did not confirm a converged solution although the battery can.
+
+        A finer mesh may then help.
+        """
         plan = self.flown
         if plan is None or plan.is_verified or self.found.status is not Status.CONVERGED:
             return False
-        # No mesh gives the pack the power that it lacks.
+        # A finer mesh does not help if the battery lacks power.
         return plan.verification is None or plan.verification.is_fed
 
     def tighten(self) -> str | None:
         """Solve to a smaller tolerance, on a mesh refined where the simulated flight broke a limit.
 
-        A long flight adds up what the mesh's tolerance leaves to each element.
+        In a long flight without feedback, the errors that the tolerance leaves in each element add
+        up.
+
+        Returns
+        -------
+        str or None
+            The tolerance in words; None if the solve does not converge.
         """
         self.tolerance *= _TIGHTER
         mesh = self.plan.mesh_where_broken
@@ -351,7 +456,10 @@ class Candidate:
         return f"tolerance {self.tolerance:.0e}"
 
     def lacks_power(self) -> bool:
-        """Return whether the battery lacks power for the flight but not for a gentler flight."""
+        """Return whether the battery lacks power for the flight but not for a gentler flight.
+
+        A gentler flight has a lower peak power and the same mean power.
+        """
         plan, mission, limits = self.flown, self.mission, self.scenario.limits
         if not mission.problems.is_declared or limits.battery_power_share_max is not None:
             return False
@@ -366,7 +474,18 @@ class Candidate:
         return plan.energy <= GIVEN_SHARE * greatest * plan.duration_s
 
     def hold_pack(self, carry_out: Callable[[Candidate], None]) -> str:
-        """Plan again within the power that the battery can give, and keep the plan if verified."""
+        """Plan the mission again within the power that the battery can give; keep a verified plan.
+
+        Parameters
+        ----------
+        carry_out : callable
+            Applies strategies to a candidate.
+
+        Returns
+        -------
+        str
+            The solver's status.
+        """
         limits = self.scenario.limits.model_copy(update={"battery_power_share_max": GIVEN_SHARE})
         within = self.mission.told.model_copy(update={"limits": limits})
         gentler = replace(

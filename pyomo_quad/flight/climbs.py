@@ -1,8 +1,9 @@
 """Routes raised over terrain: climbs and descents that keep a straight leg above the floor.
 
-A leg that is too low somewhere climbs straight from its start, or stays, until no line from there
-cuts what it must clear; then it is level at the greatest height that it must clear, and descends in
-the same way.  Where climb and descent meet at nearly that height, the leg has a single corner.
+A leg is the line between two corners of a route. Where it is too low, it is raised: it climbs
+straight from its start until the line ahead clears the floor everywhere, continues level at the
+greatest height that the terrain requires, and descends in the same way.  Where climb and descent
+meet at nearly that height, the leg has a single corner.
 """
 
 from itertools import pairwise
@@ -13,18 +14,32 @@ from pyomo_quad.arrays import FloatArray
 from pyomo_quad.flight.zones import zones_hit
 from pyomo_quad.scenario.airspace import Airspace
 
-# Parts of a cell of the terrain, by length, between places of a leg that are looked at.
+# Samples of a leg per cell of the terrain's grid.
 _LOOKS_PER_CELL = 4
-# m. Height above the floor of a raised leg, for flights beside it.
+# Height of a raised leg above the floor [m], which leaves room for deviations from the leg.
 _ABOVE_FLOOR_M = 0.5
-# A single corner is taken unless it is higher than the level part by more than this share of it.
+# Largest height of a single corner above the level part that it replaces, relative to the height
+# which the leg climbs.
 _HIGHER = 0.1
 
 
 def over_the_ground(places: FloatArray, airspace: Airspace) -> FloatArray:
-    """Return the corners of a route, shape (n, 3), with more of them where legs are too low.
+    """Return the corners of a route with added corners where its legs are too low over terrain.
 
-    The route stays as it is where a raised one cuts a zone.
+    The route is returned unchanged where the raised route would cut a keep-out zone, and without
+    terrain or floor.
+
+    Parameters
+    ----------
+    places : ndarray, shape (n, 3)
+        Corners of the route [m].
+    airspace : Airspace
+        Terrain, floor above it, and zones.
+
+    Returns
+    -------
+    ndarray, shape (m, 3)
+        Corners of the raised route, m >= n.
     """
     if airspace.ground is None or airspace.floor is None:
         return places
@@ -36,7 +51,11 @@ def over_the_ground(places: FloatArray, airspace: Airspace) -> FloatArray:
 
 
 def _summits(ends: FloatArray, airspace: Airspace, floor: float) -> FloatArray:
-    """Return the corners that raise a leg over terrain, without its ends: shape (n, 3), n <= 2."""
+    """Return the corners that raise one leg of a route over terrain, without its ends.
+
+    `ends` has shape (2, 3), `floor` is the least height above the ground [m]; the result has shape
+    (n, 3), n <= 2.
+    """
     length = float(np.linalg.norm(np.diff(ends[:, :2], axis=0)))
     step = airspace.ground.least_step if airspace.ground is not None else np.inf
     shares = np.linspace(0.0, 1.0, 2 + int(_LOOKS_PER_CELL * length / step))[1:-1]

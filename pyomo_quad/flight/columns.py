@@ -60,12 +60,12 @@ class Column:
     index: int | None = None
 
     def of(self, frame: pd.DataFrame) -> FloatArray:
-        """Return the column of a table in its printed unit, one value per row."""
+        """Return this column of a flight's table in its printed unit, one value per row."""
         return frame[self.name].to_numpy(dtype=float) * self.scale
 
     @property
     def variable(self) -> str:
-        """Name of the model's variable, with its index other than time."""
+        """Full name of the model's variable in the column, with its index other than time."""
         return self.component if self.index is None else f"{self.component}[{self.index}]"
 
     @property
@@ -75,7 +75,7 @@ class Column:
 
     @property
     def stored_unit(self) -> str:
-        """Unit of the values in a table."""
+        """Unit of the column's values in a table; for an angle not the printed unit."""
         return _STORED_UNITS.get(self.unit, self.unit)
 
     @property
@@ -114,14 +114,14 @@ _OF_THE_WHOLE = (
         "state_of_charge_percent", "state_of_charge", "state of charge", r"\mathrm{SoC}", "%", 0.1
     ),
 )
-# Only of packs with a circuit.
+# Columns of a battery whose model has a relaxation voltage or a temperature.
 _OF_THE_CIRCUIT = (
     _battery("battery_relaxation_V", "relaxation_voltage", "slow voltage drop", "u_1", "V", 0.1),
     _battery(
         "battery_temperature_K", "temperature", "pack temperature", r"T_\mathrm{bat}", "K", 0.5
     ),
 )
-# Each is a pattern for one column per rotor; the rotor's number replaces the braces.
+# Patterns of the columns that each rotor has; the rotor's number replaces the braces.
 _SPEEDS = (
     _rotor("omega_{}_rad_per_s", "omega", "rotor speed", r"\omega_{}", "rad/s", 5.0),
     _rotor("alpha_{}_rad_per_s2", "alpha", "acceleration of rotor {}", r"\alpha_{}", "rad/s²", 1.0),
@@ -153,7 +153,8 @@ def columns_of(rotors: Sequence[int]) -> tuple[Column, ...]:
     )
 
 
-#: Columns of a quadrotor whose pack has no circuit; the energy is the integral of its power.
+#: Columns of a quadrotor whose battery has neither relaxation voltage nor temperature. The energy
+#: is the integral of the power.
 COLUMNS = tuple(shown for shown in columns_of(ROTORS) if shown not in _OF_THE_CIRCUIT)
 #: Columns of every vehicle that can be declared.
 ALL_COLUMNS = columns_of(range(1, MOST_ROTORS + 1))
@@ -161,14 +162,14 @@ _COLUMN_OF = {shown.variable or shown.name: shown for shown in ALL_COLUMNS}
 
 
 def column_of(variable: str) -> Column:
-    """Return the column of a variable of the model, or of a column's name."""
+    """Return the column for a variable of the model (full name) or for a column's name."""
     return _COLUMN_OF[variable]
 
 
 def flight_columns(
     dynamics: Dynamics, t: FloatArray, states: FloatArray, controls: FloatArray, energy: FloatArray
 ) -> dict[str, FloatArray]:
-    """Return the columns of a flight's table.
+    """Return the columns of a flight's table, evaluated with the model's equations.
 
     Parameters
     ----------
@@ -177,14 +178,16 @@ def flight_columns(
     t : ndarray, shape (n,)
         Times [s].
     states : ndarray, shape (n, n_states)
+        States at these times, in the order of the dynamics.
     controls : ndarray, shape (n, n_controls)
+        Controls at these times.
     energy : ndarray, shape (n,)
         Energy spent since the start [J].
 
     Returns
     -------
     dict
-        `TIME` first, then `COLUMNS`.
+        Name -> values, shape (n,): `TIME` first, then `COLUMNS`.
     """
     count = sum(name.startswith(_ROTOR_CONTROL) for name in dynamics.control_names)
     columns_here = columns_of(range(1, count + 1)) if count else COLUMNS
@@ -201,6 +204,16 @@ def flight_frame(
 ) -> pd.DataFrame:
     """Return the table of a flight, with the columns of `flight_columns`.
 
+    Parameters
+    ----------
+    dynamics, t, states, controls, energy
+        As for `flight_columns`.
+
+    Returns
+    -------
+    DataFrame
+        One row per time.
+
     Examples
     --------
     >>> held, times = plan.trajectories, plan.times(rate_hz=1.0)
@@ -214,7 +227,7 @@ def flight_frame(
 
 
 def dataset_of(frame: pd.DataFrame) -> xr.Dataset:
-    """Return a flight's table as a dataset; a variable has its unit and its name in words."""
+    """Return a flight's table as an xarray dataset whose variables have units and long names."""
     data = frame.to_xarray()
     for column in ALL_COLUMNS:
         if column.name in data:

@@ -2,9 +2,9 @@
 
 Law, Lyapunov proof and limits: see docs/theory/controller.md, eqs. (1) to (10).
 
-Its law is written once, with arithmetic and NumPy's functions of single numbers and without a
-branch on any of them: called with numbers it gives numbers, called with the engine's symbols it is
-compiled together with the vehicle.
+The control law is written once, with arithmetic and NumPy's functions of single numbers and without
+branching on any of them: called with numbers it gives numbers, called with the engine's symbols it
+is compiled together with the vehicle.
 """
 
 from collections.abc import Iterable, Sequence
@@ -25,39 +25,42 @@ Vector = Sequence[float]
 
 
 class AttitudeKinematics(Protocol):
-    """Relation between the angles roll, pitch, yaw and the body rates, with its derivative."""
+    """Interface: relation of roll, pitch and yaw to the body rates, and its time derivative."""
 
     def angle_rates(self, attitude: Vector, body_rates: Vector, /) -> Vector:
-        """Return the rates of roll, pitch and yaw for given body rates, rad/s."""
+        """Return the rates of roll, pitch and yaw for given body rates [rad/s]."""
 
     def angle_accelerations(
         self, attitude: Vector, body_rates: Vector, body_accelerations: Vector, /
     ) -> Vector:
-        """Return the accelerations of roll, pitch and yaw, rad/s^2."""
+        """Return the accelerations of roll, pitch and yaw for given body accelerations, rad/s^2."""
 
     def body_accelerations(
         self, attitude: Vector, body_rates: Vector, angle_accelerations: Vector, /
     ) -> Vector:
-        """Convert accelerations of roll, pitch and yaw to angular accelerations about body axes."""
+        """Return the angular accelerations about body axes for given angle accelerations.
+
+        Both are in rad/s^2.
+        """
 
 
 class EquatedRates:
     """Kinematics of the paper's eq. (9), which equates angle rates and body rates."""
 
     def angle_rates(self, _attitude: Vector, body_rates: Vector) -> Vector:
-        """Return the body rates unchanged."""
+        """Return the body rates unchanged, as the rates of roll, pitch and yaw [rad/s]."""
         return body_rates
 
     def angle_accelerations(
         self, _attitude: Vector, _body_rates: Vector, body_accelerations: Vector
     ) -> Vector:
-        """Return the body accelerations unchanged."""
+        """Return the body accelerations unchanged, as those of roll, pitch and yaw [rad/s^2]."""
         return body_accelerations
 
     def body_accelerations(
         self, _attitude: Vector, _body_rates: Vector, angle_accelerations: Vector
     ) -> Vector:
-        """Return the angle accelerations unchanged."""
+        """Return the accelerations of roll, pitch and yaw unchanged, as body accelerations."""
         return angle_accelerations
 
 
@@ -65,7 +68,7 @@ class EulerRates:
     """Exact kinematics of Euler angles and their derivative, Beard and McLain (2012), eq. (3.3)."""
 
     def angle_rates(self, attitude: Vector, body_rates: Vector) -> Vector:
-        """Return the Euler angle rates, which are singular at a pitch of 90 degrees."""
+        """Return the rates of roll, pitch and yaw [rad/s], singular at a pitch of 90 degrees."""
         roll, pitch, _ = attitude
         p, q, r = body_rates
         turning = q * np.sin(roll) + r * np.cos(roll)
@@ -78,7 +81,10 @@ class EulerRates:
     def angle_accelerations(
         self, attitude: Vector, body_rates: Vector, body_accelerations: Vector
     ) -> Vector:
-        """Return the Euler angle accelerations for given body rates and body accelerations."""
+        """Return the accelerations of roll, pitch and yaw for given body accelerations.
+
+        All are in rad/s^2.
+        """
         linear = self.angle_rates(attitude, body_accelerations)
         turning = self._turning(attitude, body_rates)
         return [a + b for a, b in zip(linear, turning, strict=True)]
@@ -86,7 +92,10 @@ class EulerRates:
     def body_accelerations(
         self, attitude: Vector, body_rates: Vector, angle_accelerations: Vector
     ) -> Vector:
-        """Return the body accelerations for given angle accelerations, without singularity."""
+        """Return the body accelerations for given angle accelerations, without singularity.
+
+        Both are in rad/s^2.
+        """
         roll, pitch, _ = attitude
         turning = self._turning(attitude, body_rates)
         rolling, pitching, yawing = (
@@ -100,7 +109,7 @@ class EulerRates:
         )
 
     def _turning(self, attitude: Vector, body_rates: Vector) -> Vector:
-        """Return the angle accelerations at constant body rates."""
+        """Return the accelerations of roll, pitch and yaw at constant body rates [rad/s^2]."""
         pitch = attitude[1]
         rolling, pitching, yawing = self.angle_rates(attitude, body_rates)
         return (
@@ -165,8 +174,8 @@ def mixer_matrix(dynamics: Dynamics) -> FloatArray:
 class Allocation:
     """Rotor speeds for a commanded thrust and moments, within the limits of the rotors.
 
-    When not everything fits, roll and pitch moment come first, then thrust, then yaw: a vehicle
-    that keeps its attitude can recover the rest.
+    If the limits do not allow the whole command, roll and pitch moment have priority over thrust,
+    and thrust over the yaw moment: a vehicle that keeps its attitude can recover the rest.
 
     Parameters
     ----------
@@ -240,7 +249,11 @@ class Allocation:
 def _steps_within(
     values: Sequence[float], direction: Sequence[float], low: float, high: float
 ) -> tuple[float, float]:
-    """Return the largest steps along a direction, backward and forward, within limits of values."""
+    """Return the largest steps along a direction, backward and forward, within limits of values.
+
+    Each value changes by the step times its component of `direction`, and stays between `low` and
+    `high`.
+    """
     ways = [(value, share) for value, share in zip(values, direction, strict=True) if share != 0.0]
     back = [((low if share > 0 else high) - value) / share for value, share in ways]
     forth = [((high if share > 0 else low) - value) / share for value, share in ways]
@@ -259,11 +272,11 @@ def _largest(numbers: Iterable[float]) -> float:
     return reduce(np.fmax, numbers)
 
 
-# Below this share of the limit `bend` changes nothing, so that small signals stay linear.
+# Fraction of the limit up to which `bend` changes nothing, so that small signals stay linear.
 _LINEAR_SHARE = 0.8
-# Least value of a divisor that may vanish, far below any acceleration in m/s^2 that matters.
+# Smallest divisor, in place of zero: far below any acceleration in m/s^2 that matters.
 _NOUGHT = 1e-12
-# Width of the layer below the bound in which `project` turns outward motion aside.
+# Width of the layer below the bound, relative to it, in which `project` reduces outward motion.
 _PROJECTION_LAYER = 0.1
 
 
@@ -326,7 +339,7 @@ def project(estimate: Sequence[float], rate: Sequence[float], bound: float) -> l
     estimate : sequence of float
         Present estimate, inside the ball.
     rate : sequence of float
-        Rate that the adaptation law asks for.
+        Rate from the adaptation law.
     bound : float
         Radius of the ball.
 
@@ -334,7 +347,8 @@ def project(estimate: Sequence[float], rate: Sequence[float], bound: float) -> l
     -------
     list of float
         The rate to apply. Continuous in its arguments; for every true value inside 90 % of the
-        ball, (estimate - true) . (result - rate) <= 0, so projecting never raises V.
+        ball, (estimate - true) . (result - rate) <= 0, so that the projection never increases the
+        Lyapunov function V.
     """
     outward = sum(d * r for d, r in zip(estimate, rate, strict=True))
     inner = bound * (1 - _PROJECTION_LAYER)
@@ -350,11 +364,12 @@ STATES_PER_LOOP = 3 * _AXES
 
 @dataclass(frozen=True, kw_only=True)
 class BacksteppingLoop:
-    """Adaptive backstepping controller of three double integrators.
+    """Adaptive backstepping controller of three double integrators, for position or attitude.
 
     Law and proof: see docs/theory/controller.md, eqs. (1) to (7).
 
-    Its states, in order: xi_p (3), xi_v (3), d_hat (3).
+    The states of the loop, in order: xi_p (3) and xi_v (3), the effects of actuator lag on error
+    and error rate, and d_hat (3), the estimated disturbance.
     """
 
     outer: tuple[float, float, float]
@@ -362,15 +377,16 @@ class BacksteppingLoop:
     inner: tuple[float, float, float]
     """k2, 1/s, per axis."""
     reach: float
-    """L: size of the error beyond which the closing rate no longer grows; may be infinite."""
+    """L: size of the error beyond which the rate of reducing it no longer grows; may be
+    infinite."""
     identification: float
     """kappa, 1/s: rate at which the compensated error settles."""
     effort_max: float
     """Largest correcting acceleration; may be infinite."""
     adaptation: float
-    """gamma, 1/s^2; zero for a law that does not adapt."""
+    """gamma, 1/s^2; zero for a law without adaptation."""
     disturbance_max: float
-    """Bound of the estimate, in the unit of the acceleration."""
+    """Bound of the estimated disturbance, in the unit of the acceleration."""
 
     def started(
         self,
@@ -378,14 +394,14 @@ class BacksteppingLoop:
         error_rate: Sequence[float],
         learnt: Sequence[float] = (0.0,) * _AXES,
     ) -> list[float]:
-        """Return the initial states of the loop: compensated errors of zero.
+        """Return the initial states of the loop, such that the compensated errors are zero.
 
         Parameters
         ----------
         error, error_rate : sequence of three floats
-            Tracking error e and e' at the start.
+            Tracking error e and its rate e' at the start.
         learnt : sequence of three floats, optional
-            The disturbance as estimated before.
+            Estimate of the disturbance to start with.
 
         Returns
         -------
@@ -411,20 +427,20 @@ class BacksteppingLoop:
         Parameters
         ----------
         error, error_rate : sequence of three floats
-            Tracking error e and e'.
+            Tracking error e and its rate e'.
         reference_acceleration : sequence of three floats
             Acceleration of the reference.
         achieved_acceleration : sequence of three floats
-            Acceleration that the actuators give now, without the disturbance.
+            Acceleration that the actuators produce now, without the disturbance.
         states : sequence of nine floats
             The loop's states.
 
         Returns
         -------
         demand : list of three floats
-            a_d.
+            Commanded acceleration a_d.
         rates : list of nine floats
-            Derivatives of the states by time.
+            Time derivatives of the loop's states.
         """
         lags, lag_rates, estimate = states[:3], states[3:6], states[6:]
         compensated = [e - lag for e, lag in zip(error, lags, strict=True)]
@@ -457,17 +473,18 @@ class BacksteppingLoop:
 
 
 def _shrink(vector: Sequence[float], reach: float) -> float:
-    """Return sigma(v) / v, the factor of a saturated vector."""
+    """Return the factor 1 / sqrt(1 + |v|^2 / reach^2) that limits a vector v to a length."""
     a, b, c = vector
     return 1 / np.sqrt(1 + (a * a + b * b + c * c) / reach**2)
 
 
-# Share of the roll and pitch allowed that is commanded: the rest is for the attitude's error, which
-# in light turbulence stayed within a degree.
+# Fraction of the allowed roll and pitch that is commanded: the rest is for the attitude error,
+# which in light turbulence stayed within a degree.
 _SHARE_OF_TILT = 0.97
-# rad, of a vehicle whose thrust hardly carries it: with less nothing is left to steer with.
+# Smallest tilt limit of the commands [rad], for a vehicle whose thrust hardly exceeds its weight:
+# with less, it could not move sideways.
 _LEAST_TILT = 0.1
-# Share of the weight that the thrust must keep carrying: a falling quadrotor cannot steer.
+# Fraction of the weight that the thrust must always balance: a falling quadrotor cannot steer.
 _LEAST_SUPPORT = 0.3
 
 
@@ -505,7 +522,7 @@ def tilt_toward(force: Sequence[float], yaw: float) -> tuple[float, float]:
     Returns
     -------
     roll, pitch : float
-        Inverse of `thrust_direction`, rad.
+        Attitude at which `thrust_direction` has the direction of the force, rad.
     """
     ahead = force[0] * np.cos(yaw) + force[1] * np.sin(yaw)
     aside = force[0] * np.sin(yaw) - force[1] * np.cos(yaw)
@@ -517,10 +534,10 @@ def _size(vector: Sequence[float]) -> float:
 
 
 def followed_tilt(believed: Scenario) -> float:
-    """Return the tilt limit of the controller's commands [rad].
+    """Return the largest tilt that the controller of a scenario commands [rad].
 
-    Unless `baseline.gains.tilt_max` is less, both angles at their limits give it; no more, though,
-    than leaves the thrust at its largest to carry the weight.
+    It is the tilt with roll and pitch at their limits, or less: `baseline.gains.tilt_max` if given,
+    otherwise the tilt at which the largest commanded thrust still balances the weight.
     """
     limits, gains, gravity = believed.limits, believed.baseline.gains, believed.gravity
     spare = limits.thrust_max / believed.vehicle.total_mass - gravity
@@ -530,7 +547,7 @@ def followed_tilt(believed: Scenario) -> float:
 
 
 class ThrustEnvelope:
-    """Set of accelerations, gravity excluded, within the limits of thrust and tilt.
+    """Set of accelerations, gravity excluded, that the limits of thrust and tilt allow.
 
     Parameters
     ----------
@@ -548,17 +565,17 @@ class ThrustEnvelope:
         self._slope = tan(tilt_max)
 
     def limited(self, acceleration: Sequence[float]) -> tuple[float, float, float]:
-        """Shorten an acceleration smoothly into the envelope.
+        """Shorten an acceleration smoothly so that thrust and tilt keep their limits.
 
         Parameters
         ----------
         acceleration : sequence of three floats
-            Wanted, without gravity, m/s^2.
+            Commanded acceleration, without gravity, m/s^2.
 
         Returns
         -------
         tuple of three floats
-            Parallel to it and inside the envelope.
+            Parallel to the command and inside the envelope, m/s^2.
         """
         ax, ay, az = acceleration
         size = np.fmax(_size(acceleration), _NOUGHT)
@@ -566,7 +583,11 @@ class ThrustEnvelope:
         return share * ax, share * ay, share * az
 
     def _reach(self, along: float, upward: float) -> float:
-        """Return the largest acceleration in a direction that thrust and tilt allow [m/s^2]."""
+        """Return the largest acceleration in a direction that thrust and tilt allow [m/s^2].
+
+        `along` and `upward` are the horizontal and vertical components of the direction's unit
+        vector.
+        """
         rising = self._gravity * upward
         by_thrust = np.sqrt(rising**2 + self._reserve) - rising
         leaning = np.fmax(along - self._slope * upward, _NOUGHT)
@@ -592,10 +613,10 @@ CONTROLLER_STATES = (
 )
 """The controller's own states, in order."""
 
-# Share of the angular acceleration available at hover that a tilt command may use; the rest is
-# left for holding the attitude against disturbances.
+# Fraction of the angular acceleration available at hover that a tilt command may use; the rest
+# rejects disturbances of the attitude.
 _COMMAND_SHARE = 0.6
-# The filter's rate gain over its angle gain: critical damping.
+# Ratio of rate gain to angle gain of the command filter: critical damping.
 _CRITICAL = 4.0
 _HORIZONTAL = (0, 1)
 _POSITION = slice(0, STATES_PER_LOOP)
@@ -617,11 +638,11 @@ class AdaptiveController:
     Parameters
     ----------
     believed : Scenario
-        Vehicle, limits, gravity and gains that the controller knows. Its wind is not read.
+        Vehicle, limits, gravity and gains that the controller assumes. It does not use the wind.
     mixer : ndarray, shape (4, n_rotors)
         Thrust and moments over squared rotor speeds, of `mixer_matrix`.
     learnt : sequence of three floats, optional
-        Acceleration of the air [m/s^2] that its adaptation has found before it starts.
+        Initial estimate of the acceleration by the air [m/s^2], from an earlier part of the flight.
     """
 
     def __init__(
@@ -664,12 +685,12 @@ class AdaptiveController:
         Parameters
         ----------
         setpoint : Setpoint
-            What the reference asks for first.
+            First setpoint of the reference.
         body : sequence of twelve floats
             The `MEASURED_STATES`.
         last : sequence of 22 floats, optional
-            The states with which another reference was followed so far: the attitude is commanded
-            on without a jump, and only the position loop begins anew.
+            The controller's states at the end of another reference. The attitude command continues
+            from them without a jump; only the position loop starts anew.
 
         Returns
         -------
@@ -695,8 +716,15 @@ class AdaptiveController:
         ]
 
     def command(self, reference: ReferencePath, t: float) -> list[float]:
-        """Return the controller's command at time t [s]: `COMMAND_SIZE` numbers."""
-        # Little ahead at the start, where the vehicle is level.
+        """Return the command that the reference gives the controller at time t [s].
+
+        Returns
+        -------
+        list of `COMMAND_SIZE` floats
+            Setpoint (place, rate, acceleration), and the accelerations along world x and y at the
+            later time at which a tilt commanded now is reached.
+        """
+        # The look-ahead starts at zero, because the vehicle is level at take-off.
         lead = self._tilt_lag * (1 - exp(-t / self._tilt_lag))
         place, rate, acceleration = reference(t)
         return [*place, *rate, *acceleration, *reference(t + lead).acceleration[:2]]
@@ -713,7 +741,7 @@ class AdaptiveController:
         Parameters
         ----------
         command : sequence of 14 floats
-            What to follow, as `command` gives it.
+            Command from the reference, as `command` returns it.
         body : sequence of twelve floats
             The `MEASURED_STATES`.
         omega : sequence of four floats
@@ -726,7 +754,7 @@ class AdaptiveController:
         alpha : list of four floats
             Rotor accelerations within their limit, rad/s^2.
         rates : list of 22 floats
-            Derivatives of the controller's states by time.
+            Time derivatives of the controller's states.
         """
         setpoint = Setpoint(*(command[part] for part in _SETPOINT))
         squares = [speed * speed for speed in omega]
@@ -760,7 +788,10 @@ class AdaptiveController:
         return alpha, [*position_rates, *attitude_rates, *command_rates]
 
     def _most_rotor_acceleration(self, speed: float) -> float:
-        """Return the largest rotor acceleration, reduced at high speed by the lag of the motors."""
+        """Return the largest rotor acceleration at a rotor speed [rad/s^2].
+
+        At high speed the lag of the motors reduces it.
+        """
         most = self._rotor_acceleration_max
         if not self._motor_lag:
             return most
@@ -769,7 +800,11 @@ class AdaptiveController:
     def _filtered(
         self, force: Sequence[float], yaw: float, command: Sequence[float]
     ) -> tuple[list[float], list[float]]:
-        """Return the filtered tilt acceleration and the rates of the command filter's states."""
+        """Return the filtered roll and pitch accelerations, and the rates of the filter's states.
+
+        The command filter follows the tilt that points the thrust along ``force`` [N] at yaw
+        ``yaw`` [rad]; ``command`` holds its four states.
+        """
         angles, angle_rates = command[:2], command[2:]
         targets = [
             _clipped(angle, -limit, limit)
@@ -791,7 +826,7 @@ class AdaptiveController:
         achieved: Sequence[float],
         states: Sequence[float],
     ) -> tuple[list[float], list[float]]:
-        """Return the commanded moments and the rates of the attitude loop's states."""
+        """Return the commanded moments [N m] and the rates of the attitude loop's states."""
         command, attitude, body_rates = states[_COMMAND], body[6:9], body[9:12]
         turning = [
             moment / inertia for moment, inertia in zip(achieved, self._inertia, strict=True)
@@ -811,7 +846,21 @@ class AdaptiveController:
 
 
 def feedback_law(controller: AdaptiveController, dynamics: Dynamics) -> Law:
-    """Return the controller as a feedback law on the states of a vehicle."""
+    """Return the controller as a feedback law on the states of a vehicle.
+
+    Parameters
+    ----------
+    controller : AdaptiveController
+        The controller.
+    dynamics : Dynamics
+        The vehicle, whose order of states and controls the law has.
+
+    Returns
+    -------
+    callable
+        Takes a command, the vehicle's states and the controller's states; returns rotor
+        accelerations [rad/s^2] and the rates of the controller's states.
+    """
     body = [list(dynamics.state_names).index(name) for name in MEASURED_STATES]
     rotors = rotor_columns(dynamics)
 

@@ -1,19 +1,20 @@
 """Corridors through a wind field: cheap routes that lie apart, from a search on a grid.
 
 Places on a grid around start, goal and zones are joined to 16 neighbours each, where the straight
-line between is free and the wind along it known.  A line costs what steady flight over it costs in
-the wind of its ends and its middle: (P(a) + price of time) / g per metre, at the ground speed g of
-least cost.  The power P at airspeed a is tabulated once.  A field that changes with time is read
-when a flight at even speed would be there.
+line between is free and the wind along it known.  The cost of a line is that of steady flight over
+it in the wind of its ends and its middle: (P(a) + price of time) / g per metre, at the ground speed
+g of least cost.  The power P at airspeed a is tabulated once.  A field that changes with time is
+evaluated when a flight at constant speed would be there.
 
 Two searches by Dijkstra's method, from the start and from the goal, give the cheapest route through
-every place.  The cheapest of all is the first corridor; then the cheapest through any place that is
-farther than a separation from those before, as long as it costs little more [1]_.  Such a route may
-lead through the place for nothing else than to be different: it is drawn tight first, by straight
-lines that cost no more, and discarded where this leads it back.
+every place.  The cheapest of all is the first corridor.  Each next corridor is the cheapest route
+through any place that is farther than a separation from the corridors before, as long as it costs
+little more [1]_.  Such a route may make a detour for the sake of the place alone: its corners are
+removed where a straight line costs no more, and it is discarded if it then coincides with an
+earlier corridor.
 
-The price of time is that of the mission or, where the duration is fixed, the one at which the
-cheapest route takes as long.
+The price of time is a weight of the duration in the cost [W]: that of the mission or, where the
+duration is fixed, the price at which the cheapest route takes this duration.
 
 .. [1] Abraham, Delling, Goldberg and Werneck, "Alternative routes in road networks",
    ACM Journal of Experimental Algorithmics 18 (2013): routes through one place.
@@ -37,25 +38,31 @@ from pyomo_quad.flight.zones import MARGIN_M, are_blocked
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.wind import Beyond, WindCoupling
 
-# Largest number of corridors, their largest cost relative to the cheapest (a route of straight
-# legs in steady flight is misjudged by a few per cent), and their separation relative to the way.
+# Largest number of corridors, their largest excess cost relative to the cheapest (the error of an
+# estimate by straight legs in steady flight is a few per cent), and their separation relative to
+# the distance of start and goal.
 _MOST_CORRIDORS = 4
 _DEARER = 0.03
 _SEPARATION = 0.08
-# Places along the longer side of the grid, and its margin round start and goal relative to the way.
+# Grid points along the longer side of the search grid, and its margin round start and goal relative
+# to their distance.
 _PLACES = 60
 _MARGIN = 0.4
-# m/s: airspeeds of the table, and ground speeds that are compared.
+# Airspeeds of the table of powers, and ground speeds that are compared on a line [m/s].
 _AIRSPEEDS = np.linspace(0.0, 24.0, 17)
 _GROUND_SPEEDS = np.linspace(0.5, 30.0, 60)
 _HALVINGS = 12
 _NEIGHBOURS = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 1), (1, 2), (2, -1), (1, -2))
-# Shares of a line at which its wind is read.
+# Fractions of a line at which the wind along it is evaluated.
 _SHARES = (0.0, 0.5, 1.0)
 
 
 def steady_power(steady: SteadyFlight) -> Callable[[FloatArray], FloatArray]:
-    """Return the power [W] of level flight over airspeed in still air, infinite if impossible."""
+    """Return the power of level flight in still air [W] as a function of airspeed [m/s].
+
+    The function interpolates a table; it is infinite above the largest airspeed of the table with a
+    steady flight.
+    """
     speeds, powers = [], []
     near = None
     for speed in _AIRSPEEDS.tolist():
@@ -70,7 +77,10 @@ def steady_power(steady: SteadyFlight) -> Callable[[FloatArray], FloatArray]:
 
 
 class WindMap:
-    """The wind of a field at places and times, linear between the points of its grid."""
+    """Horizontal wind of a field at places and times, linear between the points of its grid.
+
+    Faster than the spline of the model, for a search on a grid.
+    """
 
     def __init__(self, told: Scenario) -> None:
         wind, grid = told.wind, told.wind.grid
@@ -86,7 +96,10 @@ class WindMap:
         )
 
     def at(self, places: FloatArray, times: FloatArray) -> FloatArray:
-        """Return the horizontal wind at places, shape (n, 3), not a number where it is unknown."""
+        """Return the horizontal wind [m/s] at places (n, 3) and times in flight (n,), shape (n, 2).
+
+        It is NaN where the field has no wind.
+        """
         grid, when = self._grid, times + self._offset
         columns = [*places[:, :2].T]
         columns += [places[:, 2]] if grid.z else []
@@ -104,8 +117,16 @@ class LineCosts:
 
     Attributes
     ----------
+    told : Scenario
+        The mission in its forecast wind.
+    wind : WindMap
+        Wind of the field.
+    power : callable
+        Power of level flight [W] over airspeed [m/s].
+    ends : ndarray, shape (2, 3)
+        Ends of the leg, from one waypoint to the next [m].
     duration : float
-        Duration of the mission, or its guess [s], for the time at which a place is passed.
+        Duration of the leg, or its guess [s], for the time at which a place is passed.
     fastest : float
         Limit on the ground speed, m/s.
     """
@@ -120,7 +141,20 @@ class LineCosts:
     def of(
         self, starts: FloatArray, stops: FloatArray, price: float
     ) -> tuple[FloatArray, FloatArray]:
-        """Return cost [J] and time [s] of lines, shape (n, 3) each; infinite where not allowed."""
+        """Return cost [J] and time [s] of steady flight along straight lines.
+
+        Parameters
+        ----------
+        starts, stops : ndarray, shape (n, 3)
+            Ends of the lines [m].
+        price : float
+            Price of time [W], the weight of the time in the cost.
+
+        Returns
+        -------
+        costs, times : ndarray, shape (n,)
+            The cost is infinite for a line through a zone or unknown wind.
+        """
         way = stops - starts
         lengths = np.linalg.norm(way, axis=1)
         course = way[:, :2] / np.where(lengths > 0.0, lengths, 1.0)[:, None]
@@ -140,7 +174,7 @@ class LineCosts:
         return costs, times
 
     def _passed(self, places: FloatArray) -> FloatArray:
-        """Return the time at which a flight at constant speed passes a place."""
+        """Return the times at which a flight at constant speed passes places [s], shape (n,)."""
         way = self.ends[1] - self.ends[0]
         share = (places - self.ends[0]) @ way / max(way @ way, 1.0)
         return self.duration * np.clip(share, 0.0, 1.0)
@@ -156,10 +190,10 @@ class LineCosts:
 
 
 def has_corridors(told: Scenario) -> bool:
-    """Return whether the cost of steady flight varies over the ground.
+    """Return whether the wind makes a route's energy depend on where it leads over the ground.
 
-    It does in a wind field that changes over the ground and acts by the airspeed, on which the
-    table of powers depends.
+    That is so in a wind field that varies over the ground, if the wind acts by the airspeed, on
+    which the table of powers depends.
     """
     if told.wind.grid is None or told.wind.coupling is not WindCoupling.DRAG:
         return False
@@ -168,7 +202,10 @@ def has_corridors(told: Scenario) -> bool:
 
 
 def estimate_of(journey: Journey) -> float | None:
-    """Return the energy of steady flight along a journey [J], None outside the known wind."""
+    """Return the energy of steady flight along a journey [J]; None in unknown wind.
+
+    A journey is a route for each leg of the mission, from one waypoint to the next.
+    """
     known = [route.estimate_J for route in journey if route.estimate_J is not None]
     return sum(known) if len(known) == len(journey) else None
 
@@ -176,14 +213,20 @@ def estimate_of(journey: Journey) -> float | None:
 def corridor_journeys(
     told: Scenario, steady: SteadyFlight, shortest: Journey
 ) -> tuple[Journey, ...]:
-    """Return journeys through the corridors of each leg, the cheapest first, then the shortest.
+    """Return journeys along cheap routes through a wind field, the cheapest first.
+
+    A journey is a route for each leg of the mission, from one waypoint to the next; a leg may have
+    several cheap routes that lie apart (corridors). The last journey is the shortest one, because a
+    grid may be too coarse to resolve its corridors.
 
     Parameters
     ----------
+    told : Scenario
+        The mission in its forecast wind, which has a field.
     steady : SteadyFlight
-        In still air.
+        Steady flight in still air.
     shortest : tuple of Route
-        The shortest journey, whose corridors a grid may be too coarse to see.
+        The shortest journey.
     """
     power = steady_power(steady)
     shares = np.array([max(route.length, 1e-9) for route in shortest])
@@ -199,14 +242,16 @@ def corridor_journeys(
 
 
 class Corridors:
-    """Search for the corridors of one leg.
+    """Search for cheap routes that lie apart (corridors) between two waypoints in a wind field.
 
     Parameters
     ----------
+    told : Scenario
+        The mission in its forecast wind.
     power : callable
-        Of level flight in still air over airspeed.
+        Power of level flight in still air [W] over airspeed [m/s].
     ends : ndarray, shape (2, 3)
-        Start and goal of the leg.
+        Start and goal of the leg [m].
     duration : float
         Duration of the leg, or its guess, s.
     """
@@ -235,7 +280,10 @@ class Corridors:
         self._search = _Search(self._costs, *grid, price)
 
     def routes(self) -> list[Route]:
-        """Return cheap routes that lie apart, the cheapest first; empty if the grid has none."""
+        """Return cheap routes of the leg that lie apart (corridors), the cheapest first.
+
+        Empty if no route leads through the grid. A leg is the flight from one waypoint to the next.
+        """
         return [
             Route(
                 places=places,
@@ -247,7 +295,10 @@ class Corridors:
         ]
 
     def energy_of(self, places: FloatArray) -> float | None:
-        """Return the energy of steady flight along straight lines [J], None where it is unknown."""
+        """Return the energy of steady flight along the straight lines between places [J].
+
+        `places` has shape (n, 3), m. None if a part of the wind is unknown.
+        """
         pieces = [
             np.linspace(a, b, 2 + int(np.linalg.norm(b - a) / self._way * _PLACES))[:-1]
             for a, b in pairwise(places)
@@ -261,7 +312,15 @@ class Corridors:
 def _grid(
     told: Scenario, ends: FloatArray
 ) -> tuple[FloatArray, NDArray[np.intp], NDArray[np.intp]]:
-    """Return the places of the search grid, start and goal first, and the pairs joined by lines."""
+    """Return the points of the search grid and the pairs of points that lines join.
+
+    Returns
+    -------
+    places : ndarray, shape (n, 3)
+        Start, goal, and grid points [m].
+    first, last : ndarray of int, shape (n_lines,)
+        Indices of the ends of each line.
+    """
     margin = _MARGIN * float(np.linalg.norm(ends[1] - ends[0]))
     low, high = ends[:, :2].min(axis=0) - margin, ends[:, :2].max(axis=0) + margin
     grid = told.wind.grid
@@ -286,7 +345,7 @@ def _grid(
         near = 2 + np.flatnonzero(np.linalg.norm(flat - ends[end, :2], axis=1) <= 3.0 * step)
         pairs.append((np.full(len(near), end), near))
     first, last = (np.concatenate(part) for part in zip(*pairs, strict=True))
-    # Both ways: a wind along costs less than one against.
+    # Both directions: a tail wind makes a line cheaper than a head wind.
     return places, np.concatenate([first, last]), np.concatenate([last, first])
 
 
@@ -297,7 +356,10 @@ def _price_of(
     last: NDArray[np.intp],
     duration: float,
 ) -> float:
-    """Return the price of time [W] at which the cheapest route takes a given duration."""
+    """Return the price of time [W] at which the cheapest route takes a given duration [s].
+
+    It is found by bisection.
+    """
     hover = float(costs.power(np.zeros(1))[0])
     low, high = -0.95 * hover, 20.0 * hover
     for _ in range(_HALVINGS):
@@ -308,7 +370,10 @@ def _price_of(
 
 
 class _Search:
-    """Cheapest routes through every place of a grid, at one price of time."""
+    """Cheapest routes from start to goal through every point of a grid.
+
+    The cost of a route is its energy plus the price of time [W] times its duration.
+    """
 
     def __init__(
         self,
@@ -329,12 +394,15 @@ class _Search:
         self._back, self._after = dijkstra(graph.T.tocsr(), indices=1, return_predecessors=True)
 
     def time_of_cheapest(self) -> float:
-        """Return the duration of the cheapest route [s], infinite without a route."""
+        """Return the duration of the cheapest route [s]; infinite without a route."""
         nodes = self._through(1)
         return sum(float(self._times[a, b]) for a, b in pairwise(nodes)) or inf
 
     def corridors(self, separation: float) -> list[FloatArray]:
-        """Return the cheapest routes that lie apart by a separation [m]."""
+        """Return the cheapest routes that lie apart by a separation [m] (corridors).
+
+        Each is an array of corners, shape (n, 3), m; the cheapest comes first.
+        """
         through = self._ahead + self._back
         most = (1.0 + _DEARER) * through[1]
         found: list[tuple[float, FloatArray]] = []
@@ -354,7 +422,7 @@ class _Search:
         return [places for _, places in found]
 
     def _through(self, node: int) -> list[int]:
-        """Return the places of the cheapest route through a place, empty without a route."""
+        """Return the points of the cheapest route through a grid point; empty without a route."""
         if not np.isfinite(self._ahead[node] + self._back[node]):
             return []
         nodes = [node]
@@ -382,7 +450,7 @@ class _Search:
 
 
 def _distance(places: FloatArray, route: FloatArray) -> FloatArray:
-    """Return the distances of places from a route, shape (n,) [m]."""
+    """Return the distances of places (n, 3) from a polygonal route, shape (n,) [m]."""
     starts, way = route[:-1], np.diff(route, axis=0)
     lengths = np.maximum(np.sum(way**2, axis=1), np.finfo(float).tiny)
     away = places[:, None] - starts

@@ -39,19 +39,21 @@ from pyomo_quad.scenario.tables import Reference
 _OFF_NOUGHT = 1e-9
 
 
-# Standard deviation beyond which a flight is lost, in the unit of each state: m, rad, m/s, rad/s.
+# Standard deviation above which a flight counts as lost, in the unit of each state: m, rad, m/s,
+# rad/s.
 _LOST = 1e6
 
 
 @dataclass(frozen=True, kw_only=True)
 class Spread:
-    """Normal distribution of the states of flights in turbulence over time.
+    """Normal distribution over time of the states of flights in turbulence.
 
     Attributes
     ----------
     t : ndarray, shape (n,)
+        Times [s].
     states, controls : ndarray, shapes (n, n_states), (n, n_controls)
-        The flight without gusts.
+        The flight without gusts (the mean).
     covariance : ndarray, shape (n, n_states, n_states)
         Covariance of the vehicle's states.
     onward : ndarray, shape (n - 1, n_states, n_states)
@@ -78,13 +80,22 @@ class Spread:
 
 
 def spread_along(scenario: Scenario, plan: Plan, planner: Planner) -> Spread:
-    """Compute the distribution of flights in turbulence along a plan under the adaptive controller.
+    """Compute the distribution of flights in turbulence that follow a plan under feedback.
 
     Parameters
     ----------
     scenario : Scenario
         The mission with fixed times, `wind.turbulence`, and the stated errors of forecast, mass and
         power.
+    plan : Plan
+        Plan that the adaptive controller follows.
+    planner : Planner
+        Holds compiled equations.
+
+    Returns
+    -------
+    Spread
+        In steps of `NOISE_STEP`.
     """
     mean = _MeanFlight(scenario, plan, planner)
     count = ceil(scenario.mission.fixed_duration / NOISE_STEP)
@@ -119,7 +130,16 @@ def discrete(A: FloatArray, B: FloatArray, step: float) -> tuple[FloatArray, Flo
     Parameters
     ----------
     A, B : ndarray, shapes (n, n_x, n_x), (n, n_x, n_u)
-        Matrices, constant over each step.
+        Matrices of dx/dt = A x + B u, constant over each step.
+    step : float
+        Length of a step [s].
+
+    Returns
+    -------
+    ndarray, shape (n, n_x, n_x)
+        Transition matrices.
+    ndarray, shape (n, n_x, n_u)
+        Input matrices.
     """
     n, n_x, n_u = B.shape
     joined = np.zeros((n, n_x + n_u, n_x + n_u))
@@ -131,17 +151,25 @@ def discrete(A: FloatArray, B: FloatArray, step: float) -> tuple[FloatArray, Flo
 def propagated(
     start: FloatArray, transitions: FloatArray, noise: FloatArray, constants: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Propagate a covariance over steps; return it after each step, with the lag-one covariance.
+    """Propagate a covariance over steps; return it at all steps, with the lag-one covariance.
 
     Parameters
     ----------
     start : ndarray, shape (n_x, n_x)
         Covariance at the start.
     transitions : ndarray, shape (n, n_x, n_x)
+        Transition matrices of the steps.
     noise : ndarray, shape (n, n_x, n_noise)
         Effect of white noise of unit variance over a step.
     constants : ndarray, shape (n, n_x, n_constants)
         Effect of normal numbers of unit variance that are the same in all steps.
+
+    Returns
+    -------
+    ndarray, shape (n + 1, n_x, n_x)
+        Covariances at the start and after each step.
+    ndarray, shape (n, n_x, n_x)
+        Covariances between the states before and after each step.
     """
     n, n_x, n_constants = constants.shape
     gusts = [start]
@@ -162,8 +190,9 @@ def propagated(
 def without_overflow(covariance: FloatArray, onward: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return covariances and lag-one covariances without overflow.
 
-    Along a plan that the controller cannot follow, the spread grows without limit.  From the time
-    at which a standard deviation exceeds `_LOST`, all are `_LOST`, and every limit is broken.
+    Along a plan that the controller cannot follow, the covariance grows without limit.  From the
+    time at which a standard deviation exceeds `_LOST`, all standard deviations are set to `_LOST`,
+    so that every limit counts as broken.
     """
     variance = np.diagonal(covariance, axis1=1, axis2=2)
     is_lost = ~np.isfinite(covariance).all(axis=(1, 2)) | (variance > _LOST**2).any(axis=1)
@@ -177,7 +206,11 @@ def without_overflow(covariance: FloatArray, onward: FloatArray) -> tuple[FloatA
 
 
 class _MeanFlight:
-    """Flight of a plan under feedback without gusts, with the linearised closed loop along it."""
+    """Flight of a plan under feedback without gusts, with the linearised closed loop along it.
+
+    Its joint state holds the states of vehicle and turbulence filters, of the controller, and the
+    energy.
+    """
 
     def __init__(self, scenario: Scenario, plan: Plan, planner: Planner) -> None:
         told = as_expected(scenario)
@@ -206,7 +239,11 @@ class _MeanFlight:
         )
 
     def flown(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return joint states and controller commands at given times."""
+        """Return the joint states and the controller's commands at given times [s].
+
+        Their shapes are (n, n_joint) and (n, `COMMAND_SIZE`). A joint state holds the states of
+        vehicle, turbulence filters and controller, and the energy.
+        """
         flight = fly(
             dynamics=self.dynamics,
             controller=self._controller,
@@ -222,7 +259,26 @@ class _MeanFlight:
     def slopes(
         self, t: FloatArray, joint: FloatArray, commands: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the closed loop's Jacobians by joint state, noise and uncertain parameters."""
+        """Return the Jacobians of the closed loop by joint state, and by noise and parameters.
+
+        A joint state holds the states of vehicle, turbulence filters and controller, and the
+        energy.
+
+        Parameters
+        ----------
+        t : ndarray, shape (n,)
+            Times [s].
+        joint, commands : ndarray
+            Joint states and commands at these times, as `flown` returns them.
+
+        Returns
+        -------
+        ndarray, shape (n, n_joint, n_joint)
+            Derivatives by the joint state.
+        ndarray, shape (n, n_joint, n_noise + n_parameters)
+            Derivatives by the white noise and by one standard deviation of each uncertain
+            parameter.
+        """
         # Where an error is exactly zero, the derivative of its norm is not defined.
         by_moment, by_joint = self.loop.slopes(t, joint + _OFF_NOUGHT, commands)
         columns = [1 + self.dynamics.signal_names.index(name) for name in NOISE]
@@ -230,7 +286,7 @@ class _MeanFlight:
         return by_joint, np.concatenate([by_moment[:, :, columns], by_unknowns], axis=2)
 
     def _by_unknowns(self, t: FloatArray, joint: FloatArray, commands: FloatArray) -> FloatArray:
-        """Return the derivatives of the joint rates by the uncertain parameters (differences)."""
+        """Return the derivatives of the joint rates by the uncertain parameters, by differences."""
         n_states = len(self.dynamics.state_names)
         states, controls = joint[:, :n_states], self.loop.controls(t, joint, commands)
         found = np.zeros((*joint.shape, len(self._unknowns)))
@@ -247,7 +303,10 @@ class _MeanFlight:
         states: FloatArray,
         controls: FloatArray,
     ) -> FloatArray:
-        """Return the time derivatives of the vehicle's states with some parameters changed."""
+        """Return the time derivatives of the vehicle's states with some parameters changed.
+
+        `change` holds the changes by full parameter name; `side` is 1 or -1, their sign.
+        """
         changed = {name: self._numbers.get(name, 0.0) + side * by for name, by in change.items()}
         other = self._problem.dynamics(parameters=self._numbers | changed, horizon=self._horizon)
         rows = zip(t.tolist(), states, controls, strict=True)

@@ -1,6 +1,6 @@
 """Time limit of a command, shared by all its solves and simulated flights.
 
-It counts processor time, so that the load of the machine does not change any result.
+The limit counts processor time, so that the load of the machine does not change any result.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
 
 
 class TimeIsUpError(SolveError):
-    """Error that ends a simulated flight at the time limit."""
+    """Error that ends a simulated flight when the time limit of the command has passed."""
 
 
 @dataclass
 class _Watch:
-    """End of the time limit on the clock of the process that checks it."""
+    """End of the time limit on the processor clock of the process that checks it."""
 
     limit_s: float
     end: float
@@ -38,15 +38,15 @@ class _Watch:
         return cls(limit_s=limit_s, end=now + limit_s, seen=now, process=os.getpid())
 
     def shortened(self, limit_s: float) -> Self:
-        """Return a watch that ends no later, and after so many seconds at most."""
+        """Return a watch that ends after ``limit_s`` seconds, but no later than this watch."""
         now = time.thread_time()
         return replace(self, end=min(self.end, now + limit_s), seen=now, process=os.getpid())
 
     def look(self) -> bool:
-        """Check the clock; return whether the time limit has passed."""
+        """Read the processor clock; return whether the time limit has passed."""
         now = time.thread_time()
         if os.getpid() != self.process:
-            # In a copied process the clock starts anew, with the time that was left at the copy.
+            # The clock of a forked process starts at zero; the time left at the fork remains.
             self.process, self.end = os.getpid(), now + self.end - self.seen
         self.seen = now
         self.is_over = self.is_over or now > self.end
@@ -65,10 +65,11 @@ class Deadline:
     Parameters
     ----------
     scenario : Scenario
+        Its `solver.time_limit` is the limit [s of processor time].
     progress : callable, optional
         The caller's own callback, which may stop a solve earlier.
     longest_s : float, optional
-        Processor time [s] after which the block ends, if the limit leaves it more.
+        Shorter limit for this block [s of processor time].
     """
 
     def __init__(
@@ -97,22 +98,24 @@ class Deadline:
 
     @property
     def limit_s(self) -> float:
-        """The time limit [s]."""
+        """Time limit of the command [s of processor time]."""
         return self._watch.limit_s
 
     @property
     def is_over(self) -> bool:
-        """Whether the time limit had passed at the last check."""
+        """Whether the time limit of the command had passed at the last check."""
         return self._watch.is_over
 
 
 def keep_time() -> None:
     """Raise an error if the time limit of the enclosing `Deadline` has passed.
 
+    Simulations call this at each evaluation of their right-hand side.
+
     Raises
     ------
     TimeIsUpError
-        If the time is over.
+        If the limit has passed.
     """
     watch = _CURRENT.get()
     if watch is not None and watch.look():

@@ -5,7 +5,7 @@ differs: Runge-Kutta steps of fixed length, mapped over the flights. A step is a
 `LONGEST_STEP_S`, the time over which the noise of turbulence is constant, and short compared with
 the controller's fastest loop; a test compares it with SciPy's adaptive integration.
 
-Every flight is judged like a single flight: by the declared limits, between and at the waypoints,
+Every flight is assessed like a single flight: by the declared limits, between and at the waypoints,
 and by its arrival.
 """
 
@@ -45,16 +45,17 @@ from pyomo_quad.flight.verification import (
 )
 from pyomo_quad.scenario import Scenario
 
-#: s, longest step of the integration, over which the noise of turbulence is constant.
+#: Longest step of the integration [s], over which the noise of turbulence is constant.
 LONGEST_STEP_S = 0.02
-# Length of a step times the largest gain, at which a flight ends within 1e-4 m of the exact one,
-# and times the rate of the fastest mode, at which the method is stable: its limit is 2.78.
+# Largest product of step length and controller gain, at which a flight ends within 1e-4 m of the
+# exact solution; and largest product of step length and rate of the fastest mode, below the
+# stability limit of the method, 2.78.
 _SHARE_OF_LAG, _STABLE = 1.2, 2.2
 _OFF_NOUGHT = 1e-6
 # Steps between two samples of a flight. At 25 samples per second, a path at 10 m/s around a corner
 # of 2 m radius deviates from its chord by 1 cm.
 _STEPS_PER_SAMPLE = 2
-# Flights whose limits are checked in one call; more of them take more memory and no less time.
+# Number of flights whose limits are evaluated in one call; more take more memory and no less time.
 _JUDGED_AT_ONCE = 25
 
 NOT_THERE = "distance from the goal at the end"
@@ -64,10 +65,12 @@ NOT_FED = "power or charge of the pack"
 
 @dataclass(frozen=True, kw_only=True)
 class Draws:
-    """Random parameters and initial states of n flights, by full name.
+    """Random parameters, noise and initial states of many flights, by full name.
 
     Attributes
     ----------
+    count : int
+        Number n of flights.
     numbers : mapping to ndarray, shape (n,)
         Parameters of the vehicle and the air.
     noise : mapping to ndarray, shape (n_steps, n)
@@ -82,7 +85,7 @@ class Draws:
     start: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def part(self, chosen: slice) -> "Draws":
-        """Return the random numbers of some of the flights, by position."""
+        """Return the random numbers of some of the flights, chosen by position."""
         return Draws(
             count=len(range(self.count)[chosen]),
             numbers={name: values[chosen] for name, values in self.numbers.items()},
@@ -93,12 +96,18 @@ class Draws:
 
 @dataclass(frozen=True, kw_only=True)
 class Ending:
-    """End of one flight: arrival, broken limits, energy and deviations.
+    """Result of one simulated flight: energy, arrival, deviations, broken limits.
 
     Attributes
     ----------
+    energy_J, charge_used_percent : float
+        Energy, and charge in per cent of the battery's capacity.
+    miss_m, end_speed_m_per_s : float
+        Distance from the goal and speed at the end.
+    largest_deviation_m, peak_tilt_rad : float
+        Largest distance from the reference path, and largest tilt.
     broken : mapping
-        Words of a limit -> the flight's violation of it, relative to the larger of 1 and the limit;
+        Limit in words -> the flight's violation of it, relative to the larger of 1 and the limit;
         empty if the flight arrived and kept every limit.
     """
 
@@ -118,14 +127,16 @@ class Ending:
 
 @dataclass(frozen=True, kw_only=True)
 class FlownOften:
-    """Sampled quantities of many simulated flights at common times, and the end of each flight.
+    """Results of many simulated flights: quantities over common times, and end of each flight.
 
     Attributes
     ----------
     t : ndarray, shape (n_samples,)
+        Times [s].
     tracks : mapping to ndarray, shape (n_samples, n)
-        The quantities of `TRACKS` over time.
+        The quantities `TRACKS` over time, for n flights.
     endings : tuple of Ending
+        Result of each flight.
     """
 
     t: FloatArray
@@ -139,18 +150,18 @@ TRACKS = ("x_m", "y_m", "z_m", SPEED, TILT, ENERGY, OFF)
 
 
 class Squadron:
-    """Vehicles of one scenario that follow one reference under the adaptive controller.
+    """Simulation of many vehicles of one scenario that follow one reference under feedback.
 
     Parameters
     ----------
     scenario : Scenario
         The mission, with fixed times, and the vehicle as the controller knows it.
     dynamics : Dynamics
-        The vehicle in the actual wind, before draws are applied.
+        The vehicle in the actual wind, before random numbers are applied.
     reference : callable
-        Time in s -> Setpoint.
+        Time [s] -> Setpoint.
     varied : sequence of str
-        Parameters, constant or over time, that differ between the flights.
+        Full names of the parameters, constant or over time, that differ between the flights.
     """
 
     def __init__(
@@ -175,7 +186,13 @@ class Squadron:
         self._times = _step_times(scenario, self._fastest_rate())
 
     def fly(self, draws: Draws) -> FlownOften:
-        """Simulate one flight for each set of random numbers."""
+        """Simulate one flight for each set of random numbers.
+
+        Raises
+        ------
+        TimeIsUpError
+            If the time limit of the command has passed.
+        """
         keep_time()
         steps = np.floor(0.5 * (self._times[1:] + self._times[:-1]) / LONGEST_STEP_S).astype(int)
         held = {
@@ -246,9 +263,9 @@ class Squadron:
     def _endings(
         self, flown: SteppedFlights, draws: Draws, off: FloatArray, tilt: FloatArray
     ) -> Iterator[Ending]:
-        """Yield the end of each flight, given its largest deviation and tilt."""
+        """Yield the result of each flight, given its largest deviation [m] and tilt [rad]."""
         count, samples = draws.count, len(flown.t)
-        # One flight at a time, with all its samples.
+        # Reorder the arrays: one flight after the other, each with all its samples.
         states, controls = (
             np.ascontiguousarray(held.swapaxes(0, 1))
             for held in (flown.joint[:, :, : len(self._columns)], flown.controls)
@@ -299,7 +316,10 @@ class Squadron:
 
 
 def _step_times(scenario: Scenario, fastest_rate: float) -> FloatArray:
-    """Return the times of all integration steps, aligned with the steps of the noise."""
+    """Return the times of all integration steps [s], aligned with the steps of the noise.
+
+    `fastest_rate` is that of the fastest mode of the closed loop [1/s].
+    """
     gains, end = scenario.baseline.gains, scenario.mission.fixed_duration
     fastest = max(gains.rotor, gains.attitude_rate, gains.force_identification)
     parts = ceil(LONGEST_STEP_S * max(fastest / _SHARE_OF_LAG, fastest_rate / _STABLE))
@@ -309,5 +329,5 @@ def _step_times(scenario: Scenario, fastest_rate: float) -> FloatArray:
     return np.unique(np.concatenate([even[apart], given]))
 
 
-# s, difference below which two times are equal.
+# Difference below which two times count as equal [s].
 _SAME_TIME_S = 1e-9

@@ -1,4 +1,4 @@
-"""Checks whether a plan stays in the range in which measurements validate its vehicle."""
+"""Check whether a plan stays in the range in which measured flights validate its vehicle."""
 
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
@@ -15,19 +15,22 @@ if TYPE_CHECKING:
 
 
 _SPEEDS = tuple(column_of(name).name for name in VELOCITY_STATES)
-# Of a limit, by which a plan that is held to it may exceed it between its points.
+# Relative excess over the validated range that is ignored: a plan with this range as a limit may
+# exceed it by as much between its collocation points.
 _ROUNDING = 1e-3
-# Times at which a plan is looked at.
+# Number of times at which a plan is sampled.
 _SAMPLES = 2001
 
 
 def departures(plan: "Plan") -> tuple[str, ...]:
-    """Return the quantities in which a plan leaves the validated range, with amount and duration.
+    """Return the quantities in which a plan leaves the validated range of its vehicle.
+
+    The validated range of airspeed, climb, descent and payload is that of measured flights.
 
     Returns
     -------
     tuple of str
-        Each as "airspeed to 17.2 m/s, 16 m/s confirmed, for 3.1 s".
+        Each with amount and time, as "airspeed to 17.2 m/s, 16 m/s confirmed, for 3.1 s".
     """
     return tuple(
         departures_of(
@@ -37,7 +40,10 @@ def departures(plan: "Plan") -> tuple[str, ...]:
 
 
 def departures_of(scenario: Scenario, flown: Mapping[str, FloatArray]) -> Iterator[str]:
-    """Yield the quantities in which a flight's table leaves the vehicle's validated range."""
+    """Yield the quantities in which a flight's table leaves the validated range of its vehicle.
+
+    `flown` holds the columns of the table by name.
+    """
     validated, carried = scenario.vehicle.validated, scenario.vehicle.payload
     if validated.payload is not None and carried > validated.payload:
         yield f"payload {carried:g} kg, {validated.payload:g} kg confirmed"

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Failure:
-    """Diagnosis of a failed solve.
+    """Diagnosis of a failed solve in terms of the mission.
 
     Attributes
     ----------
@@ -23,8 +23,8 @@ class Failure:
     shortest_duration_s : float or None
         The least time in which the mission can be flown within its limits; None if none was found.
     diagnosis : Diagnosis
-        The engine's: worst equations, active limits, and declarations that must be relaxed
-        together.
+        The engine's diagnosis: worst equations, active limits, and declarations that must be
+        relaxed together.
     remedies : tuple of Relaxation
         Single limits whose relaxation alone would make the mission possible.
     """
@@ -42,7 +42,7 @@ class Failure:
         )
 
     def causes(self) -> Iterator[str]:
-        """Yield one sentence per cause or remedy, the simplest first."""
+        """Yield one sentence for each cause of the failure and each remedy, the simplest first."""
         if self.shortest_duration_s is not None and self.is_too_short:
             missing = self.shortest_duration_s - self.longest.value
             limits = ", ".join(str(limit.name) for limit in self.diagnosis.active) or "its limits"

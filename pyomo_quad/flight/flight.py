@@ -1,4 +1,4 @@
-"""Simulated flight: its table, energy, distance from the goal and broken limits."""
+"""Result of a simulated flight: table, energy, distance from the goal and broken limits."""
 
 from __future__ import annotations
 
@@ -22,13 +22,14 @@ if TYPE_CHECKING:
 
 
 ARRIVAL_DISTANCE_M = 0.05
-"""Miss beyond which a flight has not arrived: a seventh of the paper's vehicle from rotor to
-rotor, and so little of a flight of metres that leaving it out saves no energy worth naming."""
+"""Largest distance from the goal at the end of a flight that has arrived [m]. It is a seventh of
+the rotor-to-rotor distance of the paper's vehicle, and so small a part of a flight of metres that
+stopping short by as much saves no noticeable energy."""
 ARRIVAL_SPEED_M_PER_S = 0.1
-"""Final speed beyond which a flight passes the goal rather than arriving: from it, the controller
-with its default gains stops within the distance above."""
-#: Violation of a control's limit, relative to the larger of 1 and the limit, to which a flight
-#: clips the control: half of what the highest accuracy allows.
+"""Largest final speed of a flight that has arrived [m/s]. From this speed, the controller with its
+default gains stops within the distance above."""
+#: Excess over a control's limit, relative to the larger of 1 and the limit, at which simulations
+#: clip the planned control: half of the tolerance of the highest accuracy.
 HELD_BREACH = 0.5 * FIGURES[Accuracy.PROOF].breach
 #: The position states, by their names in the declared model.
 POSITION_STATES = ("rigid_body.x", "rigid_body.y", "rigid_body.z")
@@ -41,7 +42,16 @@ AIR_FORCE = tuple(f"aerodynamics.force_{axis}" for axis in "xyz")
 class Flown:
     """Samples of a simulated flight: times, states, controls and energy.
 
-    Shapes: t (n,), states (n, n_states), controls (n, n_controls), energy (n,).
+    Attributes
+    ----------
+    t : ndarray, shape (n,)
+        Times [s].
+    states : ndarray, shape (n, n_states)
+        States in the order of the dynamics.
+    controls : ndarray, shape (n, n_controls)
+        Controls in the order of the dynamics.
+    energy : ndarray, shape (n,)
+        Energy spent since the start [J].
     """
 
     t: FloatArray
@@ -52,21 +62,29 @@ class Flown:
 
 @dataclass(frozen=True, kw_only=True)
 class Resolve:
-    """Record of one re-planning solve in flight."""
+    """Record of one solve that replaces the plan during a simulated flight (re-planning).
+
+    Attributes
+    ----------
+    t : float
+        Time in flight at which the solve began [s].
+    arrived_at : float
+        Time in flight at which its plan was available [s].
+    """
 
     t: float
     arrived_at: float
-    """Time at which its plan arrived [s]."""
     solve_s: float
     """Processor time of the solve, independent of the delay in the simulated flight."""
     is_converged: bool
+    """Whether Ipopt converged; otherwise the vehicle kept the plan before."""
     is_late: bool
-    """Whether its plan arrived after the time that the plan was made for."""
+    """Whether the plan was available only after the time at which it starts."""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Flight(Summarised):
-    """Simulated flight of a mission, with its table and results.
+    """Result of a simulated flight of a mission, with its table.
 
     Attributes
     ----------
@@ -76,6 +94,8 @@ class Flight(Summarised):
         Dense table with the columns `COLUMNS`.
     energy_J : float
         Energy spent, integrated with the flight.
+    duration_s : float
+        Time from the first to the last sample.
     terminal_miss : mapping
         State name to final value minus required value, in the state's unit.
     terminal_miss_m : float
@@ -83,19 +103,21 @@ class Flight(Summarised):
     max_violation : float
         Worst violation of a limit, relative to the larger of 1 and the limit.
     worst_constraint : str
-        The limit of that violation.
+        Name of the limit with that violation.
     is_verified : bool
         Whether an independent integration confirmed the flight, and the battery's power balance
         closes all along it.
-    doubt : str
-        Reason why a controlled flight is not verified, with the value found and the value allowed.
+    wall_s : float
+        Computing time.
     owed_energy_J : float
         Energy needed to reach the required end from the flight's end state, estimated from the
         plan's costates; NaN if no plan has costates for it.
     broken_limits : tuple of str
         Every limit of the model that the flight violates, with the amount, the worst first.
     resolves : tuple of Resolve
-        The solves of a flight that was re-planned.
+        The solves of a flight whose plan was replaced on the way.
+    doubt : str
+        Reason why a controlled flight is not verified, with the value found and the value allowed.
     """
 
     name: str
@@ -125,7 +147,16 @@ class Flight(Summarised):
         }
 
     def priced(self, end_prices: Mapping[str, float]) -> Flight:
-        """Return the flight with its energy to complete, estimated from a plan's costates."""
+        """Return the flight with its energy to complete, estimated from a plan's costates.
+
+        The energy to complete is that from the flight's end state to the required end state.
+
+        Parameters
+        ----------
+        end_prices : mapping
+            State name -> costate at the plan's end, J per unit of the state; if empty, the energy
+            to complete is NaN.
+        """
         owed = sum(price * self.terminal_miss.get(name, 0.0) for name, price in end_prices.items())
         return replace(self, owed_energy_J=owed if end_prices else nan)
 
@@ -144,10 +175,30 @@ class Flight(Summarised):
         allowed: Mapping[str, float] | None = None,
         accuracy: Accuracy = Accuracy.PROOF,
     ) -> Flight:
-        """Make a flight from its samples and the required final values of its states.
+        """Make a flight's result from its samples and the required final values of its states.
 
-        ``allowed`` is the tolerated violation of a limit, by name without index; ``accuracy``, of
-        the mission, gives the relative violation tolerated of every limit.
+        Parameters
+        ----------
+        name : str
+            Name of the flight in comparisons.
+        dynamics : Dynamics
+            Simulated vehicle, which evaluates the limits.
+        flown : Flown
+            Samples of the flight.
+        wanted : mapping
+            State name -> required final value.
+        frame : DataFrame
+            Table of the flight.
+        is_verified : bool
+            Whether an independent integration confirmed the flight.
+        wall_s : float
+            Computing time [s].
+        owed_energy_J : float, optional
+            Energy to complete the flight from its end state.
+        allowed : mapping, optional
+            Tolerated violation of a limit in its unit, by name without index.
+        accuracy : Accuracy, optional
+            Accuracy of the mission, which gives the relative violation tolerated of every limit.
         """
         miss = terminal_miss_of(dynamics, flown.states[-1], wanted)
         breaches = dynamics.violations(flown.t, flown.states, flown.controls)
@@ -173,9 +224,23 @@ class Flight(Summarised):
 def broken_limits(
     dynamics: Dynamics, breaches: Sequence[Violation], allowed: Mapping[str, float], breach: float
 ) -> tuple[str, ...]:
-    """Return the limits that are violated by more than the tolerances, in words.
+    """Return the limits that a flight violates by more than the tolerances, in words with amounts.
 
-    As "roll angle by 0.2 rad".
+    Parameters
+    ----------
+    dynamics : Dynamics
+        Source of the units.
+    breaches : sequence of Violation
+        Largest violation of each limit.
+    allowed : mapping
+        Tolerated violation of a limit in its unit, by name without index.
+    breach : float
+        Tolerated violation of every limit, relative to the larger of 1 and the limit.
+
+    Returns
+    -------
+    tuple of str
+        As "roll angle by 0.2 rad".
     """
     return tuple(
         breach_words(found, dynamics.unit(found.name))
@@ -185,18 +250,21 @@ def broken_limits(
 
 
 def is_broken(found: Violation, allowed: Mapping[str, float], breach: float) -> bool:
-    """Return whether a limit is violated by more than the tolerances."""
+    """Return whether a violation of a limit exceeds its tolerances (see `broken_limits`)."""
     return found.relative > breach and found.size > allowed.get(found.name.partition("[")[0], 0.0)
 
 
 def terminal_miss_of(
     dynamics: Dynamics, state: FloatArray, wanted: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return final minus required value of each state that the mission prescribes at the end."""
+    """Return final minus required value of each state that the mission prescribes at the end.
+
+    `state` is the final state, shape (n_states,); `wanted` the required values by state name.
+    """
     final = dict(zip(dynamics.state_names, state, strict=True))
     return {name: float(final[name] - value) for name, value in wanted.items()}
 
 
 def position_miss(miss: Mapping[str, float]) -> float:
-    """Return the distance between final and required position [m]."""
+    """Return the distance between final and required position [m], from `terminal_miss_of`."""
     return float(np.linalg.norm([miss.get(name, 0.0) for name in POSITION_STATES]))

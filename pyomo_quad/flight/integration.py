@@ -1,7 +1,6 @@
-"""Integration by SciPy, restarted at each jump of a parameter."""
+"""Integration of ordinary differential equations by SciPy, restarted at each jump of the rates."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -10,23 +9,15 @@ from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
 from pyomo_quad.arrays import FloatArray
+from pyomo_quad.collocation import SolveError
 
 Rates = Callable[[float, FloatArray], FloatArray]
 
-# Distance inside its piece at which an end of the piece is evaluated, relative to the piece.
+# Distance from a jump of the rates, relative to the time between two jumps, at which the rates at
+# the jump are evaluated.
 _INSIDE = 1e-6
-# s. A piece shorter than this is the rounding of two equal times.
+# Time between two jumps [s] below which they are the same jump up to rounding.
 _SHORTEST = 1e-7
-
-
-@dataclass(frozen=True, kw_only=True)
-class Integrated:
-    """Integrated states, shape (n_states, n_times), or the reason why the integration stopped."""
-
-    y: FloatArray
-    message: str
-    stopped_at: float | None
-    """Time at which the integrator stopped [s]; None if it reached the end."""
 
 
 def integrate(
@@ -35,21 +26,39 @@ def integrate(
     start: ArrayLike,
     times: Sequence[float] | FloatArray,
     edges: Sequence[float],
+    *,
+    flight: str,
+    remedy: str,
     **options: Any,
-) -> Integrated:
-    """Integrate a right-hand side over a span, restarted at given edges.
+) -> FloatArray:
+    """Return the states at given times, shape (n_states, n_times), integrated over a span.
+
+    The integration is restarted at given edges.
 
     An integrator that steps over a jump of the rates repeats steps until they are as short as its
     tolerance requires: hundreds of evaluations per jump. A restart takes about twenty.
 
     Parameters
     ----------
+    rates : callable
+        Right-hand side: time [s] and states -> time derivatives, shape (n_states,).
+    span : (float, float)
+        First and last time [s].
+    start : array_like, shape (n_states,)
+        States at the first time.
     times : sequence of float
-        Rising times within the span at which states are returned.
+        Increasing times within the span at which states are returned.
     edges : sequence of float
-        Rising times between which the rates are smooth; edges outside the span are ignored.
+        Increasing times between which the rates are smooth; edges outside the span are ignored.
+    flight, remedy : str
+        Beginning and end of the message if the integration fails.
     **options
         Options of `scipy.integrate.solve_ivp`.
+
+    Raises
+    ------
+    SolveError
+        If the integrator stops before the end of the span.
     """
     wanted = np.asarray(times, dtype=float)
     inner = [edge for edge in edges if span[0] + _SHORTEST < edge < span[1] - _SHORTEST]
@@ -67,21 +76,19 @@ def integrate(
         )
         if not flown.success:
             stopped = float(flown.t[-1]) if np.size(flown.t) else first
-            return Integrated(y=_joined(found, state), message=flown.message, stopped_at=stopped)
+            raise SolveError(
+                f"{flight}: the integration stopped at {stopped:.4g} s: {flown.message} {remedy}"
+            )
         state = flown.y[:, -1]
         found.append(flown.y[:, : here.size])
-    return Integrated(y=_joined(found, state), message="", stopped_at=None)
+    return np.hstack(found)
 
 
 def _within(rates: Rates, first: float, last: float) -> Rates:
-    """Return a right-hand side that reads times just inside one piece, clear of its jumps."""
+    """Return a right-hand side that is evaluated only between two jumps, not at the jumps."""
     margin = _INSIDE * (last - first)
 
     def inside(t: float, y: FloatArray) -> FloatArray:
         return rates(min(max(t, first + margin), last - margin), y)
 
     return inside
-
-
-def _joined(found: Sequence[FloatArray], state: FloatArray) -> FloatArray:
-    return np.hstack(found) if found else np.zeros((state.size, 0))

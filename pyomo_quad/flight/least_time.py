@@ -1,4 +1,4 @@
-"""Least duration of a mission, and plans of least energy close to it."""
+"""Minimum-time problem of a mission, and plans of least energy close to the least duration."""
 
 from __future__ import annotations
 
@@ -21,19 +21,21 @@ if TYPE_CHECKING:
 
 _MESH = (10, 4)
 _OPTIONS = SolverOptions(max_iterations=300)
-# Meshes that give the least time to a small part of the share of it that counts as close.
+# Number of meshes of a first estimate of the least time, which suffices unless the mission's
+# duration differs from the estimate by less than the second number (relative).
 _FEW_MESHES = 3
 _CLOSE = 2e-3
-# The multiples of the mission's duration between which the shortest flight is looked for, and
-# the slow, easy one that the search starts from.
+# Range of the least time, as multiples of the mission's duration, and multiple at which the search
+# starts: slow flights are easy.
 _RANGE = (0.01, 100.0)
 _SLOW = 4.0
-# To what share of it the least time is known where it is what is asked for: a limit broken between
-# the points counts by the time it saves, and the damping has the price that it has by default.
+# Relative tolerance of a least time that is itself the objective of the mission. Violations of
+# limits between the collocation points then count by the time that they save, and the damping of
+# controls keeps its default weight.
 _TIME_TOLERANCE = 1e-4
 _TIMED = RefinementOptions(damping=1.0, allowance=Allowance(limit_breach=inf))
-# How much longer than the least time flights are that come closer and closer to it: the last is
-# bang-bang, and hard to prove.  A step closer ends after so many times the effort of the first.
+# Durations of the flights that approach the least time, relative to it: the flight of least time is
+# bang-bang and hard to verify.  Below, the largest effort of a solve relative to the first.
 _ABOVE_LEAST = (1e-2, 3e-3, 1e-3, 3e-4)
 _MOST_EFFORT = 3.0
 
@@ -43,23 +45,24 @@ def shortest_flight(
 ) -> Solution | None:
     """Solve for the least duration of a mission.
 
-    A few meshes do unless the mission's duration is close to what they give: then they are
-    refined to the mission's own tolerance, for a time that is asked for to `_TIME_TOLERANCE`.
+    A few meshes suffice unless the mission's duration is close to the result: then the meshes are
+    refined to the mission's own tolerance.
 
     Parameters
     ----------
     model : ConcreteModel
         Model of the scenario; its objective is replaced.
     scenario : Scenario
+        The mission, and the solver's settings.
     progress : callable or None
-        Called at each iteration; returning False stops the solve.
+        Called at each Ipopt iteration; returning False stops the solve.
     is_exact : bool, optional
-        Refine the time wherever it lies.
+        Whether to refine in any case, to the relative tolerance `_TIME_TOLERANCE`.
 
     Returns
     -------
     Solution or None
-        Its objective is the time [s]; None when the solve failed.
+        Its objective is the least duration [s]; None if the solve failed.
     """
     duration, settings = scenario.nominal_duration, scenario.solver
     bounds = _RANGE[0] * duration, _RANGE[1] * duration
@@ -74,7 +77,8 @@ def shortest_flight(
         solution = problem.solve(
             mesh=Mesh.uniform(*_MESH) if start is None else start.mesh,
             tolerance=tolerance,
-            # It goes on with what it began: what the beginning took says nothing of the rest.
+            # Without the iteration count of the first meshes, above which a warm-started solve is
+            # restarted cold: it does not predict the count on further meshes.
             warm_start=None if start is None else replace(start.warm_start, cold_start=None),
             options=_OPTIONS,
             refinement=replace(refinement, max_meshes=meshes),
@@ -89,12 +93,14 @@ def shortest_flight(
 
 
 def declared_free_times(model: Any, scenario: Scenario) -> dict[float, Any]:
-    """Return the variables of a model that hold its free times, by declared time.
+    """Return the variables of a model that hold its free times, by their nominal time [s].
+
+    Free times are the duration and the passing times of waypoints that the plan chooses.
 
     Raises
     ------
     ScenarioError
-        If a model of the user's own lacks one.
+        If a user's own model lacks a variable for a free time.
     """
     mission = scenario.mission
     wanted = {"duration": mission.is_free, "mission.passing_time": bool(mission.waypoints)}
@@ -115,11 +121,15 @@ class Approach:
     Attributes
     ----------
     scenario : Scenario
+        The mission, whose objective is the least time.
     shortest : Solution
-        The flight of the least time.
+        Solution of least duration.
     solve : callable
-        Solves a scenario from a solution.
+        Solves a scenario with a solution as the start; returns a plan.
     search : Search
+        Limits the effort of each solve.
+    plans : list of Plan
+        Plans made so far, in order of decreasing duration.
     """
 
     scenario: Scenario
@@ -131,17 +141,26 @@ class Approach:
 
     @property
     def durations(self) -> tuple[float, ...]:
-        """Durations of the sequence, within the mission's limits [s]."""
+        """Decreasing durations to solve for [s], close to the least duration of the mission.
+
+        They are within the mission's limits.
+        """
         least, greatest = self.scenario.mission.duration_limits
         above = ((1 + share) * self.shortest.objective for share in _ABOVE_LEAST)
         return tuple(dict.fromkeys(min(max(time, least), greatest) for time in above))
 
     def goes_on(self) -> bool:
-        """Return whether to try a shorter duration: no plan yet, or the last one is verified."""
+        """Return whether to solve for a shorter duration, which needs a verified last plan."""
         return not self.plans or self.plans[-1].is_verified
 
     def fly(self, lasting: float) -> str:
-        """Solve the mission in a duration, starting from the last plan, with limited effort."""
+        """Solve the mission in a duration ``lasting`` [s], from the last plan, with limited effort.
+
+        Returns
+        -------
+        str
+            Status of the plan.
+        """
         start = self.plans[-1].solution if self.plans else self.shortest
         self.search.begin_effort(self._most)
         self.plans.append(self.solve(self.scenario.lasting(lasting), start, self.search))

@@ -1,6 +1,7 @@
-"""Names of limits in users' words, with amounts in familiar units.
+"""Names and amounts of limits as reports and messages print them.
 
-Limits of a user's own model keep the names and units that the user gave them.
+Declared limits get the words of a user and familiar units; limits of a user's own model keep the
+names and units that the user gave them.
 """
 
 from math import sqrt
@@ -58,14 +59,23 @@ def limit_words(name: str) -> str:
 
 
 def limit_amount(name: str, size: float, unit: str) -> tuple[float, str]:
-    """Convert the size of a limit and its unit for readers: m/s where the model has m**2/s**2."""
+    """Convert the size of a limit and its unit for readers: m/s where the model has m**2/s**2.
+
+    Returns
+    -------
+    (float, str)
+        Size and unit as printed.
+    """
     if name.partition("[")[0] not in WORDS:
         return size, unit
     return (sqrt(size), _ROOTS[unit]) if unit in _ROOTS else (size, _UNITS.get(unit, unit))
 
 
 def breach_words(breach: Violation, unit: str) -> str:
-    """Return the name and the amount of a violated limit: "roll angle by 0.15 rad"."""
+    """Return the name and the amount of a violated limit in words: "roll angle by 0.15 rad".
+
+    `unit` is the unit of the limit in the model.
+    """
     # For a square, this is the excess of the length over its limit, not the root of the difference.
     reached, plain = limit_amount(breach.name, abs(breach.bound) + breach.size, unit)
     size = reached - limit_amount(breach.name, abs(breach.bound), unit)[0]

@@ -2,7 +2,7 @@
 
 A vehicle changes its attitude within a second, whatever the duration of the flight.  If equal
 elements would be longer than that, the mesh has short elements at both ends that grow towards the
-middle.  The speed of the steady flight follows from the duration or, if that is free, is the speed
+middle.  The cruise speed of the guess follows from the duration or, if that is free, is the speed
 of least energy per metre.
 """
 
@@ -29,14 +29,15 @@ if TYPE_CHECKING:
     from pyomo_quad.scenario import Scenario
     from pyomo_quad.scenario.airspace import Airspace
 
-# Equal elements longer than this [s] are too long for a change of attitude.
+# Length of equal elements [s] above which they do not resolve a change of attitude.
 _LONGEST_S = 3.0
-# The first and last element [s], how much longer each next one is, and their degree.
+# Coarse and fine mesh: length of the first and last element [s], ratio of neighbouring elements
+# towards the middle, and degree of the coarse elements.
 _ROUGH, _FINE = (0.1, 1.25, 4), (0.04, 1.15)
-# In an element longer than this [s] place and velocity feel how the attitude bends inside: its
-# degree is so much higher.
+# Elements longer than the first number [s] have a degree higher by the second, because changes of
+# attitude within them affect position and velocity.
 _BENDING_S, _MORE = 1.0, 2
-# Acceleration and jerk of a guess, m/s^2 and m/s^3, and the range of its speeds, m/s.
+# Acceleration and jerk of an initial guess, m/s^2 and m/s^3, and the range of its speeds, m/s.
 _ACCELERATION, _JERK = 2.0, 4.0
 _SPEEDS = 1.0, 30.0
 _SPEED_TOLERANCE = 0.1
@@ -44,24 +45,30 @@ _SAMPLES = 400
 
 
 def is_long(scenario: Scenario) -> bool:
-    """Return whether a straight flight to the goal is long compared with a change of attitude."""
+    """Return whether a straight flight to the goal is long compared with a change of attitude.
+
+    Missions with waypoints or keep-out zones are not straight.
+    """
     airspace = scenario.airspace
     is_straight = not (scenario.mission.waypoints or airspace.keep_out)
     return is_straight and scenario.nominal_duration > _LONGEST_S * scenario.solver.elements
 
 
 def rough_mesh(duration: float) -> Mesh:
-    """Return a coarse first mesh for a flight of given duration [s]."""
+    """Return a coarse first mesh for a long flight of a duration [s]."""
     return _graded(duration, *_ROUGH)
 
 
 def fine_mesh(duration: float, degree: int) -> Mesh:
-    """Return a mesh for a flight of given duration [s], with fine elements at both ends."""
+    """Return a mesh for a long flight of a duration [s], with fine elements at both ends."""
     return _graded(duration, *_FINE, degree)
 
 
 def _graded(duration: float, shortest: float, growth: float, degree: int) -> Mesh:
-    """Return a mesh whose elements grow by a constant factor from both ends towards the middle."""
+    """Return a mesh whose elements grow by a constant factor from both ends towards the middle.
+
+    `shortest` is the length of the first and last element [s].
+    """
     widths = [shortest]
     while 2 * sum(widths) < duration:
         widths.append(growth * widths[-1])
@@ -72,13 +79,20 @@ def _graded(duration: float, shortest: float, growth: float, degree: int) -> Mes
 
 
 def guess_of(scenario: Scenario, steady: SteadyFlight) -> dict[str, Any] | None:
-    """Return a flight that accelerates, cruises and brakes, None without steady flight on the path.
+    """Return an initial guess of a long flight that accelerates, cruises and brakes.
 
     Parameters
     ----------
     scenario : Scenario
+        The mission.
     steady : SteadyFlight
-        In the air that the flight goes through.
+        Steady flight in the wind of the mission.
+
+    Returns
+    -------
+    dict or None
+        "time", "duration" (if it is free) and names of states -> samples, shape (n,); None if start
+        and goal coincide or there is no steady flight at the cruise speed.
     """
     from scipy.interpolate import CubicHermiteSpline  # noqa: PLC0415  few flights are long
 
@@ -114,7 +128,7 @@ def guess_of(scenario: Scenario, steady: SteadyFlight) -> dict[str, Any] | None:
     )
     guess[PITCH] = guess[PITCH] + ahead
     guess[ROLL] = guess[ROLL] - aside
-    # An open end is told in shares of the horizon.
+    # The guess for a free duration is a function of the fraction of the horizon.
     if not mission.is_free:
         return guess | {"time": when}
     return guess | {"time": when / times[-1], "duration": times[-1]}
@@ -123,7 +137,10 @@ def guess_of(scenario: Scenario, steady: SteadyFlight) -> dict[str, Any] | None:
 def _over_the_ground(
     airspace: Airspace, guess: dict[str, Any], when: FloatArray
 ) -> dict[str, FloatArray]:
-    """Return height and climb of a guess whose path is raised where it is below the floor."""
+    """Return height and climb rate of a guess whose path is raised where it is below the floor.
+
+    Empty without terrain or floor.
+    """
     places = np.column_stack([guess[name] for name in POSITION_STATES])
     if airspace.ground is None or airspace.floor is None:
         return {}
@@ -140,15 +157,22 @@ def _columns(
 
 
 def _speed_for(distance: float, duration: float) -> float:
-    """Return the cruise speed that fills a duration, or the largest for a shorter one."""
-    # Gathering speed and braking together cost speed / acceleration and what their bends take.
+    """Return the cruise speed at which a flight over a distance takes a duration [m/s].
+
+    If the duration is too short, it is the speed that comes nearest.
+    """
+    # Acceleration and braking take speed / acceleration longer than cruise, plus the time of the
+    # jerk phases.
     left = duration - _ACCELERATION / _JERK
     room = left**2 - 4 * distance / _ACCELERATION
     return _ACCELERATION / 2 * (left - sqrt(max(room, 0.0)))
 
 
 def best_speed(steady: SteadyFlight, course: FloatArray, price_of_time: float) -> float:
-    """Return the approximate ground speed of least energy per metre along a course [m/s]."""
+    """Return the approximate ground speed of least cost per metre along a direction [m/s].
+
+    The cost is the energy plus `price_of_time` [W] times the time. `course` is a unit vector.
+    """
 
     def cost(speed: float) -> float:
         try:

@@ -1,7 +1,7 @@
 """Margins of a plan: amounts by which its limits are tightened for the controller to use.
 
-A margin is an amount of a field of the scenario.  Fields are parameters of the compiled problem, so
-that a plan with other margins is a re-solve.
+A margin applies to a field of the scenario, in the field's unit.  Fields are parameters of the
+compiled problem, so that the problem can be solved with other margins without compiling it again.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,8 +12,9 @@ from pyomo_quad.collocation.limits import LimitValues
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.mission import Waypoint
 
-# Limit of the declared model, without its index -> the field that sets its upper and its lower end.
-# Moments and rotor accelerations have none: the controller never commands more than the limit.
+# Limit of the declared model, without its index -> the scenario fields that set its upper and its
+# lower end. Moments and rotor accelerations need no margin: the controller never commands more than
+# the limit.
 FIELDS: Mapping[str, tuple[str, str]] = {
     "limits.roll_limit": ("limits.roll_max", "limits.roll_max"),
     "limits.pitch_limit": ("limits.pitch_max", "limits.pitch_max"),
@@ -27,32 +28,32 @@ FIELDS: Mapping[str, tuple[str, str]] = {
     "airspace.ceiling_limit": ("airspace.ceiling", ""),
     "airspace.keep_out": ("", "airspace.clearance"),
 }
-# Fields that a margin raises; it lowers the others.
+# Fields whose value a margin increases; it decreases that of the others.
 _RAISED = {
     "limits.state_of_charge_min",
     "limits.battery_voltage_min",
     "airspace.floor",
     "airspace.clearance",
 }
-#: s. By how much a plan is at a hold before it has to be, and hovers longer.
+#: Margin in time on a hover at a waypoint [s]: the plan starts the hover earlier by this time.
 HOLD = "mission.hold"
-#: m and m/s. By how much nearer, and slower, a plan passes every waypoint that has a radius, or a
-#: largest speed.
+#: Margins on a waypoint's radius [m] and on the speed at a waypoint [m/s].
 RADIUS, SPEED = "mission.radius", "mission.speed_max"
-#: s. By how much longer a plan is at least, where it chooses its duration.
+#: Margin on the duration [s]: increase of the least duration of a plan with free duration.
 DURATION = "mission.duration_min"
-#: Fields of what the rotors can give, which the controller needs to stay on the plan.
+#: Fields that limit thrust and tilt; margins on them leave the controller a reserve to follow the
+#: plan.
 AUTHORITY = ("limits.rotor_speed_max", "limits.thrust_max", "limits.roll_max", "limits.pitch_max")
-# Share of the way from hover to a limit that margins may take at most: with more, a plan could
-# hardly leave its start.
+# Largest margin as a fraction of the range from hover to the limit: with more, a plan could hardly
+# leave its start.
 _MOST_OF_AUTHORITY = 0.8
-# m, of the way between a place of the mission and a wall.
+# Distance between a place of the mission and a wall that a margin leaves [m].
 _LEFT_OF_ROOM = 0.01
-# Share of the largest speed at a waypoint that a margin leaves.
+# Fraction of the largest speed at a waypoint that a margin leaves.
 _LEFT_OF_SPEED = 0.1
 
 
-#: Warning on a plan without a risk.
+#: Warning on a plan without margins.
 PAPER_PLAN = (
     "No margins: the plan may fly exactly at its limits, and gusts or a wrong wind forecast would "
     "break them; mission.risk asks for a plan with margins."
@@ -63,26 +64,29 @@ PAPER_PLAN = (
 class RiskTaken:
     """Risk for which a plan was made, with its margins and test flights.
 
+    The risk is the probability that a flight in turbulence breaks any limit.
+
     Attributes
     ----------
     asked : float
-        Greatest probability that a flight breaks any limit.
+        Largest risk that the scenario allows.
     predicted : float
-        By the linear covariance.
+        Risk predicted by the linear covariance.
     failed, flown : int
-        Flights that broke a limit, of those that had no part in finding the margins.
+        Number of test flights that broke a limit, and of all test flights. They had no part in
+        finding the margins.
     is_had : bool
-        Whether the flights that the margins were calibrated by keep the risk asked for.
+        Whether the test flights keep the allowed risk.
     margins : mapping
-        Field of the scenario -> by how much the plan tightened it, in the field's unit.
+        Field of the scenario -> amount by which the plan tightened it, in the field's unit.
     paper_energy_J : float
-        Of the plan without margins.
+        Energy of the plan without margins.
     limiting : tuple of str
         The limits that flights break most, in words, the most frequent first.
     advice : str
-        What would help where the risk cannot be had.
+        Advice to the user if the risk cannot be reached.
     stopped : str
-        Why the search for margins ended early; empty where it did not.
+        Reason why the search for margins ended early; empty if it did not.
     """
 
     asked: float
@@ -97,12 +101,20 @@ class RiskTaken:
     stopped: str = ""
 
     def price(self, energy: float) -> tuple[float, float]:
-        """Return the energy that the margins cost, in J and in % of the plan without margins."""
+        """Return the energy that the margins cost: in J, and in % of the plan without margins.
+
+        `energy` is that of the plan with margins [J]. Margins are the amounts by which the plan
+        stays inside its limits.
+        """
         more = energy - self.paper_energy_J
         return more, 100.0 * more / self.paper_energy_J
 
     def words(self, energy: float) -> str:
-        """Return risk, test flights and cost of the margins in one or two sentences."""
+        """Return risk of a broken limit, test flights and cost of the margins in sentences.
+
+        `energy` is that of the plan with margins [J]. Margins are the amounts by which the plan
+        stays inside its limits.
+        """
         joules, percent = self.price(energy)
         price = f"the margins cost {joules:.3g} J ({percent:.2g} %)"
         seen = f"{self.failed} of {self.flown} flights that had no part in the plan broke a limit"
@@ -122,7 +134,7 @@ class RiskTaken:
 
 
 def tightened(scenario: Scenario, margins: Mapping[str, float]) -> Scenario:
-    """Return the scenario with its limits tightened by margins."""
+    """Return the scenario with its limits tightened by margins (scenario field -> amount)."""
     told = scenario.mission
     mission: dict[str, Any] = {
         "waypoints": tuple(_narrowed(waypoint, margins) for waypoint in told.waypoints)
@@ -146,7 +158,19 @@ def tightened(scenario: Scenario, margins: Mapping[str, float]) -> Scenario:
 
 
 def used_up(planned: LimitValues, flown: LimitValues) -> Iterator[tuple[str, float]]:
-    """Yield, per end of a limit, its field and how much nearer a flight comes than its plan."""
+    """Yield how much nearer a flight is to each limit than its plan, by scenario field.
+
+    Parameters
+    ----------
+    planned, flown : LimitValues
+        Values of the same limit along the plan and along the flight, at the same times.
+
+    Yields
+    ------
+    (str, float)
+        Field that sets an end of the limit, and largest decrease of the distance from it, in the
+        unit of the limit.
+    """
     fields = FIELDS.get(planned.name.partition("[")[0], ("", ""))
     for side, name in zip((1.0, -1.0), fields, strict=True):
         if name:
@@ -154,7 +178,7 @@ def used_up(planned: LimitValues, flown: LimitValues) -> Iterator[tuple[str, flo
 
 
 def _narrowed(waypoint: Waypoint, margins: Mapping[str, float]) -> Waypoint:
-    """Return a waypoint with a smaller radius, a lower speed limit and an earlier hold."""
+    """Return a waypoint tightened by margins: smaller radius, lower speed limit, earlier hover."""
     changed: dict[str, float] = {}
     if waypoint.radius:
         least = min(waypoint.radius, _LEFT_OF_ROOM)
@@ -171,7 +195,17 @@ def _narrowed(waypoint: Waypoint, margins: Mapping[str, float]) -> Waypoint:
 
 
 def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> tuple[float, ...]:
-    """Return the times at which flights pass the waypoints of a plan with early holds."""
+    """Return the times at which flights must pass the waypoints of a plan with early hovers.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission.
+    planned : sequence of float
+        Time at which the plan reaches each waypoint [s].
+    lead : float
+        Time by which the plan starts hovers earlier than required [s].
+    """
     return tuple(
         at + (lead if waypoint.hold else 0.0)
         for waypoint, at in zip(scenario.mission.waypoints, planned, strict=True)
@@ -179,7 +213,10 @@ def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> 
 
 
 def greatest_margin(scenario: Scenario, name: str) -> float:
-    """Return the largest margin of a field that can leave the mission feasible."""
+    """Return the largest margin on a scenario field that can leave the mission feasible.
+
+    A margin is the amount by which a plan tightens the field, in the unit of the field.
+    """
     told, limits, mission = scenario.airspace, scenario.limits, scenario.mission
     if name == "airspace.floor" and told.floor is not None:
         heights = told.height_above_ground(mission.positions)

@@ -1,4 +1,7 @@
-"""Compiled problem of a mission, and its solves with the mission's or easier parameters."""
+"""Compiled problem of a mission, and its solves with the mission's or easier parameters.
+
+Easier parameters round the corner that the power has at zero if braking returns no energy.
+"""
 
 from __future__ import annotations
 
@@ -33,12 +36,12 @@ if TYPE_CHECKING:
     from pyomo_quad.flight.search import Search
     from pyomo_quad.scenario import Scenario
 
-# How accurately, and on how many meshes, a kinked power is first solved with its corner rounded
-# widely.
+# Tolerance and number of meshes of the first solve, whose power is rounded most widely at zero.
 _ROUGHLY = {"tolerance": 1e-2, "refinement": RefinementOptions(max_meshes=5)}
-# Number of meshes on which the corner itself fails that are begun anew from the widest corner.
+# Number of times that the continuation is repeated from the widest rounding, on the refined mesh on
+# which it failed.
 _MOST_RETURNS = 6
-# Share of what a flight may miss or break that the error estimate of a mesh may.
+# Error estimate of a mesh relative to the tolerances on the simulated flight.
 _ESTIMATED = 0.5
 
 
@@ -48,17 +51,19 @@ class MissionProblem:
     Parameters
     ----------
     problems : Problems
+        Compiled problems.
     told : Scenario
-        The mission in the wind that the optimiser assumes.
+        The mission in the wind that the optimiser assumes (the forecast).
     search : Search, optional
-        Stops the solves, and keeps usable plans of the meshes that they finish.
+        Stops the solves, and keeps plans that simulation confirms at lower accuracy.
 
     Attributes
     ----------
     timings : mapping
         Seconds for build and compile.
     easier : tuple of mapping
-        Parameter values that make the problem easier, the easiest first; no plan has them.
+        Parameter values that make the problem easier, the easiest first: a wider rounding of the
+        power's corner at zero. They are not used for a final plan.
     """
 
     def __init__(self, problems: Problems, told: Scenario, search: Search | None = None) -> None:
@@ -69,7 +74,7 @@ class MissionProblem:
 
     @property
     def has_routes(self) -> bool:
-        """Whether zones leave several routes to compare."""
+        """Whether zones or a wind field leave several routes to compare."""
         return self.problems.has_routes(self.told)
 
     @cached_property
@@ -101,9 +106,20 @@ class MissionProblem:
         }
 
     def solve(self, numbers: dict[str, float] | None = None, **chosen: Any) -> Solution:
-        """Solve the mission once; ``chosen`` replaces arguments of `Problem.solve`.
+        """Solve the mission's problem once, with refinement of the mesh.
 
-        With other numbers than the mission's own, no usable plan is kept.
+        Parameters
+        ----------
+        numbers : dict, optional
+            Parameter values other than the mission's, by full name; the search then keeps no plan
+            of a finished mesh.
+        **chosen
+            Arguments of `Problem.solve` that replace those of `arguments`.
+
+        Returns
+        -------
+        Solution
+            Of any status.
         """
         arguments = self.arguments | chosen
         if numbers:
@@ -112,15 +128,30 @@ class MissionProblem:
         return self.problem.solve(**arguments)
 
     def solve_roughly(self, **chosen: Any) -> Solution:
-        """Solve the mission on one mesh with its easiest parameters."""
+        """Solve the mission on one mesh with its easiest parameters.
+
+        These round the corner of the power at zero most widely. ``chosen`` as for `solve`.
+        """
         return self.solve(next(iter(self.easier), None), **{"tolerance": None} | chosen)
 
     def solve_from(self, guess: Any = None, mesh: Mesh | None = None) -> Solution:
-        """Solve from an initial guess by continuation, from easier parameters to the mission's own.
+        """Solve the mission from an initial guess, by continuation from easier parameters.
 
-        Each solve starts at the solution of the one before. If a later solve fails on a
+        Each solve starts at the solution of the solve before. If a later solve fails on a
         refined mesh, the easiest parameters are solved on that mesh, and the continuation
-        is repeated from there.
+        is repeated from there. Without easier parameters it is a single solve.
+
+        Parameters
+        ----------
+        guess : mapping, DataFrame or Trajectory, optional
+            Initial guess; by default that of the model.
+        mesh : Mesh, optional
+            First mesh; by default that of the scenario.
+
+        Returns
+        -------
+        Solution
+            With the mission's own parameters, of any status.
         """
         solution, easiest = self._by_way_of(self.easier, guess, mesh or self.arguments["mesh"])
         for _ in range(_MOST_RETURNS):
@@ -140,7 +171,15 @@ class MissionProblem:
         mesh: Mesh,
         reached: Solution | None = None,
     ) -> tuple[Solution, Solution | None]:
-        """Solve by continuation in the parameters; return the last and the first solution found."""
+        """Solve by continuation in the parameters, from easier ones to the mission's.
+
+        Returns
+        -------
+        Solution
+            The last solve.
+        Solution or None
+            The first successful solve with easier parameters.
+        """
         first = reached
         for numbers in easier:
             if reached is None:
@@ -157,12 +196,18 @@ class MissionProblem:
         return self.solve(mesh=reached.mesh, warm_start=reached), first
 
     def _as_far_as(self, stopped: Solution) -> Solution:
-        """Return an interrupted solve with easier parameters as an iterate of the mission."""
+        """Return an interrupted solve with easier parameters as an iterate of the mission.
+
+        Its energy and errors are thus those of the mission's own parameters.
+        """
         read = self.unsolved(mesh=stopped.mesh, warm_start=stopped)
         return replace(read, status=stopped.status, message=stopped.message)
 
     def unsolved(self, **chosen: Any) -> Solution:
-        """Return the initial point of a solve as a solution that is not converged."""
+        """Return the initial point of a solve as a solution that is not converged.
+
+        ``chosen`` as for `solve`.
+        """
         options = SolverOptions(max_iterations=0)
         return self.solve(**{"tolerance": None, "options": options, "progress": None} | chosen)
 
@@ -170,8 +215,9 @@ class MissionProblem:
     def in_own_variables(other: Solution, own: Solution) -> Trajectory:
         """Return another problem's trajectory in the variables of this problem's solution ``own``.
 
-        Variables that the other problem lacks, such as a pack's charge in a flight of the least
-        time, have the course of the own solution; so have all static ones if they differ.
+        Variables that the other problem lacks, such as the battery's charge in a minimum-time
+        problem, get the values of the own solution; so do all static variables (those that are
+        constant in time) if they differ between the two problems.
         """
         mine, held = own.problem.compiled.declared, other.problem.compiled.declared
         path, found, mesh = own.trajectory, other.trajectory, other.mesh
@@ -191,18 +237,24 @@ class MissionProblem:
 
     @cached_property
     def past_waypoints(self) -> MissionProblem | None:
-        """The same mission with exact passages of the waypoints, None if they are exact already."""
+        """The same mission with exact waypoint passages; None if they are exact already.
+
+        Waypoints lose their radius and speed limit, which makes a first solve easier.
+        """
         plain = with_plain_passages(self.told)
         return None if plain is None else MissionProblem(self.problems, plain, self.search)
 
     @cached_property
     def steady(self) -> SteadyFlight:
-        """Steady flight of the vehicle in the wind of the mission."""
+        """Steady flight (hover, cruise) of the vehicle in the wind of the mission."""
         flown = {name: self.arguments[name] for name in ("parameters", "horizon")}
         return SteadyFlight(self.told, self.problem.dynamics(**flown))
 
     def hover_energy(self, solution: Solution) -> float:
-        """Return the energy of hovering for the whole mission, NaN if the vehicle cannot hover."""
+        """Return the energy of hovering for the duration of a solution [J].
+
+        NaN if the vehicle cannot hover.
+        """
         held = trajectories_of(solution)
         known = dict(zip(held.state_names, held.states[0].tolist(), strict=True))
         try:
@@ -213,7 +265,10 @@ class MissionProblem:
         return power * (end - start)
 
     def keep_usable(self, finished: Solution) -> None:
-        """Offer the solution of a finished mesh to the search as a usable plan."""
+        """Offer the solution of a finished mesh to the search as a usable plan.
+
+        A usable plan is one that simulation confirms at lower accuracy than requested.
+        """
         search = self.search
         if search is None:
             return

@@ -1,8 +1,8 @@
 """Cheapest orders of places from a table of leg costs, and a lower bound for all orders.
 
 A table has the start in row 0, the goal in the last column, and the places between them; the cost
-of a leg may depend on its direction. Derivation of the bound: docs/theory/orders.md, eqs. (2) to
-(5).
+of a leg (the flight from one place to another) may depend on its direction. Derivation of the
+bound: docs/theory/orders.md, eqs. (2) to (5).
 """
 
 from dataclasses import dataclass
@@ -20,12 +20,12 @@ _Order = tuple[int, ...]
 
 #: Number of places up to which the cheapest orders are exact; above it a search finds them.
 MOST_EXACT = 12
-# Further descents of the search, each from a disturbed best order.
+# Number of further descents of the local search, each from a perturbed best order.
 _KICKS = 30
-# Block exchanges in a disturbance.
+# Number of block exchanges in a perturbation.
 _EXCHANGES = 3
-# Number of steps of the ascent to the bound, and the factor by which the step is reduced when the
-# bound has not risen for a number of steps.
+# Number of steps of the subgradient ascent to the bound; factor by which the step is reduced if the
+# bound has not increased for the last number of steps.
 _ASCENT_STEPS = 400
 _SHRINK, _PATIENCE = 0.7, 10
 # Relative gain below which two orders count as equal.
@@ -41,8 +41,8 @@ class OrderSearch:
     order : tuple of int
         The waypoints of the scenario in the order of the plan.
     cost_J : float
-        Sum of the energies of its legs, each flown alone from hover to hover, plus the price of
-        time.
+        Sum of the energies of the legs of this order, each flown alone from hover to hover, plus
+        the price of time.
     bound_J : float
         Lower bound on this sum for all orders; legs without a solve count with an optimistic
         prediction.
@@ -58,17 +58,17 @@ class OrderSearch:
 
     @property
     def name(self) -> str:
-        """Waypoint numbers in the chosen order."""
+        """Waypoint numbers in the chosen order, in words."""
         return f"waypoints in order {', '.join(str(k) for k in self.order)}"
 
     @property
     def gap(self) -> float:
-        """Relative excess of the order's cost over the lower bound."""
+        """Relative excess of the order's cost over the lower bound for all orders."""
         return self.cost_J / self.bound_J - 1.0
 
     @property
     def line(self) -> str:
-        """One-line description of the search."""
+        """Sentence on the search for the order of the waypoints and its accuracy."""
         return (
             f"order of {len(self.order)} waypoints: by the energies of its legs, flown one by one, "
             f"at most {self.gap:.2%} above the best; {self.solved} of {self.legs} legs solved, "
@@ -97,7 +97,10 @@ def best_orders(costs: FloatArray, count: int) -> list[_Order]:
 
 
 def cost_of(costs: FloatArray, order: _Order) -> float:
-    """Return the sum of the costs of the legs of an order."""
+    """Return the cost of an order of places: the sum of the costs of its legs.
+
+    `costs` is the table of leg costs, with the start in row 0 and the goal in the last column.
+    """
     places = np.array([0, *(k + 1 for k in order), len(costs) - 1])
     return float(costs[places[:-1], places[1:]].sum())
 
@@ -105,8 +108,8 @@ def cost_of(costs: FloatArray, order: _Order) -> float:
 def exact_orders(costs: FloatArray, count: int) -> list[_Order]:
     """Return the cheapest orders by dynamic programming (Held and Karp).
 
-    The states are the set of places passed and the last of them [1]_; the `count` best orders of
-    each state are kept.
+    A state of the recursion is the set of places passed and the last of them [1]_; the `count` best
+    orders of each state are kept. Parameters and result as for `best_orders`.
 
     .. [1] Held and Karp, "A dynamic programming approach to sequencing problems", SIAM J. 10
        (1962).
@@ -147,8 +150,9 @@ def search_orders(costs: FloatArray, count: int) -> list[_Order]:
     """Return the cheapest orders found by iterated local search.
 
     Each step takes the best of all exchanges of two neighbouring blocks, which keep every direction
-    of flight, and of all reversals of a block [1]_. Descents are repeated from disturbed copies of
-    the best order; the random numbers are the same in every call.
+    of flight, and of all reversals of a block [1]_. Descents are repeated from perturbed copies of
+    the best order; the random numbers are the same in every call. Parameters and result as for
+    `best_orders`.
 
     .. [1] Kanellakis and Papadimitriou, "Local search for the asymmetric traveling salesman
        problem", Operations Research 28 (1980).
@@ -170,14 +174,18 @@ def search_orders(costs: FloatArray, count: int) -> list[_Order]:
 
 
 def _without_infinities(costs: FloatArray) -> FloatArray:
-    """Return costs with infinite entries replaced by a finite number above any finite tour."""
+    """Return leg costs without infinite entries, for algorithms that need finite numbers.
+
+    A leg is the flight between two places. An infinite cost, of a leg that is not allowed, is
+    replaced by a number above the cost of any order.
+    """
     finite = costs[np.isfinite(costs)]
     large = 1.0 + len(costs) * float(np.max(np.abs(finite), initial=0.0))
     return np.where(np.isfinite(costs), costs, large)
 
 
 def _neighbours(n: int) -> IntArray:
-    """Return all orders that differ from 0, 1, ... n - 1 by one local change, in rows."""
+    """Return all permutations of 0, 1, ... n - 1 that one local change makes, in rows."""
     every = np.arange(n)
     rows = [
         np.concatenate([every[:i], every[j:k], every[i:j], every[k:]])
@@ -196,13 +204,13 @@ def _named(order: IntArray) -> _Order:
 
 
 def _cost(costs: FloatArray, orders: IntArray) -> FloatArray:
-    """Return the cost of each order, given as a row of indices."""
+    """Return the costs of several orders of places, each given as a row of indices."""
     between = costs[orders[:, :-1], orders[:, 1:]].sum(axis=1)
     return np.asarray(costs[0, orders[:, 0]] + between + costs[orders[:, -1], -1])
 
 
 def nearest_first(costs: FloatArray) -> IntArray:
-    """Return the greedy order: always to the nearest remaining place."""
+    """Return the greedy order of places: always to the nearest remaining place."""
     order, left = [0], list(range(1, len(costs) - 1))
     while left:
         order.append(left.pop(int(np.argmin(costs[order[-1], left]))))
@@ -210,7 +218,7 @@ def nearest_first(costs: FloatArray) -> IntArray:
 
 
 def _descended(costs: FloatArray, neighbours: IntArray, order: IntArray) -> IntArray:
-    """Return the local optimum that steepest descent finds from a first order of waypoints."""
+    """Return the local optimum that steepest descent finds from an initial order."""
     cost = _cost(costs, order[None])[0]
     while True:
         beside = order[neighbours]
@@ -247,11 +255,12 @@ def least_cost(costs: FloatArray, reached: float) -> float:
 
 
 def _made_symmetric(costs: FloatArray, finite: FloatArray) -> FloatArray:
-    """Return symmetric leg costs for a lower bound: the cheaper direction, less potentials.
+    """Return symmetric costs of the legs for a lower bound: the cheaper direction, less potentials.
 
-    The cost of an order does not depend on potentials, eq. (3). Climbs, and head wind against tail
-    wind, are differences of potentials; a leg allowed in one direction only gives no information on
-    them.
+    A leg is the flight from one place to another. A potential is a number for each place, whose
+    difference is subtracted from the cost of a leg; the cost of an order does not depend on
+    potentials, eq. (3). Climbs, and head wind against tail wind, are differences of potentials; a
+    leg allowed in one direction only gives no information on them.
     """
     potential = np.zeros(len(costs))
     is_both = np.isfinite(costs + costs.T)[1:-1, 1:-1]
@@ -266,7 +275,11 @@ def _made_symmetric(costs: FloatArray, finite: FloatArray) -> FloatArray:
 
 
 def _tree_bound(costs: FloatArray, reached: float) -> float:
-    """Return the largest minimum spanning tree cost over prices of the places, eq. (5)."""
+    """Return the largest minimum spanning tree cost over multipliers of the places, eq. (5).
+
+    The multipliers (prices) penalise places whose number of legs in the tree differs from that in
+    an order.
+    """
     degrees = np.full(len(costs), 2.0)
     degrees[[0, -1]] = 1.0
     prices, best, eager, idle = np.zeros(len(costs)), -inf, 1.0, 0
@@ -287,7 +300,7 @@ def _tree_bound(costs: FloatArray, reached: float) -> float:
 def _least_tree(costs: FloatArray) -> tuple[float, FloatArray]:
     """Return the cost of the minimum spanning tree, eq. (4), and the degree of each place.
 
-    Prim's algorithm.
+    Prim's algorithm; the degree is the number of legs of the tree at a place.
     """
     n = len(costs)
     degrees, nearest, by = np.zeros(n), costs[0].copy(), np.zeros(n, dtype=int)

@@ -58,9 +58,9 @@ from pyomo_quad.scenario import Reference, Scenario, ScenarioError
 from pyomo_quad.scenario.wind import WindAxis, WindCoupling
 
 Answer = tuple[Sequence[float], Sequence[float]]
-"""Rotor accelerations of a law, and the rates of its own states."""
+"""Output of a control law: rotor accelerations [rad/s^2], and the rates of the law's own states."""
 OutsideLaw = Callable[[float, FloatArray, Sequence[float]], Answer]
-"""A law: its answer to time, declared states and its own states."""
+"""Control law: function of time, declared states of the vehicle, and the law's own states."""
 
 PLANT = "rotorpy"
 MULTIROTOR = "vehicles.multirotor"
@@ -69,10 +69,11 @@ _MISSING = "RotorPy is not installed; install it with pip install 'pyomo_quad[ro
 _TOLERANCE, _TIGHT = 1e-7, 1e-11
 # Default absolute tolerance of SciPy's integrators, which RotorPy does not change.
 _ABSOLUTE = 1e-6
-# With SE3, the yaw reaction couples body rates and commands at thousands of 1/s: explicit
-# integrators would take steps of a third of a millisecond.
+# Integrators of feedback flights. With SE3, the yaw reaction couples body rates and commands at
+# thousands of 1/s: explicit integrators would take steps of a third of a millisecond.
 _STIFF: tuple[str, str] = ("Radau", Integrator.MULTISTEP)
-# Held commands divide a flight into parts of milliseconds, which take one or two steps each.
+# Integrators of flights whose commands are constant over milliseconds: each such part takes one or
+# two steps.
 _EXPLICIT: tuple[str, str] = ("RK45", Integrator.RUNGE_KUTTA)
 # Relative distance after the start of a part of a flight at which its law is evaluated.
 _INSIDE = 1e-9
@@ -85,7 +86,7 @@ _SIZE = 20
 
 
 class Pilot(StrEnum):
-    """Controller of a flight in RotorPy: adaptive, SE3, or open loop."""
+    """Controller of a flight in RotorPy: adaptive, RotorPy's SE3, or none (open loop)."""
 
     ADAPTIVE = "adaptive"
     SE3 = "se3"
@@ -104,14 +105,20 @@ class BodyFrame:
 
 @dataclass(frozen=True, kw_only=True)
 class Habits:
-    """Switches for the deviations of RotorPy's simulation from the declared equations."""
+    """Switches for the deviations of RotorPy's own simulation from the declared equations.
+
+    Without deviations, RotorPy's vehicle obeys the declared equations.
+    """
 
     gravity: float | None = None
     """Gravity [m/s^2] in place of the scenario's."""
     has_gyroscopic_moment: bool = True
+    """Whether spinning rotors add a gyroscopic moment."""
     has_yaw_reaction: bool = True
+    """Whether accelerating rotors turn the body in yaw."""
     command_rate_hz: float | None = None
-    """Rate of commands, which are held in between and followed by the motors with their lag."""
+    """Rate of rotor commands, which are constant in between and followed by the motors with their
+    lag; None for continuous commands."""
     tolerance: float | None = None
     """Relative tolerance of RotorPy's integrator."""
 
@@ -125,7 +132,7 @@ ACROSS = BodyFrame(turn=-pi / 4, order=(0, 3, 2, 1))
 
 
 def rotorpy_module(name: str) -> ModuleType:
-    """Import a module of RotorPy.
+    """Import a module of RotorPy by its name within the package.
 
     Raises
     ------
@@ -141,7 +148,7 @@ def rotorpy_module(name: str) -> ModuleType:
 
 
 def quad_parameters(scenario: Scenario, dynamics: Dynamics) -> dict[str, Any]:
-    """Return the vehicle of a scenario as RotorPy's parameter dictionary."""
+    """Return the vehicle of a scenario as RotorPy's parameter dictionary (`quad_params`)."""
     vehicle, limits = scenario.vehicle, scenario.limits
     thrust, roll, pitch, yaw = mixer_matrix(dynamics)
     places = np.column_stack([-pitch / thrust, roll / thrust, np.zeros(len(thrust))])
@@ -172,14 +179,15 @@ def quad_parameters(scenario: Scenario, dynamics: Dynamics) -> dict[str, Any]:
 
 
 class OutsidePlant:
-    """RotorPy's multirotor behind the interface of the declared model.
+    """RotorPy's multirotor behind the interface of the declared model, for simulations.
 
     Its joint state is RotorPy's vector, the declared states that RotorPy lacks (the charge drawn
-    from the pack), the states of a law, and the energy.
+    from the pack), the states of a control law, and the energy spent.
 
     Parameters
     ----------
     scenario : Scenario
+        Mission and vehicle.
     dynamics : Dynamics
         The declared vehicle: its power, its battery and the wind.
     parameters : mapping, optional
@@ -231,7 +239,11 @@ class OutsidePlant:
         self._wind = _wind_of(scenario, dynamics)
 
     def started(self, x: FloatArray, own: Sequence[float]) -> FloatArray:
-        """Return the initial joint state of vehicle and controller."""
+        """Return the initial joint state, from declared states and the control law's own states.
+
+        The joint state has RotorPy's vector, further declared states, the law's states, and the
+        energy.
+        """
         s = np.zeros(_SIZE)
         s[:6] = x[self._place]
         attitude = Rotation.from_euler("ZYX", x[self._angles][::-1]) * self._turn
@@ -241,7 +253,11 @@ class OutsidePlant:
         return np.array([*s, *x[self._others], *own, 0.0])
 
     def read(self, joint: FloatArray) -> FloatArray:
-        """Convert a joint state of RotorPy's vehicle and the controller to the declared states."""
+        """Return the declared states, shape (n_states,), of a joint state.
+
+        The joint state has RotorPy's vector, further declared states, the law's states, and the
+        energy.
+        """
         x = np.empty(len(self.dynamics.state_names))
         x[self._place] = joint[:6]
         attitude = Rotation.from_quat(joint[_QUATERNION]) * self._turn.inv()
@@ -257,7 +273,10 @@ class OutsidePlant:
         return np.asarray(self._turn.apply(vector))
 
     def seen(self, x: FloatArray) -> dict[str, FloatArray]:
-        """Convert declared states to the dictionary that RotorPy's controllers read."""
+        """Convert declared states to the dictionary that RotorPy's controllers read.
+
+        Its keys are "x", "v", "q" (quaternion), "w" (body rates) and "rotor_speeds".
+        """
         s = self.started(x, ())
         return {
             "x": s[_POSITION],
@@ -268,17 +287,27 @@ class OutsidePlant:
         }
 
     def ours(self, theirs: FloatArray) -> FloatArray:
-        """Return one value per rotor, from RotorPy's order of rotors to the declared order."""
+        """Reorder one value per rotor from RotorPy's order of rotors to the declared order."""
         ordered = np.empty_like(theirs)
         ordered[self._order] = theirs
         return ordered
 
     def own(self, joint: FloatArray) -> list[float]:
-        """Return the controller's part of a joint state (vehicle, controller, energy)."""
+        """Return the control law's own states from a joint state of vehicle, law and energy."""
         return joint[_SIZE + len(self._others) : -1].tolist()
 
     def rates(self, t: float, joint: FloatArray, law: OutsideLaw) -> FloatArray:
-        """Return the time derivative of the joint state under a feedback law."""
+        """Return the time derivative of the joint state under a control law.
+
+        Parameters
+        ----------
+        t : float
+            Time [s].
+        joint : ndarray
+            RotorPy's state, further declared states, states of the law, and energy.
+        law : callable
+            See `OutsideLaw`.
+        """
         x = self.read(joint)
         alpha, own_rates = law(t, x, self.own(joint))
         declared, power = self.dynamics.rates_and_integrand(t, x, np.asarray(alpha, dtype=float))
@@ -293,7 +322,11 @@ class OutsidePlant:
         return np.array([*slope, *declared[self._others], *own_rates, power])
 
     def _of_rotors(self, s: FloatArray, alpha: FloatArray) -> FloatArray:
-        """Return the rotors' moment on the body, less the rate of their angular momentum [N m]."""
+        """Return the moment of the rotors' gyroscopic effect and reaction on the body [N m].
+
+        `s` is RotorPy's state, `alpha` the rotor accelerations in RotorPy's order [rad/s^2]; the
+        result has shape (3,).
+        """
         directions = self._vehicle.rotor_dir
         spin, gathering = directions @ s[_SPEEDS], directions @ alpha
         p, q, _ = s[_BODY_RATES]
@@ -310,7 +343,27 @@ class OutsidePlant:
         integrator: str,
         tolerance: float,
     ) -> Flown:
-        """Simulate a flight under a law that is smooth between given times [s].
+        """Simulate RotorPy's vehicle under a control law that is smooth between given times.
+
+        Parameters
+        ----------
+        law : callable
+            See `OutsideLaw`.
+        start : ndarray, shape (n_states,)
+            Declared states at the start.
+        own : sequence of float
+            The law's own states at the start.
+        borders : sequence of float
+            Increasing times [s] between which the law is smooth, with both ends of the flight.
+        integrator : str
+            Method of `scipy.integrate.solve_ivp`.
+        tolerance : float
+            Relative tolerance of the integrator.
+
+        Returns
+        -------
+        Flown
+            Samples in the declared states.
 
         Raises
         ------
@@ -354,7 +407,10 @@ class OutsidePlant:
     def _slope(
         self, law: OutsideLaw, inside: float, last: float
     ) -> Callable[[float, FloatArray], FloatArray]:
-        """Return the derivative of the joint state; raise an error if the vehicle tumbles."""
+        """Return the time derivative of the joint state as a function of time and joint state.
+
+        The function raises a SolveError if the vehicle tumbles.
+        """
         guard = TumblingGuard("RotorPy", last - inside)
 
         def slope(t: float, joint: FloatArray) -> FloatArray:
@@ -364,7 +420,11 @@ class OutsidePlant:
         return slope
 
     def _held(self, law: OutsideLaw, t: float, joint: FloatArray) -> OutsideLaw:
-        """Return a law that applies a constant rotor command; motors follow with their lag."""
+        """Return a law with the constant rotor command that ``law`` gives at time t.
+
+        The motors follow the command with their lag. It is how RotorPy simulates a period of its
+        controller.
+        """
         x, lag = self.read(joint), self.parameters["tau_m"]
         command = x[self._rotors] + lag * np.asarray(law(t, x, self.own(joint))[0], dtype=float)
 
@@ -379,7 +439,7 @@ _WIND_VELOCITY = ("wind.velocity_x", "wind.velocity_y", "wind.velocity_z")
 
 
 def _wind_of(scenario: Scenario, dynamics: Dynamics) -> Callable[[float, FloatArray], FloatArray]:
-    """Return the declared wind, shape (3,), as a function of time and the declared states."""
+    """Return the declared wind [m/s], shape (3,), as a function of time and declared states."""
     keys = tuple((name, None) for name in _WIND_VELOCITY if dynamics.has(name))
 
     def read(times: FloatArray, states: FloatArray) -> FloatArray:
@@ -397,7 +457,10 @@ def _wind_of(scenario: Scenario, dynamics: Dynamics) -> Callable[[float, FloatAr
 
 
 def refuse_pushing_wind(scenario: Scenario) -> None:
-    """Refuse a wind that acts as an acceleration; RotorPy's wind acts on the airspeed."""
+    """Raise a ScenarioError for a wind that acts as an acceleration, eq. (9) as printed.
+
+    RotorPy has no counterpart: its wind acts on the airspeed.
+    """
     wind = scenario.wind
     is_steady = bool(wind.speed or wind.vertical)
     blows = is_steady or not wind.is_formula or _blows(wind.x) or _blows(wind.y)
@@ -413,7 +476,7 @@ def _blows(axis: WindAxis) -> bool:
 
 
 def outside_name(pilot: Pilot, followed: Reference) -> str:
-    """Return the name of a flight in RotorPy."""
+    """Return the name of a flight in RotorPy, as "rotorpy/adaptive/plan"."""
     return f"{PLANT}/{pilot.value}/{followed.value}"
 
 
@@ -423,6 +486,22 @@ def fly_outside(
     """Simulate RotorPy's vehicle along a reference, or with the plan's controls in open loop.
 
     Like every controlled flight it is verified by a second integrator.
+
+    Parameters
+    ----------
+    plant : OutsidePlant
+        RotorPy's vehicle.
+    pilot : Pilot
+        Controller, or open loop.
+    reference : Reference
+        Path to follow.
+    plan : Plan, optional
+        Plan to follow, and whose costates give the energy to complete the flight.
+
+    Returns
+    -------
+    Flight
+        With the name of `outside_name`.
 
     Raises
     ------
@@ -454,9 +533,27 @@ def fly_under(
     own: Sequence[float] = (),
     borders: Sequence[float] | None = None,
 ) -> Flight:
-    """Simulate RotorPy's vehicle under a feedback law.
+    """Simulate RotorPy's vehicle under a control law, by two integrators that confirm each other.
 
-    `borders`, s, separate the smooth parts of a law without feedback.
+    Parameters
+    ----------
+    plant : OutsidePlant
+        RotorPy's vehicle.
+    name : str
+        Name of the flight in comparisons.
+    law : callable
+        See `OutsideLaw`.
+    plan : Plan, optional
+        Plan whose initial state and end costates are used.
+    own : sequence of float
+        The law's own states at the start.
+    borders : sequence of float, optional
+        Times between which a law without feedback is smooth [s].
+
+    Returns
+    -------
+    Flight
+        The flight, with its table and results.
     """
     began = perf_counter()
     scenario, dynamics, habits = plant.scenario, plant.dynamics, plant.habits
@@ -491,9 +588,18 @@ def _adaptive(
 
 
 def se3_law(plant: OutsidePlant, path: ReferencePath, *, stiffness: float = 1.0) -> OutsideLaw:
-    """Return RotorPy's SE3 controller with scaled position gains.
+    """Return RotorPy's SE3 controller as a control law, with scaled position gains.
 
     Its commands are clipped to the limits of the rotors.
+
+    Parameters
+    ----------
+    plant : OutsidePlant
+        RotorPy's vehicle.
+    path : callable
+        Time [s] -> Setpoint.
+    stiffness : float, optional
+        Factor on the proportional position gain; the derivative gain grows with its square root.
     """
     control = rotorpy_module("controllers.quadrotor_control").SE3Control(plant.parameters)
     control.kp_pos *= stiffness
@@ -520,9 +626,10 @@ def se3_law(plant: OutsidePlant, path: ReferencePath, *, stiffness: float = 1.0)
 
 
 def _open_loop(plan: Plan, plant: OutsidePlant) -> tuple[OutsideLaw, list[float]]:
-    """Return the plan's controls as a law, with the element boundaries of its mesh.
+    """Return the plan's controls as a control law, with the element boundaries of the mesh [s].
 
-    A held command is the planned rotor speed, independent of the actual speed.
+    If commands are constant over periods (`Habits.command_rate_hz`), the command is the planned
+    rotor speed, independent of the actual speed.
     """
     held, rotors = plan.trajectories, rotor_columns(plant.dynamics)
     start, end = held.horizon

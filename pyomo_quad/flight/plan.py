@@ -49,16 +49,32 @@ if TYPE_CHECKING:
     from pyomo_quad.presentation import Picture
 
 
-#: Samples of a plan in comparisons with other flights.
+#: Number of samples of a plan's table in comparisons with other flights.
 FLIGHT_SAMPLES = 1001
 
 
 @dataclass(frozen=True, kw_only=True)
 class Trajectories:
-    """States, controls and energy on a mesh, by name.
+    """States, controls, energy and costates of a plan on its mesh, with their names.
 
-    Shapes: states (n_points + 1, n_states), controls (n_points, n_controls), energy
-    (n_points + 1,), costates (n_points, n_costates), hamiltonian (n_points,).
+    Attributes
+    ----------
+    mesh : Mesh
+        Elements and degrees; n_points collocation points.
+    horizon : (float, float)
+        Start and end time [s].
+    state_names, control_names, costate_names : tuple of str
+        Names of the columns.
+    states : ndarray, shape (n_points + 1, n_states)
+        At the nodes: the start and the collocation points.
+    controls : ndarray, shape (n_points, n_controls)
+        At the collocation points.
+    energy : ndarray, shape (n_points + 1,)
+        Energy spent until each node [J].
+    costates : ndarray, shape (n_points, n_costates)
+        At the collocation points, J per unit of the state.
+    hamiltonian : ndarray, shape (n_points,)
+        At the collocation points [W].
     """
 
     mesh: Mesh
@@ -73,35 +89,42 @@ class Trajectories:
     hamiltonian: FloatArray
 
     def fractions(self, t: FloatArray) -> FloatArray:
-        """Return times as fractions of the flight's horizon, clipped to 0 and 1."""
+        """Return times [s] as fractions of the flight's horizon, clipped to 0 and 1."""
         start, end = self.horizon
         return np.clip((np.asarray(t, dtype=float) - start) / (end - start), 0.0, 1.0)
 
     def states_at(self, t: FloatArray) -> FloatArray:
-        """Evaluate the state polynomials at given times, shape (n, n_states)."""
+        """Evaluate the state polynomials at given times [s], shape (n, n_states)."""
         return interpolate(self.mesh, self.states, self.fractions(t), with_start=True)
 
     def controls_at(
         self, t: FloatArray, limits: tuple[FloatArray, FloatArray] | None = None
     ) -> FloatArray:
-        """Evaluate the control polynomials, clipped to limits, shape (n, n_controls)."""
+        """Evaluate the control polynomials at given times [s], shape (n, n_controls).
+
+        `limits` are lower and upper limits, each of shape (n_controls,), to which the values are
+        clipped; None for no clipping.
+        """
         controls = interpolate(self.mesh, self.controls, self.fractions(t), with_start=False)
         return controls if limits is None else np.clip(controls, *limits)
 
     def energy_at(self, t: FloatArray) -> FloatArray:
-        """Return the energy spent until given times, shape (n,)."""
+        """Return the energy spent until given times [J], shape (n,)."""
         held = interpolate(self.mesh, self.energy[:, None], self.fractions(t), with_start=True)
         return held[:, 0]
 
     @property
     def node_times(self) -> FloatArray:
-        """Times of the nodes [s]."""
+        """Times of the nodes, the start and the collocation points [s], shape (n_points + 1,)."""
         start, end = self.horizon
         return start + (end - start) * self.mesh.node_fractions
 
 
 def trajectories_of(solution: Solution) -> Trajectories:
-    """Return the trajectories of a solution, by name."""
+    """Return the trajectories of a solution of the engine, by name.
+
+    Variables that equations determine (algebraic variables) are not among the controls.
+    """
     declared = solution.problem.compiled.declared
     costates = solution.costates
     # Variables that equations determine are not commands: a flight solves for them.
@@ -122,7 +145,7 @@ def trajectories_of(solution: Solution) -> Trajectories:
     )
 
 
-#: Least size of an energy by which errors are divided [J].
+#: Smallest energy that a relative error of an energy is divided by [J].
 LEAST_ENERGY_J = 1e-3
 
 _FORMAT: Final = 2
@@ -135,11 +158,20 @@ _WARM_START = "warm_start."
 
 
 class PlanStatus(StrEnum):
-    """Outcome of planning, from verified to failed.
+    """Outcome of planning a scenario, from verified to failed.
 
-    A flight proves `VERIFIED` to be as accurate as was asked for.  It proves of `USABLE` that it
-    arrives, keeps all limits and spends the energy stated, to the figures `USABLE`;
-    how much less another flight may spend is known only by `Plan.energy_uncertainty`.
+    Attributes
+    ----------
+    VERIFIED
+        A simulated flight and the error estimate confirm the plan to the requested accuracy.
+    USABLE
+        A simulated flight confirms, to the tolerances `USABLE`, that the plan arrives, keeps all
+        limits and spends the energy stated; the saving that another flight may still make is known
+        only by `Plan.energy_uncertainty`.
+    SOLVED
+        Ipopt converged, but the simulated flight does not confirm the plan.
+    NOT_CONVERGED, INFEASIBLE, INTERRUPTED
+        The solve did not converge, found the constraints infeasible, or was stopped.
     """
 
     VERIFIED = "verified"
@@ -150,16 +182,16 @@ class PlanStatus(StrEnum):
     INTERRUPTED = "interrupted"
 
 
-#: Outcomes whose flight may be flown and exported.
+#: Statuses of plans that may be flown and exported.
 FLYABLE = (PlanStatus.VERIFIED, PlanStatus.USABLE)
 
 
-# A failed solve may have an infinite error.
+# Error estimate, which a failed solve leaves infinite.
 _Error = Annotated[float, AllowInfNan()]
 
 
 class PlanRecord(Part):
-    """Contents of a plan file other than its arrays."""
+    """Contents of a plan file other than its arrays; the attributes are those of `Plan`."""
 
     status: PlanStatus
     message: str
@@ -177,7 +209,10 @@ class PlanRecord(Part):
 
 
 class _About(Part):
-    """JSON schema of the description in a plan file."""
+    """JSON schema of the text part of a plan file.
+
+    It holds scenario, record, horizon, and the names of the columns of the arrays.
+    """
 
     model_config = ConfigDict(ser_json_inf_nan="constants")
 
@@ -197,7 +232,21 @@ def write_plan_file(
     trajectories: Trajectories,
     warm_start: WarmStart | None,
 ) -> None:
-    """Write a plan's description and arrays; a warm start with infinite numbers is left out."""
+    """Write a plan to a file: a compressed archive of arrays, with a description as JSON.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    scenario : Scenario
+        Scenario of the plan.
+    record : PlanRecord
+        Attributes of the plan other than its arrays.
+    trajectories : Trajectories
+        Arrays of the plan.
+    warm_start : WarmStart or None
+        Initial point for another solve; left out if it has infinite numbers.
+    """
     about = _About(
         format=_FORMAT,
         scenario=scenario.model_dump(mode="json"),
@@ -219,7 +268,11 @@ def write_plan_file(
 
 
 def read_plan_file(path: Path) -> tuple[Scenario, PlanRecord, Trajectories, WarmStart | None]:
-    """Return a plan's description and arrays.
+    """Read a plan file and return its scenario, attributes, arrays and warm start.
+
+    Returns
+    -------
+    (Scenario, PlanRecord, Trajectories, WarmStart or None)
 
     Raises
     ------
@@ -353,16 +406,20 @@ class Plan(Summarised):
     Attributes
     ----------
     scenario : Scenario
+        Scenario that was planned.
     status : PlanStatus
+        Outcome, from verified to failed.
     message : str
         Reason why the solve ended, in one sentence.
     energy : float
-        Objective by the scheme's own quadrature [J].
+        Energy of the flight by the quadrature of the collocation scheme [J].
     hover_energy_J : float
         Energy of hovering for the same time.
     trajectories : Trajectories
+        States, controls, energy and costates on the mesh.
     verification : Verification or None
-        None if nothing was flown, because the solve failed.
+        Comparison with the simulated flight; None if the solve failed, so that nothing was
+        simulated.
     error_estimate : float
         Largest relative error over elements and states.
     history : tuple of MeshRecord
@@ -378,15 +435,19 @@ class Plan(Summarised):
     timings : mapping
         Seconds for build, compile, solve and verify.
     routes : tuple of TriedRoute
-        The routes round keep-outs that were tried, the shortest first.
+        The routes round keep-out zones that were tried, the shortest first.
     order_search : OrderSearch or None
         How the order of the waypoints was found, where the mission leaves it open.
     warm_start : WarmStart or None
         Initial point for another solve; stored by `save`.
     solution : Solution or None
         The engine's own result; None when the plan was loaded from a file.
+    flown : Flown or None
+        The simulated flight of the verification.
     risk : RiskTaken or None
-        The risk that it was made for; None of a paper plan, which leaves nothing to a controller.
+        Share of flights in turbulence that may break a limit, for which the plan stays inside its
+        limits by margins; None for a plan without margins, which leaves no thrust to a controller
+        (a paper plan).
     """
 
     scenario: Scenario
@@ -418,12 +479,15 @@ class Plan(Summarised):
 
     @property
     def cost(self) -> float:
-        """Objective of the plan: energy plus the price of time [J]."""
+        """Objective of the plan: energy plus the price of time times the duration [J].
+
+        The price of time [W] is the weight of a free duration in the objective.
+        """
         return self.energy + self.scenario.mission.price_of_time * self.duration_s
 
     @property
     def mission_flown(self) -> Scenario:
-        """Scenario with the plan's duration and passing times filled in."""
+        """Scenario with the plan's duration and passing times of waypoints filled in."""
         told = self.scenario
         if not told.mission.is_free and not told.mission.waypoints:
             return told
@@ -431,12 +495,16 @@ class Plan(Summarised):
 
     @property
     def risk_words(self) -> str:
-        """Risk and cost of the plan's margins in words, or a warning that it has no margins."""
+        """Risk and cost of the plan's margins in words, or a warning that it has no margins.
+
+        The risk is the share of flights in turbulence that may break a limit. Margins are the
+        amounts by which the plan stays inside its limits.
+        """
         return PAPER_PLAN if self.risk is None else self.risk.words(self.energy)
 
     @property
     def summary(self) -> dict[str, str]:
-        """Scenario, status, energy, error and size."""
+        """Scenario, status, energy, estimated error, mesh size and message, as text."""
         return {
             "scenario": self.scenario.name,
             "status": self.status.value,
@@ -463,13 +531,16 @@ class Plan(Summarised):
 
     @property
     def figures_checked(self) -> Figures:
-        """Tolerances of the accuracy at which the plan was verified."""
+        """Tolerances to which the plan was verified: of the requested accuracy, or `USABLE`."""
         usable = self.status is PlanStatus.USABLE
         return USABLE if usable else FIGURES[self.scenario.solver.accuracy]
 
     @property
     def accuracy_reached(self) -> Accuracy | None:
-        """Highest accuracy, at most as requested, that simulation and error estimate confirm."""
+        """Highest accuracy, up to the requested one, that simulation and error estimate confirm.
+
+        None if they confirm none.
+        """
         if self.is_verified:
             return self.scenario.solver.accuracy
         flown = None if self.verification is None else self.verification.reached
@@ -481,9 +552,10 @@ class Plan(Summarised):
     def energy_uncertainty(self) -> float:
         """Estimated share of the energy that a better flight nearby may save.
 
-        The error estimate of a plan that is verified, and is its energy's among others; else by how
-        much the last mesh changed the energy, infinite where there was one mesh: that two meshes
-        agree by chance proves no more than the accuracy `quick`.
+        Of a verified plan it is the error estimate, which covers the error of the energy. Of
+        another plan it is the relative change of the energy by the last mesh, but at least the
+        tolerance of the accuracy `quick`, because two meshes may agree by chance; infinite if there
+        was only one mesh.
         """
         if self.is_verified:
             return min(self.error_estimate, self.scenario.solver.tolerance)
@@ -495,12 +567,12 @@ class Plan(Summarised):
 
     @property
     def iteration_count(self) -> int:
-        """Number of Ipopt iterations on all meshes."""
+        """Number of Ipopt iterations on all meshes together."""
         return sum(record.iterations for record in self.history)
 
     @property
     def reached(self) -> str:
-        """Sentence on how far an interrupted search came: mesh, energy, iteration, error."""
+        """Sentence on the progress of an interrupted search: mesh, energy, iteration, error."""
         asked = self.scenario.solver.tolerance
         parts = [
             f"mesh {max(len(self.history), 1)} with {self.mesh.points} points",
@@ -515,7 +587,13 @@ class Plan(Summarised):
 
     @cached_property
     def dynamics(self) -> Dynamics:
-        """Compiled equations of the plan, for simulations."""
+        """Compiled equations of the plan, for simulations.
+
+        Raises
+        ------
+        ScenarioError
+            If the plan was loaded from a file, which holds no equations.
+        """
         if self.solution is None:
             raise ScenarioError(
                 f"{self.scenario.name}: this plan was loaded from a file and holds no equations; "
@@ -536,6 +614,11 @@ class Plan(Summarised):
         ----------
         final : mapping
             State name -> final value; a state that the plan does not have adds nothing.
+
+        Returns
+        -------
+        float
+            Positive if the end state falls short of the planned end.
         """
         held = self.trajectories
         planned = dict(zip(held.state_names, held.states[-1].tolist(), strict=True))
@@ -547,7 +630,11 @@ class Plan(Summarised):
 
     @property
     def end_prices(self) -> dict[str, float]:
-        """Costates at the end: derivatives of the energy to complete by each state, by its name."""
+        """Costates at the end of the plan, by state name [J per unit of the state].
+
+        Each is the derivative of the energy to complete the mission by the final value of the
+        state.
+        """
         held = self.trajectories
         return dict(zip(held.costate_names, held.costates[-1].tolist(), strict=True))
 
@@ -603,11 +690,17 @@ class Plan(Summarised):
         return dataset_of(self.to_frame(rate_hz)).assign_attrs(told)
 
     def columns(self, times: FloatArray) -> dict[str, FloatArray]:
-        """Return the columns of `to_frame` at times [s], by name."""
+        """Return the columns of `to_frame` at given times [s], by name."""
         return flight_columns(*self._sampled(times))
 
     def times(self, rate_hz: float | None = None) -> FloatArray:
-        """Return the row times of `to_frame` [s]."""
+        """Return the times of the rows of `to_frame` [s]: the nodes of the mesh, or at a rate.
+
+        Raises
+        ------
+        ScenarioError
+            If the rate is not above 0 and at most 1e5 Hz.
+        """
         if rate_hz is None:
             return self.trajectories.node_times
         if not 0.0 < rate_hz <= 1e5:
@@ -617,13 +710,13 @@ class Plan(Summarised):
 
     @property
     def passages(self) -> list[Passage]:
-        """Waypoints that the flight must pass, each with its position, radius and passing time."""
+        """Waypoints of the mission with position, radius and the plan's passing time."""
         pairs = zip(self.scenario.mission.waypoints, self.passing_times_s, strict=True)
         return [Passage(time_s=at, position=w.position, radius=w.radius) for w, at in pairs]
 
     @property
     def mesh_where_broken(self) -> Mesh:
-        """Mesh refined in the elements where the simulated flight broke a limit."""
+        """Mesh of the plan, with the elements split in which the simulated flight broke a limit."""
         held = self.trajectories
         if self.flown is None:
             return held.mesh
@@ -664,7 +757,20 @@ class Plan(Summarised):
         return frame.iloc[0] if np.ndim(t) == 0 else frame
 
     def flight(self, name: str = "optimal", samples: int = FLIGHT_SAMPLES) -> Flight:
-        """Return the plan as a `Flight`, with the result of its verification."""
+        """Return the plan as a `Flight`, with the result of its verification.
+
+        Parameters
+        ----------
+        name : str, optional
+            Name of the flight in comparisons.
+        samples : int, optional
+            Rows of its table.
+
+        Returns
+        -------
+        Flight
+            With the energy of the plan, and misses and violations of the simulated flight.
+        """
         verification = self.verification
         return Flight(
             name=name,
@@ -682,7 +788,10 @@ class Plan(Summarised):
         )
 
     def costate_frame(self) -> pd.DataFrame:
-        """Return costates and Hamiltonian at the collocation points, with the index "time_s"."""
+        """Return costates and Hamiltonian at the collocation points as a table over "time_s".
+
+        The costates are in J per unit of the state, the Hamiltonian in W.
+        """
         import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
         held = self.trajectories
@@ -692,7 +801,7 @@ class Plan(Summarised):
         return frame
 
     def guess(self) -> pd.DataFrame:
-        """Return states and controls at the nodes, as an initial guess for another solve."""
+        """Return states and controls at the nodes as a table, a guess for another solve."""
         import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
         held, times = self.trajectories, self.trajectories.node_times
@@ -756,7 +865,13 @@ class Plan(Summarised):
         return presenter().report_plan(self, folder, figures)
 
     def save(self, path: str | Path) -> None:
-        """Write the plan to a file for `load`: arrays and JSON, nothing pickled."""
+        """Write the plan to a file that `load` reads: arrays and JSON, nothing pickled.
+
+        Parameters
+        ----------
+        path : str or Path
+            File to write.
+        """
         write_plan_file(
             Path(path),
             self.scenario,
@@ -767,9 +882,14 @@ class Plan(Summarised):
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Read a plan file; the plan lacks the compiled equations and cannot be simulated.
+        """Read a plan from a file; it lacks the compiled equations and cannot be simulated.
 
         Another solve can start from it as from the original plan.
+
+        Parameters
+        ----------
+        path : str or Path
+            File that `save` wrote.
 
         Raises
         ------

@@ -25,10 +25,19 @@ Solve = Callable[[Scenario, Start | None, Search], Plan]
 
 
 class Planner(Problems):
-    """Solver of scenarios: compiles, solves and verifies, with cached problems."""
+    """Solver of scenarios: compiles, solves and verifies, with cached compiled problems.
+
+    Parameters
+    ----------
+    builder : callable, optional
+        Builds the Pyomo model of a scenario; `build_model` by default.
+    """
 
     def until_stopped(self) -> AbstractContextManager[Callable[[], bool]]:
-        """Return a context for several solves that tells whether the user stopped them."""
+        """Return a context for several solves whose value tells whether the user stopped them.
+
+        The value is a function without arguments that returns a bool.
+        """
         return nullcontext(lambda: False)
 
     def solve(
@@ -39,14 +48,16 @@ class Planner(Problems):
         progress: Progress | None = None,
         show: Callable[[State], None] | None = None,
     ) -> Plan:
-        """Solve a scenario and verify the result by flying it.
+        """Solve a scenario for the flight of least energy, and verify it by simulation.
 
         Parameters
         ----------
         scenario : Scenario
+            Mission, vehicle, wind and settings.
         warm_start : Plan or WarmStart, optional
-            A plan of a similar scenario, or what its file or a sweep kept of one: its trajectory,
-            and its multipliers if they belong to the same equations, are the first point.
+            A plan of a similar scenario, or the warm start that its file or a sweep stored: its
+            trajectory, and its multipliers if they belong to the same equations, are the initial
+            point.
         progress : callable, optional
             Called at each Ipopt iteration; returning False stops the solve.
         show : callable, optional
@@ -56,9 +67,10 @@ class Planner(Problems):
         -------
         Plan
             With its status; a failure of the numerics is a result, not an exception. A search that
-            is stopped, fails late, or takes longer than `solver.time_limit` of processor time, the
-            flight that checks its plan included, ends with the best usable plan so far; without
-            one it is not converged and says so.  Nothing else depends on how fast the machine is.
+            is stopped, fails late, or takes longer than `solver.time_limit` of processor time,
+            including the verification, ends with the best usable plan so far (confirmed at lower
+            accuracy); without a usable plan the status is not converged.  Apart from this limit, no
+            result depends on the speed of the machine.
         """
         scenario = with_return_flight(self, scenario)
         solve = self._solve_quickest if scenario.mission.aim is Aim.TIME else self._solve
@@ -75,7 +87,7 @@ class Planner(Problems):
             return search.ended(replace(plan, timings=timings))
 
     def _solve_in_best_order(self, scenario: Scenario, solve: Solve, search: Search) -> Plan:
-        """Solve a mission whose waypoints may be visited in any order."""
+        """Solve a mission whose waypoints may be visited in any order, for the cheapest order."""
         orders = BestOrder(self, scenario, search)
         table = [
             Strategy(found.name, ROUTES, BestOrder.has_time, partial(BestOrder.fly, found=found))
@@ -85,10 +97,10 @@ class Planner(Problems):
         return orders.finish(solve)
 
     def _solve_quickest(self, scenario: Scenario, start: Start | None, search: Search) -> Plan:
-        """Solve for the flight of least energy in nearly the least duration.
+        """Solve for the flight of least energy in nearly the least duration of the mission.
 
-        The last to be verified of flights that come closer and closer to it, each begun from the
-        last.
+        Flights of decreasing durations are solved, each from the one before; the last verified one
+        is the plan.
         """
         told = scenario.as_forecast()
         shortest = shortest_flight(self.builder(told), told, search, is_exact=True)
@@ -119,7 +131,21 @@ def solve_scenario(
     warm_start: Plan | WarmStart | None = None,
     progress: Progress | None = None,
 ) -> Plan:
-    """Solve one scenario with a new planner; see `Planner.solve`.
+    """Solve one scenario with a new planner and verify the plan; see `Planner.solve`.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Mission, vehicle, wind and settings.
+    builder : callable, optional
+        Builds the Pyomo model of a scenario.
+    warm_start, progress
+        As for `Planner.solve`.
+
+    Returns
+    -------
+    Plan
+        With its status.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Compiled problems of scenarios, and the simulated vehicles made from them."""
+"""Compiled problems of scenarios, and the dynamics for simulations made from them."""
 
 from __future__ import annotations
 
@@ -35,14 +35,15 @@ _WIND = ("wind.velocity_x", "wind.velocity_y")
 class Problems:
     """Compiler of scenarios that reuses a cached problem of the same structure.
 
-    Those of the declared model are kept in `caches.PROBLEMS` for all.  Guess and scales are those
-    of the scenario at hand: no answer depends on what was solved before.
+    Problems of the package's own model are shared by all planners of the process
+    (`caches.PROBLEMS`). Initial guess and scaling are always those of the scenario at hand, so that
+    no result depends on earlier solves.
 
     Parameters
     ----------
     builder : callable, optional
-        Makes the Pyomo model of a scenario; a builder of the user's own is called anew for
-        every scenario, since only the declared model is known to keep all numbers in
+        Makes the Pyomo model of a scenario; a user's own builder is called anew for
+        every scenario, since only the package's model is known to keep all numbers in
         parameters.
     """
 
@@ -58,7 +59,7 @@ class Problems:
 
     @property
     def is_declared(self) -> bool:
-        """Whether the scenarios use the package's model and not a user's own."""
+        """Whether the scenarios use the package's own model and not a user's."""
         return self._builder is build_model
 
     def has_routes(self, scenario: Scenario) -> bool:
@@ -67,7 +68,7 @@ class Problems:
         return self.is_declared and has_choice
 
     def problem_for(self, scenario: Scenario) -> tuple[Problem, dict[str, float]]:
-        """Return the compiled problem of a scenario and the compile time [s]."""
+        """Return the compiled problem of a scenario, and the seconds of building and compiling."""
         key = self._key(scenario)
         built_for, problem = self._problems.get(key) or (scenario, None)
         if problem is not None and guess_key(built_for) == guess_key(scenario):
@@ -95,9 +96,9 @@ class Problems:
     def steady_flight(
         self, scenario: Scenario, known: Mapping[str, float] | None = None
     ) -> SteadyFlight:
-        """Return the cached steady flight of a scenario's vehicle in still air.
+        """Return the cached steady flight (hover, cruise) of a scenario's vehicle in still air.
 
-        `known` gives states at the start that only a plan knows.
+        `known` gives initial values of a user's states that only a plan knows, by state name.
         """
         steady = self._steady.get(scenario)
         if steady is None:
@@ -108,19 +109,26 @@ class Problems:
         return steady
 
     def parameters(self, scenario: Scenario) -> dict[str, float] | None:
-        """Return the parameter values of a scenario for its compiled problem."""
+        """Return the parameter values of a scenario for its compiled problem, by full name.
+
+        None for a user's own model.
+        """
         return parameter_values(scenario) if self.is_declared else None
 
     def dynamics(self, scenario: Scenario) -> Dynamics:
         """Return the equations of a scenario's vehicle in its wind, for simulations.
 
-        Its limits are those of the controller, which has what plans leave as a reserve.
+        The limits are those of simulated flights, which may use the thrust that plans leave to the
+        controller.
         """
         problem, numbers = self.problem_for(scenario)[0], self.parameters(scenario)
         return problem.dynamics(parameters=without_reserve(numbers), horizon=horizon_of(scenario))
 
     def winds_at(self, scenario: Scenario, places: ArrayLike) -> FloatArray:
-        """Return the wind along world x and y at places (n, 3) as the mission starts [m/s]."""
+        """Return the wind along world x and y at places at the start of the mission [m/s].
+
+        `places` has shape (n, 3), m; the result has shape (n, 2).
+        """
         dynamics, held = self.dynamics(scenario), np.atleast_2d(places)
         names = list(dynamics.state_names)
         start = dynamics.initial_states() | declared_start(scenario, dynamics)

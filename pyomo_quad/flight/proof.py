@@ -1,10 +1,10 @@
 """Verification of a plan read from a file, without trust in the numbers that the file states.
 
-Ends and horizon must be those of the mission. The controls, flown by SciPy through the scenario's
-own equations, must reproduce the states of the file.
+The ends of the flight and its horizon must be those of the mission. The controls, simulated by
+SciPy through the scenario's own equations, must reproduce the states of the file.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import isfinite
 
 import numpy as np
@@ -24,37 +24,19 @@ from pyomo_quad.flight.verification import (
 )
 from pyomo_quad.model import build_model, model_builder
 from pyomo_quad.scenario import Scenario, ScenarioError
-from pyomo_quad.scenario.accuracy import Figures
+from pyomo_quad.scenario.accuracy import USABLE, Figures
 from pyomo_quad.scenario.messages import shown
 
-# Relative error of a horizon written in decimals.
+# Relative rounding error of a duration that a file stores in decimals.
 _SAME_TIME = 1e-9
 _AGAIN = "solve the scenario again."
 
 
-@dataclass(frozen=True, kw_only=True)
-class Allowed:
-    """Largest differences allowed between a plan in a file and its simulated flight.
-
-    `miss` applies to any state at any time and to the waypoints: metres, metres per second,
-    radians, or relative if a value is larger than 1. `violation` of limits and `energy` are
-    relative.
-    """
-
-    miss: float
-    violation: float
-    energy: float
-
-
-def exactly(figures: Figures) -> Allowed:
-    """Return the tolerances for a file that stores a plan without loss."""
-    return Allowed(miss=figures.miss, violation=figures.breach, energy=figures.energy_flown)
-
-
-#: For a report's table. It has each control clipped to its limits, and the polynomial through the
-#: clipped values differs from the flown one. If controls are at their limits for a long time,
-#: flights of tables deviate by 2 cm, 1.4e-3 of a limit and 2e-5 of the energy.
-TABLE = Allowed(miss=ARRIVAL_DISTANCE_M, violation=1e-2, energy=1e-3)
+#: Tolerances for a plan read from the table of a report. The table has each control clipped to its
+#: limits, and the polynomial through the clipped values differs from the planned one. If controls
+#: are at their limits for a long time, flights of tables deviate by 2 cm, 1.4e-3 of a limit and
+#: 2e-5 of the energy.
+TABLE = replace(USABLE, miss=ARRIVAL_DISTANCE_M, breach=1e-2, energy_flown=1e-3)
 
 
 def refuse_unproven(
@@ -62,7 +44,7 @@ def refuse_unproven(
     held: Trajectories,
     energy: float,
     passing_times_s: tuple[float, ...],
-    allowed: Allowed,
+    allowed: Figures,
     dynamics: Dynamics | None = None,
     *,
     is_code_allowed: bool = False,
@@ -71,10 +53,18 @@ def refuse_unproven(
 
     Parameters
     ----------
+    scenario : Scenario
+        Scenario of the plan.
     held : Trajectories
-        Names may include other components; a state without a name starts as the mission prescribes.
+        The plan. Columns of unknown names are ignored; a state that is missing starts as the
+        mission prescribes.
     energy : float
         Energy of the whole flight [J].
+    passing_times_s : tuple of float
+        Time at which the plan passes each waypoint [s].
+    allowed : Figures
+        Largest differences allowed between the plan and its simulated flight; the miss applies to
+        any state at any time and to the waypoints.
     dynamics : Dynamics, optional
         The plan's equations, if available; otherwise the scenario's.
     is_code_allowed : bool, optional
@@ -113,18 +103,18 @@ def refuse_unproven(
 
 
 def _refuse_failed(
-    scenario: Scenario, verification: Verification, energy: float, allowed: Allowed
+    scenario: Scenario, verification: Verification, energy: float, allowed: Figures
 ) -> None:
-    """Raise an error if the simulated flight breaks limits or takes another energy."""
+    """Raise a ScenarioError if the simulated flight breaks limits or takes another energy."""
     share = abs(verification.energy_difference_J) / max(1.0, abs(energy))
     passed = max(verification.passing_misses_m, default=0.0)
     failings = (
         (
             verification.max_violation,
-            allowed.violation,
+            allowed.breach,
             f"breach of {verification.worst_constraint}",
         ),
-        (share, allowed.energy, "share of the energy not accounted for"),
+        (share, allowed.energy_flown, "share of the energy not accounted for"),
         (passed, allowed.miss, "distance in m by which a waypoint is missed"),
         (verification.battery_imbalance, BALANCE_TOLERANCE, "share that the pack cannot give"),
         (
@@ -170,12 +160,23 @@ def _refuse_other_times(
 
 
 def in_order(scenario: Scenario, held: Trajectories, dynamics: Dynamics) -> Trajectories:
-    """Return a plan with states in the order of the dynamics; states without a trajectory are NaN.
+    """Return a plan with states and controls in the order of given dynamics.
+
+    A state that the plan does not have is NaN after its initial value.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Mission, which prescribes missing initial values.
+    held : Trajectories
+        The plan.
+    dynamics : Dynamics
+        Equations whose order of states and controls is required.
 
     Raises
     ------
     ScenarioError
-        If a control is missing, or the start of a state.
+        If a control is missing, or the initial value of a state.
     """
     missing = set(dynamics.control_names) - set(held.control_names)
     if missing:
@@ -205,9 +206,9 @@ def in_order(scenario: Scenario, held: Trajectories, dynamics: Dynamics) -> Traj
 
 
 def _refuse_other_ends(
-    scenario: Scenario, dynamics: Dynamics, states: FloatArray, allowed: Allowed
+    scenario: Scenario, dynamics: Dynamics, states: FloatArray, allowed: Figures
 ) -> None:
-    """Raise an error if the initial or final state of a plan differs from the mission's."""
+    """Raise a ScenarioError if initial or final state of a plan differ from the mission's."""
     for end, wanted, found in (
         ("start", declared_start(scenario, dynamics), states[0]),
         ("end", wanted_at_goal(scenario, dynamics), states[-1]),
@@ -228,9 +229,9 @@ def _refuse_other_ends(
 
 
 def _refuse_astray(
-    scenario: Scenario, held: Trajectories, dynamics: Dynamics, flown: Flown, allowed: Allowed
+    scenario: Scenario, held: Trajectories, dynamics: Dynamics, flown: Flown, allowed: Figures
 ) -> None:
-    """Raise an error if simulating the controls does not reproduce the states of a plan."""
+    """Raise a ScenarioError if simulating the controls does not reproduce a plan's states."""
     planned = held.states_at(flown.t)
     worst, when, which = 0.0, 0.0, ""
     for k, name in enumerate(held.state_names):

@@ -38,7 +38,7 @@ _STEP = Polynomial((1,))
 
 
 class Setpoint(NamedTuple):
-    """Reference at one time: x, y, z and yaw with their derivatives."""
+    """Reference at one time: x, y, z and yaw with their first two derivatives."""
 
     place: Sequence[float]
     """Position in world axes, m, and yaw, rad."""
@@ -62,7 +62,7 @@ class StraightPath:
     mission : Mission
         The mission, with both ends and the duration.
     progress : Polynomial
-        Fraction of the way as a function of the fraction of the duration.
+        Travelled fraction of the line as a function of the elapsed fraction of the duration.
     """
 
     def __init__(self, mission: Mission, progress: Polynomial) -> None:
@@ -89,7 +89,10 @@ class StraightPath:
 
 
 def quintic_progress(elapsed: FloatArray) -> FloatArray:
-    """Return the progress of a rest-to-rest motion of degree 5 at fractions of its duration."""
+    """Return the travelled fraction of a rest-to-rest motion of degree 5 (quintic polynomial).
+
+    `elapsed` holds fractions of the duration, from 0 to 1.
+    """
     return np.asarray(_QUINTIC(elapsed))
 
 
@@ -101,14 +104,14 @@ def _horner(falling_coefficients: Sequence[float], x: float) -> float:
 
 
 class WaypointPath:
-    """Splines through timed waypoints, at rest at the ends and during holds.
+    """Spline through timed waypoints, at rest at both ends and during hovers at waypoints.
 
     Parameters
     ----------
     mission : Mission
         With a time for each waypoint and a fixed duration.
     derivatives : int
-        Number of derivatives that are zero at rest; the spline of degree 2 n + 1 minimises the
+        Number n of derivatives that are zero at rest; the spline of degree 2 n + 1 minimises the
         integral of the square of the next derivative.
     """
 
@@ -129,7 +132,7 @@ class WaypointPath:
             self._splines.append((left, times[last], [spline.derivative(n) for n in range(3)]))
 
     def __call__(self, t: float) -> Setpoint:
-        """Return the setpoint at time t [s], constant outside the flight and in holds."""
+        """Return the setpoint at time t [s], constant outside the flight and during hovers."""
         began = [spline for spline in self._splines if spline[0] <= t] or self._splines[:1]
         left, reached, derivatives = began[-1]
         held = min(max(t, left), reached)
@@ -137,7 +140,7 @@ class WaypointPath:
 
 
 class _Steps:
-    """Reference that jumps to each waypoint, and from its passing time to the next."""
+    """Reference that jumps from a waypoint to the next at the time at which the first is left."""
 
     def __init__(self, mission: Mission) -> None:
         self._places, self._times = stops_of(mission)
@@ -150,7 +153,7 @@ class _Steps:
 
 
 def stops_of(mission: Mission) -> tuple[list[list[float]], list[float]]:
-    """Return position and yaw of start, waypoints and goal, with their times.
+    """Return position [m] and yaw [rad] of start, waypoints and goal, and their times [s].
 
     Raises
     ------
@@ -175,7 +178,7 @@ def stops_of(mission: Mission) -> tuple[list[list[float]], list[float]]:
 
 
 def step(mission: Mission) -> ReferencePath:
-    """Return the reference that jumps to the waypoints and the goal."""
+    """Return the reference path that jumps to each waypoint and to the goal."""
     return _Steps(mission) if mission.waypoints else StraightPath(mission, _STEP)
 
 
@@ -192,17 +195,18 @@ def minimum_snap(mission: Mission) -> ReferencePath:
 class SampledPath:
     """Path through samples, interpolated by polynomials of degree 5.
 
-    Position, velocity and acceleration are continuous, and exact at the samples. A disturbance that
-    the path accounts for is a cubic spline.
+    Position, velocity and acceleration are continuous, and exact at the samples. Disturbances are
+    interpolated by a cubic spline.
 
     Parameters
     ----------
     times : array_like, shape (n,)
-        Rising times, s.
+        Increasing times, s.
     values, rates, accelerations : array_like, shape (n, 4)
         Columns x, y, z in m and yaw in rad, and their first two derivatives.
     disturbances : array_like, shape (n, 4), optional
-        Accelerations of the path that come from other sources than the rotors.
+        Part of the accelerations that the rotors do not cause, such as by the air; the setpoints
+        exclude it.
 
     Attributes
     ----------
@@ -237,10 +241,10 @@ class SampledPath:
         self._coordinates = coordinates
 
     def __call__(self, t: float) -> Setpoint:
-        """Return the setpoint at time t, s.
+        """Return the setpoint at time t [s].
 
-        Beyond the samples, the nearest place is held with its acceleration, so that a controller
-        that looks ahead beyond the end gets no new demand.
+        Beyond the samples, place and acceleration are those of the nearest end, so that the
+        setpoints of a controller that looks ahead do not change after the end.
         """
         held = min(max(t, self.knots[0]), self.knots[-1])
         k = min(bisect_right(self.knots, held), len(self._pieces)) - 1

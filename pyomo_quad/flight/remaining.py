@@ -1,12 +1,14 @@
 """Remaining mission in flight, and its re-plans with soft limits.
 
-A re-plan leads to its goal, or into the next hold: the vehicle hovers there, whatever follows.  Its
-limits are soft (`model.soft_limits`), with the margins of the plan's risk (`flight.margins`).  Its
-mesh is fine beside the present, where a disturbance is corrected, and beside passages, and coarse
-between.  Zones are kept clear of by three centimetres more, for the error of a coarse mesh.
+A re-plan is a new plan for the rest of the mission, made in flight.  It ends at the goal, or in the
+next hover at a waypoint, because later parts of the mission do not affect a hovering vehicle.  Its
+limits are soft, that is they may be violated at a penalty (`model.soft_limits`), and have the
+margins of the plan's risk (`flight.margins`).  Its mesh is fine at the present, where a disturbance
+is corrected, and near passages of waypoints, and coarse between.  The clearance of zones is three
+centimetres larger, for the error of a coarse mesh.
 
-The mission after each waypoint has its own equations; it is compiled and solved once before
-take-off.  The price of a breach, and the state that a re-plan begins from: see
+The remaining mission after each waypoint has its own equations, which are compiled and solved once
+before take-off.  The penalty on violations, and the state from which a re-plan starts: see
 docs/theory/soft_limits.md, eqs. (1) and (2).
 """
 
@@ -54,47 +56,52 @@ from pyomo_quad.scenario.tables import Knowledge
 Numbers = dict[str, float | Callable[[float], float]]
 
 _HORIZONTAL = "xy"
-# The mesh of the first plan where none is given, and its degree.
+# Mesh of the plan before take-off if none is given: element length [s], least and largest number of
+# elements, degree.
 _ELEMENT_S, _FEWEST, _MOST, _FIRST_DEGREE = 1.25, 8, 24, 4
-# s. Shortest and longest elements of a re-plan's mesh, the ratio of neighbours, and the degree: of
-# half the points of elements of 0.3 to 2 s of degree 4, and 1 J of 15 kJ farther off.
+# Mesh of a re-plan: shortest and longest element [s], ratio of neighbours, degree. It has half the
+# points of a mesh with elements of 0.3 to 2 s of degree 4, and its energy differs by 1 J of 15 kJ.
 _SHORT_S, _LONG_S, _GROWTH, _DEGREE = 0.4, 2.5, 1.5, 3
-# Share of the time left until which a mesh is kept.
+# Factor on the remaining time after which a re-plan gets a new, shorter mesh.
 _KEPT = 0.8
-# Samples of a plan from which another is begun.
+# Number of samples of a plan in the initial guess of another.
 _GUESSED = 200
-# By how much and how often the price of a breach rises where a breach above the last number, in
-# metres, radians, ..., is left that need not be.
+# Factor and number of increases of the penalty on violations before take-off, and largest violation
+# (metres, radians, ...) at which no increase is needed.
 _RAISE, _RAISES, _MET = 10.0, 3, 1e-4
-# Plans reach the middle of a hold, or this far into it [s], and keep its limits for this share of
-# that time.
+# Time after the start of a hover at a waypoint at which plans end [s], at most half of the hover;
+# and fraction of this time for which plans must hover.
 _INTO_HOLD, _SETTLED = 1.0, 0.75
-# A re-solve keeps to one barrier parameter, as large as costs nothing that is seen: limits begin
-# and cease to hold at other points of each mesh, and beside a zone a thirtieth of it took fifteen
-# iterations in vain.  Linear steps are not refined, and take smaller pivots: fewer digits are
-# enough for a plan that is flown for a fifth of a second.
+# A re-solve keeps one barrier parameter, the largest without visible effect on the plan: limits
+# become active at other points of each mesh, and beside a zone a barrier thirty times smaller took
+# fifteen more iterations without benefit.  Linear systems are solved without iterative refinement
+# and with smaller pivots: fewer digits are enough for a plan that is flown for a fifth of a second.
 _BARRIER = (("mu_init", 3e-6), ("mu_target", 3e-6))
 _HASTE = (("fast_step_computation", "yes"), ("mumps_pivtol", 1e-6), ("mumps_scaling", 0))
 _OPTIONS = SolverOptions(tolerance=1e-5, max_iterations=40, extra=(*_BARRIER, *_HASTE))
-# Before take-off there is time.
+# Solves before take-off have no time limit.
 _AT_LEISURE = SolverOptions(tolerance=1e-6, max_iterations=300)
-# Rest of the mission [s] that is flown under feedback instead of being planned again, and the
-# share of a short one.  Of five perturbed flights of ten seconds, planning to 0.6 s before the end
-# cost from 3 to 30 J more and ended from 1.2 to 1.7 times as far off.
+# Last part of the mission that is not planned again [s], and its largest fraction of a short
+# mission.  In five perturbed flights of ten seconds, re-planning until 0.6 s before the end cost 3
+# to 30 J more, and the final distance from the goal was 1.2 to 1.7 times as large.
 _LAST, _LAST_SHARE = 3.0, 0.3
-# The same ahead of a waypoint, of which only the place must be met, and the share ahead of a hold,
-# where it must be met at rest: in gusts it did not keep its limits under three tenths.
+# The same before a waypoint, of which only the position is required; and the fraction before a
+# hover at a waypoint, where the vehicle must be at rest: with a fraction below three tenths, limits
+# were broken in gusts.
 _NEAR, _HOLD_SHARE = 1.0, 0.5
 _CLEARANCE = "airspace.clearance"
-# Planned beyond the clearance of zones, m: the mesh of a plan in flight lets it pass nearer between
-# its points, and what is flown is not quite what is planned; at 8 m/s, in `parcel`, by 9 mm with
-# the wind told and by 17 mm with the wind estimated.
+# Additional distance of re-plans from zones [m]: between the points of the coarse mesh a plan may
+# pass nearer, and the flight deviates from it; at 8 m/s, in `parcel`, by 9 mm if the wind is known
+# and by 17 mm if it is estimated.
 _SPARE_M = 0.03
 
 
 @dataclass(frozen=True, kw_only=True)
 class Belief:
-    """Estimated mass [kg] and horizontal acceleration by the air [m/s^2]."""
+    """Estimated mass of the vehicle [kg] and estimated horizontal acceleration by the air [m/s^2].
+
+    The acceleration is the part that the assumed wind does not explain.
+    """
 
     mass: float
     unexplained: tuple[float, float]
@@ -102,24 +109,31 @@ class Belief:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Remainder:
-    """Part of a mission that remains after a number of its waypoints, with its compiled problem."""
+    """Rest of a mission after some of its waypoints, with its compiled problem.
+
+    In flight, this problem is solved repeatedly for new plans (re-plans).
+    """
 
     problem: Problem
     begin: float
-    """Time at which the last of these waypoints is left [s]."""
+    """Time at which the last waypoint before this rest is left [s]."""
     passages: tuple[float, ...]
     """Times at which the waypoints of its plans are reached and left [s]."""
     end: float
-    """End time of its plans [s]: in the next hold, or of the mission."""
+    """End time of its plans [s]: during the next hover at a waypoint, or that of the mission."""
     is_holding: bool
-    """Whether the mission has a hold at the next waypoint."""
+    """Whether the vehicle hovers at the next waypoint."""
     released: float
     """Payload released so far [kg]."""
     numbers: Mapping[str, float]
+    """Parameter values of the problem, by full name."""
 
     @property
     def planned_until(self) -> float:
-        """Time after which no re-plan is made before the next waypoint or the end [s]."""
+        """Time [s] after which the plan is not replaced before the next waypoint or the end.
+
+        Near a place that must be met exactly, new plans would counteract every gust at any cost.
+        """
         if not self.passages:
             return self.end - min(_LAST, _LAST_SHARE * (self.end - self.begin))
         ahead = self.passages[0] - self.begin
@@ -127,17 +141,18 @@ class Remainder:
         return self.passages[0] - min(near[0], near[1] * ahead)
 
     def timeline(self, t: float) -> Timeline:
-        """Return the passing times of the remaining mission, counted from a given time."""
+        """Return the times of the rest of the mission for a plan that starts at time t [s]."""
         return Timeline(
             fractions=np.array(self.problem.compiled.declared.clock.fractions),
             times=np.array([t, *self.passages, self.end]),
         )
 
     def mesh(self, t: float) -> Mesh:
-        """Return a re-plan's mesh: short elements at the present, the waypoints and the end.
+        """Return the mesh of a plan made in flight at time t [s] for the rest of the mission.
 
-        It shrinks with the time that is left, until a fifth is gone: a solve on a known mesh need
-        not find the structure of its equations.
+        It has short elements at the present, the waypoints and the end. The mesh is the same until
+        a fifth of the remaining time has passed, then shorter: a solve on a known mesh reuses the
+        structure of its equations.
         """
         first = self.passages[0] if self.passages else self.end
         whole = first - self.begin
@@ -149,7 +164,7 @@ class Remainder:
         return Mesh.uniform(1, _DEGREE).with_breakpoints(fractions.tolist())
 
     def guess(self, t: float, known: Trajectories) -> dict[str, FloatArray]:
-        """Return samples of the rest of a known plan, as an initial guess."""
+        """Return samples of a known plan from time t [s] on, as the initial guess of a new plan."""
         declared = self.problem.compiled.declared
         times = np.linspace(t, self.end, _GUESSED)
         states = zip(known.state_names, known.states_at(times).T, strict=True)
@@ -160,7 +175,7 @@ class Remainder:
 
 
 def _graded(start: float, stop: float) -> list[float]:
-    """Return times between two ends, dense near both ends and sparse in the middle."""
+    """Return times between two ends [s], dense near both ends and sparse in the middle."""
     half, widths = (stop - start) / 2, [_SHORT_S]
     if half < _SHORT_S:
         return []
@@ -172,13 +187,24 @@ def _graded(start: float, stop: float) -> list[float]:
 
 @dataclass(frozen=True, kw_only=True)
 class Course:
-    """Plan that is being flown, its reference path, and the mass and wind that it was made for."""
+    """Plan that the vehicle follows at present, with its reference path and assumptions.
+
+    Attributes
+    ----------
+    plan : Trajectories
+        The plan.
+    path : SampledPath
+        The plan as a reference path of the controller.
+    belief : Belief
+        Mass and wind that the plan assumes.
+    estimate : ndarray, shape (3,)
+        Unexplained acceleration that the belief accounts for [m/s^2].
+    """
 
     plan: Trajectories
     path: SampledPath
     belief: Belief
     estimate: FloatArray
-    """Unexplained acceleration that the belief accounts for [m/s^2]."""
 
 
 class Replanner:
@@ -187,13 +213,18 @@ class Replanner:
     Parameters
     ----------
     scenario : Scenario
-        The mission and the vehicle as believed.
+        The mission, and the vehicle as assumed by the controller.
     knowledge : Knowledge
-        Information on the wind.
+        What the solver knows of the wind: the actual wind, an estimate, or nothing.
     planner : Planner
-        Keeps the compiled equations.
+        Holds the compiled equations.
     margins : mapping, optional
-        Field of the scenario -> by how much plans tighten it.
+        Scenario field -> amount by which plans tighten it.
+
+    Raises
+    ------
+    ScenarioError
+        For a user's own model, or a waypoint without a time.
     """
 
     def __init__(
@@ -224,7 +255,8 @@ class Replanner:
         self._whole, _ = planner.problem_for(believed)
         is_untold = not is_told and scenario.wind.forecast is None
         self._air: Numbers = {**still_air(self._whole.model)} if is_untold else {}
-        #: Whether a plan for the forecast was made for the wind that is believed.
+        #: Whether the wind that plans assume in flight is the forecast, so that a plan for the
+        #: forecast is valid.
         self.believes_forecast = not is_untold and not (is_told and scenario.wind.forecast)
         self.remainders = _remainders(believed)
         self._numbers: Numbers = {**parameter_values(believed), **self._air}
@@ -234,20 +266,20 @@ class Replanner:
         self._last: dict[Remainder, Solution] = {}
 
     def released(self, t: float) -> float:
-        """Return the mass of the payload released until a time [kg]."""
+        """Return the mass of the payloads released until time t [kg]."""
         return max((rest.released for rest in self.remainders if rest.begin < t), default=0.0)
 
     def at(self, t: float) -> Remainder:
-        """Return the remaining mission at a time."""
+        """Return the rest of the mission at time t [s], with its compiled problem."""
         return next(rest for rest in self.remainders[::-1] if rest.begin <= t)
 
     def first(self) -> Trajectories:
-        """Return the plan of the whole mission from before take-off.
+        """Return the plan of the whole mission, solved before take-off.
 
         Raises
         ------
         SolveError
-            If none is found.
+            If the solve does not converge.
         """
         elements = min(max(ceil(self._end / _ELEMENT_S), _FEWEST), _MOST)
         found = self._whole.solve(
@@ -263,8 +295,9 @@ class Replanner:
     def prepare(self, plan: Trajectories) -> None:
         """Solve the remaining mission at take-off and after each waypoint, for later warm starts.
 
-        The price of a breach rises until a plan from the first plan's own states breaks no limit,
-        where it can: above the norm of the multipliers the penalty is exact.
+        The penalty on violations of soft limits is increased until a new plan from the states of
+        the first plan violates no limit, if possible: above the norm of the multipliers the penalty
+        is exact.
         """
         for rest in self.remainders:
             (state,), usual = self._states(plan, rest.begin), self._price
@@ -275,14 +308,30 @@ class Replanner:
                     break
                 self._price *= _RAISE
             else:
-                self._price = usual  # no price helps: no flight keeps every limit
+                self._price = usual  # no penalty suffices: no flight keeps every limit
 
     def solve(
         self, t: float, state: FloatArray, belief: Belief, *, is_patient: bool = False
     ) -> Solution:
         """Solve the remaining mission from a state at a time.
 
-        A patient solve takes as many iterations as it needs.
+        The solution is a new plan in flight (re-plan).
+
+        Parameters
+        ----------
+        t : float
+            Start of the re-plan [s].
+        state : ndarray, shape (n_states,)
+            State at this time, in the order of `dynamics`.
+        belief : Belief
+            Estimated mass and wind.
+        is_patient : bool, optional
+            Whether the solve may take as many iterations as before take-off.
+
+        Returns
+        -------
+        Solution
+            Of any status.
         """
         rest = self.at(t)
         last = self._last.get(rest)
@@ -301,7 +350,7 @@ class Replanner:
     ) -> Solution:
         limits = self._scenario.limits
         held = dict(zip(self.dynamics.state_names, state.tolist(), strict=True))
-        # Rotors that run a little beyond their limit leave no flight within it to be found.
+        # A measured rotor speed slightly beyond its limit would make the problem infeasible.
         held |= {
             name: min(max(held[name], limits.rotor_speed_min), limits.rotor_speed_max)
             for name in (self.dynamics.state_names[k] for k in rotor_columns(self.dynamics))
@@ -310,7 +359,7 @@ class Replanner:
         mesh = rest.mesh(t)
         warm = None
         if last is not None:
-            # Without the iterations of a cold start, after which it would be begun anew.
+            # Without the iteration count of the cold start, above which it would be restarted cold.
             warm = replace(last.warm_start, cold_start=None)
             warm = warm.continued(mesh, last.timeline, now)
         solution = rest.problem.solve(
@@ -334,7 +383,17 @@ class Replanner:
         return numbers | self._air | learnt | {"vehicle.mass": belief.mass - rest.released}
 
     def course(self, solution: Solution, belief: Belief, estimate: FloatArray) -> Course:
-        """Return a re-plan with its path for the controller."""
+        """Return a re-plan (new plan in flight) with its reference path for the controller.
+
+        Parameters
+        ----------
+        solution : Solution
+            The re-plan.
+        belief : Belief
+            Mass and wind that it assumes.
+        estimate : ndarray, shape (3,)
+            Unexplained acceleration that the belief accounts for [m/s^2].
+        """
         plan, rest = trajectories_of(solution), self.at(solution.horizon[0])
         flow = rest.problem.dynamics(parameters=self._with(belief, rest), horizon=plan.horizon)
         vehicle = with_mass(self._scenario, belief, rest.released).vehicle
@@ -342,12 +401,16 @@ class Replanner:
         return Course(plan=plan, path=path, belief=belief, estimate=estimate)
 
     def first_course(self, plan: Trajectories) -> Course:
-        """Return the course of the plan from before take-off."""
+        """Return the plan made before take-off, with its reference path for the controller."""
         path = path_of(plan, self.dynamics, self._scenario.vehicle)
         return Course(plan=plan, path=path, belief=self.belief, estimate=np.zeros(3))
 
     def is_off(self, course: Course, t: float, state: FloatArray) -> bool:
-        """Return whether a flight is nearer to any limit than its plan by more than the margin."""
+        """Return whether a flight is nearer to any limit than its plan by more than the margin.
+
+        `state` is the measured state at time t [s]. Margins are the amounts by which the plan stays
+        inside its limits.
+        """
         now, limits = np.array([t]), self.dynamics.control_limits(HELD_BREACH)
         planned = self._states(course.plan, t)
         controls = course.plan.controls_at(now, limits)
@@ -364,11 +427,28 @@ class Replanner:
     def begun(
         self, course: Course, start: float, end: float, state: FloatArray, unexplained: FloatArray
     ) -> FloatArray:
-        """Predict the state in which the next re-plan takes over from the present plan.
+        """Predict the state in which the next re-plan (new plan in flight) replaces the plan.
 
-        A flight near its plan goes on from the plan's own state: the controller corrects what it is
-        off, and a re-plan from where it is would follow each of its lags.  A flight farther off
-        goes on from its own place and velocity, as predicted; its attitude follows the plan's.
+        If the flight is near its plan, it is the plan's own state: the controller corrects the
+        deviation, and a re-plan from the measured state would follow each lag of the vehicle.
+        Otherwise position and velocity are predicted from the measurement, and the other states are
+        the plan's.
+
+        Parameters
+        ----------
+        course : Course
+            The present plan.
+        start, end : float
+            Time of the measurement, and time at which the re-plan takes over [s].
+        state : ndarray, shape (n_states,)
+            Measured state.
+        unexplained : ndarray, shape (3,)
+            Estimated acceleration that the plan does not include [m/s^2].
+
+        Returns
+        -------
+        ndarray, shape (n_states,)
+            State at the time `end`.
         """
         planned, later = self._states(course.plan, start, end)
         places = [self.dynamics.state_names.index(name) for name in POSITION_STATES]
@@ -381,21 +461,21 @@ class Replanner:
         return later
 
     def _states(self, plan: Trajectories, *times: float) -> FloatArray:
-        """Return a plan's states at times, in the order of the dynamics."""
+        """Return a plan's states at given times [s], in the order of the dynamics."""
         names = list(plan.state_names)
         columns = [names.index(name) for name in self.dynamics.state_names]
         return plan.states_at(np.array(times))[:, columns]
 
 
 def breach_of(solution: Solution) -> float:
-    """Return the largest violation of a soft limit, in the unit of the limit."""
+    """Return the largest violation of a soft limit in a solution, in the unit of the limit."""
     declared, held = solution.problem.compiled.declared, solution.trajectory.statics.tolist()
     named = zip(declared.statics, held, strict=True)
     return max(number for slot, number in named if slot.component in BREACHES)
 
 
 def _remainders(believed: Scenario) -> tuple[Remainder, ...]:
-    """Return the remaining missions after each number of passed waypoints."""
+    """Return the rest of the mission after 0, 1, 2, ... waypoints, with compiled problems."""
     mission, times = believed.mission, believed.nominal_times
     ahead = [_ahead(believed, k) for k in range(len(mission.waypoints) + 1)]
     key = structure_key(believed)
@@ -408,7 +488,7 @@ def _remainders(believed: Scenario) -> tuple[Remainder, ...]:
             Remainder(
                 problem=problem,
                 begin=times[2 * k - 1] if k else 0.0,
-                # One that does not hold is reached and left at once.
+                # A waypoint without hover is reached and left at the same time.
                 passages=tuple(dict.fromkeys(passages)),
                 end=end,
                 is_holding=any(waypoint.hold > 0.0 for waypoint in left.mission.waypoints[:1]),
@@ -420,13 +500,11 @@ def _remainders(believed: Scenario) -> tuple[Remainder, ...]:
 
 
 def _ahead(believed: Scenario, k: int) -> Scenario:
-    """Return the mission that remains after k waypoints, ended at the next hold if there is one.
+    """Return the mission that remains after its first k waypoints, for re-plans in flight.
 
-    A re-plan need not look past a hold: the vehicle hovers there, whatever the later mission
-    is. The goal then becomes the hold's position, reached some time after the start of the
-    hold.
-
-    A hold separates what is before it from what is behind: the vehicle hovers, whatever follows.
+    If the vehicle still has to hover at a waypoint, the remaining mission ends there, some time
+    after the start of the hover, and the waypoint's position is its goal: a hovering vehicle does
+    not depend on the later parts of the mission.
     """
     mission = believed.mission
     left = mission.waypoints[k:]
@@ -449,7 +527,7 @@ def _compiled(left: Scenario) -> Problem:
 
 
 def with_mass(scenario: Scenario, belief: Belief, released: float) -> Scenario:
-    """Return the controller's vehicle with the estimated mass, less the released payload."""
+    """Return the scenario with the estimated mass of the vehicle, less the released payload."""
     vehicle = scenario.vehicle
     learnt = vehicle.model_copy(update={"mass": belief.mass - released - vehicle.payload})
     return scenario.model_copy(update={"vehicle": learnt})

@@ -1,20 +1,21 @@
 """Re-planning in flight (model-predictive control) by repeated solves of the remaining mission.
 
-Every interval the flight of the rest of the mission with the least energy is solved for, from where
-the vehicle is to be once the solve is done, warm-started from the last such plan (see
-`flight.remaining`).  The adaptive controller follows each plan until the next one comes.  Before
-the first, and from the middle of each hold to the next, it follows the plan made before take-off.
+At constant intervals, the rest of the mission is solved again for least energy, from the state that
+the vehicle will have when the solve is done, warm-started from the last such plan (see
+`flight.remaining`).  The adaptive controller follows each plan until the next is available.  Before
+the first re-plan, and from the middle of each hover at a waypoint to the next re-plan, it follows
+the plan made before take-off.
 
-A flight near its plan is planned on from the plan's own state, for the controller corrects what it
-is off; one farther off from its measured place and velocity (tube-based predictive control).  From
-every state that rotors and pack can leave there is a re-plan, for its limits are soft.  Where a
-solve fails all the same, the last plan is flown on as long as the flight is off it by less than the
-margins of the limits; beyond them the solve is repeated with as many iterations as it needs, and
-comes late.
+If the flight is near its plan, a re-plan starts at the plan's own state, because the controller
+corrects the deviation; otherwise it starts at the measured position and velocity (tube-based
+predictive control).  The limits are soft, so that a re-plan exists from every state that rotors and
+battery can leave.  If a solve fails nevertheless, the last plan remains in use as long as the
+flight deviates from it by less than the margins of the limits; beyond them the solve is repeated
+with as many iterations as it needs, and is late.
 
-The last seconds before the goal, a waypoint and a hold are not planned again: a plan that meets a
-place exactly would there counteract every gust at any cost, based on a forecast whose error is as
-large as the gust's change.  Waypoints are passed at their times.
+The last seconds before the goal, a waypoint and a hover are not planned again: there, a plan that
+must meet a place exactly would counteract every gust at any cost, based on a forecast whose error
+is as large as the gust's change.  Waypoints are passed at their times.
 
 A wind that differs from the forecast, or a mass that differs from the assumed mass, causes an
 acceleration that the equations do not explain.  The identifier of the adaptive law estimates it,
@@ -66,26 +67,31 @@ from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.tables import Knowledge, Replanning, SolveTiming
 
 Computer = Callable[[float], float]
-"""Processor seconds that a solve took here -> seconds that it takes aboard."""
+"""Function from the processor time of a solve here to its time aboard the vehicle [s]."""
 
 _SLOPES = tuple((f"rigid_body.dv{axis}_dt", None) for axis in "xyz")
 _FORCES = tuple((name, None) for name in AIR_FORCE)
-# Shares of the thrust expected that may be lacking or left over: of a mass from half to twice.
+# Limits of the unexplained vertical acceleration, relative to that by the thrust: masses from half
+# to twice the assumed mass.
 _MOST_AMISS = (-0.5, 1.0)
-# With less of the weight carried, nothing is said of the mass.
+# Smallest vertical thrust, relative to the weight, from which the mass is estimated.
 _LEAST_LIFT = 0.3
-# Of the estimate, far below the noise of any sensor.
+# Tolerance of the integrator of the estimate, far below the noise of any sensor.
 _TOLERANCE = 1e-6
 
 
 def replanned_name(knowledge: Knowledge) -> str:
-    """Return the name of a re-planned flight by its knowledge of the wind."""
+    """Return the name of a flight with re-planning, such as "mpc/told".
+
+    `knowledge` is what the planner knows of the wind. In such a flight, the plan is replaced
+    repeatedly by a new one.
+    """
     return f"mpc/{knowledge.value}"
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Leg:
-    """Part of a re-planned flight, along one plan under feedback."""
+    """Part of a flight during which the vehicle follows one plan, until a new plan replaces it."""
 
     course: Course
     start: float
@@ -93,11 +99,11 @@ class _Leg:
     learnt: tuple[float, float, float]
     """Estimated acceleration that the plan does not include [m/s^2]."""
     last: FloatArray | None
-    """The controller's states at the start, None at take-off."""
+    """The controller's states at the start of the part, None at take-off."""
 
 
 class _Observer:
-    """Estimator of the acceleration that the equations do not explain (adaptive law)."""
+    """Estimator of the acceleration that the equations do not explain, by the adaptive law."""
 
     def __init__(self, scenario: Scenario, replanner: Replanner, velocity: FloatArray) -> None:
         gains = scenario.baseline.gains
@@ -105,7 +111,7 @@ class _Observer:
         self._released = replanner.released
         self._mass, self._gravity = scenario.vehicle.total_mass, scenario.gravity
         self._columns = [dynamics.state_names.index(name) for name in VELOCITY_STATES]
-        # Without errors to close, the loop is its identifier alone.
+        # Without tracking errors, the loop reduces to its estimator.
         self._loop = BacksteppingLoop(
             outer=(0.0,) * 3,
             inner=(0.0,) * 3,
@@ -123,7 +129,10 @@ class _Observer:
         return self._states[-3:].copy()
 
     def belief(self, flown: Flown) -> Belief:
-        """Return the mass and horizontal acceleration that explain the present estimate."""
+        """Return the mass and horizontal acceleration that explain the present estimate.
+
+        `flown` is the last part of the flight; its final acceleration is used.
+        """
         last = flown.t[-1:], flown.states[-1:], flown.controls[-1:]
         acceleration = self._dynamics.table(_SLOPES, *last)[0]
         forces = self._dynamics.table(_FORCES, *last)[0]
@@ -140,7 +149,7 @@ class _Observer:
         )
 
     def watch(self, flown: Flown) -> None:
-        """Update the estimated unexplained acceleration with a flown part of the flight."""
+        """Update the estimate of the unexplained acceleration with a simulated part of a flight."""
         explained = self._dynamics.table(_SLOPES, flown.t, flown.states, flown.controls)
         seen = np.hstack([flown.states[:, self._columns], explained])
 
@@ -154,25 +163,25 @@ class _Observer:
 
 
 class _Aircraft:
-    """Simulated vehicle in the actual wind that flies the plans."""
+    """Simulated vehicle in the actual wind, with its controller."""
 
     def __init__(self, scenario: Scenario, replanner: Replanner, dynamics: Dynamics) -> None:
         self.dynamics = dynamics
         self._scenario, self._replanner = scenario, replanner
-        # The controller knows the vehicle as it is believed, not as it flies.
+        # The controller uses the assumed vehicle, which may differ from the simulated one.
         self._mixer = mixer_matrix(replanner.dynamics)
         self._measured = [dynamics.state_names.index(n) for n in replanner.dynamics.state_names]
 
     def measured(self, state: FloatArray) -> FloatArray:
-        """Return the measured states, without the states of the turbulence."""
+        """Return the states that the vehicle measures, without those of the turbulence."""
         return state[self._measured]
 
     def seen(self, flown: Flown) -> Flown:
-        """Return a flown part without the states that the vehicle does not measure (turbulence)."""
+        """Return a part of the flight with only the states that the vehicle measures."""
         return replace(flown, states=flown.states[:, self._measured])
 
     def fly(self, leg: _Leg, state: FloatArray, integrator: Integrator) -> ClosedLoopFlight:
-        """Simulate a part of the flight."""
+        """Simulate one part of the flight from a state, along the plan of the part."""
         released = self._replanner.released(leg.end)
         believed = with_mass(self._scenario, leg.course.belief, released)
         return fly(
@@ -187,7 +196,7 @@ class _Aircraft:
 
 
 class _ReplannedFlight:
-    """Re-planned flight in progress: its parts, the present plan and the observer."""
+    """Simulation of a flight whose plan is repeatedly solved again from the measured state."""
 
     def __init__(
         self,
@@ -218,7 +227,7 @@ class _ReplannedFlight:
         self.resolves: list[Resolve] = []
 
     def fly(self) -> None:
-        """Simulate the whole mission."""
+        """Simulate the whole mission, with a new plan at each interval."""
         measured_at = self._settings.interval
         hovering_at = inf
         for rest in self._replanner.remainders:
@@ -234,7 +243,11 @@ class _ReplannedFlight:
         self._advance(self._end)
 
     def _replan(self, measured_at: float) -> float:
-        """Solve from a measurement while the flight goes on; return the time of the new plan."""
+        """Solve from a measurement while the flight goes on; return the time of the new plan [s].
+
+        `measured_at` is the time of the measurement [s]. If the solve fails, the present plan
+        stays.
+        """
         meant_for = measured_at + self._settings.solve_time
         estimate, belief = np.zeros(3), self._replanner.belief
         if self._is_observing:
@@ -269,15 +282,15 @@ class _ReplannedFlight:
     def _solved(
         self, t: float, state: FloatArray, belief: Belief, *, is_patient: bool = False
     ) -> Solution | None:
-        """Return the solution of the remaining mission, None if the solve fails."""
+        """Return the solution of the remaining mission from a state; None if the solve fails."""
         try:
             solution = self._replanner.solve(t, state, belief, is_patient=is_patient)
         except TranscriptionError:
-            return None  # measured beyond what rotors and pack can give
+            return None  # the measured state is outside the hard limits of rotors and battery
         return solution if solution.is_converged else None
 
     def _advance(self, end: float) -> None:
-        """Simulate the flight along the present plan until a time, and update the estimates."""
+        """Simulate the flight along the present plan until a time [s], and update the estimates."""
         if end - self._t > _SHORTEST * self._end:
             along, aside, upwards = (self._observer.estimate - self._course.estimate).tolist()
             leg = _Leg(
@@ -298,8 +311,14 @@ class _ReplannedFlight:
     def flown_twice(self) -> list[tuple[Flown, Flown]]:
         """Simulate each part again with the other integrator, from the same initial state.
 
-        That is where it was measured and planned from: flown again all the way, by plans that
-        answered other roundings, a flight leaves them within seconds as any without feedback does.
+        A second simulation of the whole flight would not do: each new plan made in flight depends
+        on rounding errors of the state, and following plans of a flight with other rounding errors
+        amounts to flight without feedback, which deviates within seconds.
+
+        Returns
+        -------
+        list of (Flown, Flown)
+            First and second simulation of each part.
         """
         again = self._aircraft.fly
         return [
@@ -308,7 +327,7 @@ class _ReplannedFlight:
         ]
 
 
-# Parts of the flight shorter than this share of it are rounding.
+# Relative length of a part of the flight below which it counts as rounding.
 _SHORTEST = 1e-9
 
 
@@ -325,23 +344,32 @@ def fly_replanned(
     plan: Plan | None = None,
     computer: Computer | None = None,
 ) -> Flight:
-    """Simulate a mission with repeated re-planning.
+    """Simulate a mission with repeated re-planning in flight, and verify the flight.
 
-    It is verified as a controlled flight is, from one solve to the next: the plan at hand, applied
-    by another integrator from the same state, ends at the same place and spends the same energy.
+    It is verified part by part, from one solve to the next: a second integrator, from the same
+    state along the same plan, must end at the same place and spend the same energy.
 
     Parameters
     ----------
     scenario : Scenario
-        The mission, and the vehicle as it is believed to be.
+        The mission, and the vehicle as assumed by controller and re-plans.
     knowledge : Knowledge
-        What is believed of the wind.
+        What the re-plans know of the wind: the actual wind, an estimate, or nothing.
     dynamics : Dynamics
-        The vehicle that flies, in the wind that blows.
+        The simulated vehicle, in the actual wind.
+    planner : Planner
+        Holds the compiled equations.
     plan : Plan, optional
-        Prices the flight's end.
+        Plan before take-off; its costates give the energy to complete the flight from its end
+        state, and its margins are those of the re-plans.
     computer : callable, optional
-        How long a solve takes aboard; by default what the scenario states or this process takes.
+        Returns the time of a solve aboard from its processor time here [s]; by default the time
+        that the scenario states, or the processor time.
+
+    Returns
+    -------
+    Flight
+        With the record of its solves, `resolves`.
 
     Raises
     ------

@@ -1,7 +1,8 @@
-"""Steady return flight of a vehicle: airspeed and battery current.
+"""Airspeed and battery current of a vehicle's steady return flight.
 
-The airspeed is that of least charge per metre over the ground against the wind at the start; the
-current is the pack's at that airspeed and at the charge in which the return may end, where it is
+The reserve of charge for a return to the start or a rally point follows from them. The airspeed is
+that of least charge per metre over the ground against the wind at the start; the current is the
+battery's at that airspeed and at the state of charge at which the return may end, where it is
 greatest.
 """
 
@@ -17,7 +18,7 @@ from pyomo_quad.scenario import Scenario
 if TYPE_CHECKING:
     from pyomo_quad.flight.problems import Problems
 
-# Airspeeds above the wind's between which the return's is searched [m/s].
+# Range of the return flight's airspeed, above the wind speed [m/s].
 _SLOWEST_M_S, _FASTEST_M_S = 1.0, 25.0
 _TOLERANCE_M_S = 1e-3
 _SECONDS_PER_HOUR = 3600.0
@@ -25,6 +26,8 @@ _SECONDS_PER_HOUR = 3600.0
 
 def with_return_flight(problems: "Problems", scenario: Scenario) -> Scenario:
     """Return the scenario with airspeed and current of the return flight filled in.
+
+    A scenario that keeps no charge for a return, or with both given, is returned unchanged.
 
     Raises
     ------
@@ -45,7 +48,7 @@ def with_return_flight(problems: "Problems", scenario: Scenario) -> Scenario:
 
 
 def _cheapest(scenario: Scenario, steady: SteadyFlight, wind: float) -> float:
-    """Return the airspeed of least charge per metre over ground against a wind [m/s]."""
+    """Return the airspeed of least charge per metre over ground against a head wind [m/s]."""
 
     def cost(airspeed: float) -> float:
         try:
@@ -66,7 +69,7 @@ def _cheapest(scenario: Scenario, steady: SteadyFlight, wind: float) -> float:
 
 
 def _current(scenario: Scenario, steady: SteadyFlight, airspeed: float) -> float:
-    """Return the battery current of steady return flight at low charge [A]."""
+    """Return the battery current of steady flight at an airspeed and the lowest charge [A]."""
     drawn = (1.0 - scenario.limits.least_charge) * steady.pack_capacity
     rate, reserve = steady.charge_rates(steady.trim([airspeed, 0.0, 0.0]), np.array([drawn]))
     if reserve[0] < 0.0:

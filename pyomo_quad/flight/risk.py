@@ -1,9 +1,11 @@
-"""Plans with a stated risk: iterated margins for turbulence and uncertain parameters.
+"""Plans with a stated risk: margins for turbulence and uncertain parameters, found by iteration.
 
-A plan is made with margins, the spread of flights along it gives the margins that the risk needs,
-and so on until they agree.  These plans are re-solves of one compiled problem on one mesh.  Then
-flights that meet turbulence judge the plan, and where they break a limit more often than they may,
-its margin grows.  The last plan is refined and verified.  See docs/theory/risk.md, eqs. (7) to (9).
+The risk is the probability that a flight breaks any limit, a margin the amount by which a plan
+stays inside a limit.  A plan is made with margins; the spread of flights about it gives the margins
+that the risk requires; both steps are repeated until the margins agree.  These plans are re-solves
+of one compiled problem on one mesh.  Then simulated flights in turbulence test the plan, and the
+margin of each limit that they break too often is increased.  The last plan is refined and verified.
+See docs/theory/risk.md, eqs. (7) to (9).
 """
 
 from collections import Counter
@@ -50,32 +52,38 @@ from pyomo_quad.scenario.mission import Aim
 from pyomo_quad.scenario.tables import Reference
 from pyomo_quad.scenario.wind import Intensity, Turbulence, WindCoupling
 
-# Of a plan that chooses its duration, where the scenario states none.
+# Risk of a plan with free duration whose scenario states no risk.
 _USUAL_RISK = 0.01
-# Meets a plan with a risk where the scenario states no turbulence.
+# Turbulence for which margins are found if the scenario states none.
 _USUAL_TURBULENCE = Turbulence(intensity=Intensity.LIGHT)
-# Flights that judge a plan, and the seed of the first of them; each plan has winds of its own.
+# Number of simulated flights that test a plan, and seed of the first plan's; each plan is tested in
+# other winds.
 _FLIGHTS, _SEED = 200, 20_260_515
-# Plans for margins of the covariance, and again for those that flights ask for.
+# Largest number of plans until the margins agree with the covariance, and of plans after that with
+# margins increased because of the test flights.
 _PLANS, _CALIBRATIONS = 3, 2
-# Margins that agree with those asked for within this share, or within this share of the limit.
+# Relative difference below which two margins agree, relative to the margin and to the limit.
 _AGREED, _AGREED_OF_LIMIT = 0.1, 2e-3
-# A flight without gusts that ends farther off than this [m] had not the rotors to follow the plan.
+# Distance from the goal [m] at the end of the flight without gusts above which the rotors were too
+# weak to follow the plan.
 _ASTRAY_M = 0.1
-# Share of the risk that missing the goal may take before a plan gets a reserve.
+# Largest fraction of the risk that misses of the goal may use; above it, a plan leaves a reserve of
+# thrust and tilt.
 _SHARE_OF_GOAL = 0.3
-# Of a plan that is solved again: its warm start is near.
+# Options of a re-solve with other margins, whose warm start is close.
 _ROUGHLY = SolverOptions(tolerance=1e-6, extra=(("mu_init", 1e-4),))
-# Shares of the way from hover to the limits of rotors and tilt that a plan leaves as a reserve.
+# Fractions of the range from hover to the limits of rotors and tilt that a plan leaves as a
+# reserve, tried by bisection.
 _RESERVES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.58, 0.65, 0.72, 0.8)
-# With such a reserve a free duration is longer by this share of it: braking less is not enough
-# where the rotors give many times the weight.
+# Relative increase of a free duration per unit of such a reserve: weaker braking alone is not
+# enough where the rotors can lift many times the weight.
 _LONGER = 0.75
-# By how much margins grow that flights ask for: those of a reserve little, since it costs much.
+# Factors by which margins grow after test flights; a reserve grows less, because it costs more.
 _GROWTH, _GROWTH_OF_RESERVE = 1.5, 1.1
-# s, by how much earlier each plan is at a hold than the last one, and at most.
+# Time by which each new plan starts a hover at a waypoint earlier than the last plan, and largest
+# total [s].
 _EARLIER_S, _EARLIEST_S = 0.3, 1.5
-# Why a search for margins ended early.
+# Reasons for which a search for margins ends early.
 _STOPPED = "the search was stopped"
 _OWN_MODEL = "margins are found for the declared equations only, not for a model of one's own"
 
@@ -83,8 +91,9 @@ _OWN_MODEL = "margins are found for the declared equations only, not for a model
 def risk_asked(scenario: Scenario) -> float:
     """Return the largest probability of a broken limit that a scenario allows, 1 without a limit.
 
-    A plan that chooses its duration uses all that the rotors give, and no controller can follow it:
-    without a word of the scenario it is asked for a risk, except of the paper's equations.
+    A plan of free duration uses the full thrust of the rotors, so that no controller can follow it.
+    If the scenario does not state a risk, such a plan therefore gets the risk `_USUAL_RISK`, except
+    for the paper's equations.
     """
     stated = scenario.mission.risk
     if stated is not None:
@@ -98,16 +107,25 @@ def plan_at_risk(
 ) -> Plan:
     """Solve a scenario with margins that keep its stated risk.
 
+    The risk is the probability that a flight in turbulence breaks any limit; margins are the
+    amounts by which the plan stays inside its limits.
+
     Parameters
     ----------
+    scenario : Scenario
+        The mission; its `mission.risk` states the risk.
+    planner : Planner
+        Solves the plans.
+    progress : callable, optional
+        Called at each Ipopt iteration; returning False stops the solve.
     **solve
-        Of `Planner.solve`, for the plan without margins.
+        Further arguments of `Planner.solve` for the plan without margins.
 
     Returns
     -------
     Plan
-        With `risk`; of a scenario that asks for none the plan of `Planner.solve`.  Where the risk
-        cannot be had, or the search is stopped, the plan of the least risk found.
+        With `risk`. For a scenario without a risk it is the plan of `Planner.solve`.  If the risk
+        cannot be reached, or the search is stopped, it is the plan of least risk that was found.
     """
     with planner.until_stopped() as is_stopped:
         paper = planner.solve(scenario, progress=progress, **solve)
@@ -130,7 +148,23 @@ def _again(
 ) -> Plan:
     """Solve a plan's scenario with other limits, with the plan's solution as warm start.
 
-    A rough plan is on the mesh of the other, and no flight has verified it.
+    Parameters
+    ----------
+    planner : Planner
+        Holds the compiled problem.
+    plan : Plan
+        Start of the solve.
+    held : Scenario
+        The plan's scenario with tightened limits.
+    progress : callable or None
+        Called at each Ipopt iteration.
+    is_rough : bool
+        Whether to solve on the mesh of the plan alone, without verification.
+
+    Returns
+    -------
+    Plan
+        Plan of the tightened scenario.
     """
     told, start = held.as_forecast(), plan.warm_start
     with Deadline(told, progress) as deadline:
@@ -151,7 +185,21 @@ def _again(
 
 @dataclass(frozen=True, kw_only=True)
 class _Tried:
-    """Plan with margins and the statistics of its flights."""
+    """Plan with margins, and the predicted statistics of flights that follow it.
+
+    Attributes
+    ----------
+    plan : Plan
+        The plan, for the scenario without margins.
+    margins : mapping
+        Scenario field -> amount by which the plan tightens it.
+    spread : Spread
+        Distribution of flights about the plan.
+    near : tuple of Approach
+        Distance of flights from each limit over time.
+    missed : tuple of Miss
+        Distance of flights from goal and waypoints.
+    """
 
     plan: Plan
     margins: Mapping[str, float]
@@ -161,29 +209,44 @@ class _Tried:
 
     @property
     def predicted(self) -> float:
-        """Probability that a flight breaks any limit, bounded by Boole's inequality."""
+        """Upper bound on the probability that a flight breaks any limit (Boole's inequality)."""
         by_limits = sum(approach.present for approach in self.near)
         return float(min(by_limits + sum(miss.probability for miss in self.missed), 1.0))
 
     @property
     def missing_places(self) -> float:
-        """Probability that a flight misses a waypoint, hold or goal for lack of rotor reserve.
+        """Probability that a flight misses goal or waypoints for lack of thrust.
 
-        Counts only misses that no margin of a scenario field makes rarer, such as at the
-        goal.
+        These are the misses that no margin (tightening of a scenario field) makes rarer, such as at
+        the goal; they become rarer only if the plan leaves the rotors a reserve of thrust.
         """
         return sum(miss.probability for miss in self.missed if not miss.field)
 
     @property
     def astray(self) -> float:
-        """Distance from the goal at the end of the mean flight, without gusts [m]."""
+        """Distance of the mean flight, that without gusts, from the goal at its end [m]."""
         columns = [self.spread.dynamics.state_names.index(name) for name in POSITION_STATES]
         goal = np.array(self.plan.scenario.mission.goal.position)
         return float(np.linalg.norm(self.spread.states[-1, columns] - goal))
 
 
 class _Search:
-    """Iterative search for the margins of one scenario, starting from its plan without margins."""
+    """Iterative search for the margins of one scenario, starting from its plan without margins.
+
+    Margins are the amounts by which the plan stays inside its limits, so that flights in turbulence
+    break a limit with at most the allowed probability (the risk).
+
+    Parameters
+    ----------
+    paper : Plan
+        Plan without margins.
+    planner : Planner
+        Solves the plans.
+    progress : callable, optional
+        Called at each Ipopt iteration.
+    is_stopped : callable, optional
+        Returns whether the user stopped the search.
+    """
 
     def __init__(
         self,
@@ -192,12 +255,12 @@ class _Search:
         progress: Progress | None = None,
         is_stopped: Callable[[], bool] = lambda: False,
     ) -> None:
-        # Its waypoints are in the order of the plan.
+        # The waypoints of the plan's scenario are in the order in which the plan passes them.
         self._scenario, self._planner, self._paper = paper.scenario, planner, paper
         self._progress, self._is_stopped = progress, is_stopped
         self._risk = risk_asked(paper.scenario)
         self._least: Mapping[str, float] = {}
-        # The last plan that can be flown, and its margins.
+        # The last flyable plan, and its margins.
         self._last: tuple[Plan, Mapping[str, float]] = (paper, {})
         self._told = paper.scenario
         if self._told.wind.turbulence is None:
@@ -205,10 +268,14 @@ class _Search:
             self._told = self._told.model_copy(update={"wind": wind})
 
     def best(self) -> Plan:
-        """Return the plan that keeps the risk, or the plan of least risk."""
+        """Return the plan with margins that keeps the risk, or else the plan of least risk.
+
+        The risk is the probability that a flight in turbulence breaks any limit, margins are the
+        amounts by which the plan stays inside its limits.
+        """
         tried = self._verified(self._settled(self._followed(self._tried(self._paper, {}))))
         found: list[tuple[Counter[str], int, _Tried]] = []
-        # Where no reserve leads flights to the goal, no margin does.
+        # If flights miss the goal with any reserve, further margins do not help.
         for k in range(_CALIBRATIONS + 1 if self._is_followed(tried) else 1):
             broken = self._flown(tried, _SEED + k)
             counts = Counter(word for words in broken for word in words)
@@ -224,7 +291,10 @@ class _Search:
         return self._stated(tried, counts, failed)
 
     def unfinished(self, why: str) -> Plan:
-        """Return the last flyable plan of a stopped search; no flights have tested it."""
+        """Return the last flyable plan of a search that ended early, with the reason ``why``.
+
+        No test flights confirm its risk, the probability that a flight breaks a limit.
+        """
         plan, margins = self._last
         taken = RiskTaken(
             asked=self._risk,
@@ -239,7 +309,19 @@ class _Search:
         return replace(plan, risk=taken)
 
     def _stated(self, tried: _Tried, counts: Counter[str], failed: int) -> Plan:
-        """Return the plan with a record of its risk."""
+        """Return the tried plan with a record of its risk, from its test flights.
+
+        The risk is the probability that a flight in turbulence breaks any limit.
+
+        Parameters
+        ----------
+        tried : _Tried
+            Plan with margins.
+        counts : Counter
+            Number of test flights that broke each limit, by limit in words.
+        failed : int
+            Number of test flights that broke any limit.
+        """
         is_had = failed <= self._risk * _FLIGHTS
         limiting = tuple(word for word, _ in counts.most_common(3))
         taken = RiskTaken(
@@ -257,7 +339,11 @@ class _Search:
         return replace(tried.plan, risk=taken)
 
     def _verified(self, tried: _Tried) -> _Tried:
-        """Return a plan with margins, refined so that the margins also hold between points."""
+        """Return a plan with margins again, refined and verified by simulation.
+
+        Margins are the amounts by which the plan stays inside its limits; the refined mesh keeps
+        the margins also between the collocation points.
+        """
         if not tried.margins:
             return tried
         held = tightened(self._scenario, tried.margins)
@@ -270,7 +356,10 @@ class _Search:
         return self._tried(owned, tried.margins)
 
     def _owned(self, plan: Plan, margins: Mapping[str, float]) -> Plan:
-        """Return a plan that was made with tightened limits as a plan of the original scenario."""
+        """Return a plan that was made with tightened limits as a plan of the original scenario.
+
+        Scenario and passing times of waypoints are those without margins.
+        """
         times = passing_times(self._scenario, plan.passing_times_s, margins.get(HOLD, 0.0))
         return replace(plan, scenario=self._scenario, passing_times_s=times)
 
@@ -283,10 +372,16 @@ class _Search:
         )
 
     def _planned(self, last: _Tried, margins: Mapping[str, float]) -> _Tried | None:
-        """Solve with margins, warm-started from another plan; None if the solve fails."""
+        """Solve the scenario tightened by margins, warm-started from another plan.
+
+        Returns
+        -------
+        _Tried or None
+            Unrefined plan with the statistics of its flights; None if the solve fails.
+        """
         held = tightened(self._scenario, margins)
         if self._scenario.mission.aim is Aim.TIME:
-            # Its problem has the least duration without margins.
+            # The compiled problem of the last plan holds the least duration without margins.
             plan = self._planner.solve(held, progress=self._progress)
         else:
             plan = _again(self._planner, last.plan, held, self._progress, is_rough=True)
@@ -295,9 +390,10 @@ class _Search:
         return self._tried(self._owned(plan, margins), margins)
 
     def _followed(self, tried: _Tried) -> _Tried:
-        """Return a plan that the controller follows to its goal, with the least rotor reserve.
+        """Return a plan that the controller can follow to its goal, with the least reserve.
 
-        Where no reserve does, that whose flights miss least.
+        The reserve is the part of thrust and tilt that a plan leaves to the controller. If flights
+        miss the goal with any reserve, it is the plan whose flights miss least.
         """
         if self._is_followed(tried):
             return tried
@@ -311,7 +407,7 @@ class _Search:
             found.append(other)
             low, high = (low, middle - 1) if self._is_followed(other) else (middle + 1, high)
         followed = [one for one in found if self._is_followed(one)]
-        # What lets the vehicle follow its plan at all is not given back.
+        # Later margins are never smaller than those with which the vehicle can follow its plan.
         best = min(followed or found, key=_cost if followed else _missed_least)
         self._least = best.margins
         return best
@@ -321,7 +417,10 @@ class _Search:
         return is_there and tried.astray <= _ASTRAY_M
 
     def _reserve(self, share: float) -> dict[str, float]:
-        """Return the margins that keep a share of rotor speed, tilt and duration in reserve."""
+        """Return the margins that leave a fraction of rotor speed, thrust and tilt unused.
+
+        Margins are amounts by which limits are tightened. A free duration gets longer too.
+        """
         margins = {name: share * greatest_margin(self._scenario, name) for name in AUTHORITY}
         for name, more in self._steeper_than_the_controller().items():
             margins[name] = max(margins[name], more)
@@ -333,7 +432,11 @@ class _Search:
         return margins
 
     def _steeper_than_the_controller(self) -> dict[str, float]:
-        """Return by how much plans may tilt beyond the controller's own limit."""
+        """Return the amounts by which roll and pitch limits exceed the controller's own [rad].
+
+        A plan with these amounts as margins stays within the controller's tilt limit. Empty if the
+        scenario does not limit the controller's tilt.
+        """
         limits, most = self._scenario.limits, self._scenario.baseline.gains.tilt_max
         if most is None:
             return {}
@@ -343,7 +446,11 @@ class _Search:
         }
 
     def _settled(self, tried: _Tried) -> _Tried:
-        """Iterate plan and margins until the margins suit the spread of flights along the plan."""
+        """Return a plan whose margins agree with the spread of flights about it, by iteration.
+
+        Margins are the amounts by which the plan stays inside its limits, the spread is the
+        covariance of flights in turbulence.
+        """
         for _ in range(_PLANS):
             wanted = self._margins(tried)
             if self._is_stopped() or self._agree(tried.margins, wanted):
@@ -355,16 +462,19 @@ class _Search:
         return tried
 
     def _margins(self, tried: _Tried) -> dict[str, float]:
-        """Return the margins for the risk, shared equally among the limits that need them.
+        """Return the margins with which flights about a plan would keep the allowed risk.
 
-        What limits far from the plan take of the risk, and the goal, is left out of the shares.
+        Margins are the amounts by which the plan stays inside its limits; the risk is the
+        probability that a flight in turbulence breaks any limit. The risk is shared equally among
+        the limits that need a margin, after the parts that the goal and limits far from the plan
+        use have been subtracted.
         """
         held = tried.margins
         alone = {a: a.probability(held.get(a.field, 0.0), 0.0) for a in tried.near}
         # A limit that takes a hundredth of the risk needs no margin.
         least = 0.01 * self._risk
         pressed = [a for a, probability in alone.items() if probability > least]
-        # A reserve is enough for the limits that it is taken from: flights judge it.
+        # Limits from which the reserve is taken need no further margin here: flights test it.
         pressed = [a for a in pressed if a.field not in self._least]
         missed = [m for m in tried.missed if m.field and (m.field in held or m.probability > least)]
         taken = tried.missing_places
@@ -385,7 +495,11 @@ class _Search:
         return margins
 
     def _agree(self, held: Mapping[str, float], wanted: Mapping[str, float]) -> bool:
-        """Return whether a plan's margins are close to those that its flights' spread requires."""
+        """Return whether the margins of a plan are close to those that its flights need.
+
+        `held` are the margins of the plan, `wanted` the others: scenario field -> amount. They are
+        amounts by which the plan stays inside its limits.
+        """
         for name in {*held, *wanted}:
             one, other = held.get(name, 0.0), wanted.get(name, 0.0)
             table, _, key = name.partition(".")
@@ -397,7 +511,13 @@ class _Search:
         return True
 
     def _flown(self, tried: _Tried, seed: int) -> list[tuple[str, ...]]:
-        """Simulate many flights and return the limits that each of them breaks, in words."""
+        """Simulate test flights of a plan in turbulence; return the limits that each breaks.
+
+        Returns
+        -------
+        list of tuple of str
+            For each flight its broken limits in words.
+        """
         expected = as_expected(replace(tried.plan, scenario=self._told).mission_flown)
         dynamics, draws = draw(self._planner, expected, _FLIGHTS, seed)
         path = reference_path(expected, Reference.PLAN, tried.plan)
@@ -405,9 +525,11 @@ class _Search:
         return [tuple(ending.broken) for ending in squadron.fly(draws).endings]
 
     def _grown(self, tried: _Tried, counts: Mapping[str, int]) -> dict[str, float]:
-        """Return larger margins for the limits that simulated test flights break too often.
+        """Return larger margins for the limits that test flights break too often.
 
-        A flight that misses a place lacks the authority to correct what a gust did to it.
+        A flight that misses a place of the mission had too little thrust to correct the effect of a
+        gust, so that the margins of thrust and tilt grow. Margins are the amounts by which the plan
+        stays inside its limits.
         """
         allowed = self._risk * _FLIGHTS / max(len(counts), 1)
         fields: set[str] = set()
@@ -434,7 +556,7 @@ class _Search:
         return margins
 
     def _advice(self, tried: _Tried, limiting: tuple[str, ...]) -> str:
-        """Return advice against the limit that is broken most often."""
+        """Return advice to the user against the limit that is broken most often."""
         first = limiting[0] if limiting else ""
         if first.startswith(("keep-out", "floor", "ceiling")):
             return "start, waypoints and goal farther from it, or a lower limits.speed_max"
@@ -444,7 +566,7 @@ class _Search:
         return f"{longer}{self._weaker(tried)}"
 
     def _weaker(self, tried: _Tried) -> str:
-        """Return advice in words on the weaker turbulence in which flights would keep the risk."""
+        """Return advice on the weaker turbulence in which a flight rarely misses the goal."""
         allowed = _SHARE_OF_GOAL * self._risk
         places = [miss for miss in tried.missed if not miss.field]
         low, high = 0.0, 1.0
@@ -468,7 +590,7 @@ class _Search:
         return found
 
 
-# Of the strength of turbulence, to a thousandth.
+# Bisection steps of the strength of turbulence: to a thousandth.
 _HALVINGS = 10
 
 
@@ -481,7 +603,10 @@ def _missed_least(tried: _Tried) -> tuple[float, float]:
 
 
 def _planned_at(plan: Plan, spread: Spread) -> tuple[FloatArray, FloatArray]:
-    """Return states and controls of a plan at given times, in the order of the covariance."""
+    """Return states and controls of a plan at the times of its flights' covariance.
+
+    The states are in the order of the spread's dynamics, shape (n, n_states).
+    """
     held, dynamics = plan.trajectories, spread.dynamics
     names = list(held.state_names)
     known = held.states_at(spread.t)

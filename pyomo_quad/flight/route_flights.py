@@ -1,8 +1,8 @@
 """Solves along candidate routes: cost estimate, coarse solve, refinement of the best.
 
-Steady flight estimates the cost of each journey; journeys that are much dearer are left out.  All
-others are solved on one mesh, the best of these on the next, and the best of these to the
-tolerance.
+A journey is a route for each leg of a mission.  Steady flight estimates the cost of each journey;
+journeys that are much dearer are left out.  All others are solved on one mesh, the best of these on
+the next, and the best of these to the tolerance.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -30,25 +30,27 @@ _ROUTE_ELEMENTS = 20
 _GUESS_SAMPLES = 201
 
 
-# Relative errors of an energy on the first mesh and on the next: the best flights whose energies
-# differ by less are solved on the next mesh, or to the tolerance.
+# Relative error of an energy on the first mesh and on the next: flights within this of the least
+# energy are solved on the next mesh, or to the tolerance. Below, the largest numbers of these.
 _NEAR_ON_FIRST, _NEAR_ON_NEXT = 1e-3, 1e-4
 _MOST_ON_NEXT, _MOST_REFINED = 4, 3
-# Number of meshes, including the flight's own.
+# Number of meshes of a solve to the next mesh, including the first.
 _TO_THE_NEXT = 2
-# Share of the error on the first mesh by which energies of two flights differ from those of the
-# optima where no proof is asked for: measured, flights on one mesh err alike.
+# Factor on the error above where accuracy `proof` is not requested: energies on one mesh have
+# similar errors, so that their differences are more accurate (measured).
 _ALIKE = 0.5
 
 
 class RouteFlights:
-    """Solver of a mission along its candidate routes.
+    """Solver of a mission along its candidate routes round zones or through a wind field.
 
     Parameters
     ----------
     mission : MissionProblem
+        Compiled problem of the mission.
     known : Solution, optional
-        The flight along the shortest journey on one mesh, where it is known already.
+        Solution along the shortest journey (a route from each waypoint to the next) on one mesh, if
+        known already.
     """
 
     _near_on_first = _NEAR_ON_FIRST
@@ -62,10 +64,20 @@ class RouteFlights:
             self._near_on_first *= _ALIKE
 
     def best(self, most: int | None = None) -> tuple[Solution, tuple[TriedRoute, ...]]:
-        """Solve along the shortest routes; return the best flight and all results.
+        """Solve along the shortest routes; return the best solution and the results of all routes.
 
-        Without any route there is no flight: the solution is infeasible, its message says why, and
-        there are no results.
+        Parameters
+        ----------
+        most : int, optional
+            Largest number of routes; by default all candidates.
+
+        Returns
+        -------
+        Solution
+            Refined to the mission's tolerance. If zones block every route, it is infeasible and its
+            message names the zones.
+        tuple of TriedRoute
+            Empty if zones block every route.
         """
         try:
             journeys = self._journeys(most)
@@ -75,10 +87,18 @@ class RouteFlights:
         return self.compared(journeys)
 
     def compared(self, journeys: Sequence[Journey]) -> tuple[Solution, tuple[TriedRoute, ...]]:
-        """Solve all journeys on one mesh, refine the best; return it and all results.
+        """Solve along given journeys on one mesh, refine the best; return it and all results.
 
-        If the solutions of two journeys coincide on this mesh or the next, as for the journeys over
-        and beside a sphere, the longer journey is left out.
+        A journey is a route for each leg, from one waypoint to the next. If the solutions of two
+        journeys coincide on this mesh or the next, as for the journeys over and beside a sphere,
+        the longer journey is left out.
+
+        Returns
+        -------
+        Solution
+            The best, refined to the mission's tolerance.
+        tuple of TriedRoute
+            Result of each journey.
         """
         flown: list[tuple[Journey, Solution]] = []
         for journey in journeys:
@@ -105,7 +125,19 @@ class RouteFlights:
         )
 
     def _near(self, known: dict[int, Solution]) -> list[int]:
-        """Keep the flights near the least energy, and solve those again on a finer mesh."""
+        """Return the solutions near the least energy, after solving them again on a finer mesh.
+
+        Parameters
+        ----------
+        known : dict
+            Solutions by number of the journey (a route for each leg of the mission); finer
+            solutions replace coarse ones, duplicates are removed.
+
+        Returns
+        -------
+        list of int
+            Numbers of the best journeys, the cheapest first.
+        """
         near = _nearest(known, self._near_on_first, _MOST_ON_NEXT)
         if len(near) < 2:
             return near
@@ -117,7 +149,11 @@ class RouteFlights:
         return _nearest({k: s for k, s in known.items() if k in near}, _NEAR_ON_NEXT, _MOST_REFINED)
 
     def _refined(self, known: Mapping[int, Solution], near: list[int]) -> dict[int, Solution]:
-        """Return the best flights refined to the tolerance, or the first that can be."""
+        """Return the best solutions refined to the tolerance, by number of the journey.
+
+        If none of them can be refined, other solutions follow until one can. A journey is a route
+        for each leg of the mission.
+        """
         refined: dict[int, Solution] = {}
         others = [k for k in _cheapest(known) if k not in near and known[k].status.is_solved]
         for k in [*near, *others]:
@@ -129,16 +165,25 @@ class RouteFlights:
         return refined
 
     def energy_of(self, solution: Solution) -> float:
-        """Return the energy of a flight [J]."""
+        """Return the energy of a solution [J], without price of time and battery loss."""
         return energy_of(self._told, solution)
 
     def as_flown(self, journey: Journey, solution: Solution) -> Journey:
-        """Return a journey with the sides of zones on which its solved flight really passes."""
+        """Return a journey with the sides of zones on which its solution really passes.
+
+        A journey is a route for each leg of the mission, from one waypoint to the next. Without a
+        solution it is returned unchanged.
+        """
         is_flown = solution.status.is_solved
         return journey_as_flown(self._told, journey, solution) if is_flown else journey
 
     def _journeys(self, most: int | None) -> tuple[Journey, ...]:
-        """Return the candidate journeys, the shortest first; for `proof` all of them."""
+        """Return the candidate journeys of the mission, at most ``most``.
+
+        A journey is a route for each leg, from one waypoint to the next. The shortest come first;
+        in a wind field the cheapest in steady flight. Journeys of high estimated cost are left out,
+        except for accuracy `proof`.
+        """
         told = self._told
         journeys = find_journeys(told.airspace, told.mission.positions)[:most]
         if has_corridors(told) and most is None:
@@ -149,7 +194,11 @@ class RouteFlights:
         return promising(journeys, self._cost_per_metre(journeys[0]))
 
     def _cost_per_metre(self, shortest: Journey) -> Callable[[FloatArray], float]:
-        """Return the energy per metre of steady flight along a direction at a common speed."""
+        """Return the energy per metre of steady flight as a function of direction (unit vector).
+
+        The speed is common to all directions: from the length of the shortest way to the goal and
+        the duration or, if the duration is free, the speed of least cost.
+        """
         told, steady = self._told, self._mission.steady
         mission = told.mission
         speed = length_of(shortest) / told.nominal_duration
@@ -169,9 +218,12 @@ class RouteFlights:
         return cost
 
     def fly(self, journey: Journey) -> Solution:
-        """Solve along a journey on one mesh; retry by way of exact waypoint passages.
+        """Solve the mission on one mesh from an initial guess along a journey.
 
-        A difficulty of one journey is a difficulty of all: the others are flown that way at once.
+        If that fails, the solve is repeated from a solution with exact waypoint passages; all
+        further journeys are then solved in this way at once, because the difficulty does not depend
+        on the journey. A journey is a route for each leg of the mission, from one waypoint to the
+        next.
         """
         if self._known is not None:
             known, self._known = self._known, None
@@ -189,7 +241,7 @@ class RouteFlights:
         return self.fly(journey)
 
     def refine(self, flown: Solution, meshes: int | None) -> Solution:
-        """Refine a flight on some more meshes, or to the mission's tolerance."""
+        """Refine a solution on ``meshes`` meshes, or to the mission's tolerance if None."""
         mission = self._mission
         if self._told.solver.max_refinements == 0 and not mission.easier:
             return flown
@@ -204,8 +256,9 @@ class RouteFlights:
         return mission.solve(next(iter(mission.easier), None), refinement=few, **chosen)
 
 
-# Share of the least estimate above which a journey is not flown: straight legs without corners and
-# changes of speed misjudge by how much a detour is dearer, as a rule they make it too little.
+# Relative excess over the least estimated cost above which a journey is not solved. The estimate by
+# straight legs ignores corners and changes of speed; as a rule it underestimates the cost of a
+# detour.
 _DEARER = 0.01
 
 
@@ -214,10 +267,15 @@ def promising(
 ) -> tuple[Journey, ...]:
     """Return the journeys whose estimated cost is near the least.
 
+    A journey is a route for each leg of the mission, from one waypoint to the next.
+
     Parameters
     ----------
+    journeys : sequence of tuple of Route
+        Each a route for every leg of the mission.
     cost_per_metre : callable
-        Of steady flight along a direction, a unit vector; infinite where there is none.
+        Energy per metre of steady flight along a direction (unit vector); infinite if there is no
+        steady flight.
     """
     known: dict[tuple[float, ...], float] = {}
 
@@ -238,21 +296,28 @@ def promising(
     return tuple(journey for journey, c in zip(journeys, costs, strict=True) if c <= most)
 
 
-# Decimals to which directions are the same.
+# Decimals of the components of a unit vector beyond which two directions count as equal.
 _DIGITS = 6
 
 
 def guess_along(
     journey: Journey, times: Sequence[float], *, is_open: bool = False
 ) -> dict[str, FloatArray]:
-    """Return positions and velocities along a journey, as an initial guess.
+    """Return positions and velocities along a journey, as an initial guess of a solve.
 
     Parameters
     ----------
+    journey : tuple of Route
+        A route for each leg of the mission.
     times : sequence of float
         Times at which each waypoint is reached and left, and the end [s].
     is_open : bool, optional
-        Whether the end is free; the guess is then a function of the fraction of the horizon.
+        Whether the end time is free; the guess is then a function of the fraction of the horizon.
+
+    Returns
+    -------
+    dict
+        "time" and state names -> samples, shape (n,).
     """
     begun = (0.0, *times[1::2])
     instants, places = [], []
@@ -271,9 +336,19 @@ def guess_along(
 
 
 def journey_as_flown(told: Scenario, journey: Journey, solution: Solution) -> Journey:
-    """Return a journey with the sides of zones on which a flight passes.
+    """Return a journey with the sides of zones on which a solution passes.
 
-    A solve may end on another side of a zone than it started.
+    A solve may end on another side of a zone than its initial guess. A journey is a route for each
+    leg of the mission, from one waypoint to the next.
+
+    Parameters
+    ----------
+    told : Scenario
+        The mission.
+    journey : tuple of Route
+        The journey along which the initial guess led.
+    solution : Solution
+        Result of the solve.
     """
     names = [slot.name for slot in solution.problem.compiled.declared.states]
     track = solution.trajectory.states[:, [names.index(name) for name in POSITION_STATES]]
@@ -294,7 +369,7 @@ def journey_as_flown(told: Scenario, journey: Journey, solution: Solution) -> Jo
     return tuple(flown)
 
 
-# Relative difference of states below which two flights are the same.
+# Relative difference of states below which two solutions count as the same flight.
 _SAME = 1e-3
 
 
@@ -307,7 +382,7 @@ def _is_same(one: Solution, other: Solution) -> bool:
 
 
 def _nearest(known: Mapping[int, Solution], share: float, most: int) -> list[int]:
-    """Return the flights within a fraction of the least cost, the cheapest first."""
+    """Return the numbers of solutions with costs within a fraction of the least, cheapest first."""
     costs = {k: _cost(s) for k, s in known.items() if s.status.is_solved}
     least = min(costs.values(), default=inf)
     order = sorted(costs, key=lambda k: costs[k])
@@ -319,5 +394,5 @@ def _cost(solution: Solution) -> float:
 
 
 def _cheapest(known: Mapping[int, Solution]) -> list[int]:
-    """Sort flights by cost, the cheapest first."""
+    """Return the numbers of solutions sorted by cost, the cheapest first."""
     return sorted(known, key=lambda k: _cost(known[k]))

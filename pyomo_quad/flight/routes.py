@@ -1,6 +1,6 @@
 """Shortest routes round zones and over terrain, one per homotopy class, and cruise along a route.
 
-Places beside every obstructing zone are joined where the straight line between them is free;
+Points round every obstructing zone are joined where the straight line between them is free;
 Dijkstra's algorithm finds the shortest path through them.  A zone between start and goal is passed
 on the left or right, over or under it.  The shortest route determines a side of each zone.
 Forbidding these sides one at a time, while keeping the sides before it, divides all other routes
@@ -12,9 +12,9 @@ along the leg, and -j, 0, j to stop.  A leg that is too short for the speed has 
 a lower peak speed; if it is also too short for the largest acceleration, it has a lower peak
 acceleration.
 
-The vehicle stops at every waypoint, holds there as prescribed, and stops at every corner of the
-shortest clear path round keep-outs; at the goal it hovers.  The mission's times are ignored: a
-cruise has its own.
+The vehicle stops at every waypoint, hovers there as prescribed, and stops at every corner of the
+shortest clear path round keep-out zones; at the goal it hovers.  The mission's times are ignored:
+the speed determines those of a cruise.
 
 .. [1] Murty, "An algorithm for ranking all the assignments in order of increasing cost",
    Operations Research 16 (1968).
@@ -51,8 +51,8 @@ from pyomo_quad.scenario.tables import CruiseSettings
 
 Place = tuple[float, float, float]
 
-#: Largest number of routes, the shortest of as many classes, and their largest length relative to
-#: the shortest route: a detour that doubles the length saves no energy.
+#: Largest number of routes (each the shortest of its homotopy class), and their largest length
+#: relative to the shortest route: a detour that doubles the length saves no energy.
 MOST_ROUTES = 8
 _LONGEST = 2.0
 
@@ -68,7 +68,7 @@ class Route:
     sides : tuple of (str, Side)
         Name of each zone between start and goal, and the side on which it is passed.
     label : str
-        Name of a route that sides do not tell from others.
+        Name of a route that sides do not distinguish from others.
     estimate_J : float or None
         Energy in steady flight through a wind field.
     """
@@ -85,7 +85,7 @@ class Route:
 
     @property
     def name(self) -> str:
-        """Sides on which the route passes the zones, in words."""
+        """Sides on which the route passes the zones, in words, such as "left of church"."""
         words = (
             f"{side.value} of {zone}" if side in _BESIDE else f"{side.value} {zone}"
             for zone, side in self.sides
@@ -93,7 +93,7 @@ class Route:
         return self.label or ", ".join(words) or "straight"
 
     def places_at(self, shares: FloatArray) -> FloatArray:
-        """Return the points at fractions of the length, shape (n, 3)."""
+        """Return the points of the route at fractions of its length, shape (n, 3) [m]."""
         steps = np.linalg.norm(np.diff(self.places, axis=0), axis=1)
         reached = np.concatenate([[0.0], np.cumsum(steps)])
         at = np.asarray(shares) * reached[-1]
@@ -106,7 +106,18 @@ _BESIDE = (Side.LEFT, Side.RIGHT)
 def find_routes(
     airspace: Airspace, start: Place, goal: Place, most: int = MOST_ROUTES
 ) -> tuple[Route, ...]:
-    """Return the shortest route of each class, at most ``most``, the shortest first.
+    """Return the shortest route of each homotopy class between two places, the shortest first.
+
+    Routes of different classes pass the zones on different sides.
+
+    Parameters
+    ----------
+    airspace : Airspace
+        Zones, clearance, fence, floor and terrain.
+    start, goal : (float, float, float)
+        Ends of the routes [m].
+    most : int, optional
+        Largest number of routes.
 
     Returns
     -------
@@ -133,9 +144,10 @@ def find_routes(
 
 
 def zones_that_block(airspace: Airspace, start: Place, goal: Place) -> tuple[str, ...]:
-    """Return the zones to remove for a route to exist: any one of them, or else all of them.
+    """Return the names of zones that leave no route between two places.
 
-    If no single zone suffices, they are a set from which none can be left out.
+    These are the zones of which removing any single one opens a route. If there is no such zone,
+    they are a set of zones that must all be removed together.
     """
     zones = airspace.keep_out
 
@@ -155,7 +167,7 @@ def zones_that_block(airspace: Airspace, start: Place, goal: Place) -> tuple[str
 
 
 def no_way(airspace: Airspace, start: Place, goal: Place) -> str:
-    """Return a message that names the zones that block every route to a goal."""
+    """Return a message for the user that names the zones which block every route to a goal."""
     names = zones_that_block(airspace, start, goal)
     told = [name for name in ("floor", "ceiling") if getattr(airspace, name) is not None]
     rooms = "".join(f", or move airspace.{name}" for name in told)
@@ -173,11 +185,25 @@ def _spelled(place: Place) -> str:
 
 
 Journey = tuple[Route, ...]
-"""A route for each leg between start, waypoints and goal."""
+"""A route for each leg, from the start to the first waypoint, ..., to the goal."""
 
 
 def find_journeys(airspace: Airspace, stops: Sequence[Place]) -> tuple[Journey, ...]:
     """Return the shortest journeys through all stops, at most `MOST_ROUTES`.
+
+    A journey is a route for each leg from one stop to the next.
+
+    Parameters
+    ----------
+    airspace : Airspace
+        Zones to avoid.
+    stops : sequence of (float, float, float)
+        Start, waypoints and goal [m].
+
+    Returns
+    -------
+    tuple of tuple of Route
+        The shortest journey first.
 
     Raises
     ------
@@ -195,18 +221,19 @@ def find_journeys(airspace: Airspace, stops: Sequence[Place]) -> tuple[Journey, 
 
 
 def length_of(journey: Journey) -> float:
-    """Return the length of a journey [m]."""
+    """Return the length of a journey [m], the sum over its routes between waypoints."""
     return sum(route.length for route in journey)
 
 
 class NoRouteError(Exception):
-    """Error: zones block every route from one stop to the next."""
+    """Error: zones block every route between two consecutive stops of a mission."""
 
 
 def with_plain_passages(told: Scenario) -> Scenario | None:
-    """Return the mission with exact waypoint passages at any speed, None if it has no others.
+    """Return the mission with exact waypoint passages at any speed; None if all are so already.
 
-    At the centre of a ball, or at another speed, the slopes of these limits are uninformative.
+    Waypoints with a radius or a speed limit lose it, which makes an initial solve easier: where the
+    distance or the speed that they limit is zero, the gradient of the limit vanishes.
     """
     at_ease = {"radius": 0.0, "speed_max": None}
     waypoints = tuple(w.model_copy(update=at_ease) for w in told.mission.waypoints)
@@ -217,12 +244,14 @@ def with_plain_passages(told: Scenario) -> Scenario | None:
 
 
 class _Graph:
-    """Visibility graph: points beside the zones, and the free straight lines between them.
+    """Visibility graph: points round the zones, and the free straight lines between them.
 
     Parameters
     ----------
+    airspace : Airspace
+        Zones, clearance, fence, floor and terrain.
     ends : ndarray, shape (2, 3)
-        Start and goal.
+        Start and goal [m].
     relevant : list of KeepOut
         The zones to avoid; the caller checks all other zones.
     """
@@ -251,7 +280,7 @@ class _Graph:
         ]
 
     def routes(self) -> Iterator[Route]:
-        """Yield the shortest route of every class, the shortest first."""
+        """Yield the shortest route of every homotopy class, the shortest first."""
         every = frozenset(range(len(Side)))
         queue: list[tuple[float, int, list[int], tuple[frozenset[int], ...]]] = []
         pushed = 0
@@ -282,7 +311,10 @@ class _Graph:
                     kept[number] = frozenset({side})
 
     def _shortest(self, allowed: tuple[frozenset[int], ...]) -> tuple[float, list[int]] | None:
-        """Return length and nodes of the shortest path that passes zones on allowed sides."""
+        """Return length and nodes of the shortest path that passes each zone on its allowed sides.
+
+        None if there is no such path.
+        """
         is_open = np.ones(len(self._first), dtype=bool)
         for crossings, sides in zip(self._crossings, allowed, strict=True):
             is_open &= np.isin(crossings, [-1, *sides])
@@ -298,7 +330,7 @@ class _Graph:
         return float(lengths[1]), nodes[::-1]
 
     def _sides_of(self, nodes: list[int]) -> list[int]:
-        """Return the side on which a path passes each zone, -1 for a zone that it does not pass."""
+        """Return the index of the side on which a path passes each zone; -1 for no passage."""
         number = {pair: k for k, pair in enumerate(zip(self._first, self._last, strict=True))}
         lines = [number[min(pair), max(pair)] for pair in pairwise(nodes)]
         sides = []
@@ -315,17 +347,18 @@ class TriedRoute:
     Attributes
     ----------
     name : str
-        Sides on which the zones are passed.
+        Sides on which the zones are passed, in words.
     length_m : float
         Length of the shortest route in its class.
     energy_J : float or None
-        Energy of the flight, on the first or second mesh unless refined.  None if none was found.
+        Energy of the optimal flight, on the first or second mesh unless refined; None if the solve
+        failed.
     is_refined : bool
-        Whether it was solved to the mission's tolerance.
+        Whether the flight was solved to the mission's tolerance.
     is_kept : bool
         Whether it is the route of the plan.
     estimate_J : float or None
-        Energy of steady flight along it, known in a wind field alone.
+        Energy of steady flight along the route; only in a wind field.
     """
 
     name: str
@@ -336,14 +369,18 @@ class TriedRoute:
     estimate_J: float | None = None
 
 
-#: s, durations of hover at the goal; a flight takes the first that suffices to arrive.
+#: Durations of hover at the goal [s], in order: an autopilot's flight waits for the first with
+#: which the vehicle arrives.
 SETTLINGS_S = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0)
-# s, duration below which a phase is left out.
+# Duration below which a phase of a speed profile is left out [s].
 _INSTANT = 1e-9
 
 
 class SpeedProfile(NamedTuple):
-    """Speed profiles with phases of constant jerk; arrays of shape (n,), one entry per leg."""
+    """Rest-to-rest motion along a straight leg, at the ends of its phases of constant jerk.
+
+    Arrays of shape (n,).
+    """
 
     times: FloatArray
     """Times from the start, s."""
@@ -356,7 +393,7 @@ class SpeedProfile(NamedTuple):
 
 
 def speed_profile(distance: float, speed: float, acceleration: float, jerk: float) -> SpeedProfile:
-    """Return the fastest rest-to-rest profile over a distance within three limits.
+    """Return the fastest rest-to-rest motion over a distance within three limits.
 
     Parameters
     ----------
@@ -393,7 +430,7 @@ def speed_profile(distance: float, speed: float, acceleration: float, jerk: floa
 
 
 def _peak_speed(distance: float, acceleration: float, jerk: float) -> float:
-    """Return the peak speed of a profile that only the distance limits."""
+    """Return the peak speed of a rest-to-rest motion over a distance without speed limit [m/s]."""
     unbent = acceleration / jerk
     reached = acceleration / 2 * (sqrt(unbent**2 + 4 * distance / acceleration) - unbent)
     if reached >= acceleration * unbent:
@@ -407,15 +444,24 @@ def cruise_at(
     settling_s: float = 0.0,
     least_s: float = 0.0,
 ) -> Scenario:
-    """Return the mission with the passing times of a cruise at a speed [m/s].
+    """Return the mission with the passing times of an autopilot's cruise.
 
     The vehicle hovers at the goal for `settling_s`, and longer where the flight would last less
     than `least_s`.
 
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission.
+    speed : float, optional
+        Cruise speed [m/s]; by default the single cruise speed of the scenario.
+    settling_s, least_s : float, optional
+        Hover at the goal and least duration of the flight.
+
     Raises
     ------
     ScenarioError
-        If the mission goes nowhere, or zones block a leg.
+        If all places of the mission are the same, or zones block a leg.
     """
     told = scenario
     if speed is not None:
@@ -429,7 +475,13 @@ def cruise_at(
 
 
 def cruise(scenario: Scenario) -> SampledPath:
-    """Return the reference path of an autopilot's cruise."""
+    """Return the path of an autopilot's cruise over time, as a reference for the controller.
+
+    Raises
+    ------
+    ScenarioError
+        If the cruise takes longer than the duration of the scenario.
+    """
     stops, times = stops_of(scenario.mission)
     holds = (0.0, *(waypoint.hold for waypoint in scenario.mission.waypoints))
     knots: list[float] = []
@@ -457,7 +509,13 @@ def cruise(scenario: Scenario) -> SampledPath:
 
 
 def _legs(scenario: Scenario) -> list[list[tuple[FloatArray, SpeedProfile]]]:
-    """Return displacement [m] and speed profile of the straight pieces of each leg."""
+    """Return the straight pieces of an autopilot's cruise between consecutive waypoints.
+
+    Returns
+    -------
+    list of list of (ndarray, SpeedProfile)
+        For each leg its pieces round zones: displacement [m] and rest-to-rest motion.
+    """
     airspace, settings = scenario.airspace, own_cruise(scenario)
     limits = settings.speed, settings.acceleration, settings.jerk
     legs = []
@@ -485,7 +543,8 @@ def _legs(scenario: Scenario) -> list[list[tuple[FloatArray, SpeedProfile]]]:
 def reached(scenario: Scenario) -> CruiseSettings:
     """Return the largest speed and acceleration that a cruise reaches, and its jerk.
 
-    With these settings the flight is the same: legs may be too short for the scenario's own.
+    Legs may be too short for the scenario's own settings; with the returned settings the flight is
+    the same.
     """
     profiles = [profile for pieces in _legs(scenario) for _, profile in pieces]
     return CruiseSettings(
@@ -496,12 +555,12 @@ def reached(scenario: Scenario) -> CruiseSettings:
 
 
 def own_cruise(scenario: Scenario) -> CruiseSettings:
-    """Return the cruise settings of a scenario with a single cruise speed.
+    """Return the settings of the cruise in a scenario with a single cruise speed.
 
     Raises
     ------
     ScenarioError
-        If it has none, or several.
+        If it has no cruise speed, or several.
     """
     speeds = scenario.baseline.cruise_speeds or ()
     if len(speeds) != 1:

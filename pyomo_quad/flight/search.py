@@ -1,4 +1,8 @@
-"""Progress of a search for a plan: stage, processor time and best usable plan so far."""
+"""Progress of a search for a plan: stage, processor time and best usable plan so far.
+
+A usable plan is one that simulation confirms at lower accuracy than requested; a search that is
+stopped returns it.
+"""
 
 from __future__ import annotations
 
@@ -19,25 +23,25 @@ if TYPE_CHECKING:
     from pyomo_quad.flight.deadline import Deadline
     from pyomo_quad.flight.plan import Plan
 
-#: Largest share of its energy by which a usable plan may differ from the mesh before: a trajectory
-#: near a coarse optimum spends a few per cent more.
+#: Largest relative uncertainty of a usable plan's energy: a flyable trajectory near a coarse
+#: optimum spends a few per cent more than the optimum.
 USABLE_ENERGY = 0.1
-# Error estimate of a mesh above which no flight of its controls arrives, found by experience: the
-# estimate holds the breach of limits as it is, of which a usable plan may have as much.
+# Error estimate of a mesh above which, by experience, no simulated flight of its controls arrives.
+# The estimate includes violations of limits, of which a usable plan may have as much.
 _PROMISING = FIGURES[Accuracy.QUICK].breach
-# Searches that end within so many seconds of the processor keep nothing on the way, and longer ones
-# spend at most this share of their time on flights of finished meshes: before there is a usable
-# plan, and for a better one.
+# Processor time [s] before which a search looks for no usable plan; and largest fractions of its
+# time that it spends on simulating the controls of finished meshes: before it has a usable plan,
+# and to find a better one.
 _PATIENCE_S, _SHARE, _SHARE_FOR_BETTER = 2.0, 0.2, 0.05
-# What can be flown near a coarse mesh, which takes seconds to find, is found after so many times
-# as long, or after this share of the time limit.
+# A flyable trajectory near a coarse solution, which takes seconds to compute, is sought after this
+# multiple of that time, or after this fraction of the time limit.
 _LONG, _SHARE_OF_LIMIT = 5.0, 0.3
-# Coarse meshes from which a usable plan is sought.
+# Number of coarse meshes from which a usable plan is sought.
 _MOST_SEARCHES = 2
 
 
 class Stage(StrEnum):
-    """Stage of a search."""
+    """Stage of a search for a plan, as a progress display shows it."""
 
     ROUTES = "routes"
     COARSE = "coarse solves"
@@ -47,21 +51,23 @@ class Stage(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class State:
-    """Snapshot of a search's progress.
+    """Snapshot of the progress of a search for a plan, for a progress display.
 
     Attributes
     ----------
     stage : Stage
+        Present stage.
     energy_J : float
-        Least energy found so far, infinite before there is one.
+        Least energy found so far, infinite before the first solution.
     uncertainty : float
-        Share of that energy by which the last mesh changed it, infinite where there was one mesh.
+        Relative change of that energy by the last mesh, infinite if there was only one mesh.
     spent_s : float
         Processor time since the search began.
     has_usable : bool
-        Whether a usable plan is kept, which is returned when the search is stopped now.
+        Whether there is a plan that simulation confirms at lower accuracy, which is returned if the
+        search is stopped now.
     iteration : Iteration
-        Of the solve under way.
+        Present iteration of Ipopt.
     """
 
     stage: Stage
@@ -73,23 +79,27 @@ class State:
 
 
 class Search:
-    """Progress callback that ends a search in time and keeps the best usable plan.
+    """Progress callback of solves that ends a search in time and keeps the best usable plan.
+
+    A usable plan is one that simulation confirms at lower accuracy than requested.
 
     Parameters
     ----------
     deadline : Deadline
+        Time limit of the search.
     show : callable, optional
-        Called with the state of the search at each iteration.
+        Called with the `State` of the search at each iteration.
 
     Attributes
     ----------
     stage : Stage
+        Present stage.
     record : list of str
         Outcomes of the strategies carried out so far.
     usable : Plan or None
         The best usable plan so far.
     effort : int
-        Sum over iterations of the points of their meshes, since `begin_effort`.
+        Sum over Ipopt's iterations of the number of mesh points, since `begin_effort`.
     """
 
     def __init__(self, deadline: Deadline, show: Callable[[State], None] | None = None) -> None:
@@ -114,15 +124,21 @@ class Search:
         return time.thread_time() - self._patient_from
 
     def restart_patience(self) -> None:
-        """Restart the time that the search waits before it seeks a usable plan."""
+        """Restart the time that the search waits before it looks for a usable plan.
+
+        A usable plan is one that simulation confirms at lower accuracy than requested.
+        """
         self._patient_from = time.thread_time()
 
     def begin_effort(self, most: float) -> None:
-        """Reset the effort counter and set the largest effort of the next solves."""
+        """Reset the effort counter and set the effort at which the next solves are stopped.
+
+        The effort is the sum over Ipopt's iterations of the number of mesh points.
+        """
         self.effort, self._most_effort = 0, most
 
     def __call__(self, iteration: Iteration) -> bool:
-        """Return False when the search must stop."""
+        """Return False at an iteration of Ipopt if the time or effort limit has passed."""
         self.effort += iteration.mesh_points
         if self._show is not None:
             self._show(
@@ -145,21 +161,23 @@ class Search:
         flown: Callable[[Solution], Plan],
         flyable: Callable[[Solution], Iterator[Plan]],
     ) -> None:
-        """Try a mesh's solution as a usable plan: simulate its controls if it is promising.
+        """Try the solution of a finished mesh as a usable plan, by simulation of its controls.
 
-        From a mesh that is too coarse for that, what can be flown is found first where the search
-        lasts long, if need be in the middle of a solve, unless there is a usable plan already.  A
-        search that ends soon needs neither.
+        A solution with a small error estimate is simulated at once. From a coarser solution a
+        flyable trajectory is computed first, but only in a long search without a usable plan, if
+        need be in the middle of a later solve.  A search that ends soon needs neither. A usable
+        plan is one that simulation confirms at lower accuracy than requested.
 
         Parameters
         ----------
         solution : Solution
+            Solution on the finished mesh.
         energy_J : float
-            Of the solution.
+            Energy of the solution.
         flown : callable
-            Returns the plan of a solution with the verdict of its flight.
+            Takes a solution; returns its plan with the result of the simulation.
         flyable : callable
-            Yields such plans for trajectories near a solution that is not flyable itself.
+            Takes a solution that is not flyable itself; yields such plans for trajectories near it.
         """
         self._note(energy_J)
         if solution.error_estimate > _PROMISING:
@@ -174,7 +192,10 @@ class Search:
             self.stage = Stage.REFINING
 
     def _seek_usable(self) -> None:
-        """In a long search, make a usable plan from the last coarse solution."""
+        """In a long search, compute a usable plan from the last coarse solution, if there is none.
+
+        A usable plan is one that simulation confirms at lower accuracy than requested.
+        """
         patience = min(_LONG * _PATIENCE_S, _SHARE_OF_LIMIT * self.deadline.limit_s)
         is_time = self._waited_s >= patience and not self.deadline.is_over
         is_wanted = self.usable is None and self.stage is not Stage.USABLE
@@ -195,7 +216,7 @@ class Search:
         self._energy = energy_J
 
     def keep(self, plan: Plan) -> None:
-        """Keep a plan that simulation confirms if it is the best so far."""
+        """Keep a plan if simulation confirms it at lower accuracy and it is the best so far."""
         found = as_usable(plan)
         if not found.is_flyable:
             return
@@ -203,13 +224,18 @@ class Search:
             self.usable = found
 
     def ended(self, plan: Plan) -> Plan:
-        """Return the plan that a search ends with: the last plan, or the best usable one."""
+        """Return the plan with which the search ends: the last plan, or else the best usable plan.
+
+        The usable plan replaces a last plan that simulation does not confirm, unless this was
+        proven infeasible. A usable plan is one that simulation confirms at lower accuracy than
+        requested.
+        """
         plan = as_usable(self._given_up(replace(plan, attempts=tuple(self.record))))
         if plan.is_flyable or plan.status is PlanStatus.INFEASIBLE or self.usable is None:
             return plan
         cause = plan.message.partition(". ")[0].rstrip(".; ")
         kept = self.usable
-        # Of waypoints in the best order, the kept plan has the order of its own.
+        # If the order of the waypoints is free, the usable plan may have another order.
         mission = plan.scenario.mission.model_copy(
             update={"waypoints": kept.scenario.mission.waypoints}
         )
@@ -224,7 +250,10 @@ class Search:
         )
 
     def _given_up(self, plan: Plan) -> Plan:
-        """Return the plan as not converged if the time limit left neither flight nor proof."""
+        """Return the plan as not converged if the time limit passed before a result.
+
+        A result is a flyable plan or a proof of infeasibility.
+        """
         if not self.deadline.is_over or plan.is_flyable or plan.status is PlanStatus.INFEASIBLE:
             return plan
         message = (
@@ -237,7 +266,10 @@ class Search:
 
 
 def as_usable(plan: Plan) -> Plan:
-    """Return a plan with status usable if simulation confirms it at lower accuracy."""
+    """Return a plan with status usable if simulation confirms it at lower accuracy than requested.
+
+    Other plans are returned unchanged.
+    """
     if plan.is_flyable or plan.status is PlanStatus.INFEASIBLE:
         return plan
     found = plan.verification
@@ -250,7 +282,7 @@ def as_usable(plan: Plan) -> Plan:
 
 
 def _proven(plan: Plan) -> str:
-    """Return the confirmed accuracy of a usable plan, as a sentence."""
+    """Return in a sentence to which accuracy simulation confirms a usable plan."""
     found = plan.verification
     if found is None:
         return ""
@@ -264,7 +296,7 @@ def _proven(plan: Plan) -> str:
 
 
 def accuracy_words(plan: Plan) -> str:
-    """Return the requested accuracy, the accuracy reached, and the uncertainty of the energy."""
+    """Return in words the requested and the reached accuracy, and the energy's uncertainty."""
     asked, reached = plan.scenario.solver.accuracy, plan.accuracy_reached
     known = plan.energy_uncertainty
     words = f"accuracy requested: {asked.value}; reached: {'none' if reached is None else reached}"

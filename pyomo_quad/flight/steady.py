@@ -1,6 +1,6 @@
 """Steady flight from the compiled equations: hover, trim and battery load.
 
-This file has no formula of the vehicle. A trim consists of the states and controls with which the
+This module has no formula of the vehicle. A trim consists of the states and controls with which the
 compiled equations keep all states constant except the position, which moves at a given velocity. A
 user's own model is trimmed in the same way.
 
@@ -41,9 +41,10 @@ _FIRST_ROTOR = 1
 _INDUCED = "power.induced_velocity"
 _UNCREDITED = "power.uncredited_power"
 _STILL = np.zeros(3)
-# Largest rate that a trim leaves in a state at rest, in the state's own unit per second.
+# Largest rate of change of a state in a trim, in the state's own unit per second.
 _AT_REST = 1e-7
-# Residual of the search below which a few Newton steps with its last slopes reduce it to rounding.
+# Residual of the least-squares search below which Newton steps with its last Jacobian follow, and
+# number of these steps.
 _NEARLY, _SHARPENINGS = 1e-2, 4
 _PRECISION = 1e-15
 # Velocities at which linearity is tested, m/s: each axis alone, and all axes together.
@@ -53,7 +54,7 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, kw_only=True)
 class Trim:
-    """Steady flight at a velocity, with states and controls in the order of the dynamics."""
+    """Steady flight at a velocity: states and controls in the order of the dynamics, and power."""
 
     states: FloatArray
     controls: FloatArray
@@ -106,9 +107,14 @@ class SteadyFlight:
         Parameters
         ----------
         velocity : array_like, shape (3,), optional
-            In world axes, m/s; hover by default.  In still air it is the airspeed too.
+            In world axes, m/s; hover by default.  In still air it equals the airspeed.
         near : Trim, optional
             Initial guess: a trim at a similar velocity.
+
+        Returns
+        -------
+        Trim
+            States, controls and power.
 
         Raises
         ------
@@ -158,13 +164,16 @@ class SteadyFlight:
         return Trim(states=states, controls=controls, power_W=float(power))
 
     def reading(self, names: tuple[str, ...], trim: Trim) -> FloatArray:
-        """Return the values of named model components in a steady flight, in order."""
+        """Return the values of named model components in a steady flight, shape (n,), in order."""
         return self._rows(tuple((n, None) for n in names), trim.states[None], trim.controls[None])[
             0
         ]
 
     def held_in(self, trim: Trim) -> dict[str, float]:
-        """Return the states that a steady flight keeps constant, other than velocity, by name."""
+        """Return the states that a steady flight keeps constant, other than velocity, by name.
+
+        These are attitude, body rates and rotor speeds, and the induced velocity if modelled.
+        """
         moved = {*self._dynamics.states_used_up, *POSITION_STATES, *VELOCITY_STATES}
         named = dict(zip(self._dynamics.state_names, trim.states.tolist(), strict=True))
         held = {name: value for name, value in named.items() if name not in moved}
@@ -179,14 +188,23 @@ class SteadyFlight:
     def charge_rates(
         self, trim: Trim, drawn: FloatArray, circuit: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return charge per second [A h/s] and remaining power [W] over the charge drawn.
+        """Return charge per second and remaining power of a steady flight, by charge drawn.
 
         Parameters
         ----------
+        trim : Trim
+            The steady flight.
         drawn : ndarray, shape (n,)
             Charge drawn from the full pack [A h].
         circuit : ndarray, shape (n, n_circuit), optional
-            Slow drop and temperature of the pack; those of the start without.
+            Relaxation voltage [V] and temperature [K] of the pack; by default those of the start.
+
+        Returns
+        -------
+        rate : ndarray, shape (n,)
+            Charge per second [A h/s].
+        reserve : ndarray, shape (n,)
+            Greatest power of the pack less the power drawn [W].
         """
         states = np.tile(trim.states, (len(drawn), 1))
         controls = np.tile(trim.controls, (len(drawn), 1))
@@ -200,7 +218,19 @@ class SteadyFlight:
     def endurance(self, trim: Trim, depth: float, samples: int) -> float:
         """Return the time of steady flight on the full battery to a depth of discharge [s].
 
-        Infinite if it draws no power, and zero if the pack cannot give the power.
+        Parameters
+        ----------
+        trim : Trim
+            The steady flight.
+        depth : float
+            Fraction of the capacity to draw.
+        samples : int
+            Number of states of charge at which the current is evaluated.
+
+        Returns
+        -------
+        float
+            Infinite if the flight draws no power, and zero if the pack cannot give the power.
         """
         drawn = np.linspace(0.0, depth * self.pack_capacity, samples)
         rate, reserve = self.charge_rates(trim, drawn, self._circuit_under_load(trim, drawn))
@@ -210,13 +240,14 @@ class SteadyFlight:
 
     @property
     def _circuit(self) -> list[int]:
-        """Indices of relaxation voltage and temperature among the states, if declared."""
+        """Indices of relaxation voltage and temperature among the states, if modelled."""
         return [k for k, n in enumerate(self._dynamics.state_names) if n in CIRCUIT_STATES]
 
     def _circuit_under_load(self, trim: Trim, drawn: FloatArray) -> FloatArray | None:
-        """Return relaxation voltage and temperature under a steady load, by charge drawn.
+        """Return relaxation voltage [V] and temperature [K] under a steady load, by charge drawn.
 
-        Rows are those of the last charge that the pack can give, beyond it. None without a circuit.
+        The result has shape (n, n_circuit). Beyond the last charge that the pack can give, the rows
+        repeat those of this charge. None if neither is modelled.
         """
         own, charge = self._circuit, self._dynamics.state_names.index(CHARGE_STATE)
         if not own:
@@ -270,11 +301,14 @@ class SteadyFlight:
         return self._over_speeds("rotors.total_thrust", speed)
 
     def power(self, speed: ArrayLike) -> FloatArray:
-        """Return the power [W] for equal, constant rotor speeds [rad/s]."""
+        """Return the total power [W] for equal, constant rotor speeds [rad/s]."""
         return self._over_speeds("power.total", speed)
 
     def uncredited_power(self, speed: ArrayLike) -> FloatArray:
-        """Return the power [W] without the lower limit on braking power; see `model.power`."""
+        """Return the total power [W] for equal, constant rotor speeds, before its limit at zero.
+
+        The limit applies if braking returns no energy; see `model.power`.
+        """
         rotors = range(_FIRST_ROTOR, _FIRST_ROTOR + len(self._rotors))
         if not self._dynamics.has(_UNCREDITED):
             return self.power(speed)
@@ -297,7 +331,7 @@ class SteadyFlight:
         return float(self.power(self._speed_where(self.thrust, thrust)))
 
     def rotor_value(self, name: str, speed: ArrayLike, acceleration: ArrayLike = 0.0) -> FloatArray:
-        """Return a quantity of one rotor at given speeds and accelerations.
+        """Return a quantity of one rotor at given speeds [rad/s] and accelerations [rad/s^2].
 
         `name` is that of an expression over rotors and time, as ``"rotors.motor_torque"``.
         """
@@ -313,9 +347,10 @@ class SteadyFlight:
         return float(self._read(("rotors.yaw_moment",), states)[0])
 
     def pack_under(self, power: float) -> tuple[float, float, float]:
-        """Return current [A], voltage [V] and charge per second [A h/s] under a load.
+        """Return current [A], voltage [V] and charge per second [A h/s] of the loaded battery.
 
-        The load [W] is that of all rotors at one speed; the pack is in its initial state.
+        The load ``power`` [W] is that of all rotors at equal speed; the battery is in its initial
+        state.
         """
         states = self._start.copy()
         states[self._rotors] = self._speed_where(self.power, power)
@@ -328,7 +363,10 @@ class SteadyFlight:
         return float(self._read(("battery.greatest_power",), self._start)[0])
 
     def stored_energy(self, depth: float, samples: int) -> float:
-        """Return the energy of the full battery without load, to a depth of discharge [J]."""
+        """Return the energy of the full battery without load, to a depth of discharge [J].
+
+        `depth` is the fraction of the capacity to draw, `samples` the number of quadrature points.
+        """
         states = np.tile(self._start, (samples, 1))
         column = self._dynamics.state_names.index(CHARGE_STATE)
         drawn = states[:, column] = np.linspace(0.0, depth * self.pack_capacity, samples)
@@ -352,7 +390,7 @@ class SteadyFlight:
         return float(rates[self._dynamics.state_names.index(CHARGE_STATE)])
 
     def _speed_where(self, reading: object, wanted: float) -> float:
-        """Return the common rotor speed at which a rising quantity reaches a value."""
+        """Return the common rotor speed [rad/s] at which an increasing quantity reaches a value."""
 
         def excess(speed: float) -> float:
             return float(reading(speed)) - wanted  # type: ignore[operator]
@@ -434,7 +472,10 @@ class MomentumDemand:
     def thrust(
         self, time: float, velocity: FloatArray = _STILL, acceleration: FloatArray = _STILL
     ) -> FloatArray:
-        """Return the required thrust vector [N] for velocity and acceleration in world axes."""
+        """Return the required thrust vector [N] at a time, for a velocity and an acceleration.
+
+        Both are in world axes [m/s, m/s^2]; by default the vehicle stands still.
+        """
         states = self._at_rest.copy()
         states[self._velocity] = velocity
         return np.asarray(self.mass * (acceleration - self._acceleration(time, states)))
@@ -443,7 +484,10 @@ class MomentumDemand:
         return np.asarray(self._dynamics.rates(time, states, self._controls)[self._velocity])
 
     def _mass(self, axis: int) -> float:
-        """Return the apparent mass along an axis, with the vehicle tilted towards it."""
+        """Return the apparent mass along a world axis [kg]: thrust over acceleration.
+
+        The vehicle is evaluated with its thrust along this axis.
+        """
         names, start = self._dynamics.state_names, self._dynamics.start
         states = self._at_rest.copy()
         if axis == 0:

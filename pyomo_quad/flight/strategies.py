@@ -1,9 +1,9 @@
 """Planning strategies: one ordered table, applied by one loop.
 
 Each strategy has a name, the stage of the search that it belongs to, the condition under which it
-applies, its action, and its budget: how often it may be repeated while it applies.  What each of
-them led to is the record of the search, which `Plan.attempts` prints.  A strategy whose action
-leads to nothing leaves no line, and is not repeated.
+applies, its action, and its budget: how often it may be repeated while it applies.  The record of
+the search, which `Plan.attempts` prints, holds the outcome of each action.  An action without
+outcome adds no line and is not repeated.
 """
 
 from __future__ import annotations
@@ -29,13 +29,15 @@ class Strategy(NamedTuple, Generic[Subject]):
     Attributes
     ----------
     name : str
+        Name in the record of the search.
     stage : Stage
+        Stage of the search that a progress display shows.
     applies : callable
-        Condition on the subject.
+        Condition on the subject, the candidate plan that the strategies improve.
     act : callable
-        Improves the subject; returns the outcome for the record, None if there is nothing to say.
+        Action that improves the subject; returns the outcome for the record, None without outcome.
     most : int
-        Number of times that it may be carried out in a row.
+        Largest number of times that it is carried out in a row.
     """
 
     name: str
@@ -46,7 +48,17 @@ class Strategy(NamedTuple, Generic[Subject]):
 
 
 def carry_out(table: Sequence[Strategy[Subject]], subject: Subject, search: Search) -> None:
-    """Apply the strategies of a table whose conditions are met, and record the outcomes."""
+    """Apply the strategies of a table whose conditions are met, and record the outcomes.
+
+    Parameters
+    ----------
+    table : sequence of Strategy
+        Strategies, in the order in which they are tried.
+    subject
+        Object that the strategies improve, such as a `Candidate`.
+    search : Search
+        Holds the record and the stage.
+    """
     for strategy in table:
         for _ in range(strategy.most):
             if not strategy.applies(subject):
@@ -58,12 +70,12 @@ def carry_out(table: Sequence[Strategy[Subject]], subject: Subject, search: Sear
             search.record.append(f"{strategy.name}: {outcome}")
 
 
-# Durations, as multiples of the mission's, through which a slow flight is sped up.
+# Multiples of the mission's duration for the continuation from a slow flight to the mission's own.
 _SLOWER = (3.0, 2.0, 1.5, 1.2, 1.1)
 
 _C = Candidate
 ROUTES, COARSE, _, REFINING = Stage
-#: First solutions: the first that applies decides.
+#: Strategies for a first solution, of which the first that applies is decisive.
 FIRST = (
     Strategy("candidate routes", ROUTES, _C.has_routes, _C.fly_routes),
     Strategy("similar flight", COARSE, _C.starts_at_flight, _C.from_flight),
@@ -86,7 +98,7 @@ RETRIES = (
     Strategy("guess from the shortest flight", COARSE, _C.has_shorter, _C.from_shortest),
     Strategy("diagnosis", COARSE, _C.has_failed, _C.judge),
 )
-#: Proof of a solution by a flight of its controls.
+#: Verification of a solution by simulation of its controls.
 PROOF = (
     Strategy("flight", REFINING, _C.is_solved, _C.fly),
     Strategy("flight astray", REFINING, _C.is_astray, _C.tighten, most=3),
@@ -95,7 +107,10 @@ _WITHIN_PACK = f"pack held to {100.0 * GIVEN_SHARE:.0f} % of its greatest power"
 
 
 def _hold_pack(candidate: Candidate) -> str:
-    """Plan within the capability of the battery, without further retries."""
+    """Plan the mission again within the power that the battery can give.
+
+    No other retries follow; returns the outcome for the record of the search.
+    """
     return candidate.hold_pack(lambda gentler: carry_out((*FIRST, *PROOF), gentler, gentler.search))
 
 

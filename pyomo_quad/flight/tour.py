@@ -1,7 +1,8 @@
 """Order of waypoints: energies of legs, cheapest orders, whole solves of the best orders.
 
-Only legs between neighbours and legs of the cheapest orders are solved for.  The energies of all
-other legs are predicted from these, see docs/theory/orders.md, eq. (1).
+A leg is the flight from one place of the mission to another, from hover to hover. Only legs between
+neighbours and legs of the cheapest orders are solved for.  The energies of all other legs are
+predicted from these, see docs/theory/orders.md, eq. (1).
 """
 
 from __future__ import annotations
@@ -44,7 +45,8 @@ if TYPE_CHECKING:
     LegSolver = Callable[[Scenario, Mesh, Route | None], Solution]
     _Leg = tuple[int, int]
 
-#: Orders whose whole missions are solved, because leg energies ignore the saving of not stopping.
+#: Number of orders whose whole missions are solved, because energies of legs from hover to hover
+#: ignore the saving of not stopping.
 BEST_FEW = 3
 _LEG_MESH = Mesh.uniform(8, 4)
 # Number of legs up to which all are solved for: with few legs, predictions are inaccurate.
@@ -52,9 +54,10 @@ _FEW_LEGS = 30
 # Number of nearest neighbours per place whose legs are solved for first, and of further legs of all
 # lengths, so that the prediction does not extrapolate.
 _NEAREST, _OF_ALL_LENGTHS = 3, 10
-# Optimism about a leg that is not solved for, in root mean square errors of the prediction.
+# Root mean square errors by which the predicted energy of an unsolved leg is lowered, so that the
+# leg is solved for if it may lead to a cheaper order.
 _OPTIMISM = 2.0
-# Terms of the prediction, of which there are at most half as many as legs solved for.
+# Largest number of terms of the prediction; there are at most half as many as solved legs.
 _TERMS = 12
 # Regularisation of the prediction, relative to its features' largest values.
 _RIDGE = 1e-3
@@ -63,20 +66,24 @@ _MOST_ROUNDS = 6
 
 
 def in_order(scenario: Scenario, order: Sequence[int]) -> Scenario:
-    """Return a scenario with its waypoints in a given order."""
+    """Return a scenario with its waypoints in a given order.
+
+    `order` holds the indices of the waypoints.
+    """
     waypoints = tuple(scenario.mission.waypoints[k] for k in order)
     return scenario.with_mission(waypoints=waypoints, order=Order.GIVEN)
 
 
 class LegTable:
-    """Energies of the hover-to-hover legs between all places of a mission.
+    """Energies of the hover-to-hover flights (legs) between all places of a mission.
 
     Parameters
     ----------
     scenario : Scenario
+        The mission.
     solve : callable
-        Solve a scenario without waypoints on a mesh: (scenario, mesh, its shortest way round the
-        zones or None where that is straight) -> Solution.
+        Solves a scenario without waypoints on a mesh; its arguments are the scenario, the mesh, and
+        the shortest route round the zones, or None if that is straight. Returns a Solution.
     """
 
     def __init__(self, scenario: Scenario, solve: LegSolver) -> None:
@@ -92,17 +99,21 @@ class LegTable:
 
     @property
     def legs(self) -> tuple[_Leg, ...]:
-        """Legs that an order may use and that zones leave open; empty if zones enclose a place."""
+        """Legs (flights between two places) that an order may use and that zones leave open.
+
+        Empty if zones enclose a place. Each leg is a pair of indices of places; the start is 0 and
+        the goal the last.
+        """
         return () if isinf(self._usual) else tuple(self._ways)
 
     @property
     def solved(self) -> int:
-        """Number of solved legs."""
+        """Number of legs (flights between two places of the mission) solved so far."""
         return len(self._known)
 
     @property
     def lengths(self) -> FloatArray:
-        """Length of the shortest route of each leg [m], infinite without a route."""
+        """Length of the shortest route between any two places [m], infinite without a route."""
         return self._table({leg: way.length for leg, way in self._ways.items()})
 
     def costs(self) -> FloatArray:
@@ -111,8 +122,13 @@ class LegTable:
         Start, waypoints and goal are rows and columns; the price of time is included. The
         prediction is the regression of eq. (1) in docs/theory/orders.md, less twice its
         cross-validated root mean square error. A leg whose solve failed is predicted without that
-        margin: its share of the time may be too short from hover to hover, and yet long enough in
-        passing.
+        margin: its share of the mission's time may be too short from hover to hover, but long
+        enough for a flight that passes its ends without a stop.
+
+        Returns
+        -------
+        ndarray, shape (n, n)
+            Infinite for legs that no order may use.
         """
         missing = [leg for leg in self.legs if leg not in self._known]
         if not missing:
@@ -136,7 +152,11 @@ class LegTable:
         return self._table(self._known | dict(zip(missing, predicted.tolist(), strict=True)))
 
     def solve_for(self, legs: Iterable[_Leg]) -> bool:
-        """Solve the given legs that were not tried yet; return whether there were any."""
+        """Solve the given legs that were not tried yet; return whether there were any.
+
+        A leg is the flight between two places of the mission from hover to hover, given by their
+        indices.
+        """
         missing = [leg for leg in dict.fromkeys(legs) if leg not in self._known]
         missing = [leg for leg in missing if leg not in self._failed]
         for leg in missing:
@@ -158,13 +178,16 @@ class LegTable:
         return self._solve(alone, _LEG_MESH, way if way.sides else None)
 
     def _features(self, leg: _Leg) -> list[float]:
-        """Return the regressors that predict a leg's energy from its route, eq. (1)."""
+        """Return the regressors that predict the energy of a flight between two places.
+
+        They are those of docs/theory/orders.md, eq. (1).
+        """
         here, there = (np.array(self._scenario.mission.positions[k]) for k in leg)
         (dx, dy, dz), height = there - here, float(here[2] + there[2]) / 2.0
         length = self._ways[leg].length
         courses = [dx * dx / length, dy * dy / length, dx * dy / length, dz * dz / length]
         detour = length - float(np.linalg.norm(there - here))
-        # Those that tell most first: from few legs only the first terms are fitted.
+        # The most informative features come first: with few solved legs only these are fitted.
         return [1.0, length, length**0.5, dx, dy, dz, height * length, *courses, detour]
 
     def _table(self, costs: Mapping[_Leg, float]) -> FloatArray:
@@ -179,13 +202,22 @@ def find_orders(
 ) -> tuple[OrderSearch, ...]:
     """Search for the cheapest orders of waypoints by the energies of their legs.
 
-    Exact up to `orders.MOST_EXACT` waypoints: no unsolved leg would lead to a cheaper order, even
-    at its optimistic prediction.
+    A leg is the flight between two places. Exact up to `orders.MOST_EXACT` waypoints: no unsolved
+    leg would lead to a cheaper order, even at its optimistic prediction.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission.
+    solve : callable
+        Solves a leg, as for `LegTable`.
+    count : int, optional
+        Number of orders to return.
 
     Returns
     -------
     tuple of OrderSearch
-        The cheapest first; the given order if zones enclose a place.
+        The cheapest first; the given order alone if zones enclose a place.
     """
     table = LegTable(scenario, solve)
     n = len(scenario.mission.waypoints)
@@ -219,7 +251,7 @@ def find_orders(
 
 
 def legs_expected(waypoints: int) -> int:
-    """Return the least number of legs to solve for a number of waypoints."""
+    """Return the least number of legs that a search for the order of waypoints will solve."""
     every = waypoints * (waypoints + 1)
     first = _NEAREST * (waypoints + 1) + _OF_ALL_LENGTHS
     return every if every <= _FEW_LEGS else min(every, first)
@@ -230,7 +262,7 @@ def _legs_of(order: Sequence[int]) -> list[_Leg]:
 
 
 def _first_legs(lengths: FloatArray) -> list[_Leg]:
-    """Return the legs to solve first: of nearest places, of the shortest order, of all lengths."""
+    """Return the legs to solve first: nearest places, the shortest order, a range of lengths."""
     near = [(k, int(j)) for k, row in enumerate(lengths) for j in np.argsort(row)[:_NEAREST]]
     (shortest,) = best_orders(lengths, 1)
     by_length = np.argsort(lengths, axis=None)[: np.isfinite(lengths).sum()]
@@ -240,7 +272,7 @@ def _first_legs(lengths: FloatArray) -> list[_Leg]:
 
 
 def _shortest_ways(scenario: Scenario) -> dict[_Leg, Route]:
-    """Return the shortest route of each leg that a tour may use."""
+    """Return the shortest route between each two places that an order may connect."""
     places, ways = scenario.mission.positions, {}
     last = len(places) - 1
     for here, there in permutations(range(len(places)), 2):
@@ -252,13 +284,16 @@ def _shortest_ways(scenario: Scenario) -> dict[_Leg, Route]:
 
 
 class BestOrder:
-    """Search for the cheapest order of a mission's waypoints.
+    """Search for the cheapest order of a mission's waypoints, and its plan.
 
     Parameters
     ----------
     problems : Problems
+        Compiled problems.
     scenario : Scenario
+        The mission, whose waypoints may be visited in any order.
     search : Search
+        Stops the solves at the time limit.
     """
 
     def __init__(self, problems: Problems, scenario: Scenario, search: Search) -> None:
@@ -267,7 +302,7 @@ class BestOrder:
         self._flown: list[tuple[float, OrderSearch, Solution | None]] = []
 
     def candidates(self) -> tuple[OrderSearch, ...]:
-        """Return the cheapest orders by the energies of their legs."""
+        """Return the cheapest orders of the waypoints by the energies of their legs."""
         return find_orders(self._scenario.as_forecast(), self._leg)
 
     def has_time(self) -> bool:
@@ -275,7 +310,7 @@ class BestOrder:
         return not self._flown or not self._search.deadline.is_over
 
     def fly(self, found: OrderSearch) -> str:
-        """Solve the mission in one order on a coarse mesh; return its cost in words."""
+        """Solve the mission in one order on a coarse mesh; return its cost or status in words."""
         solution = self._roughly(in_order(self._scenario, found.order))
         is_flown = solution.status.is_solved
         cost = solution.objective if is_flown else inf
@@ -283,7 +318,10 @@ class BestOrder:
         return f"{cost:.6g} J on a first mesh" if is_flown else solution.status.value
 
     def finish(self, solve: Callable[[Scenario, Start | None, Search], Plan]) -> Plan:
-        """Return the refined plan of the cheapest order."""
+        """Return the plan of the cheapest order of the waypoints, refined and verified.
+
+        `solve` solves a scenario from a start within a search.
+        """
         _, best, begun = min(self._flown, key=lambda entry: entry[0])
         ordered = in_order(self._scenario, best.order)
         start: Start | None = begun if begun is None or self._is_plain else begun.warm_start
@@ -294,9 +332,10 @@ class BestOrder:
         return replace(plan, order_search=best if best.legs else None)
 
     def _leg(self, alone: Scenario, mesh: Mesh, way: Route | None) -> Solution:
-        """Solve a leg on one mesh along its shortest route.
+        """Solve the flight between two places on one mesh, with a guess along its route.
 
-        From the flight of another leg it takes as many iterations as from the model's own guess.
+        A guess from the solution of another such leg would take as many iterations as the model's
+        own.
         """
         mission, guess = MissionProblem(self._problems, alone, self._search), None
         if way is not None:
@@ -304,7 +343,7 @@ class BestOrder:
         return mission.solve(mesh=mesh, tolerance=None, guess=guess)
 
     def _roughly(self, ordered: Scenario) -> Solution:
-        """Return the solution of the mission with waypoints in a given order, on a coarse mesh."""
+        """Return the solution of the mission with ordered waypoints, on a coarse mesh."""
         told = ordered.as_forecast()
         once = {"solver": told.solver.model_copy(update={"max_refinements": 0})}
         mission = MissionProblem(self._problems, told.model_copy(update=once), self._search)
@@ -315,7 +354,8 @@ class BestOrder:
             carry_out(FIRST, candidate, self._search)
             if not candidate.found.status.has_failed:
                 return candidate.found
-        # A difficulty of one order is one of all orders, so only the first is tried both ways.
+        # A solve that fails for one order fails for all orders, so that all later orders start at
+        # exact passages of the waypoints at once.
         past = mission.past_waypoints
         self._is_plain = past is not None
         return candidate.found if past is None else past.solve_roughly()

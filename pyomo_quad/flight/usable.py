@@ -1,4 +1,8 @@
-"""Refinement of a coarse plan until its controls reach the goal in open loop."""
+"""Refinement of a coarse solution until simulation of its controls reaches the goal.
+
+A search that is running out of time thus finds a plan that can be flown near a coarse optimum,
+without being optimal itself.
+"""
 
 from __future__ import annotations
 
@@ -20,16 +24,16 @@ if TYPE_CHECKING:
     from pyomo_quad.scenario.airspace import Airspace
 
 _QUICK = FIGURES[Accuracy.QUICK]
-# Mesh by mesh, the error of states above which an element becomes finer, and how well equations are
-# obeyed.  The first mesh is but the way to the next; flown without feedback, the errors of the last
-# grow to less than a tenth of a metre in a minute.
+# For each mesh the error of states above which an element is refined, and the tolerance on the
+# residuals of the equations.  The first mesh only provides the start for the next; in simulation
+# without feedback, the errors of the last grow to less than a tenth of a metre in a minute.
 _MESHES = ((1e-2, 1e-4), (2e-4, 1e-8), (1e-5, 1e-9))
-# Least degree of an element, for errors to fall fast from mesh to mesh.
+# Least degree of an element, so that errors decrease fast from mesh to mesh.
 _DEGREE = 6
-# Share of the breach that a usable plan may have which equations may use at their points: between
-# them there is as much again, and more.
+# Violation of limits allowed at collocation points, relative to that of a usable plan: between the
+# points the violation is at least twice as large.
 _AT_POINTS = 0.3
-# Share of an element at which its course is looked at for cut corners of zones.
+# Fractions of an element at which the path is checked for intrusion into zones.
 _LOOKS = np.linspace(0.0, 1.0, 20, endpoint=False)
 _CLEARANCE = "airspace.clearance"
 
@@ -39,17 +43,24 @@ def flyable_from(
 ) -> Iterator[Solution]:
     """Yield flyable trajectories near a coarse optimum: the equations hold on ever finer meshes.
 
-    Between the points of coarse elements a course cuts the corners of zones: by as much as the
-    coarse one does, the clearance is widened.
+    Between the points of coarse elements, a path may cut the corners of zones: the clearance is
+    increased by the deepest intrusion of the coarse path.
 
     Parameters
     ----------
     problem : Problem
+        Compiled problem of the mission.
     arguments : dict
-        Of its `solve`, for the mission.
+        Arguments of `Problem.solve` for the mission.
     coarse : Solution
+        Solution on a coarse mesh.
     airspace : Airspace
-        Of the mission.
+        Airspace of the mission.
+
+    Yields
+    ------
+    Solution
+        Feasible trajectories, not optimised, the coarsest first; none if a solve fails.
     """
     numbers = dict(arguments["parameters"] or {})
     if _CLEARANCE in numbers:
@@ -72,7 +83,7 @@ def flyable_from(
             return
         mesh, error = finer(found, _MESHES[min(k + 1, len(_MESHES) - 1)][0])
         if k > 0:
-            # By how much it is dearer than the coarse optimum is all that is known of its energy.
+            # The energy beyond that of the coarse optimum is the only known measure of its error.
             history = begun, _record(found, error)
             yield replace(found, instance=own, error_estimate=error, history=history)
 

@@ -1,4 +1,4 @@
-"""Plans made from solutions, and their verification by simulation."""
+"""Plans made from solutions of the optimal control problem, and their verification."""
 
 from __future__ import annotations
 
@@ -29,7 +29,24 @@ def plan_of(
     timings: dict[str, float],
     hover_energy: float,
 ) -> Plan:
-    """Return an unverified plan made from a solution."""
+    """Return an unverified plan made from a solution of the optimal control problem.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The scenario that was solved.
+    solution : Solution
+        Result of the engine, of any status.
+    timings : dict
+        Seconds of the phases before.
+    hover_energy : float
+        Energy of hovering for the same time [J].
+
+    Returns
+    -------
+    Plan
+        With status `SOLVED`, or the reason why the solve failed.
+    """
     return Plan(
         scenario=scenario,
         status=_STATUS.get(solution.status, PlanStatus.SOLVED),
@@ -52,19 +69,37 @@ def plan_of(
 
 
 def horizon_of(scenario: Scenario) -> tuple[float, float] | None:
-    """Return the start and end time of a scenario [s], None for a free end time."""
+    """Return start and end time of a scenario's flight [s]; None for a free end time."""
     return None if scenario.mission.is_free else (0.0, scenario.mission.fixed_duration)
 
 
 def energy_of(scenario: Scenario, solution: Solution) -> float:
-    """Return the energy of a solution, without price of time and battery loss [J]."""
+    """Return the energy of a solution, without the price of time and the battery's loss [J].
+
+    The objective of the solve may contain both in addition to the energy.
+    """
     if not scenario.mission.is_free and scenario.mission.aim is Aim.ENERGY:
         return solution.objective
     return float(solution.running_objective[-1])
 
 
 def verified(plan: Plan, solution: Solution, accuracy: Accuracy | None = None) -> Plan:
-    """Verify a plan by simulating its controls, at its own accuracy by default."""
+    """Return a plan with the result of its verification, by simulation of its controls.
+
+    Parameters
+    ----------
+    plan : Plan
+        A plan of a converged or nearly converged solution.
+    solution : Solution
+        The solution of which the plan was made.
+    accuracy : Accuracy, optional
+        Accuracy to confirm; that of the scenario by default.
+
+    Returns
+    -------
+    Plan
+        With `verification`, the simulated flight, and status `VERIFIED` or `SOLVED`.
+    """
     started = time.perf_counter()
     held = plan.trajectories
     try:

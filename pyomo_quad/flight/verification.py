@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pyomo_quad.collocation import ClosedLoop, Dynamics, Mesh, SolveError, control_polynomial
+from pyomo_quad.collocation import ClosedLoop, Dynamics, Mesh, control_polynomial
 from pyomo_quad.flight.deadline import keep_time
 from pyomo_quad.flight.flight import (
     HELD_BREACH,
@@ -20,7 +20,7 @@ from pyomo_quad.flight.flight import (
     position_miss,
     terminal_miss_of,
 )
-from pyomo_quad.flight.integration import integrate
+from pyomo_quad.flight.integration import Rates, integrate
 from pyomo_quad.model.wind_field import unknown_wind
 from pyomo_quad.scenario.accuracy import FIGURES, USABLE, Accuracy, Figures
 
@@ -34,16 +34,16 @@ if TYPE_CHECKING:
 
 _PROOF = FIGURES[Accuracy.PROOF]
 SAMPLES_PER_ELEMENT = 8
-# Distance from a zone up to which samples are dense, in distances between a path's nodes: half of
-# one is enough for a straight path between them.
+# Distance from a zone within which samples are dense, relative to the distance between two nodes of
+# the path: one half is enough for a straight path between the nodes.
 _REACH = 2.0
-# Decimals of an element to which samples are told apart.
+# Decimals of a sample's place in its element beyond which two samples count as one.
 _DIGITS = 9
-# An uncorrected error of a rotor's speed grows into an error of position with the fourth power of
-# time [s]. Longer flights are integrated with a correspondingly smaller tolerance, bounded by
-# rounding.
+# Without feedback, an error of a rotor's speed grows into an error of position with the fourth
+# power of time [s]. Flights longer than the first number are integrated with a correspondingly
+# smaller tolerance, bounded by rounding.
 _LONG_S, _POWER, _SHARPEST = 30.0, 4, 3e-14
-# They also take this many more steps per element, because DOP853 underestimates small errors: it
+# Least number of steps per element of these flights, because DOP853 underestimates small errors: it
 # steps across ripples of 1e-6 in a control, which change a rotor speed by 1e-7 rad/s.
 _STEPS = 4
 
@@ -63,166 +63,118 @@ def fly_controls(
 
     Parameters
     ----------
+    dynamics : Dynamics
+        Simulated vehicle.
+    mesh : Mesh
+        Elements and degrees of the control polynomials.
     controls : ndarray, shape (n_points, n_controls)
         Controls at the collocation points.
     start : ndarray, shape (n_states,)
+        Initial state.
     horizon : (float, float)
         Start and end time [s].
     samples_per_element : int or sequence of ndarray, optional
-        Number of equally spaced samples in each element; or, one by one, the shares of the elements
-        at which there are samples, rising and ending with 1.
+        Number of equally spaced samples in each element; or, for each element, the fractions of the
+        element at which there are samples, increasing and ending with 1.
+    method : str, optional
+        Method of `scipy.integrate.solve_ivp`.
     integration : float, optional
         Relative and absolute tolerance of the integrator.
+
+    Returns
+    -------
+    Flown
+        Samples of the flight.
 
     Raises
     ------
     SolveError
         If the integrator fails.
     """
-    return OpenLoop(dynamics).fly(
-        mesh,
-        controls,
-        start,
-        horizon,
-        samples_per_element=samples_per_element,
-        method=method,
-        integration=integration,
+    borders = horizon[0] + (horizon[1] - horizon[0]) * np.asarray(mesh.breakpoints)
+    flow = ClosedLoop(
+        dynamics, lambda command, _x, _own: (command, ()), n_command=controls.shape[1], n_own=0
+    )
+    limits = dynamics.control_limits(HELD_BREACH)
+    shares = samples_per_element
+    if isinstance(shares, int):
+        shares = [_equal_shares(shares)] * mesh.elements
+    share = min(1.0, _LONG_S / (horizon[1] - horizon[0]))
+    tolerance = max(_SHARPEST, integration * share**_POWER)
+    step = inf if share == 1.0 else share / _STEPS
+    state = np.append(start, 0.0)
+    parts_t: list[FloatArray] = [borders[:1]]
+    parts_y = [state[:, None]]
+    parts_u: list[FloatArray] = []
+    for element, (first, last) in enumerate(pairwise(borders.tolist())):
+        polynomial = control_polynomial(mesh, controls, element, first, last, limits)
+        samples = first + (last - first) * shares[element]
+        samples[-1] = last
+        flown = integrate(
+            _rates(flow, polynomial, dynamics.just_after(first)),
+            (first, last),
+            state,
+            samples,
+            dynamics.steps_between(first, last),
+            flight="flight",
+            remedy="Look at the plan's controls there.",
+            method=method,
+            rtol=tolerance,
+            atol=integration,
+            max_step=step * (last - first),
+        )
+        state = flown[:, -1]
+        if not parts_u:
+            parts_u.append(polynomial(first)[None, :])
+        parts_t.append(samples)
+        parts_y.append(flown)
+        parts_u.append(np.array([polynomial(t) for t in samples]))
+    values = np.hstack(parts_y)
+    return Flown(
+        t=np.concatenate(parts_t),
+        states=values[:-1].T,
+        controls=np.vstack(parts_u),
+        energy=values[-1],
     )
 
 
-class OpenLoop:
-    """Vehicle under given controls, compiled for simulation over parts of a horizon."""
-
-    def __init__(self, dynamics: Dynamics) -> None:
-        n_controls = len(dynamics.control_names)
-        self._just_after = dynamics.just_after
-        self._steps_between = dynamics.steps_between
-        self._limits = dynamics.control_limits(HELD_BREACH)
-        self._flow = ClosedLoop(
-            dynamics, lambda command, _x, _own: (command, ()), n_command=n_controls, n_own=0
-        )
-
-    def fly(
-        self,
-        mesh: Mesh,
-        controls: FloatArray,
-        start: FloatArray,
-        horizon: tuple[float, float],
-        *,
-        part: tuple[float, float] | None = None,
-        samples_per_element: int | Sequence[FloatArray] = SAMPLES_PER_ELEMENT,
-        method: str = "DOP853",
-        integration: float = _PROOF.integration,
-    ) -> Flown:
-        """Simulate piecewise polynomial controls over their horizon or a part of it."""
-        borders = horizon[0] + (horizon[1] - horizon[0]) * np.asarray(mesh.breakpoints)
-        begin, end = horizon if part is None else part
-        shares = samples_per_element
-        if isinstance(shares, int):
-            shares = [_equal_shares(shares)] * mesh.elements
-        share = min(1.0, _LONG_S / (horizon[1] - horizon[0]))
-        tolerance = max(_SHARPEST, integration * share**_POWER)
-        step = inf if share == 1.0 else share / _STEPS
-        state = np.append(start, 0.0)
-        parts_t: list[FloatArray] = [np.array([begin])]
-        parts_y = [state[:, None]]
-        parts_u: list[FloatArray] = []
-        for element in range(mesh.elements):
-            first, last = max(borders[element], begin), min(borders[element + 1], end)
-            if first >= last:
-                continue
-            polynomial = control_polynomial(
-                mesh, controls, element, borders[element], borders[element + 1], self._limits
-            )
-            samples = first + (last - first) * shares[element]
-            samples[-1] = last
-            flown = _integrate(
-                self._flow,
-                polynomial,
-                state,
-                self._just_after(first),
-                (first, *samples),
-                self._steps_between(first, last),
-                method=method,
-                rtol=tolerance,
-                atol=integration,
-                max_step=step * (borders[element + 1] - borders[element]),
-            )
-            state = flown[:, -1]
-            if not parts_u:
-                parts_u.append(polynomial(first)[None, :])
-            parts_t.append(samples)
-            parts_y.append(flown)
-            parts_u.append(np.array([polynomial(t) for t in samples]))
-        values = np.hstack(parts_y)
-        return Flown(
-            t=np.concatenate(parts_t),
-            states=values[:-1].T,
-            controls=np.vstack(parts_u),
-            energy=values[-1],
-        )
-
-
-def _integrate(
-    flow: ClosedLoop,
-    control: Callable[[float], FloatArray],
-    state: FloatArray,
-    inside: float,
-    times: Sequence[float],
-    edges: Sequence[float],
-    **options: float | str,
-) -> FloatArray:
-    """Integrate one element; return states and energy at its times except the first.
-
-    The element's equations apply from `inside` on.
-    """
+def _rates(flow: ClosedLoop, control: Callable[[float], FloatArray], inside: float) -> Rates:
+    """Return the right-hand side of one element, whose equations apply from `inside` on."""
 
     def rates(t: float, y: FloatArray) -> FloatArray:
         keep_time()
         return flow.rates(max(t, inside), y, control(t))
 
-    flown = integrate(
-        rates,
-        (times[0], times[-1]),
-        state,
-        times[1:],
-        edges,
-        **options,
-    )
-    if flown.stopped_at is not None:
-        raise SolveError(
-            f"flight: the integration stopped at {flown.stopped_at:.4g} s: {flown.message} Look at "
-            "the plan's controls there."
-        )
-    return flown.y
+    return rates
 
 
-#: Largest fraction of the power drawn that may be missing from voltage times current of the pack;
-#: the guard that keeps the current finite beyond the pack's greatest power makes this fraction
-#: larger. The same tolerance applies to the voltage that the motors need.
+#: Largest tolerated difference between the power drawn and voltage times current of the pack,
+#: relative to the power. Beyond the pack's greatest power, where a guard keeps the current finite,
+#: the difference is larger. The same tolerance applies to the voltage that the motors need.
 BALANCE_TOLERANCE = 1e-3
 
 _VOLTAGE = "battery.voltage"
 _BALANCE = ("power.total", _VOLTAGE, "battery.current", "battery.state_of_charge")
-#: Components along a flight from which `balance_lacking` tells what the pack cannot give.
+#: Quantities of the battery, sampled along a flight, from which `balance_lacking` computes the
+#: missing power and charge.
 BALANCE_KEYS = tuple((name, None) for name in _BALANCE)
-#: Place of the state of charge [percent] among them.
+#: Index of the state of charge [percent] in `BALANCE_KEYS`.
 CHARGE_KEY = len(_BALANCE) - 1
 _MOTOR_VOLTAGE = "power.terminal_voltage"
-# The motors of stopped rotors need no voltage, so no fraction of it can be missing.
+# Smallest motor voltage that a missing voltage is divided by: a stopped motor needs none.
 _STANDSTILL_V = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
 class Verification:
-    """Results of the simulation of a plan, compared with the plan.
+    """Results of the simulation of a plan's controls, compared with the plan.
 
     Attributes
     ----------
     terminal_miss : mapping
-        State name to flown minus planned final value, in the state's unit.
+        State name to simulated minus planned final value, in the state's unit.
     terminal_miss_m : float
-        Distance between the flown and the planned final position.
+        Distance between the simulated and the planned final position.
     worst_miss : str
         State whose miss is largest, relative to the larger of 1 and its value.
     max_violation, worst_constraint : float, str
@@ -230,6 +182,7 @@ class Verification:
     broken_limits : tuple of str
         Every limit violated by more than the tolerance, with the amount.
     energy_difference_J, flown_energy_J : float
+        Simulated minus planned energy, and simulated energy.
     passing_misses_m : tuple of float
         Excess of the flight's distance from each waypoint over the allowed distance.
     battery_imbalance : float
@@ -238,11 +191,11 @@ class Verification:
         Largest fraction of a motor's voltage that the pack cannot give; negative if the pack gives
         more than needed.
     is_verified : bool
-        Whether all of the above are within the figures of the required accuracy.
+        Whether all of the above are within the tolerances of the required accuracy.
     is_usable : bool
-        All of the above within the figures of a usable plan.
+        Whether all of the above are within the tolerances of a usable plan.
     reached : Accuracy or None
-        The highest accuracy, up to the required one, whose figures all of the above meet; None
+        The highest accuracy, up to the required one, whose tolerances all of the above meet; None
         if they meet none.
     """
 
@@ -284,10 +237,11 @@ class Verification:
 
 
 def voltage_lacking(dynamics: Dynamics, flown: Flown) -> float:
-    """Return the largest share of a motor's voltage that the battery cannot supply.
+    """Return the largest fraction of a motor's voltage that the battery cannot supply in a flight.
 
-    Negative if there is none missing. Both voltages are those at constant rotor speed; the limit on
-    the rotors' acceleration stands for the additional voltage of changing the speed.
+    It is negative if the battery supplies more than needed. Both voltages are those at constant
+    rotor speed; the limit on the rotors' acceleration stands for the additional voltage of changing
+    the speed.
     """
     if not dynamics.has(_MOTOR_VOLTAGE) or not dynamics.has(_VOLTAGE):
         return 0.0
@@ -300,7 +254,7 @@ def voltage_lacking(dynamics: Dynamics, flown: Flown) -> float:
 
 
 def wind_lacking(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> str:
-    """Return a message if a flight leaves the wind field of its plan, empty otherwise.
+    """Return a message if a flight leaves the wind field of its plan; empty otherwise.
 
     Always empty for a model without positions.
     """
@@ -311,10 +265,10 @@ def wind_lacking(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> str:
 
 
 def shares_lacking(dynamics: Dynamics, flown: Flown) -> tuple[float, float]:
-    """Return the largest shares of power and charge that the battery cannot supply.
+    """Return the largest fractions of power and of charge in a flight that the battery lacks.
 
     The declared equations stay finite beyond the pack's greatest power and beyond empty, but a real
-    vehicle cannot fly there. A model without a battery lacks nothing.
+    vehicle cannot fly there. For a model without a battery, both are zero.
     """
     if not has_balance(dynamics):
         return 0.0, 0.0
@@ -322,37 +276,53 @@ def shares_lacking(dynamics: Dynamics, flown: Flown) -> tuple[float, float]:
 
 
 def has_balance(dynamics: Dynamics) -> bool:
-    """Return whether the model declares an equation between battery power and the rotors' power."""
+    """Return whether the model has a battery, so that its power balance can be checked."""
     return all(dynamics.has(name) for name in _BALANCE)
 
 
 def balance_lacking(balance: FloatArray) -> tuple[float, float]:
-    """Return the `shares_lacking` of power and charge, from sampled battery quantities."""
+    """Return the largest missing fractions of power and of charge (see `shares_lacking`).
+
+    Parameters
+    ----------
+    balance : ndarray, shape (n, 4)
+        Samples of `BALANCE_KEYS`: power, voltage, current, state of charge.
+    """
     power, voltage, current, charge = balance.T
     lacking = np.abs(power - voltage * current) / np.maximum(1.0, np.abs(power))
     return float(np.max(lacking)), float(-np.min(charge) / 100.0)
 
 
 def _equal_shares(count: int) -> FloatArray:
-    """Return the ends of ``count`` equal parts of an element, as fractions from 0 to 1."""
+    """Return the ends of ``count`` equal parts of an element, as fractions up to 1."""
     return np.linspace(0.0, 1.0, count + 1)[1:]
 
 
-# Part of a cell of terrain, by length, between samples: the height that a flight has above the
-# ground between them is missed by at most a thousandth of what the ground bends in a cell.
+# Distance between samples over terrain, relative to a cell of the grid: between two samples, the
+# height above the ground differs by at most a thousandth of the ground's curvature in a cell.
 _PART_OF_CELL = 1 / 20
 
 
 def _samples_near_zones(
     airspace: Airspace, dynamics: Dynamics, mesh: Mesh, states: FloatArray, spacing: float
 ) -> list[FloatArray]:
-    """Return the sample times in each element, as shares, that suffice to check zones and ground.
+    """Return samples in each element that are dense enough to check zones and ground.
 
     Between two nodes, samples are at most `spacing` [m] apart where a path as long as their
     distance may reach a zone, and a small part of a cell of the terrain where it may reach a limit
     of the height above the ground: in a cell, the surface that limits the flight is one polynomial.
 
-    The states are those planned at the nodes, shape (n_points + 1, n_states).
+    Parameters
+    ----------
+    states : ndarray, shape (n_points + 1, n_states)
+        Planned states at the nodes.
+    spacing : float
+        Distance between samples near a zone [m].
+
+    Returns
+    -------
+    list of ndarray
+        For each element increasing fractions of the element, ending with 1.
     """
     places = states[:, [dynamics.state_names.index(name) for name in POSITION_STATES]]
     gaps = np.linalg.norm(np.diff(places, axis=0), axis=1)
@@ -390,7 +360,21 @@ def split_at_breaches(
     horizon: tuple[float, float],
     accuracy: Accuracy = Accuracy.PROOF,
 ) -> Mesh:
-    """Return a mesh with the elements split in which limits are violated most."""
+    """Return a mesh in which the elements where a simulated flight violates limits are split.
+
+    Parameters
+    ----------
+    dynamics : Dynamics
+        Evaluates the limits.
+    flown : Flown
+        The simulated flight.
+    mesh : Mesh
+        Mesh to split.
+    horizon : (float, float)
+        Start and end time of the mesh [s].
+    accuracy : Accuracy, optional
+        Sets the tolerated violation.
+    """
     breaches = dynamics.violations(flown.t, flown.states, flown.controls)
     times = [breach.time for breach in breaches if breach.relative > FIGURES[accuracy].breach]
     start, end = horizon
@@ -404,7 +388,7 @@ def split_at_breaches(
 
 @dataclass(frozen=True, kw_only=True)
 class Passage:
-    """Place that a flight must pass within a distance [m] at a time [s]."""
+    """Waypoint that a flight must pass within a radius [m] at a time [s]."""
 
     time_s: float
     position: tuple[float, float, float]
@@ -412,7 +396,7 @@ class Passage:
 
 
 def _passing_miss(dynamics: Dynamics, flown: Flown, passage: Passage) -> float:
-    """Return by how much a flight misses a passage: distance beyond the allowed radius [m]."""
+    """Return by how much a flight misses a waypoint: distance beyond the allowed radius [m]."""
     nearest = int(np.argmin(np.abs(flown.t - passage.time_s)))  # an element ends there
     columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
     off = np.linalg.norm(flown.states[nearest, columns] - passage.position)
@@ -434,17 +418,37 @@ def verify_controls(
 
     Parameters
     ----------
+    dynamics : Dynamics
+        Equations of the plan.
+    mesh : Mesh
+        Mesh of the plan.
     states : ndarray, shape (n_points + 1, n_states)
         Planned states at the nodes, in the order of `dynamics.state_names`.
     controls : ndarray, shape (n_points, n_controls)
+        Planned controls at the collocation points.
+    horizon : (float, float)
+        Start and end time [s].
     energy : float
-        Objective of the plan [J].
+        Planned energy [J].
     airspace : Airspace, optional
         Airspace whose zones and terrain are checked with dense samples.
     passages : sequence of Passage, optional
-        Places that the flight should pass, with times.
+        Waypoints that the flight should pass, with times.
     accuracy : Accuracy, optional
-        The required accuracy, which sets the tolerance and the sampling of the flight.
+        The required accuracy, which sets the tolerances of the verification and of the simulation,
+        and the sampling of the flight.
+
+    Returns
+    -------
+    Verification
+        Comparison of the simulated flight with the plan.
+    Flown
+        Samples of the simulated flight.
+
+    Raises
+    ------
+    SolveError
+        If the integrator fails.
     """
     figures = FIGURES[accuracy]
     samples: int | list[FloatArray] = SAMPLES_PER_ELEMENT
@@ -499,7 +503,10 @@ def verify_controls(
 
 @dataclass(frozen=True, kw_only=True)
 class _Found:
-    """Largest errors of a simulated flight: miss, limit violation, energy and battery shortfall."""
+    """Largest errors of a simulated flight: miss, limit violation, energy and battery shortfall.
+
+    All are relative, with the larger of 1 and the value as the reference.
+    """
 
     miss: float
     breach: float
@@ -507,12 +514,12 @@ class _Found:
     lacking: float
 
     def reached(self, asked: Accuracy) -> Accuracy | None:
-        """Return the highest accuracy, at most as requested, whose tolerances the flight meets."""
+        """Return the highest accuracy, up to the requested one, whose tolerances are met."""
         met = [a for a in Accuracy if asked.meets(a) and self.meets(FIGURES[a])]
         return met[-1] if met else None
 
     def meets(self, figures: Figures) -> bool:
-        """Return whether the errors are within the tolerances of an accuracy."""
+        """Return whether the errors of the flight are within given tolerances."""
         return bool(
             self.miss <= figures.miss
             and self.breach <= figures.breach

@@ -1,4 +1,4 @@
-"""Vehicle in the actual wind of its flights, with turbulence and forecast errors.
+"""Vehicle in the actual wind of its simulated flights, with turbulence and forecast errors.
 
 A user knows the future wind, the mass and the hover power only approximately. Each of these errors
 is an independent normal number with the standard deviation stated in the scenario.
@@ -30,14 +30,19 @@ if TYPE_CHECKING:
 
 
 def vehicle_flown(planner: Planner, scenario: Scenario) -> Dynamics:
-    """Return the simulated vehicle in the actual wind with its turbulence.
-
-    Without turbulence the two are the same.
+    """Return the dynamics of the vehicle in the actual wind with its turbulence.
 
     Parameters
     ----------
+    planner : Planner
+        Holds the compiled equations without turbulence.
     scenario : Scenario
         A scenario with a fixed duration.
+
+    Returns
+    -------
+    Dynamics
+        Without turbulence in the scenario those of the planner.
     """
     if scenario.wind.turbulence is None:
         return planner.dynamics(scenario)
@@ -50,18 +55,29 @@ def vehicle_flown(planner: Planner, scenario: Scenario) -> Dynamics:
 
 
 def draw(planner: Planner, scenario: Scenario, count: int, seed: int) -> tuple[Dynamics, Draws]:
-    """Draw random winds, masses and powers for many flights.
+    """Draw random winds, masses and powers for many simulated flights.
 
-    Where the forecast states how far it errs, each flight has a wind of its own round it; else all
-    flights have the wind that blows.
+    If the forecast states its error, each flight has its own wind, scattered about the forecast;
+    otherwise all flights have the actual wind.
+
+    Parameters
+    ----------
+    planner : Planner
+        Holds the compiled equations.
+    scenario : Scenario
+        A scenario with a fixed duration.
+    count : int
+        Number of flights.
+    seed : int
+        Seed of all flights.
 
     Returns
     -------
     Dynamics
         The vehicle without any error and gust.
     Draws
-        Of each flight, the same for a seed and a number of the flight whatever the count and the
-        duration.
+        Parameter values and gusts of each flight. They depend on the seed and the number of the
+        flight, but not on the number of flights or the duration.
     """
     told = scenario.as_forecast().wind
     if told.speed_deviation or told.direction_deviation:
@@ -93,12 +109,12 @@ def draw(planner: Planner, scenario: Scenario, count: int, seed: int) -> tuple[D
     )
 
 
-# Tells the generator of a flight's errors from that of its gusts.
+# Part of the seed of the generator of a flight's errors, so that it differs from that of the gusts.
 _OF_ERRORS = 1
 
 
 def problem_in_turbulence(scenario: Scenario) -> Problem:
-    """Return the compiled equations of a mission with its turbulence."""
+    """Return the compiled equations of a mission with turbulence in its wind, from a cache."""
     turbulence = scenario.wind.turbulence
     key = structure_key(scenario), guess_key(scenario), turbulence
     problem = IN_TURBULENCE.get(key)
@@ -115,9 +131,15 @@ def as_expected(scenario: Scenario) -> Scenario:
 
 
 def unknowns(planner: Planner, scenario: Scenario) -> tuple[dict[str, float], ...]:
-    """Return, per uncertain quantity, the parameter changes of one standard deviation.
+    """Return for each uncertain quantity the parameter changes of one standard deviation.
 
-    The parameters, by full name, are those of `problem_in_turbulence`; changes are added.
+    The quantities are speed and direction of the wind, mass, and hover power. Those without a
+    standard deviation in the scenario are left out.
+
+    Returns
+    -------
+    tuple of dict
+        Full name of a parameter of `problem_in_turbulence` -> change to add.
     """
     told = scenario.as_forecast()
     along, aside = mean_wind(told.wind).tolist()

@@ -1,9 +1,9 @@
-"""Geometry of zones beside a leg: intersections, passing sides, and points beside a zone.
+"""Geometry of keep-out zones beside a leg: intersections, passing sides, and points round a zone.
 
-The side is determined where the leg passes the zone: in the vertical plane across the course,
-through the middle of the part of the leg inside the zone, or else through the point of the leg
-nearest to the zone. This plane separates the start from the goal and cuts the zone for any height;
-a plane through the zone's centre may not.
+A leg is the line between two waypoints. The side on which a route passes a zone is determined in
+the vertical plane across the leg, through the middle of the part of the leg inside the zone, or
+else through the point of the leg nearest to the zone. This plane separates the start from the goal
+and cuts the zone for any height; a plane through the zone's centre may not.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pyomo_quad.arrays import FloatArray
 from pyomo_quad.scenario.airspace import Ball, KeepOut
 
-#: m. Distance of places from a zone with its clearance; a narrower gap counts as closed.
+#: Distance of route corners from a zone and its clearance [m]; a narrower gap counts as closed.
 MARGIN_M = 0.15
 _CORNERS = 12
 # The directions of a cube's corners, edges and faces are at most 54.8 degrees apart.
@@ -28,7 +28,7 @@ ROUNDING = 1e-9
 
 
 class Side(StrEnum):
-    """Side on which a route passes a zone, as seen in flight direction."""
+    """Side on which a route passes a keep-out zone, as seen in the direction of flight."""
 
     LEFT = "left"
     RIGHT = "right"
@@ -37,7 +37,17 @@ class Side(StrEnum):
 
 
 def zones_hit(zones: Sequence[KeepOut], places: FloatArray, clearance: float) -> list[KeepOut]:
-    """Return the zones that straight lines between places intersect."""
+    """Return the keep-out zones that the straight lines between consecutive places intersect.
+
+    Parameters
+    ----------
+    zones : sequence of KeepOut
+        Zones to check.
+    places : ndarray, shape (n, 3)
+        Corners of a path [m].
+    clearance : float
+        Distance kept from each zone [m].
+    """
     return [
         zone
         for zone in zones
@@ -51,7 +61,10 @@ def zones_hit(zones: Sequence[KeepOut], places: FloatArray, clearance: float) ->
 def are_blocked(
     zone: KeepOut, starts: FloatArray, ends: FloatArray, clearance: float
 ) -> NDArray[np.bool_]:
-    """Return which straight lines between pairs of places, shape (n, 3), intersect a zone."""
+    """Return which of several straight lines intersect a zone with its clearance.
+
+    `starts` and `ends` have shape (n, 3), m; the result has shape (n,).
+    """
     entered, left = _spans_inside(zone, starts, ends, clearance)
     return np.asarray(np.minimum(left, 1.0) - np.maximum(entered, 0.0) > ROUNDING)
 
@@ -59,9 +72,9 @@ def are_blocked(
 def _spans_inside(
     zone: KeepOut, starts: FloatArray, ends: FloatArray, clearance: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the fractions at which extended straight lines enter and leave a zone.
+    """Return the fractions of extended straight lines at which they enter and leave a zone.
 
-    If a line misses the zone, the second fraction is smaller than the first.
+    Each has shape (n,). If a line misses the zone, the second fraction is smaller than the first.
     """
     entered, left = np.full(len(starts), -inf), np.full(len(starts), inf)
     for ball in zone.balls:
@@ -73,7 +86,10 @@ def _spans_inside(
 def _span_inside(
     ball: Ball, starts: FloatArray, ends: FloatArray, clearance: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the fractions at which extended straight lines enter and leave a ball, or (1, 0)."""
+    """Return the fractions of extended straight lines at which they enter and leave a ball.
+
+    Each has shape (n,). If a line misses the ball, they are 1 and 0.
+    """
     away = ball.coordinates(starts) - ball.centre
     along = ball.coordinates(ends - starts)
     radius = ball.radius + clearance - ROUNDING
@@ -92,7 +108,24 @@ def _span_inside(
 def sides_passed(
     zone: KeepOut, ends: FloatArray, clearance: float, starts: FloatArray, stops: FloatArray
 ) -> NDArray[np.intp]:
-    """Return the index of the side on which each line passes a zone, -1 if it does not pass it."""
+    """Return the index of the `Side` on which each straight line passes a zone.
+
+    Parameters
+    ----------
+    zone : KeepOut
+        The zone.
+    ends : ndarray, shape (2, 3)
+        Ends of the leg (line between two waypoints) beside which the zone lies [m].
+    clearance : float
+        Distance kept from the zone [m].
+    starts, stops : ndarray, shape (n, 3)
+        Ends of the straight lines [m].
+
+    Returns
+    -------
+    ndarray of int, shape (n,)
+        -1 for a line that does not pass the zone.
+    """
     section = _section(zone, ends, clearance)
     if section is None:
         return np.full(len(starts), -1)
@@ -107,21 +140,28 @@ def sides_passed(
 
 
 class _Section(NamedTuple):
-    """Cross-section of a zone in the plane where a leg passes it."""
+    """Cross-section of a zone in the vertical plane across a leg that passes the zone.
+
+    A leg is the line between two waypoints.
+    """
 
     middle: FloatArray
-    """m, shape (3,); so are the unit vectors along the course, to its left and up."""
+    """Centre of the cross-section [m], shape (3,). The unit vectors `along` the horizontal course,
+    to its `left` and `up` have the same shape."""
     along: FloatArray
     left: FloatArray
     up: FloatArray
     half_width: float
-    """m, to the left and to the right of the middle."""
+    """Distance from the middle to the left and to the right border [m]."""
     half_height: float
-    """m, above and below it."""
+    """Distance from the middle to the upper and to the lower border [m]."""
 
 
 def _section(zone: KeepOut, ends: FloatArray, clearance: float) -> _Section | None:
-    """Return the cross-section of a zone where a leg passes it, None near the ends of the leg."""
+    """Return the cross-section of a zone where a leg passes it; None near the ends of the leg.
+
+    A leg is the line between two waypoints, `ends`, shape (2, 3).
+    """
     share, reach = _passage(zone, ends, clearance)
     if not ROUNDING < share < 1.0 - ROUNDING:
         return None
@@ -135,10 +175,11 @@ def _section(zone: KeepOut, ends: FloatArray, clearance: float) -> _Section | No
 
 
 def _passage(zone: KeepOut, ends: FloatArray, clearance: float) -> tuple[float, float]:
-    """Return where a leg passes a zone (fraction of the leg), and the clearance touching the leg.
+    """Return where a leg passes a zone, as a fraction of the leg, and the clearance used.
 
-    The fraction is the middle of the part of the leg within the zone and its clearance or, if there
-    is none, within the least clearance that reaches the leg.
+    A leg is the line between two waypoints. The fraction is the middle of the part of the leg
+    within the zone and its clearance or, if there is none, within the least clearance that reaches
+    the leg.
     """
 
     def span(reach: float) -> tuple[float, float]:
@@ -160,16 +201,19 @@ def _passage(zone: KeepOut, ends: FloatArray, clearance: float) -> tuple[float, 
 def _chord(
     zone: KeepOut, place: FloatArray, direction: FloatArray, reach: float
 ) -> tuple[FloatArray, float]:
-    """Return the middle and half the length of a line's part inside a zone."""
+    """Return the middle and half the length of the part of a line inside a zone [m].
+
+    The line passes ``place`` in ``direction``; ``reach`` is the clearance round the zone.
+    """
     (first,), (last,) = _spans_inside(zone, place[None], (place + direction)[None], reach)
     return place + (first + last) / 2 * direction, float(last - first) / 2
 
 
 def _frame(ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return unit vectors along a leg, to its left and up.
+    """Return unit vectors along a leg (line between two waypoints), to its left and up.
 
-    The course is horizontal unless the leg is vertical: a steep leg, too, passes a tall zone on the
-    left or right.
+    Each has shape (3,). The first is horizontal unless the leg is vertical: a steep leg, too,
+    passes a tall zone on the left or right.
     """
     upward = np.array([0.0, 0.0, 1.0])
     along = (ends[1] - ends[0]) * (1.0, 1.0, 0.0)
@@ -181,7 +225,7 @@ def _frame(ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _places_along(zone: KeepOut, reach: float, near: FloatArray) -> FloatArray:
-    """Return points at a distance outside a polygon: at its corners and beside ``near``."""
+    """Return points at a distance outside a polygon: corners, and points nearest to ``near``."""
     ring = zone.ring(reach)
     following = np.roll(ring, -1, axis=0)
     along = following - ring
@@ -192,7 +236,23 @@ def _places_along(zone: KeepOut, reach: float, near: FloatArray) -> FloatArray:
 
 
 def places_beside(zone: KeepOut, clearance: float, ends: FloatArray) -> FloatArray:
-    """Return points around a zone; the lines that join neighbours keep its clearance."""
+    """Return points round a zone through which routes may pass.
+
+    The lines that join neighbouring points keep the zone's clearance.
+
+    Parameters
+    ----------
+    zone : KeepOut
+        The zone.
+    clearance : float
+        Distance kept from the zone [m].
+    ends : ndarray, shape (2, 3)
+        Ends of the leg (line between two waypoints) beside which the zone lies [m].
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+    """
     reach = clearance + MARGIN_M
     share, _ = _passage(zone, ends, clearance)
     passing = ends[0] + share * (ends[1] - ends[0])

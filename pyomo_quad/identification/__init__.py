@@ -1,1 +1,1 @@
-"""Vehicles from measured flights: reading logs, identifying parameters, predicting energies."""
+"""Identification of a vehicle's parameters from logs of measured flights."""

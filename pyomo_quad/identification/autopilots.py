@@ -1,7 +1,8 @@
-"""Readers of autopilot logs, PX4 `.ulg` and ArduPilot `.BIN`, as tables of `logs`.
+"""Readers of autopilot logs: PX4 (`.ulg`) and ArduPilot (`.BIN`).
 
-Each log is one flight, named after its file. All airborne rows count as cruise, the payload is 0,
-and without a barometer the density is that at sea level.
+The readers return a table with the columns of `COLUMNS`, averaged over each second of flight. Each
+log is one flight, named after its file. All airborne rows count as cruise, the payload is 0, and
+without a barometer the air density is that at sea level.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -28,7 +29,8 @@ from pyomo_quad.identification.columns import (
 from pyomo_quad.scenario import ScenarioError
 from pyomo_quad.scenario.wind import SEA_LEVEL_DENSITY
 
-# Logs of the PX4 autopilot: unit, topics and fields, the name in the newest firmware first.
+# Logs of the PX4 autopilot: unit of time, topics, and fields; where a name has changed, that of the
+# newest firmware comes first.
 Topic = dict[str, FloatArray]
 _MICROSECONDS = 1e-6
 _POSITION, _BATTERY, _LANDED = "vehicle_local_position", "battery_status", "vehicle_land_detected"
@@ -40,10 +42,10 @@ _CURRENTS, _VOLTAGES = ("current_a", "current_average_a"), ("voltage_v", "voltag
 
 @contextmanager
 def _whole_log(autopilot: str, package: str) -> Iterator[None]:
-    """Context that turns a missing or failing reader into an input error.
+    """Context manager: turn any failure of a log reader into a one-line ScenarioError.
 
-    The readers print the errors that they find, and raise exceptions of many types for damaged
-    logs.
+    The readers of other packages print the errors that they find, and raise exceptions of many
+    types for damaged logs.
     """
     try:
         with redirect_stdout(StringIO()):
@@ -66,9 +68,27 @@ def _seconds_aloft(
     velocity: Sequence[FloatArray],
     wind: Sequence[FloatArray],
 ) -> pd.DataFrame:
-    """Return averages over each second in flight, in the columns of `COLUMNS`.
+    """Average the samples of a log over each second in flight.
 
-    ``velocity`` is north, east and up over ground, ``wind`` north and east.
+    Parameters
+    ----------
+    seconds : ndarray, shape (n,)
+        Times of the samples [s].
+    is_flying : ndarray of bool, shape (n,)
+        Whether the vehicle is in the air.
+    density : ndarray, shape (n,)
+        Air density [kg/m³].
+    power : ndarray, shape (n,)
+        Power drawn from the battery pack [W].
+    velocity : sequence of ndarray
+        Velocity over ground: north, east and up [m/s].
+    wind : sequence of ndarray
+        Wind velocity: toward north and east [m/s].
+
+    Returns
+    -------
+    DataFrame
+        One row for each second in flight, with the columns of `COLUMNS` except the flight's name.
     """
     air = (speed - blowing for speed, blowing in zip(velocity, wind, strict=False))
     frame = pd.DataFrame(
@@ -87,16 +107,25 @@ def _seconds_aloft(
 
 
 def read_ulog(file: Path) -> pd.DataFrame:
-    """Read a PX4 log as averages over one second, in the columns of `COLUMNS`.
+    """Read a PX4 log (`.ulg`) as averages over each second of flight.
 
-    The log is one flight, named after its file. All airborne rows count as cruise, the payload is
-    0, and without a barometer the density is that at sea level. The wind is the autopilot's
-    estimate.
+    The wind is the autopilot's estimate.
+
+    Parameters
+    ----------
+    file : Path
+        The log, which is one flight, named after the file.
+
+    Returns
+    -------
+    DataFrame
+        Columns of `COLUMNS`. All airborne rows count as cruise, the payload is 0, and without a
+        barometer the air density is that at sea level.
 
     Raises
     ------
     ScenarioError
-        If `pyulog` is missing, or the log lacks a topic or a field.
+        If the package `pyulog` is missing, or the log is damaged or lacks a topic or a field.
     """
     with _whole_log("PX4", "pyulog"), file.open("rb") as stream:
         from pyulog import ULog  # noqa: PLC0415  an extra
@@ -113,7 +142,7 @@ def read_ulog(file: Path) -> pd.DataFrame:
 
 
 def _field(topics: dict[str, Topic], topic: str, *names: str) -> FloatArray:
-    """Return the field of a topic under the first of the given names that exists."""
+    """Return a field of a PX4 topic, under the first of several names that the log has."""
     if topic not in topics:
         raise ScenarioError(f"has no topic {topic}; log it.")
     for name in names:
@@ -145,7 +174,7 @@ def _by_second(topics: dict[str, Topic], currents: list[str]) -> pd.DataFrame:
     return _seconds_aloft(times - times[0], is_flying, density, power, velocity, tuple(wind_speeds))
 
 
-# Logs of ArduPilot: messages, and events of its land detector.
+# Logs of ArduPilot: types of messages, and numbers of the land detector's events.
 _EKF, _EKF_WIND, _EKF_BATTERY, _BAROMETER, _EVENT = "XKF1", "XKF2", "BAT", "BARO", "EV"
 _MESSAGES = (_EKF, _EKF_WIND, _EKF_BATTERY, _BAROMETER, _EVENT)
 _LANDED_EVENT, _FLYING_EVENT = 18, 28
@@ -155,15 +184,26 @@ _USUAL_CELSIUS = 15.0
 
 
 def read_ardupilot(file: Path) -> pd.DataFrame:
-    """Read an ArduPilot log as averages over one second, in the columns of `COLUMNS`.
+    """Read an ArduPilot log (`.BIN`) as averages over each second of flight.
 
-    Motion and wind are those of the first core of EKF3; if the filter does not estimate the wind,
-    the air is calm.
+    Motion and wind are the estimates of the first instance of the Kalman filter EKF3. If it does
+    not estimate the wind, the air is taken to be calm.
+
+    Parameters
+    ----------
+    file : Path
+        The log, which is one flight, named after the file.
+
+    Returns
+    -------
+    DataFrame
+        Columns of `COLUMNS`. All airborne rows count as cruise, the payload is 0, and without a
+        barometer the air density is that at sea level.
 
     Raises
     ------
     ScenarioError
-        If `pymavlink` is missing, or the log lacks a message.
+        If the package `pymavlink` is missing, or the log is damaged or lacks a message.
     """
     with file.open("rb"):
         pass  # raise the operating system's own error if the file cannot be read
@@ -183,7 +223,7 @@ def read_ardupilot(file: Path) -> pd.DataFrame:
 
 
 def _first_of(message: pd.DataFrame, name: str, *needed: str) -> pd.DataFrame:
-    """Return the rows of the first core or instance of a message."""
+    """Return the rows of a message that its first sensor or filter instance has written."""
     if not {"TimeUS", *needed} <= set(message):
         raise ScenarioError(
             f"has no message {name} with {', '.join(needed)}; log it (LOG_BITMASK)."
@@ -226,7 +266,7 @@ def _ardupilot_by_second(messages: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
 
 
 def _is_flying(events: pd.DataFrame, times: FloatArray) -> NDArray[np.bool_]:
-    """Return whether the land detector reports flight; true without a detector."""
+    """Return whether the land detector reports flight at each time; True without a detector."""
     if not {"TimeUS", "Id"} <= set(events):
         return np.ones(len(times), dtype=bool)
     told = events[events["Id"].isin((_LANDED_EVENT, _FLYING_EVENT))]
@@ -234,5 +274,5 @@ def _is_flying(events: pd.DataFrame, times: FloatArray) -> NDArray[np.bool_]:
         return np.ones(len(times), dtype=bool)
     latest = np.searchsorted(told["TimeUS"].to_numpy(float), times, side="right") - 1
     aloft = (told["Id"] == _FLYING_EVENT).to_numpy()
-    # Before the first event, the state is the opposite of the state that the event reports.
+    # Before the first event, the state was the opposite of the state that this event reports.
     return np.where(latest >= 0, aloft[np.maximum(latest, 0)], ~aloft[0])

@@ -1,11 +1,11 @@
-"""Columns of logs and of tables of steady points: names, units and meanings."""
+"""Columns in logs of flights and in tables of steady flight points: names, units, meanings."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
 
 
 class LogColumn(NamedTuple):
-    """A column of a log: its unit, its meaning, and its other names."""
+    """Column of a log: its unit, its meaning, and other names that are accepted for the column."""
 
     unit: str
     meaning: str
@@ -30,12 +30,12 @@ COLUMNS: Mapping[str, LogColumn] = {
     VELOCITY[2]: LogColumn("m/s", "climb", ("vu_m_s",)),
     **dict.fromkeys(AIR_VELOCITY, LogColumn("m/s", _AIR_READ)),
 }
-#: Values of `PHASE` in the rows that are used.
+#: Values of the column `PHASE` in rows of flight (take-off, cruise, landing); others are ignored.
 FLYING = (1, 2, 3)
 CRUISE = 2
 
 
 def wanted_columns(columns: Mapping[str, LogColumn] = COLUMNS) -> str:
-    """List the columns of a table with their units, on one line."""
+    """List the columns of a table with their units in one line, for messages and help."""
     told = (f"{name} ({column.unit})" if column.unit else name for name, column in columns.items())
     return f"the columns are {', '.join(told)}"

@@ -1,4 +1,7 @@
-"""Figures of an identification: energies, power over time, and the power curve."""
+"""Figures of an identification: measured and computed energy, power and voltage of flights.
+
+"Computed" is the result of the fitted vehicle model.
+"""
 
 import numpy as np
 import pandas as pd
@@ -19,7 +22,7 @@ from pyomo_quad.identification.validation import (
 from pyomo_quad.report.document import Drawing
 from pyomo_quad.report.style import INK, MUTED, PALE, SERIES_STYLES, full_width
 
-# Flights drawn over time.
+# Number of flights that are drawn over time.
 _SHOWN = 3
 # Greatest airspeed of the power curve, beyond which few flights have data.
 _FASTEST_M_S = 17.0
@@ -31,7 +34,15 @@ _IN_KILOJOULES = 1e-3
 def identification_drawings(
     found: Identification, pack: PackIdentification | None = None
 ) -> tuple[Drawing, ...]:
-    """List the figures of an identification."""
+    """List the figures of an identification's report.
+
+    Parameters
+    ----------
+    found : Identification
+        Vehicle fitted to flights.
+    pack : PackIdentification, optional
+        Battery fitted to the same flights, if the logs have voltages.
+    """
     drawings = (
         Drawing(
             name="energies",
@@ -71,7 +82,15 @@ def identification_drawings(
 
 
 def draw_energies(found: Identification) -> Figure:
-    """Draw computed against measured energies, and their errors."""
+    """Draw computed against measured energy of each flight, and the relative errors.
+
+    Each flight's energy is computed by a fit without this flight.
+
+    Parameters
+    ----------
+    found : Identification
+        Vehicle fitted to flights.
+    """
     table = energies(found.frame, found.cross_validated)
     payload = found.frame.groupby(FLIGHT, sort=False)[PAYLOAD].first().to_numpy()
     figure, (left, right) = full_width(3.3, (1, 2), top=0.92, bottom=0.15, wspace=0.28)
@@ -92,7 +111,18 @@ def draw_energies(found: Identification) -> Figure:
 
 
 def shown_flights(frame: pd.DataFrame) -> list[object]:
-    """Return the names of a slow, a usual and a fast flight."""
+    """Select a slow, an average and a fast flight of a log, to be drawn over time.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Rows of all flights.
+
+    Returns
+    -------
+    list
+        Names of the flights.
+    """
     speeds = pd.Series(cruise_speeds(frame), index=frame[FLIGHT].to_numpy())
     each = speeds.groupby(level=0, sort=False).first().sort_values(kind="stable")
     places = np.linspace(0, len(each) - 1, min(_SHOWN, len(each))).round().astype(int)
@@ -100,7 +130,15 @@ def shown_flights(frame: pd.DataFrame) -> list[object]:
 
 
 def draw_power(found: Identification) -> Figure:
-    """Draw measured and computed power of three flights over time."""
+    """Draw the measured and the computed power of three flights over time.
+
+    The power is computed by fits without the drawn flight.
+
+    Parameters
+    ----------
+    found : Identification
+        Vehicle fitted to flights.
+    """
     chosen = shown_flights(found.frame)
     size = 1.7 * len(chosen) + 0.6
     figure, panels = full_width(size, (len(chosen), 1), top=0.94, bottom=0.12, hspace=0.55)
@@ -123,7 +161,15 @@ def draw_power(found: Identification) -> Figure:
 
 
 def draw_voltages(found: Identification, pack: PackIdentification) -> Figure:
-    """Draw measured and computed voltage of three flights, and the error of each flight."""
+    """Draw measured and computed cell voltage of three flights, and the error of each flight.
+
+    Parameters
+    ----------
+    found : Identification
+        Vehicle fitted to flights.
+    pack : PackIdentification
+        Battery fitted to the same flights.
+    """
     figure, (left, right) = full_width(3.4, (1, 2), top=0.92, bottom=0.15, wspace=0.28)
     known = set(pack.flights[FLIGHT])
     shown = [flight for flight in shown_flights(found.frame) if flight in known]
@@ -153,7 +199,16 @@ def draw_voltages(found: Identification, pack: PackIdentification) -> Figure:
 
 
 def draw_curve(found: Identification) -> Figure:
-    """Draw steady power over airspeed for each payload, with the data."""
+    """Draw the power of steady level flight over airspeed for each payload, with measurements.
+
+    The curves are computed by the fitted model, in the mean air density of the flights. Dots are
+    mean measured powers in cruise at each airspeed.
+
+    Parameters
+    ----------
+    found : Identification
+        Vehicle fitted to flights.
+    """
     is_cruise = (found.frame[PHASE] == CRUISE).to_numpy()
     frame, airspeed = found.frame[is_cruise], found.airspeeds[is_cruise]
     speeds = np.linspace(0.0, min(_FASTEST_M_S, float(airspeed.max())), 35)
@@ -169,7 +224,7 @@ def draw_curve(found: Identification) -> Figure:
         binned = groups.describe()[["mean", "25%", "75%"]][groups.size() >= _FEWEST_ROWS]
         mean, low, high = binned.to_numpy().T
         axes.errorbar(
-            # Shifted, so that no series hides another.
+            # The points of each payload are shifted sideways, so that none hides another.
             binned.index + 0.12 * (place - 1),
             mean,
             yerr=np.abs(np.stack([mean - low, high - mean])),

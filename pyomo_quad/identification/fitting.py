@@ -1,11 +1,11 @@
-"""Fit of model parameters to flights by robust least squares, with their uncertainty.
+"""Fit of a vehicle's power parameters to logged flights, with their uncertainty.
 
-Method: see docs/theory/identification.md, eqs. (2) to (4).
+Method: robust least squares; see docs/theory/identification.md, eqs. (2) to (4).
 
-The residual is the mean measured power less the mean computed power of windows of some seconds.
-Over one second, airspeed and acceleration are dominated by noise, and a fit to single rows would
-interpret this noise as a flatter power curve. Large residuals (gusts, the ground) are weighted less
-than by their square.
+The residual is the mean measured power less the mean computed power of time windows of some
+seconds. Over one second, airspeed and acceleration are dominated by noise, and a fit to single rows
+would interpret this noise as a flatter power curve. Large residuals (gusts, ground effect) are
+weighted less than by their square.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -23,8 +23,9 @@ from pyomo_quad.identification.validation import SEED, Rows, Trial, cross_valida
 from pyomo_quad.scenario import Scenario, ScenarioError, library_entry, library_names
 from pyomo_quad.scenario.tables import Vehicle
 
-#: Fields of the vehicle fitted by default. The induced power factor is excluded, because in hover
-#: it depends on thrust as the profile power does; it keeps its textbook value.
+#: Fields of the vehicle that are fitted by default. The induced power factor is excluded: in hover,
+#: induced and profile power depend on thrust in the same way, so that flights cannot distinguish
+#: them. It keeps its textbook value.
 FITTED = ("profile_power_coefficient", "climb_power_factor", "descent_power_factor")
 #: All fields that can be fitted.
 FITTABLE = (
@@ -36,23 +37,26 @@ FITTABLE = (
     "drag_quadratic",
 )
 _POWER_BLOCK, _VEHICLE_BLOCK = "power.", "vehicle."
-# Parameters that the motion depends on -> the power of the airspeed that they multiply.
+# Parameters on which the motion depends, with the exponent of the airspeed that each multiplies.
 _OF_MOTION = {"drag_linear": 1, "drag_quadratic": 2}
 # Length of a window, s: long compared with the noise of airspeed and acceleration.
 _WINDOW_S = 10.0
 # Residual, W, above which a window counts linearly instead of quadratically.
 _LARGE_RESIDUAL_W = 20.0
-# The flights determine a parameter if changing it by this fraction of its size, with the best
-# compensation by the other parameters, changes the windows' power by this fraction: 0.5 W of 450 W.
+# The flights determine a parameter if a change by the fraction `_SHARE` of its value, with the best
+# compensation by the other parameters, changes the windows' power by at least the fraction
+# `_LEAST_EFFECT`: 0.5 W of 450 W.
 _SHARE = 0.1
 _LEAST_EFFECT = 1.1e-3
-# Small drag, kg/s and kg/m; a tenth of it is the least change that is tested.
+# Drag coefficient [kg/s or kg/m] that is tested in place of a smaller one; see `undetermined`.
 _SMALL_DRAG = 0.02
 # Cosine between the effects of two parameters above which they cannot be distinguished.
 _ALIKE = 0.95
-# Fewer rows or flights than these are too few; above the largest number, thinning takes too long.
+# Numbers of rows and flights below which a caution is given; number of rows above which the test
+# with every other row would take too long.
 _FEW_ROWS, _FEW_FLIGHTS, _MANY_ROWS = 300, 5, 5_000
-# Change after thinning the rows, in deviations and relative, above which they are too coarse.
+# Change of a parameter, in standard deviations and relative, by a fit to every other row above
+# which the rows count as too far apart in time.
 _DEVIATIONS, _CHANGE = 2.0, 0.05
 _HALVES = 2
 # Bootstrap draws of flights: 200 draws give a standard deviation to 5 %.
@@ -65,7 +69,19 @@ _NEAR_BOUND, _AT_BOUND = 1e-6, 1e-5
 
 @dataclass(frozen=True, kw_only=True)
 class FittedParameter:
-    """Fitted field of a vehicle, with standard deviation and previous value."""
+    """Fitted field of a vehicle.
+
+    Attributes
+    ----------
+    name : str
+        Name of the field.
+    base, value, deviation : float
+        Value before the fit, fitted value, and its standard deviation, in the field's unit.
+    is_determined : bool
+        Whether the measurements determine the field; otherwise it keeps its value.
+    is_at_bound : bool
+        Whether the fitted value lies at the end of its permitted range.
+    """
 
     name: str
     base: float
@@ -77,12 +93,26 @@ class FittedParameter:
 
 @dataclass(frozen=True, kw_only=True)
 class IdentifiedParameter:
-    """Identified field of a vehicle, with uncertainty and previous value.
+    """Field of a vehicle that was fitted to flights, with its uncertainty.
 
-    `deviation` is its bootstrap standard deviation over flights, 0 if the base's value was kept.
-    `first_half` and `second_half` are fits to one half of the flights each. The halves have no
-    flight in common, so the two fits are independent; the base may have been fitted to these very
-    flights.
+    Attributes
+    ----------
+    name : str
+        Name of the field.
+    base, base_source : float, str
+        Value before the fit, in the field's unit, and its source. The base vehicle may have been
+        fitted to these very flights.
+    value : float
+        Fitted value.
+    first_half, second_half : float
+        Fits to one half of the flights each. The halves have no flight in common, so that the two
+        fits are independent.
+    deviation : float
+        Standard deviation by bootstrap over the flights; 0 if the field keeps its value.
+    is_determined : bool
+        Whether the flights determine the field; otherwise it keeps its value.
+    is_at_bound : bool
+        Whether the fitted value lies at the end of its permitted range.
     """
 
     name: str
@@ -100,10 +130,26 @@ class IdentifiedParameter:
 class Identification:
     """Vehicle identified from flights, with the errors of its computed powers.
 
-    `correlations` has the determined parameters as rows and columns; `cross_validated` is the power
-    of each row by a fit without its flight. `together` pairs each parameter that is not determined
-    with the parameter that it cannot be distinguished from, and `cautions` lists where the rows are
-    too few or too coarse.
+    Attributes
+    ----------
+    scenario : Scenario
+        Scenario with the fitted vehicle.
+    frame : DataFrame
+        Rows of all flights, with the columns of `COLUMNS`.
+    parameters : tuple of IdentifiedParameter
+        Result for each field that was to be fitted.
+    correlations : DataFrame
+        Correlations of the fitted parameters.
+    fitted_power : ndarray, shape (n_rows,)
+        Computed power of each row by the fit to all flights [W].
+    cross_validated : ndarray, shape (n_rows,)
+        Computed power of each row by a fit without the row's flight [W].
+    trials : tuple of Trial
+        Errors of fits to some flights on different flights.
+    together : tuple of (str, str)
+        Each parameter that is not determined, with the parameter that has the same effect.
+    cautions : tuple of str
+        Warnings that the rows are too few or too far apart in time.
     """
 
     scenario: Scenario
@@ -118,14 +164,23 @@ class Identification:
 
     @property
     def airspeeds(self) -> FloatArray:
-        """Level component of the true airspeed of each row, m/s."""
+        """Horizontal component of the true airspeed in each row [m/s]."""
         north, east = (self.frame[name].to_numpy() for name in AIR_VELOCITY)
         return np.hypot(north, east) * self.scenario.vehicle.anemometer_factor
 
     def excess(self, slowest: float, fastest: float) -> float:
-        """Return the mean excess of measured over computed power in cruise, by airspeed [W].
+        """Return the mean difference of measured and computed power in a range of airspeeds.
 
-        NaN if no row cruises in this range.
+        Parameters
+        ----------
+        slowest, fastest : float
+            Range of horizontal airspeed [m/s].
+
+        Returns
+        -------
+        float
+            Mean of measured minus computed power over the rows in cruise [W]; NaN without such
+            rows.
         """
         is_between = (slowest <= self.airspeeds) & (self.airspeeds < fastest)
         is_meant = (self.frame[PHASE] == CRUISE).to_numpy() & is_between
@@ -135,15 +190,16 @@ class Identification:
 
 
 class Fit:
-    """Least-squares problem for parameters of a vehicle over flights.
+    """Least-squares problem: parameters of a vehicle from the power of logged flights.
 
     Parameters
     ----------
     motion : LoggedMotion
+        Motion of the flights, from which the power is computed.
     scenario : Scenario
-        Initial values of the fit, and all other fields of the vehicle.
+        Scenario with the vehicle before the fit: initial values, and all other fields.
     names : sequence of str
-        Names from `FITTABLE`.
+        Fields to fit, from `FITTABLE`.
     """
 
     def __init__(self, motion: LoggedMotion, scenario: Scenario, names: Sequence[str]) -> None:
@@ -161,18 +217,52 @@ class Fit:
         self.everything = np.ones(len(self.frame), dtype=bool)
 
     def power(self, values: FloatArray) -> FloatArray:
-        """Return the power of each row, W."""
+        """Return the computed power of each row [W].
+
+        Parameters
+        ----------
+        values : ndarray, shape (n,)
+            Values of the parameters.
+        """
         named = zip(self.names, values.tolist(), strict=True)
         return self._motion.power({component(name): value for name, value in named})
 
     def windows(self, power: FloatArray, rows: Rows) -> tuple[FloatArray, NDArray[np.int64]]:
-        """Return the mean power of each time window of some rows, and its first row."""
+        """Average the power over the time windows of some rows.
+
+        Parameters
+        ----------
+        power : ndarray, shape (n_rows,)
+            Power of each row of the log [W].
+        rows : ndarray of bool, shape (n_rows,)
+            Rows to include.
+
+        Returns
+        -------
+        mean : ndarray, shape (n_windows,)
+            Mean power of each window [W].
+        first : ndarray of int, shape (n_windows,)
+            Number of the first row of each window.
+        """
         _, first, inverse = np.unique(self._window[rows], return_index=True, return_inverse=True)
         mean = np.bincount(inverse, power[rows]) / np.bincount(inverse)
         return mean, np.flatnonzero(rows)[first]
 
     def over(self, rows: Rows, start: FloatArray | None = None) -> FloatArray:
-        """Fit the parameters to the powers of some rows of the log; return their values."""
+        """Fit the parameters to the measured power of some rows.
+
+        Parameters
+        ----------
+        rows : ndarray of bool, shape (n_rows,)
+            Rows to fit to.
+        start : ndarray, shape (n,), optional
+            Initial values; by default those of the vehicle before the fit.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Fitted values.
+        """
         if not self.names:
             return self.base
         measured, _ = self.windows(self._measured, rows)
@@ -183,7 +273,20 @@ class Fit:
         return _robust(residual, self.base if start is None else start, self.bounds)
 
     def slopes(self, values: FloatArray) -> FloatArray:
-        """Return finite differences of the windows' power by each parameter."""
+        """Return the derivatives of the computed power by each fitted parameter.
+
+        The power is averaged over time windows of the log. The derivatives are finite differences.
+
+        Parameters
+        ----------
+        values : ndarray, shape (n,)
+            Values of the parameters at which the derivatives are taken.
+
+        Returns
+        -------
+        ndarray, shape (n_windows, n)
+            Derivatives, W per unit of the parameter.
+        """
         at, _ = self.windows(self.power(values), self.everything)
         columns = []
         for k in range(len(self.names)):
@@ -194,10 +297,21 @@ class Fit:
         return np.column_stack(columns) if columns else np.zeros((len(at), 0))
 
     def drawn_anew(self, values: FloatArray) -> FloatArray:
-        """Return the parameters of bootstrap fits, to flights drawn with replacement: (draws, n).
+        """Return the parameters of bootstrap fits, for the uncertainty of the fit.
 
-        Each is a robust fit of the equations linearised about the fit to all flights, which is
-        exact for parameters that enter linearly.
+        Each draw is as many flights as there are, with replacement. Each is a robust fit of the
+        equations linearised about the fit to all flights, which is exact for parameters that enter
+        linearly.
+
+        Parameters
+        ----------
+        values : ndarray, shape (n,)
+            Fit to all flights.
+
+        Returns
+        -------
+        ndarray, shape (draws, n)
+            Fitted values of each draw.
         """
         slopes = self.slopes(values)
         at, first = self.windows(self.power(values), self.everything)
@@ -218,12 +332,20 @@ class Fit:
         return np.array(found)
 
     def applied(self, values: FloatArray) -> Scenario:
-        """Return the scenario with fitted values of its vehicle's parameters."""
+        """Return the scenario with fitted values of the vehicle's parameters."""
         named = zip(self.names, values.tolist(), strict=True)
         return self._scenario.with_values({f"vehicle.{name}": value for name, value in named})
 
     def parameter(self, name: str, values: FloatArray, deviations: FloatArray) -> FittedParameter:
-        """Return the result for one parameter, or its previous value if not fitted."""
+        """Return the result for one field of the vehicle; unfitted fields keep their value.
+
+        Parameters
+        ----------
+        name : str
+            Name of the field.
+        values, deviations : ndarray, shape (n,)
+            Fitted values and their standard deviations, in the order of `names`.
+        """
         value = base = float(getattr(self._scenario.vehicle, name))
         deviation, distance = 0.0, np.inf
         if name in self.names:
@@ -241,7 +363,10 @@ class Fit:
 
 
 def component(name: str) -> str:
-    """Return the full name of the model's parameter for a field of the vehicle."""
+    """Return the model's full name of the parameter for a field of the vehicle.
+
+    For example ``vehicle.drag_linear``, or ``power.climb_power_factor``.
+    """
     return f"{_VEHICLE_BLOCK if name in _OF_MOTION else _POWER_BLOCK}{name}"
 
 
@@ -261,14 +386,23 @@ def _bounds(name: str) -> tuple[float, float]:
 
 
 def _most_drag(scenario: Scenario, frame: pd.DataFrame, power: int) -> float:
-    """Return the drag coefficient that tilts level flight at the largest airspeed by 45 degrees."""
+    """Return the drag coefficient that would tilt level flight by 45° at the largest airspeed.
+
+    It is the upper bound of the fit.
+    """
     north, east = (frame[name].to_numpy() for name in AIR_VELOCITY)
     fastest = float(np.hypot(north, east).max()) * scenario.vehicle.anemometer_factor
     return scenario.vehicle.mass * scenario.gravity / max(fastest, 1.0) ** power
 
 
 def _windows(frame: pd.DataFrame) -> NDArray[np.int64]:
-    """Return the window number of each row; windows end with their flight or phase."""
+    """Assign each row of a log to a time window over which the power is averaged.
+
+    Returns
+    -------
+    ndarray of int, shape (n_rows,)
+        Number of the window; no window spans two flights or two phases of a flight.
+    """
     stretch = [frame[FLIGHT], frame[PHASE]]
     since = frame[TIME] - frame.groupby(stretch, sort=False)[TIME].transform("min")
     keys = [*stretch, np.floor(since / _WINDOW_S)]
@@ -276,7 +410,17 @@ def _windows(frame: pd.DataFrame) -> NDArray[np.int64]:
 
 
 def undetermined(fit: Fit) -> tuple[str, ...]:
-    """Return the parameters without an independent effect on the flights' power."""
+    """Return the names of the parameters that the flights do not determine.
+
+    A parameter is not determined if the effect of a change on the power can be compensated by
+    changes of the other parameters. The weakest parameter is removed until all others are
+    determined.
+
+    Parameters
+    ----------
+    fit : Fit
+        Least-squares problem with all parameters that are to be fitted.
+    """
     slopes = fit.slopes(fit.base)
     slopes *= _SHARE * np.maximum(np.abs(fit.base), _size(fit))
     least = _LEAST_EFFECT * float(np.median(fit.frame[POWER]))
@@ -297,14 +441,28 @@ def undetermined(fit: Fit) -> tuple[str, ...]:
 
 
 def _size(fit: Fit) -> FloatArray:
-    """Return the magnitude below which each fitted parameter counts as zero."""
+    """Return the least magnitude of each parameter in the test of `undetermined`.
+
+    The test changes parameters by a fraction of their value, which would be no change at zero.
+    """
     return np.array([_SMALL_DRAG if name in _OF_MOTION else _SHARE for name in fit.names])
 
 
 def confounded(fit: Fit, lost: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    """Return each undetermined parameter with the parameter of most similar effect.
+    """Pair each undetermined parameter with the parameter whose effect is most similar.
 
-    A parameter without an effect on the power is paired with the empty name.
+    Parameters
+    ----------
+    fit : Fit
+        Least-squares problem with all parameters.
+    lost : sequence of str
+        Names of the undetermined parameters.
+
+    Returns
+    -------
+    tuple of (str, str)
+        Name of each undetermined parameter, and name of the similar one; empty if the parameter has
+        no effect on the power, or no other has a similar effect.
     """
     slopes = fit.slopes(fit.base)
     norms = np.linalg.norm(slopes, axis=0)
@@ -322,14 +480,21 @@ def confounded(fit: Fit, lost: Sequence[str]) -> tuple[tuple[str, str], ...]:
 def identify(
     scenario: Scenario, frame: pd.DataFrame, names: Sequence[str] = FITTED
 ) -> Identification:
-    """Fit a vehicle's parameters to flights and assess the fit.
+    """Fit the power parameters of a vehicle to measured flights, and assess the fit.
 
     Parameters
     ----------
     scenario : Scenario
-        A scenario of `vehicle_scenario`.
+        Scenario with the vehicle before the fit, from `vehicle_scenario`.
     frame : DataFrame
-        The frame of `read_logs`, with at least two flights.
+        Rows of at least two flights, from `read_logs`.
+    names : sequence of str, optional
+        Fields of the vehicle to fit, from `FITTABLE`.
+
+    Returns
+    -------
+    Identification
+        Fitted vehicle, uncertainties, and errors on flights that were not fitted.
 
     Raises
     ------
@@ -366,7 +531,7 @@ def identify(
 
 
 def _cautions(scenario: Scenario, fit: Fit, values: FloatArray, draws: FloatArray) -> Iterator[str]:
-    """Yield cautions if the rows are too few, or too far apart for their motion."""
+    """Yield warnings if the rows are too few, or too far apart in time for their motion."""
     frame = fit.frame
     flights, rows = frame[FLIGHT].nunique(), len(frame)
     if rows < _FEW_ROWS or flights < _FEW_FLIGHTS:
@@ -414,7 +579,7 @@ def _parameters(
 
 
 def _base_source(scenario: Scenario, field: str) -> str:
-    """Return the source that the base vehicle's file states for a number."""
+    """Return the source of a number in the file of the vehicle before the fit."""
     vehicle, kind = scenario.vehicle.use, "vehicles"
     if vehicle in library_names(kind):
         return library_entry(kind, vehicle).sources.get(field, "default")
@@ -422,7 +587,18 @@ def _base_source(scenario: Scenario, field: str) -> str:
 
 
 def changes(identification: Identification) -> Mapping[str, tuple[float, str]]:
-    """Return value and source of each field that the flights determine."""
+    """Return the fitted fields of the vehicle that the flights determine.
+
+    Parameters
+    ----------
+    identification : Identification
+        Result of a fit.
+
+    Returns
+    -------
+    mapping
+        Value of each field and the words for its source, by the field's name.
+    """
     count = identification.frame[FLIGHT].nunique()
     return {
         one.name: (

@@ -1,7 +1,7 @@
-"""Logs of flights: required columns, and checks for damaged or implausible values.
+"""Reading of flight logs, with checks for damaged or implausible values.
 
-A log is a table, Parquet or CSV, with about one row per second, or the file of an autopilot. Its
-columns are those of `COLUMNS`; others are ignored. World axes here are north, east and up.
+A log is a table (Parquet or CSV) with about one row per second, or the log file of an autopilot.
+The columns are those of `COLUMNS`; others are ignored. World axes are north, east and up here.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -36,14 +36,14 @@ from pyomo_quad.scenario.fields import Sound
 from pyomo_quad.scenario.messages import printable, shown
 from pyomo_quad.scenario.vehicle import CARRIED
 
-# A log without a column of power must have both of these; power is their product.
+# Voltage and current, which a log without a column of power must have; power is their product.
 _ELECTRIC = (VOLTAGE, CURRENT)
 _TEXTS = (FLIGHT,)
-# Longest gap between two rows of a flight, relative to the median of its steps.
+# Longest gap between two rows of a flight, relative to the median time step.
 _LONGEST_GAP = 10.0
 # Least power of a row: sensors show a few watts below zero at zero power.
 _LEAST_POWER_W = -20.0
-# Greatest plausible medians, and the unit that a greater median indicates.
+# Greatest plausible median of a flight's values, and the unit that a greater median indicates.
 _MOST: Mapping[str, tuple[float, str]] = {
     VOLTAGE: (1e3, "millivolts"),
     CURRENT: (2e3, "milliamperes"),
@@ -52,7 +52,7 @@ _MOST: Mapping[str, tuple[float, str]] = {
 MOST_POWER_PER_KG, LEAST_POWER_PER_KG = 5e3, 5.0
 # Payload relative to the vehicle's own mass above which the column must be in grams.
 _MOST_PAYLOAD = 20.0
-# Ranges that every row must keep.
+# Plausible ranges, which the values of every row must keep.
 _SPEED = Sound(-1e3, 1e3, "multirotors fly far below 1000 m/s")
 _SOUND: Mapping[str, Sound] = {
     PAYLOAD: CARRIED,
@@ -62,14 +62,24 @@ _SOUND: Mapping[str, Sound] = {
 }
 # Longest step between rows, s: with a longer step the motion in between is unknown.
 _LONGEST_STEP_S = 60.0
-# A file within these limits fits into the memory of a small computer, unpacked.
+# Largest file and number of rows, whose data fit into the memory of a small computer.
 _LARGEST_FILE_BYTES, _MOST_ROWS = 500_000_000, 2_000_000
 _LONGEST_NAME, _LONGEST_HEADER_BYTES = 200, 1_000_000
 _BATCH_ROWS = 65_536
 
 
 def read_logs(file: Path) -> pd.DataFrame:
-    """Read the rows in flight of a log, with the columns of `COLUMNS`.
+    """Read the rows of a flight log in which the vehicle flies.
+
+    Parameters
+    ----------
+    file : Path
+        Parquet, CSV, PX4 `.ulg` or ArduPilot `.BIN` file.
+
+    Returns
+    -------
+    DataFrame
+        Columns of `COLUMNS`, and voltage and current if the log has them.
 
     Raises
     ------
@@ -105,17 +115,19 @@ def _read_rows(file: Path) -> pd.DataFrame:
 
 
 def read_voltages(file: Path, flown: pd.DataFrame) -> pd.DataFrame:
-    """Read voltage and current of a log's flights, on the ground too.
+    """Read battery voltage and current of a log's flights, including rows on the ground.
 
     Parameters
     ----------
+    file : Path
+        The log.
     flown : DataFrame
-        The frame of `read_logs`, which names the flights.
+        Rows of the log from `read_logs`, which name the flights.
 
     Returns
     -------
     DataFrame
-        Columns flight, time, voltage and current; empty if the log lacks one of them.
+        Columns flight, time, voltage and current; empty if the log lacks one of these columns.
     """
     whole = _read(file, printable(str(file)))
     wanted = [FLIGHT, TIME, *_ELECTRIC]
@@ -128,12 +140,18 @@ def read_voltages(file: Path, flown: pd.DataFrame) -> pd.DataFrame:
 def together(logs: Sequence[tuple[Path, pd.DataFrame]]) -> pd.DataFrame:
     """Join the flights of several logs in one table.
 
-    If two logs share a flight's name, each name is prefixed with that of its log.
+    If two logs have a flight of the same name, the name of the log is put before each flight's
+    name.
+
+    Parameters
+    ----------
+    logs : sequence of (Path, DataFrame)
+        File of each log, and its rows.
 
     Raises
     ------
     ScenarioError
-        If a flight is given twice.
+        If a flight occurs twice even then.
     """
     held = [frame for _, frame in logs]
     if not _names(held).is_unique or len({frame[FLIGHT].dtype for frame in held}) > 1:
@@ -155,10 +173,22 @@ def _names(frames: Sequence[pd.DataFrame]) -> "pd.Series[Any]":
 
 
 def once_each(frame: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, str]]:
-    """Remove duplicate flights; return them with the names of their originals.
+    """Remove flights that are copies of other flights.
 
-    Two flights are duplicates if their rows agree in single precision, with times counted from the
-    first row; a copy in decimals may lack the last digits.
+    Two flights are copies if their rows agree in single precision, with times counted from the
+    first row; a copy written in decimals may lack the last digits.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Rows of all flights.
+
+    Returns
+    -------
+    DataFrame
+        Rows without copies.
+    dict
+        Name of the original, by the name of each removed copy.
     """
     numbers = frame[[name for name in COLUMNS if name not in _TEXTS]]
     first: dict[bytes, str] = {}
@@ -202,7 +232,12 @@ def _read(file: Path, source: str) -> pd.DataFrame:
 
 
 def _wanted(names: Iterable[str]) -> dict[str, str]:
-    """Return the required columns of a log, and their names in `COLUMNS`.
+    """Find the columns of a log that are needed, under any of their accepted names.
+
+    Returns
+    -------
+    dict
+        Name in `COLUMNS`, by the name in the log.
 
     Raises
     ------
@@ -225,7 +260,8 @@ def _wanted(names: Iterable[str]) -> dict[str, str]:
 
 
 def _read_parquet(file: Path) -> pd.DataFrame:
-    # A small file may unpack to more than fits into memory, and its header may claim less.
+    # Check sizes first: a small file may unpack to more than fits into memory, and its header may
+    # state too small a number of rows.
     with parquet.ParquetFile(file) as packed:
         about = packed.metadata
         groups = [about.row_group(k) for k in range(about.num_row_groups)]
@@ -266,7 +302,7 @@ def _is_number(kind: pa.DataType) -> bool:
 
 
 def _refuse_kind(name: str, kind: pa.DataType, *, is_text: bool) -> None:
-    """Refuse a column that has neither numbers nor, if allowed, text."""
+    """Raise an error for a Parquet column that holds neither numbers nor permitted text."""
     held = kind.value_type if types.is_dictionary(kind) else kind
     is_string = types.is_string(held) or types.is_large_string(held)
     if _is_number(kind) or (is_text and is_string):
@@ -297,7 +333,7 @@ def _read_csv(file: Path) -> pd.DataFrame:
         if stream.read() not in b"\r\n":
             raise ScenarioError("ends within a line; copy it anew, or end its last line.")
     wanted = _wanted(map(str, pd.read_csv(file, nrows=0)))
-    # Read as a whole, because pandas warns of columns whose chunks differ in type.
+    # `low_memory=False` reads each column in one chunk: pandas warns of chunks of different types.
     options: dict[str, Any] = {"usecols": list(wanted), "nrows": _MOST_ROWS + 1}
     frame = pd.read_csv(file, low_memory=False, **options).rename(columns=wanted)
     _refuse_rows(len(frame))
@@ -307,7 +343,7 @@ def _read_csv(file: Path) -> pd.DataFrame:
 
 
 def _complaints(frame: pd.DataFrame) -> Iterator[str]:
-    """Yield the faults of the rows, the most basic first."""
+    """Yield a message for each fault of a log's rows, the most basic first."""
     for name in frame:
         missing = frame[name].isna() if name in _TEXTS else ~np.isfinite(frame[name])
         if missing.any():
@@ -335,7 +371,7 @@ def _complaints(frame: pd.DataFrame) -> Iterator[str]:
 
 
 def _unit_complaints(frame: pd.DataFrame) -> Iterator[str]:
-    """Yield flights with a quantity that seems given in thousandths of its unit."""
+    """Yield a message for each quantity of a flight that seems to be in thousandths of its unit."""
     for flight, rows in frame.groupby(FLIGHT, sort=False):
         for name, (most, thousandths) in _MOST.items():
             usual = float(rows[name].median()) if name in frame else 0.0
@@ -347,7 +383,7 @@ def _unit_complaints(frame: pd.DataFrame) -> Iterator[str]:
 
 
 def _unsound(frame: pd.DataFrame) -> Iterator[str]:
-    """Yield values outside the plausible ranges."""
+    """Yield a message for each column with a value outside its plausible range."""
     for name, sound in _SOUND.items():
         values = frame[name].to_numpy()
         is_beyond = (values < sound.low) | (values > sound.high)
@@ -388,7 +424,16 @@ def _time_complaints(flight: str, times: np.ndarray) -> Iterator[str]:
 
 
 def refuse_wrong_units(frame: pd.DataFrame, mass_kg: float, source: str) -> None:
-    """Raise an error for a flight whose power or payload seems to have another unit.
+    """Raise an error if power or payload of a flight seem to be in another unit.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Rows of the flights.
+    mass_kg : float
+        Mass of the vehicle without payload.
+    source : str
+        Name of the log, for the message.
 
     Raises
     ------

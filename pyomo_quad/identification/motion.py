@@ -1,10 +1,10 @@
-"""Attitude, thrust and power of a logged flight by the declared equations.
+"""Attitude, thrust and power in logged flights, computed from the vehicle's model.
 
 Method: see docs/theory/identification.md, eq. (1).
 
-This file has no formula of the vehicle. Airspeed and acceleration come from the log. Attitude and
-rotor speed are solved for, so that the compiled equations give that acceleration; the same
-equations give the power.
+This file has no formula of the vehicle. Airspeed and acceleration come from the log. For each row
+the attitude and rotor speed are solved for with which the model's compiled equations give that
+acceleration; the same equations then give the power.
 """
 
 from collections.abc import Mapping
@@ -41,12 +41,20 @@ _MOST_ITERATIONS = 30
 # Tolerance of the acceleration, m/s^2.
 _ACCURACY = 1e-8
 _STEEPEST = 1.2  # rad, bound on roll and pitch during the iterations
-# Change of a parameter, and rows, for a test of whether the motion depends on the parameter.
+# Test value of a parameter, and rows of the log, by which the program finds out whether the motion
+# depends on the parameter.
 _OTHER_VALUE, _FEW = 1.7, slice(0, 50)
 
 
 def vehicle_scenario(base: str, model: PowerModel = PowerModel.MOMENTUM) -> Scenario:
-    """Return a mission of a library or file vehicle in calm air.
+    """Make a scenario for the identification of a vehicle: a short mission in calm air.
+
+    Parameters
+    ----------
+    base : str
+        Vehicle of the library, or path of a vehicle file (.toml).
+    model : PowerModel, optional
+        Power model, whose parameters are identified.
 
     Raises
     ------
@@ -66,14 +74,14 @@ def vehicle_scenario(base: str, model: PowerModel = PowerModel.MOMENTUM) -> Scen
 
 
 class LoggedMotion:
-    """Motion of a vehicle at the instants of a log.
+    """Motion of a vehicle in each row of a log, from which the power is computed.
 
     Parameters
     ----------
     scenario : Scenario
-        A scenario of `vehicle_scenario`.
+        Scenario with the vehicle, from `vehicle_scenario`.
     frame : DataFrame
-        The frame of `read_logs`.
+        Rows of the flights, from `read_logs`.
     """
 
     def __init__(self, scenario: Scenario, frame: pd.DataFrame) -> None:
@@ -86,7 +94,7 @@ class LoggedMotion:
         self._rotors = [k for k, name in enumerate(names) if name.startswith(_ROTOR)]
         vehicle = scenario.vehicle
         air = frame[list(AIR_VELOCITY)].to_numpy() * vehicle.anemometer_factor
-        # The equations are those of still air, so that the velocity is that through the air.
+        # The model's air is calm, so that its velocity must be the velocity through the air.
         velocity = np.column_stack([air, frame[VELOCITY[2]]])
         self._states[:, [names.index(name) for name in VELOCITY_STATES]] = velocity
         self._wanted = _accelerations(frame)
@@ -95,7 +103,18 @@ class LoggedMotion:
         self._solved: dict[tuple[tuple[str, float], ...], Instants] = {}
 
     def power(self, numbers: Mapping[str, float] | None = None) -> FloatArray:
-        """Compute the power of each row [W] with some parameters changed."""
+        """Compute the power in each row of the log.
+
+        Parameters
+        ----------
+        numbers : mapping, optional
+            Changed values of the model's parameters, by full name.
+
+        Returns
+        -------
+        ndarray, shape (n_rows,)
+            Power [W].
+        """
         changed = dict(numbers or {})
         deciding = {name: value for name, value in changed.items() if name not in self._powerless}
         own = {name: value for name, value in changed.items() if name in self._powerless}
@@ -103,7 +122,10 @@ class LoggedMotion:
 
     @cached_property
     def _powerless(self) -> frozenset[str]:
-        """Parameters that affect the power only, not the motion."""
+        """Names of the parameters that affect the power only, not the motion.
+
+        If only such parameters change, attitude and rotor speed need not be solved for again.
+        """
         self._instants({})
         states = self._states_found[_FEW]
 
@@ -138,7 +160,23 @@ class LoggedMotion:
         return self._dynamics.solved(times, states, controls, {_MASS: mass, **told, **own})
 
     def _trimmed(self, numbers: Mapping[str, float]) -> FloatArray:
-        """Return the states that produce the logged accelerations, by Newton's method."""
+        """Return the states that produce the logged accelerations, by Newton's method.
+
+        Parameters
+        ----------
+        numbers : mapping
+            Changed values of the model's parameters, by full name.
+
+        Returns
+        -------
+        ndarray, shape (n_rows, n_states)
+            States with solved roll, pitch and rotor speed.
+
+        Raises
+        ------
+        ScenarioError
+            If a row has no solution, for example because of a jump in the logged velocity.
+        """
         states = self._states.copy()
         open_rows = np.ones(len(states), dtype=bool)
         for _ in range(_MOST_ITERATIONS):
@@ -185,7 +223,7 @@ class LoggedMotion:
 
 
 def _accelerations(frame: pd.DataFrame) -> FloatArray:
-    """Return each row's acceleration over ground, by differences within its flight."""
+    """Return the acceleration over ground in each row [m/s²], by finite differences."""
     found = np.zeros((len(frame), len(VELOCITY)))
     for rows in frame.groupby(FLIGHT, sort=False).indices.values():
         times = frame[TIME].to_numpy()[rows]

@@ -1,10 +1,11 @@
-"""Fit of a battery's equivalent circuit to voltages of flights, cross-validated by flight.
+"""Fit of a battery's equivalent circuit to the voltages of flights.
 
-Method: see docs/theory/identification.md, eqs. (7) to (9).
+Method: see docs/theory/identification.md, eqs. (7) to (9). The fit is cross-validated by flight.
 
-This file has no formula of the pack. The declared equations fly the pack alone under the measured
-power of all flights at once. The charge at the start of a flight follows from the voltage before
-the load, the resistance of its pack, new or old, cold or warm, from the first seconds under load.
+This file has no formula of the battery. The model's equations simulate the battery alone under the
+measured power of all flights at once. The charge at the start of a flight follows from the voltage
+before the load. The packs of the flights differ in age and temperature: the resistance of each
+flight's pack follows from the first seconds under load.
 """
 
 from dataclasses import dataclass
@@ -24,7 +25,7 @@ from pyomo_quad.identification.validation import folds
 from pyomo_quad.model.battery import CHARGE_STATE, build_pack
 from pyomo_quad.scenario import Scenario
 
-#: Fields of the battery that are fitted, and the parameter of the model that each one is.
+#: Fitted fields of the battery, each with the name of its parameter in the model.
 FITTED = {
     "E0": "battery.E0",
     "B": "battery.B",
@@ -33,31 +34,31 @@ FITTED = {
     "relaxation.time_constant": "battery.relaxation_time_constant",
     "thermal.activation_energy": "battery.activation_energy",
 }
-#: Follows from E0, because the voltage of the full cell is kept.
+#: Field that follows from the fitted E0, because the voltage of the full cell, E0 + A, is kept.
 DEPENDENT, _DEPENDENT_PARAMETER = "A", "battery.A"
-#: Column of `PackIdentification.flights`: what a flight leaves in its pack.
+#: Column of `PackIdentification.flights`: state of charge at the end of the flight.
 LEAST_CHARGE = "end_charge_percent"
 _LOAD, _FACTOR = "power.load", "battery.resistance_factor"
 _KEYS = tuple((f"battery.{name}", None) for name in ("voltage", "open_circuit_voltage"))
-# Power over the greatest of the flight, above which the pack is under load.
+# Fraction of the flight's greatest power above which the pack counts as under load.
 _LOADED = 0.25
 # Time under load from which the resistance of a flight's pack is read, and rows before that, s.
 _READ_S, _BEGIN_S = 10.0, 3.0
 # Residual, V per cell, above which a row counts linearly instead of quadratically.
 _LARGE_RESIDUAL_V = 0.05
-# Factors on the resistance that a flight's pack may have, and iterations that read it.
+# Least and greatest factor on the resistance of a flight's pack, and iterations that determine it.
 _LEAST_FACTOR, _MOST_FACTOR, _READINGS = 0.2, 5.0, 4
-# Fewest flights, and fewest rows of a flight after its resistance is read.
+# Least number of flights, and of a flight's rows after those that determine the resistance.
 _FEWEST_FLIGHTS, _FEWEST_ROWS = 5, 20
-# Samples of the open-circuit voltage over the charge, from which a charge is read.
+# Number of points of the curve of open-circuit voltage over charge, from which a charge is found.
 _CURVE = 400
-# First guess of what a pack without a circuit lacks: share of its resistance that is slow, time
-# constant, s, and activation energy, J/mol.
+# Initial guesses for a pack whose file gives no circuit: share of its resistance that acts slowly,
+# time constant [s], and activation energy [J/mol].
 _SLOW_SHARE, _TIME_CONSTANT_S, _ACTIVATION = 0.4, 15.0, 2e4
 # Specific heat, J/kg/K, and energy, W h/kg, of lithium-polymer packs, for their heat capacity.
 _SPECIFIC_HEAT, _SPECIFIC_ENERGY, _NOMINAL_V = 1000.0, 190.0, 3.8
 _PER_CELL_MV = 1e3
-# Resistance, ohm, and activation energy, J/mol, that are as good as none: they enter by logarithms.
+# Resistance [ohm] and activation energy [J/mol] in place of 0, because logarithms are fitted.
 _NEARLY_NONE = 1e-6
 # Relative change of the sum of squares, and of the fields, at which a fit ends.
 _FIT_TOLERANCE = 1e-3
@@ -67,7 +68,11 @@ _FASTEST_STEPS, _SLOWEST_S = 1.0, 1000.0
 
 @dataclass(frozen=True, kw_only=True)
 class PackParameter:
-    """Fitted field of a battery; `deviation` is a jackknife estimate over the folds."""
+    """Fitted field of a battery, with its standard deviation.
+
+    Value and deviation are in the field's unit. The deviation is a jackknife estimate over the
+    groups of the cross-validation.
+    """
 
     name: str
     value: float
@@ -76,23 +81,27 @@ class PackParameter:
 
 @dataclass(frozen=True, kw_only=True)
 class PackIdentification:
-    """Battery identified from flights, with the errors of its voltages.
+    """Battery identified from flights, with the errors of its computed voltages.
+
+    "Unseen" flights are not part of the fit by which their voltage is computed.
 
     Attributes
     ----------
     scenario : Scenario
-        The base with the pack as fitted.
+        Scenario with the fitted battery.
     parameters : tuple of PackParameter
+        Fitted fields.
     flights : DataFrame
-        One row for each flight: charge at the start, factor on the resistance, and errors, mV per
-        cell, by a fit without the flight, with the factor read and with that of a middling pack.
+        One row for each flight: state of charge at start and end [percent], factor on the
+        resistance, and root mean square errors of the unseen flight's voltage [mV per cell], once
+        with this factor and once with that of a median pack.
     rows : DataFrame
-        Time, measured and computed voltage of a cell in each row, by fits without its flight.
+        Time [s], measured and computed cell voltage [V] of the unseen flights.
     read_s : float
-        Time in `rows` until which the resistance of a flight's pack is read.
+        Time in `rows` until which the resistance of a flight's pack is determined [s].
     error_mV, error_unread_mV, base_error_mV : float
-        Root mean square error in flight, per cell: of unseen flights with the resistance read
-        under the first load, of unseen flights with that of a middling pack, and of the base pack.
+        Root mean square error in flight [mV per cell]: of unseen flights with their own resistance,
+        of unseen flights with the resistance of a median pack, and of the battery before the fit.
     """
 
     scenario: Scenario
@@ -106,9 +115,9 @@ class PackIdentification:
 
 
 class _Flown(NamedTuple):
-    """Power and voltage per cell of one flight, from just before its load.
+    """Power and cell voltage of one flight, from just before its load.
 
-    `rest` has voltage and power before the load; the first `aloft` rows are in flight.
+    `rest` has the mean voltage and power before the load; the first `aloft` rows are in flight.
     """
 
     name: object
@@ -119,7 +128,15 @@ class _Flown(NamedTuple):
 
 
 class Record:
-    """Voltages and powers of flights on a common time grid."""
+    """Powers and cell voltages of flights on a common time grid.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Rows of all flights with time, voltage and current, from `read_voltages`.
+    cells : int
+        Number of cells in series.
+    """
 
     def __init__(self, frame: pd.DataFrame, cells: int) -> None:
         steps = frame.groupby(FLIGHT, sort=False)[TIME].diff()
@@ -138,7 +155,7 @@ class Record:
             self.is_logged[rows, k], self.is_aloft[: one.aloft, k] = True, True
 
     def _flight(self, rows: pd.DataFrame) -> _Flown | None:
-        """Resample a flight to the record's grid; None without load or if too short."""
+        """Resample a flight to the common time grid; None if it has no load or is too short."""
         time = rows[TIME].to_numpy()
         even = np.arange(time[0], time[-1] + 0.5 * self.step, self.step)
         voltage = np.interp(even, time, rows[VOLTAGE].to_numpy()) / self.cells
@@ -161,12 +178,12 @@ class Record:
 
     @property
     def drawn(self) -> FloatArray:
-        """Charge drawn by each flight [A h]."""
+        """Charge drawn by each flight [A h], shape (n_flights,)."""
         current = self.power / np.where(self.is_logged, self.cells * self.voltage, np.inf)
         return np.asarray(current.sum(axis=0) * self.step / 3600.0)
 
     def part(self, chosen: NDArray[np.int64]) -> "Record":
-        """Return the record of some of the flights."""
+        """Return the record of some of the flights, given by their numbers."""
         part = object.__new__(Record)
         part.step, part.reading, part.cells = self.step, self.reading, self.cells
         part.names = [self.names[k] for k in chosen]
@@ -176,12 +193,27 @@ class Record:
         return part
 
     def after_reading(self, rows: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return the rows that come after the time in which the resistance is read."""
+        """Select the rows after the first load, from which the resistance was determined.
+
+        Parameters
+        ----------
+        rows : ndarray of bool, shape (n_times, n_flights)
+            Rows to select from.
+        """
         return rows & (np.arange(len(self.power)) >= self.reading)[:, None]
 
 
 class Circuit:
-    """Declared battery under the loads of a record, with individual parameters per flight."""
+    """Simulation of the battery's equivalent circuit under the measured powers of flights.
+
+    Each flight has its own charge at the start and its own factor on the resistance. The fitted
+    fields are passed as logarithms, so that they remain positive.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Scenario with a battery that has relaxation, temperature and health; see `with_circuit`.
+    """
 
     def __init__(self, scenario: Scenario) -> None:
         self._dynamics = compile_model(build_pack(scenario)).dynamics()
@@ -199,7 +231,20 @@ class Circuit:
         self.start = np.log(_as_given(scenario))
 
     def numbers(self, values: FloatArray, factor: FloatArray) -> dict[str, FloatArray]:
-        """Return the circuit's parameters for each flight, from the fitted logarithms."""
+        """Return the circuit's parameters for each flight.
+
+        Parameters
+        ----------
+        values : ndarray, shape (n,)
+            Logarithms of the fitted fields.
+        factor : ndarray, shape (n_flights,)
+            Factor on the resistance of each flight's pack.
+
+        Returns
+        -------
+        dict
+            Values for the flights, by the model's name of the parameter.
+        """
         told = dict(zip(FITTED.values(), np.exp(values).tolist(), strict=True))
         told[_DEPENDENT_PARAMETER] = self._full - told[FITTED["E0"]]
         return {name: np.full(len(factor), number) for name, number in told.items()} | {
@@ -209,7 +254,24 @@ class Circuit:
     def voltages(
         self, record: Record, values: FloatArray, factor: FloatArray, count: int
     ) -> tuple[FloatArray, FloatArray]:
-        """Return computed and open-circuit voltage per cell of the first ``count`` rows."""
+        """Simulate the first rows of all flights.
+
+        Parameters
+        ----------
+        record : Record
+            Measured powers.
+        values : ndarray, shape (n,)
+            Logarithms of the fitted fields.
+        factor : ndarray, shape (n_flights,)
+            Factor on the resistance of each flight's pack.
+        count : int
+            Number of rows.
+
+        Returns
+        -------
+        voltage, open_circuit : ndarray, shape (count, n_flights)
+            Cell voltage under load, and open-circuit voltage [V].
+        """
         told = self.numbers(values, factor)
         start = np.tile(self._begun, (len(factor), 1))
         start[:, self._names.index(CHARGE_STATE)] = self.charge(record, values, factor)
@@ -231,11 +293,22 @@ class Circuit:
         return voltage, open_circuit
 
     def whole(self, record: Record, values: FloatArray, factor: FloatArray) -> FloatArray:
-        """Return the computed voltage per cell at every row of the record [V]."""
+        """Return the computed cell voltage at every row of the record [V].
+
+        The arguments are those of `voltages`; the shape is (n_times, n_flights).
+        """
         return self.voltages(record, values, factor, len(record.power))[0]
 
     def charge(self, record: Record, values: FloatArray, factor: FloatArray) -> FloatArray:
-        """Return the charge drawn before each flight, from the voltage at rest."""
+        """Return the charge drawn before the start of each flight [A h].
+
+        It is found from the voltage at rest, or from the first voltage less the drop under load.
+
+        Returns
+        -------
+        ndarray, shape (n_flights,)
+            Charges of the whole pack.
+        """
         voltage, power = record.rest.T
         told = {name: number[:1] for name, number in self.numbers(values, factor).items()}
         states = np.tile(self._begun, (_CURVE, 1))
@@ -245,13 +318,20 @@ class Circuit:
         instants = self._dynamics.solved(np.zeros(_CURVE), states, np.zeros((_CURVE, 0)), every)
         curve = instants.table(_KEYS[1:])[:, 0] / self._cells
         slow, fast = (told[FITTED[n]] for n in ("relaxation.resistance", "cell_resistance"))
-        # A flight that begins under load has had it for long.
+        # A flight that begins under load is taken to have been under this load for long, so that
+        # the slow part of the resistance counts in full.
         current = power / (self._cells * voltage)
         at_rest = voltage + factor * (fast + slow) * current
         return np.interp(-at_rest, -curve, self._charges)
 
     def factors(self, record: Record, values: FloatArray) -> FloatArray:
-        """Return the resistance factor of each flight's battery, from its first load."""
+        """Determine the factor on the resistance of each flight's pack, from its first load.
+
+        Returns
+        -------
+        ndarray, shape (n_flights,)
+            Factors on the resistance that the fitted fields give.
+        """
         factor = np.ones(len(record.names))
         for _ in range(_READINGS):
             computed, open_circuit = self.voltages(record, values, factor, record.reading)
@@ -263,13 +343,28 @@ class Circuit:
         return factor
 
     def residuals(self, record: Record, values: FloatArray) -> FloatArray:
-        """Return computed less measured voltage per cell after the first load."""
+        """Return computed minus measured cell voltage in all rows after the first load [V]."""
         factor = self.factors(record, values)
         computed = self.whole(record, values, factor)
         return (computed - record.voltage)[record.after_reading(record.is_logged)]
 
     def fit(self, record: Record, start: FloatArray) -> FloatArray:
-        """Fit the logarithms of the fields; the median battery has the factor 1."""
+        """Fit the circuit to the measured voltages of a record.
+
+        The resistances are those of the median pack, whose factor is 1.
+
+        Parameters
+        ----------
+        record : Record
+            Measured powers and voltages.
+        start : ndarray, shape (n,)
+            Initial logarithms of the fitted fields.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Fitted logarithms.
+        """
         low, high = np.full(len(start), -np.inf), np.full(len(start), np.inf)
         place = list(FITTED).index("relaxation.time_constant")
         low[place], high[place] = np.log([_FASTEST_STEPS * record.step, _SLOWEST_S])
@@ -291,19 +386,20 @@ class Circuit:
 
 
 def identify_pack(scenario: Scenario, frame: pd.DataFrame) -> PackIdentification | None:
-    """Fit a battery's circuit to the voltages of flights, and assess the fit.
+    """Fit a battery's equivalent circuit to the voltages of flights, and assess the fit.
 
     Parameters
     ----------
     scenario : Scenario
-        With the base pack; its full voltage, K and capacity are kept.
+        Scenario with the battery before the fit. The voltage of the full cell, K and the capacity
+        are kept.
     frame : DataFrame
-        All rows of the flights, on the ground too, as `read_voltages` reads them.
+        All rows of the flights, including rows on the ground, from `read_voltages`.
 
     Returns
     -------
     PackIdentification or None
-        None if too few flights are long enough.
+        None if there are too few flights of sufficient length.
     """
     if frame.empty:
         return None
@@ -321,7 +417,8 @@ def identify_pack(scenario: Scenario, frame: pd.DataFrame) -> PackIdentification
         tried = np.sort(fold.astype(np.int64))
         own = circuit.fit(record.part(np.setdiff1d(np.arange(count), tried)), values)
         left_out.append(np.exp(own))
-        # Each fit has a middling pack of its own, to which its factors refer.
+        # The factors of each fit refer to the median pack of its own flights; this ratio converts
+        # them to the median pack of all flights.
         middling[tried] = _resistance(own) / _resistance(values)
         unseen = record.part(tried)
         factor[tried] = circuit.factors(unseen, own)
@@ -358,14 +455,28 @@ def identify_pack(scenario: Scenario, frame: pd.DataFrame) -> PackIdentification
 
 
 def _resistance(values: FloatArray) -> float:
-    """Return the total resistance per cell from the logarithms of the fields [ohm]."""
+    """Return the total resistance of a cell [ohm] from the logarithms of the fitted fields."""
     names = list(FITTED)
     parts = ("cell_resistance", "relaxation.resistance")
     return float(sum(np.exp(values[names.index(name)]) for name in parts))
 
 
 def with_circuit(scenario: Scenario) -> Scenario:
-    """Return the scenario with guesses for missing relaxation, temperature and health."""
+    """Complete the scenario's battery to an equivalent circuit, with guesses for missing fields.
+
+    The circuit has a slow part of the resistance (relaxation), a temperature, and a state of
+    health.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Scenario whose battery may have a single resistance only.
+
+    Returns
+    -------
+    Scenario
+        Copy whose battery has all fields of the circuit.
+    """
     pack = scenario.battery
     tables: dict[str, Any] = {}
     if pack.relaxation is None:
@@ -386,7 +497,10 @@ def with_circuit(scenario: Scenario) -> Scenario:
 
 
 def _as_given(scenario: Scenario) -> list[float]:
-    """Return the base scenario's values of the fitted fields, tiny numbers where it has none."""
+    """Return the fitted fields of the battery with their values before the fit.
+
+    A tiny number stands for zero, because the fields are fitted as logarithms.
+    """
     pack = scenario.battery
     slow = (_NEARLY_NONE, 1.0)
     if pack.relaxation is not None:
@@ -403,14 +517,24 @@ def _with_fitted(scenario: Scenario, fitted: dict[str, float]) -> Scenario:
 
 
 def _error_per_cell(record: Record, computed: FloatArray, axis: int | None = None) -> Any:  # noqa: ANN401
-    """Return the root mean square error in flight after the reading, mV per cell."""
+    """Return the root mean square error of voltages in flight, after the first load [mV per cell].
+
+    Parameters
+    ----------
+    record : Record
+        Measured voltages.
+    computed : ndarray, shape (n_times, n_flights)
+        Computed voltages [V per cell].
+    axis : int, optional
+        0 for one error per flight; by default one error over all flights.
+    """
     counted = record.after_reading(record.is_aloft)
     squares = np.where(counted, (computed - record.voltage) ** 2, 0.0)
     return _PER_CELL_MV * np.sqrt(squares.sum(axis) / counted.sum(axis))
 
 
 def _rows(record: Record, computed: FloatArray) -> pd.DataFrame:
-    """Return a table of measured and computed voltage per cell over time, flight by flight [V]."""
+    """Return a table of measured and computed cell voltage [V] over time, flight by flight."""
     flights = np.broadcast_to(np.array(record.names, dtype=object), record.power.shape)
     times = np.broadcast_to(record.step * np.arange(len(computed))[:, None], record.power.shape)
     kept = record.is_logged.T

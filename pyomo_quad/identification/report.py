@@ -1,4 +1,7 @@
-"""Files of `identify` and `predict`: tables, figures, vehicle file, summary and report."""
+"""Output files of the commands `identify` and `predict`.
+
+These are tables, figures, report text, summary, and files of the identified vehicle and battery.
+"""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
@@ -35,7 +38,7 @@ PACK_NAME = "pack.toml"
 PREDICTIONS_NAME = "predictions.csv"
 _PARAMETERS_NAME, _MODELS_NAME = "parameters.csv", "models.csv"
 _VOLTAGES_NAME = "voltages.csv"
-# Airspeeds, m/s, between hover and the speed at which the rotors leave their wake.
+# Range of airspeeds [m/s] between hover and the speed at which the rotors leave their own wake.
 _SLOW_M_S = (1.0, 4.0)
 # Number of flights listed with the largest errors.
 _WORST = 5
@@ -48,7 +51,21 @@ def write_identification(
     figures: Figures = Figures.SVG,
     pack: PackIdentification | None = None,
 ) -> None:
-    """Write vehicle and pack, their report, tables and figures into an empty folder."""
+    """Write the results of an identification: vehicle file, report, tables and figures.
+
+    Parameters
+    ----------
+    folder : Path
+        Existing empty folder that receives the files.
+    found : Identification
+        Vehicle fitted to flights.
+    base : str
+        Vehicle before the fit: a name of the library, or a vehicle file.
+    figures : Figures, optional
+        Which figures to draw, and in which file formats.
+    pack : PackIdentification, optional
+        Battery fitted to the same flights, if the logs have voltages.
+    """
     battery = ""
     if pack is not None:
         battery = PACK_NAME
@@ -95,7 +112,7 @@ def write_identification(
 def identification_summary(
     found: Identification, pack: PackIdentification | None = None
 ) -> dict[str, object]:
-    """Return the results of an identification as values for JSON."""
+    """Return the results of an identification as a dictionary for `summary.json`."""
     of_pack = {} if pack is None else {"pack": _pack_summary(pack)}
     return {
         "flights": int(found.frame[FLIGHT].nunique()),
@@ -126,7 +143,7 @@ def _pack_summary(pack: PackIdentification) -> dict[str, object]:
 
 
 def pack_file(pack: PackIdentification) -> str:
-    """Return a battery file: the pack as fitted, each number with its source."""
+    """Return the text of a battery file with the fitted battery, each number with its source."""
     battery = pack.scenario.battery
     deviations = {one.name: one.deviation for one in pack.parameters}
     fields = {}
@@ -146,7 +163,22 @@ def pack_file(pack: PackIdentification) -> str:
 
 
 def write_predictions(folder: Path, frame: pd.DataFrame, power: FloatArray) -> Scores:
-    """Write the energy of each flight and a summary into an empty folder; return the scores."""
+    """Write the computed energy of each flight and a summary into an empty folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Existing empty folder.
+    frame : DataFrame
+        Rows of the flights, with measured power.
+    power : ndarray, shape (n_rows,)
+        Computed power of each row [W].
+
+    Returns
+    -------
+    Scores
+        Errors of the computed energies and powers.
+    """
     write_table(energies(frame, power), folder / PREDICTIONS_NAME)
     found = scores(frame, power)
     write_summary(folder, asdict(found))
@@ -154,9 +186,16 @@ def write_predictions(folder: Path, frame: pd.DataFrame, power: FloatArray) -> S
 
 
 def vehicle_file(changed: Mapping[str, tuple[float, str]], base: str, battery: str = "") -> str:
-    """Return the base's vehicle file with some fields changed, each with its source.
+    """Return the text of a vehicle file: a base vehicle with some fields changed.
 
-    `battery` names a pack beside the file, in place of the base's.
+    Parameters
+    ----------
+    changed : mapping
+        New value and its source, by the field's name.
+    base : str
+        Vehicle of the library, or a vehicle file.
+    battery : str, optional
+        Battery file beside the vehicle file, in place of the base vehicle's battery.
     """
     file = Path(base)
     held: dict[str, Any] = read_toml(file) if file.suffix == ".toml" else {"use": base}
@@ -174,7 +213,7 @@ def vehicle_file(changed: Mapping[str, tuple[float, str]], base: str, battery: s
 
 
 def _toml_lines(table: Mapping[str, Any], path: str = "") -> Iterator[str]:
-    """Yield lines of TOML with dotted keys, each with one number and its source."""
+    """Yield lines of TOML with dotted keys, one for each number with its source."""
     for name, content in table.items():
         key = f"{path}{name}"
         if isinstance(content, Mapping) and "value" not in content:

@@ -1,12 +1,13 @@
-"""Published models of a flight's power, fitted and validated like the declared equations.
+"""Published models of a multirotor's power, as rivals of the package's own model.
 
 name | power
 constant power | one number
 constant efficiency | ideal power of hover over one number, P = c (m g)^1.5 / sqrt(rho)
 regression by phase | P = a + b (m g)^1.5 / sqrt(rho) in each phase of the flight
 
-The last model has the form of Rodrigues et al., "Drone flight data reveal energy and greenhouse gas
-emissions savings for very small package delivery", Patterns 3 (2022), with new coefficients.
+The rivals are fitted and validated on the same flights in the same way. The last model has the form
+of Rodrigues et al., "Drone flight data reveal energy and greenhouse gas emissions savings for very
+small package delivery", Patterns 3 (2022), with new coefficients.
 """
 
 from collections.abc import Sequence
@@ -31,7 +32,19 @@ _OURS = "momentum theory, declared"
 
 
 def model_table(found: Identification) -> pd.DataFrame:
-    """Return parameter counts and errors of the published models and the declared equations."""
+    """Tabulate the errors of the published power models and of the identified model.
+
+    Parameters
+    ----------
+    found : Identification
+        Vehicle fitted to flights.
+
+    Returns
+    -------
+    DataFrame
+        One row for each model: number of fitted parameters, errors by cross-validation, and errors
+        of extrapolations. The identified model is the last.
+    """
     frame, measured = found.frame, found.frame[POWER].to_numpy()
     rows = []
     for name, columns in _regressors(frame, found.scenario.vehicle.mass).items():
@@ -47,7 +60,7 @@ def model_table(found: Identification) -> pd.DataFrame:
 
 
 def _regressors(frame: pd.DataFrame, mass: float) -> dict[str, FloatArray]:
-    """Return the regressors of each published model, shape (rows, parameters)."""
+    """Return the regressors of each published model by name, each of shape (rows, parameters)."""
     hovering = ((mass + frame[PAYLOAD]) ** 1.5 / np.sqrt(frame[DENSITY])).to_numpy()[:, None]
     phases = (frame[[PHASE]].to_numpy() == FLYING).astype(float)
     return {
@@ -73,7 +86,17 @@ def _extrapolation(number: int) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Measure:
-    """Error of the declared equations compared with the best published model."""
+    """One kind of error of the identified model, compared with the best published model.
+
+    Attributes
+    ----------
+    name, unit : str
+        Kind of error, and its unit.
+    own : float
+        Error of the identified model.
+    rival, best : str, float
+        Published model with the least error, and this error.
+    """
 
     name: str
     unit: str
@@ -83,12 +106,20 @@ class Measure:
 
     @property
     def is_gain(self) -> bool:
-        """Whether the declared equations have the smallest error."""
+        """Whether the identified model has a smaller error than every published model."""
         return self.own < self.best
 
 
 def measures(models: pd.DataFrame, tried: Sequence[Trial]) -> tuple[Measure, ...]:
-    """Return error of the declared equations and of the best published model, by kind of error."""
+    """Compare the identified model with the best published model, for each kind of error.
+
+    Parameters
+    ----------
+    models : DataFrame
+        Table from `model_table`.
+    tried : sequence of Trial
+        Extrapolations in the table.
+    """
     *rivals, own = models.to_dict("records")
     columns = {
         "mean_absolute_error_percent": ("energy of a flight", "%"),

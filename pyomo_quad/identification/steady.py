@@ -1,9 +1,8 @@
-"""Fit of a vehicle to steady powers: a polar, hover alone, or a series of payloads.
+"""Fit of a vehicle's power model to points of steady flight.
 
-Method: see docs/theory/identification.md, "Steady points".
-
-A point is a flight without acceleration, so the declared equations give its power as for a row of a
-log.
+The points are measured powers at several airspeeds (a polar), in hover, or with several payloads.
+Method: see docs/theory/identification.md, "Steady points". A point is a flight without
+acceleration, so that the model gives its power as for a row of a log.
 """
 
 from collections.abc import Sequence
@@ -47,13 +46,13 @@ STEADY_COLUMNS = {
 }
 #: Fields fitted to steady points by default.
 STEADY_FITTED = ("profile_power_coefficient", "induced_power_factor", "drag_quadratic")
-#: Fraction of the pack used in a stated endurance: makers usually keep a reserve of 20 %.
+#: Fraction of the battery charge that a stated endurance uses: makers usually keep 20 % in reserve.
 USED_SHARE = 0.8
 _SAMPLES = 60
 _MOST_POINTS = 10_000
-# Relative error of a single reading of power, if no residual gives a better estimate.
+# Assumed relative error of a single measured power, if too few points give a better estimate.
 _READING_ERROR = 0.05
-# Points per fitted number below which the residual is inconclusive.
+# Number of points per fitted parameter below which the residual does not tell the error.
 _FEW_PER_NUMBER = 3
 # Seconds between the two equal rows that represent a point.
 _STEP_S = 1.0
@@ -61,11 +60,24 @@ _STEP_S = 1.0
 
 @dataclass(frozen=True, kw_only=True)
 class SteadyFit:
-    """Vehicle fitted to steady points.
+    """Vehicle fitted to points of steady flight.
 
-    `points` has the columns of `STEADY_COLUMNS`, `power` is the computed power of each point, and
-    `unseen` the power by a fit without the point, NaN if there are too few points. `together` names
-    the fields that the points cannot distinguish, `cautions` further limitations of the result.
+    Attributes
+    ----------
+    scenario : Scenario
+        Scenario with the fitted vehicle.
+    points : DataFrame
+        Measured points, with the columns of `STEADY_COLUMNS` except endurance.
+    parameters : tuple of FittedParameter
+        Result for each field that was to be fitted.
+    power : ndarray, shape (n_points,)
+        Computed power of each point [W].
+    unseen : ndarray, shape (n_points,)
+        Power of each point by a fit without the point [W]; NaN if there are too few points.
+    together : tuple of (str, str)
+        Each field that the points do not determine, with the field that has the same effect.
+    cautions : tuple of str
+        Limitations of the result.
     """
 
     scenario: Scenario
@@ -78,12 +90,15 @@ class SteadyFit:
 
     @property
     def error_percent(self) -> float:
-        """Mean absolute error over the points, in per cent."""
+        """Mean absolute relative error of the computed powers [percent]."""
         return _mean_error(self.power, self.points)
 
     @property
     def unseen_error_percent(self) -> float:
-        """Mean absolute error of points left out of the fit, NaN with too few points."""
+        """Mean absolute relative error of points left out of the fit [percent].
+
+        NaN if there are too few points.
+        """
         return _mean_error(self.unseen, self.points)
 
 
@@ -92,7 +107,19 @@ def _mean_error(power: FloatArray, points: pd.DataFrame) -> float:
 
 
 def read_steady(file: Path, scenario: Scenario) -> pd.DataFrame:
-    """Read steady points, with every column of `STEADY_COLUMNS` completed.
+    """Read points of steady flight from a CSV file, and complete missing columns.
+
+    Parameters
+    ----------
+    file : Path
+        CSV file with columns of `STEADY_COLUMNS`.
+    scenario : Scenario
+        Scenario with the vehicle, whose payload and air density fill missing columns.
+
+    Returns
+    -------
+    DataFrame
+        Power, airspeed, payload, climb and air density of each point.
 
     Raises
     ------
@@ -121,7 +148,23 @@ def read_steady(file: Path, scenario: Scenario) -> pd.DataFrame:
 
 
 def filled_in(frame: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
-    """Complete steady points: all columns, with powers computed from endurances."""
+    """Complete a table of measured points of steady flight with default values.
+
+    If the points have endurances in place of powers, the power is the usable energy of the
+    vehicle's battery divided by the endurance.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Points with some of the columns of `STEADY_COLUMNS`.
+    scenario : Scenario
+        Scenario with vehicle, battery and air density.
+
+    Returns
+    -------
+    DataFrame
+        Power, airspeed, payload, climb and air density of each point.
+    """
     frame = frame.copy()
     if POWER not in frame:
         steady = Planner().steady_flight(scenario)
@@ -137,7 +180,7 @@ def filled_in(frame: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
 
 
 def _read_csv(file: Path) -> pd.DataFrame:
-    """Return the known columns of a table of points, with at least one row of numbers."""
+    """Read the known columns of a CSV table of steady flight points, at least one row."""
     source, wanted = printable(str(file)), wanted_columns(STEADY_COLUMNS)
     try:
         held = pd.read_csv(file, nrows=_MOST_POINTS)
@@ -157,7 +200,10 @@ def _read_csv(file: Path) -> pd.DataFrame:
 
 
 def as_flights(points: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
-    """Return steady points in the format of logged flights, two equal rows each."""
+    """Convert points of steady flight to the format of logged flights.
+
+    Each point becomes a flight of two equal rows, so that the fit to logged flights can be used.
+    """
     twice = points.loc[points.index.repeat(2)].reset_index(drop=True)
     read = twice[AIRSPEED] / scenario.vehicle.anemometer_factor
     return pd.DataFrame(
@@ -178,7 +224,22 @@ def as_flights(points: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
 
 
 def level_powers(scenario: Scenario, airspeeds: Sequence[float], planner: Planner) -> FloatArray:
-    """Return the power of level flight at rising airspeeds [W], NaN above the largest."""
+    """Compute the power of steady level flight at ascending airspeeds.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Scenario with the vehicle.
+    airspeeds : sequence of float
+        Airspeeds [m/s].
+    planner : Planner
+        Keeps the compiled model between calls.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Powers [W]; NaN above the greatest airspeed that the vehicle can fly.
+    """
     steady = planner.steady_flight(scenario)
     powers = np.full(len(airspeeds), np.nan)
     trim = None
@@ -194,16 +255,21 @@ def level_powers(scenario: Scenario, airspeeds: Sequence[float], planner: Planne
 def identify_steady(
     scenario: Scenario, points: pd.DataFrame, names: Sequence[str] = STEADY_FITTED
 ) -> SteadyFit:
-    """Fit a vehicle to steady points and list undetermined parameters.
+    """Fit a vehicle's power parameters to points of steady flight.
 
     Parameters
     ----------
     scenario : Scenario
-        A scenario of `vehicle_scenario`.
+        Scenario with the vehicle before the fit, from `vehicle_scenario`.
     points : DataFrame
-        The frame of `read_steady`.
-    names : sequence of str
-        Names from `fitting.FITTABLE`.
+        Measured points, from `read_steady`.
+    names : sequence of str, optional
+        Fields of the vehicle to fit, from `fitting.FITTABLE`.
+
+    Returns
+    -------
+    SteadyFit
+        Fitted vehicle, and the fields that the points do not determine.
     """
     frame = as_flights(points, scenario)
     motion = LoggedMotion(scenario, frame)
@@ -233,7 +299,11 @@ def identify_steady(
 def _deviations(
     fit: Fit, values: FloatArray, power: FloatArray, points: pd.DataFrame
 ) -> FloatArray:
-    """Return standard deviations of linear least squares, by the residual or a reading error."""
+    """Return the standard deviations of the fitted parameters.
+
+    They follow from linear least squares. The error of a measured power is estimated from the
+    residuals or, with few points, is at least an assumed relative error.
+    """
     slopes = fit.slopes(values)
     measured = points[POWER].to_numpy()
     freedom = len(points) - len(values)

@@ -1,4 +1,4 @@
-"""Files of `identify --steady`: table, figure, vehicle file, summary and report."""
+"""Output files of the command `identify --steady`: table, figure, vehicle file, summary, text."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -18,13 +18,25 @@ from pyomo_quad.scenario import Scenario
 from pyomo_quad.version import __version__
 
 POINTS_NAME = "points.csv"
-#: Further columns of the table of points.
+#: Columns of the table of steady points besides the measurements.
 COMPUTED, UNSEEN, ERROR = "computed_W", "computed_unseen_W", "error_percent"
 _CURVE_POINTS = 25
 
 
 def write_steady(folder: Path, found: SteadyFit, base: str, figures: Figures) -> None:
-    """Write the results of a fit to steady points into an empty folder."""
+    """Write the results of a fit to points of steady flight: vehicle file, report and tables.
+
+    Parameters
+    ----------
+    folder : Path
+        Existing empty folder that receives the files.
+    found : SteadyFit
+        Vehicle fitted to the points.
+    base : str
+        Vehicle before the fit: a name of the library, or a vehicle file.
+    figures : Figures
+        Which figures to draw, and in which file formats.
+    """
     table = point_table(found.points, found.power)
     source = f"identified from {len(found.points)} steady points, plus or minus"
     changed = {
@@ -64,12 +76,30 @@ def write_steady(folder: Path, found: SteadyFit, base: str, figures: Figures) ->
 
 
 def point_table(points: pd.DataFrame, power: np.ndarray) -> pd.DataFrame:
-    """Return the points with computed powers and errors."""
+    """Return the table of steady flight points with computed powers [W] and errors [percent].
+
+    Parameters
+    ----------
+    points : DataFrame
+        Measured points of steady flight.
+    power : ndarray, shape (n_points,)
+        Computed power of each point [W].
+    """
     return points.assign(**{COMPUTED: power, ERROR: 100.0 * (power / points[POWER] - 1.0)})
 
 
 def draw_points(scenario: Scenario, points: pd.DataFrame) -> Figure:
-    """Draw measured power over airspeed or, if all points hover, over payload."""
+    """Draw measured and computed power of steady flight over airspeed.
+
+    If all points are in hover, the power is drawn over payload.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Scenario with the fitted vehicle.
+    points : DataFrame
+        Measured points.
+    """
     figure, axes = full_width(3.2, top=0.96, bottom=0.15)
     hovers = bool((points[AIRSPEED] == 0.0).all())
     over = PAYLOAD if hovers else AIRSPEED

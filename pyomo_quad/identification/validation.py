@@ -1,7 +1,7 @@
-"""Errors of computed energies on flights that were not fitted.
+"""Errors of computed energies on flights that were not part of the fit.
 
-Method: see docs/theory/identification.md, eq. (5).  The same cross-validation and extrapolations
-judge the declared equations and their rivals.
+Method: see docs/theory/identification.md, eq. (5).  The same cross-validation and the same
+extrapolations are applied to the package's model and to published models.
 """
 
 from collections.abc import Callable
@@ -16,12 +16,12 @@ from pyomo_quad.identification.columns import CRUISE, FLIGHT, PAYLOAD, PHASE, PO
 
 Rows = NDArray[np.bool_]
 Fitted = Callable[[Rows], FloatArray]
-"""Rows to fit to -> the power of every row, W, by that fit."""
+"""Function that fits a model to the given rows and returns its power in every row [W]."""
 
 #: Columns of `energies` beside the flight.
 MEASURED_ENERGY, PREDICTED_ENERGY = "measured_energy_J", "predicted_energy_J"
 ERROR = "error_percent"
-#: Seed of every random choice, so that two runs agree.
+#: Seed of all random choices of an identification, so that equal runs give equal results.
 SEED = 1
 _FOLDS = 10
 # Speeds, m/s, and payloads, kg, that differ by less belong to the same group.
@@ -34,10 +34,20 @@ _CRUISING = 0.9
 
 @dataclass(frozen=True, kw_only=True)
 class Scores:
-    """Errors of computed energies and powers of flights.
+    """Errors of the computed energies and powers of flights.
 
-    Energies are sums over the rows of the phases 1 to 3; the bias is that of the sum over all
-    flights.
+    Energies are sums over take-off, cruise and landing.
+
+    Attributes
+    ----------
+    flights : int
+        Number of flights.
+    mean_absolute_error_percent : float
+        Mean over the flights of the absolute relative error of energy.
+    bias_percent : float
+        Relative error of the sum of all energies.
+    power_rmse_W : float
+        Root mean square error of the power in a row.
     """
 
     flights: int
@@ -48,7 +58,17 @@ class Scores:
 
 @dataclass(frozen=True, kw_only=True)
 class Trial:
-    """Errors of a fit to some flights on other flights."""
+    """Extrapolation test: errors of a fit to some flights on different flights.
+
+    Attributes
+    ----------
+    name : str
+        Kind of extrapolation, such as "heavy to light".
+    fitted_on, tried_on : str
+        Payload or speed of the fitted flights, and of the flights that are computed.
+    scores : Scores
+        Errors on the latter.
+    """
 
     name: str
     fitted_on: str
@@ -57,7 +77,20 @@ class Trial:
 
 
 def energies(frame: pd.DataFrame, power: FloatArray) -> pd.DataFrame:
-    """Return measured and computed energy [J] of each flight, with the error in per cent."""
+    """Compute the measured and the computed energy of each flight.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Rows of the flights, with measured power.
+    power : ndarray, shape (n_rows,)
+        Computed power of each row [W].
+
+    Returns
+    -------
+    DataFrame
+        One row for each flight: both energies [J], and the relative error [percent].
+    """
     steps = frame.groupby(FLIGHT, sort=False)[TIME].transform(lambda t: np.median(np.diff(t)))
     columns = {MEASURED_ENERGY: frame[POWER] * steps, PREDICTED_ENERGY: power * steps}
     table = pd.DataFrame({FLIGHT: frame[FLIGHT], **columns})
@@ -67,7 +100,15 @@ def energies(frame: pd.DataFrame, power: FloatArray) -> pd.DataFrame:
 
 
 def scores(frame: pd.DataFrame, power: FloatArray) -> Scores:
-    """Compare computed with measured powers, flight by flight."""
+    """Compare computed with measured powers of flights.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Rows of the flights, with measured power.
+    power : ndarray, shape (n_rows,)
+        Computed power of each row [W].
+    """
     table = energies(frame, power)
     total = table[[MEASURED_ENERGY, PREDICTED_ENERGY]].sum()
     return Scores(
@@ -79,14 +120,40 @@ def scores(frame: pd.DataFrame, power: FloatArray) -> Scores:
 
 
 def folds(frame: pd.DataFrame, count: int = _FOLDS) -> list[NDArray[np.object_]]:
-    """Divide the flights at random into at most ``count`` groups."""
+    """Divide the flights at random into groups for cross-validation.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Rows of the flights.
+    count : int, optional
+        Largest number of groups.
+
+    Returns
+    -------
+    list of ndarray
+        Names of the flights in each group.
+    """
     flights = frame[FLIGHT].unique()
     order = np.random.default_rng(SEED).permutation(len(flights))
     return [flights[part] for part in np.array_split(order, min(count, len(flights)))]
 
 
 def cross_validated(frame: pd.DataFrame, fitted: Fitted) -> FloatArray:
-    """Return the power of each row [W] by a fit to the flights of the other groups."""
+    """Compute the power of each row by a fit without the row's flight.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Rows of the flights.
+    fitted : callable
+        Function that fits a model to given rows, and returns its power in every row [W].
+
+    Returns
+    -------
+    ndarray, shape (n_rows,)
+        Power by a fit to the flights of all other groups of `folds` [W].
+    """
     of_row = frame[FLIGHT].to_numpy()
     power = np.zeros(len(frame))
     for fold in folds(frame):
@@ -96,9 +163,18 @@ def cross_validated(frame: pd.DataFrame, fitted: Fitted) -> FloatArray:
 
 
 def trials(frame: pd.DataFrame, fitted: Fitted) -> tuple[Trial, ...]:
-    """Return the errors of fits to heavy or slow flights on light or fast flights.
+    """Test how a model extrapolates to other payloads and speeds.
 
-    Over payload and over speed, if the flights differ in them.
+    The model is fitted to the flights with the heaviest payload and applied to those with the
+    lightest, and fitted to slow flights and applied to the fastest, if the flights differ in
+    payload and speed.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Rows of the flights.
+    fitted : callable
+        Function that fits a model to given rows, and returns its power in every row [W].
     """
 
     def trial(name: str, fitted_on: str, seen: Rows, tried_on: str, tried: Rows) -> Trial:
@@ -122,7 +198,18 @@ def trials(frame: pd.DataFrame, fitted: Fitted) -> tuple[Trial, ...]:
 
 
 def cruise_speeds(frame: pd.DataFrame) -> FloatArray:
-    """Return the usual ground speed in cruise of each row's flight, to the next even m/s."""
+    """Return the usual ground speed in cruise of each row's flight, in steps of 2 m/s.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Rows of all flights.
+
+    Returns
+    -------
+    ndarray, shape (n_rows,)
+        Speeds [m/s].
+    """
     north, east = (frame[name].to_numpy() for name in VELOCITY[:2])
     over_ground = pd.Series(np.hypot(north, east), index=frame.index)
     cruising = over_ground.where(frame[PHASE] == CRUISE)

@@ -1,4 +1,4 @@
-"""The declared equations of the mission, each written once in Pyomo."""
+"""The continuous-time Pyomo model of a mission, in which every equation is declared once."""
 
 from pyomo_quad.model.build import (
     ask_for_least_time,

@@ -2,8 +2,9 @@
 
 There are two couplings of the wind to the vehicle:
 
-`acceleration` is eq. (9) as printed, which adds the wind velocity to an acceleration. The implied
-coefficient of 1 1/s is declared with its unit. The vehicle's own velocity does not enter.
+`acceleration` is eq. (9) of the paper as printed, which adds the wind velocity to an acceleration.
+The implied coefficient of 1 1/s is declared with its unit. The vehicle's own velocity does not
+enter.
 
 `drag` is the force opposite to the airspeed, the velocity relative to the wind: linear (rotor drag)
 plus quadratic (parasitic drag), isotropic, and valid at the few m/s of these missions. It is the
@@ -46,6 +47,7 @@ AIRSPEED_SMOOTHING = 1e-3 * units.m / units.s
 
 _AXES = ("x", "y", "z")
 
+# Coefficient of eq. (9) as printed: acceleration over wind velocity [1/s].
 PARAMETERS = fields_of("wind", "acceleration_coefficient")
 _ROTOR_NUMBERS = fields_of("vehicle", "rotor_drag_plane", "rotor_drag_axis", "translational_lift")
 _PARASITIC = Parameter(
@@ -58,7 +60,11 @@ _PARASITIC = Parameter(
 
 @parameters_in("aerodynamics")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters that the scenario's model declares in block `aerodynamics`."""
+    """Return the parameters that the model of a scenario declares in its block `aerodynamics`.
+
+    These are the coefficients of the chosen coupling of wind and vehicle, of the rotor forces and
+    of the parasitic drag, each only if the scenario has it.
+    """
     is_printed = scenario.wind.coupling is WindCoupling.ACCELERATION
     return (
         *(PARAMETERS if is_printed else ()),
@@ -68,17 +74,27 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 
 
 def acts_in_body_axes(scenario: Scenario) -> bool:
-    """Return whether aerodynamic forces act on the rotors or along body axes."""
+    """Return whether the vehicle has forces that depend on the airspeed in body axes.
+
+    These are the rotor forces (drag and translational lift at each rotor) and the parasitic drag.
+    """
     return scenario.vehicle.has_rotor_forces or any(scenario.vehicle.parasitic_drag)
 
 
 def declare_aerodynamics(m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare the aerodynamic force in block `aerodynamics`.
+    """Declare the aerodynamic force and moments on the vehicle in block `aerodynamics`.
+
+    The block gets the expressions `force_x`, `force_y` and `force_z` over time (world axes, N) and,
+    for a vehicle with rotor forces, `roll_moment`, `pitch_moment` and `yaw_moment` (body axes, N
+    m).
 
     Parameters
     ----------
     m : ConcreteModel
-        With `time`, `vehicle`, `wind`; the velocities of `rigid_body` for the drag coupling.
+        With `time`, `vehicle`, `wind` and the velocities of `rigid_body`; the rotor speeds of
+        `rotors` for a vehicle with rotor forces.
+    scenario : Scenario
+        Selects the coupling of the wind and the forces to declare.
     """
     b = m.aerodynamics = Block(doc="aerodynamic force")
     declare_parameters(b, scenario)
@@ -103,15 +119,17 @@ _ACCELERATION = units.m / units.s**2
 
 
 def declare_unexplained(m: ConcreteModel) -> None:
-    """Declare a constant horizontal acceleration that no other equation explains.
+    """Declare a constant horizontal acceleration that no other equation of the model explains.
 
-    It is the mutable parameter `aerodynamics.unexplained`, by axis: the acceleration that a
-    vehicle observes in a wind that differs from the forecast.
+    It is the mutable parameter `aerodynamics.unexplained`, by world axis [m/s^2]. A planner in
+    flight sets it to the difference between the observed and the modelled acceleration, which is
+    not zero in a wind that differs from the forecast.
 
     Parameters
     ----------
     m : ConcreteModel
-        With the forces of `aerodynamics`, to which no other component refers yet.
+        With the forces of block `aerodynamics`, to which no other component refers yet: each
+        horizontal force is replaced by its sum with mass times the unexplained acceleration.
     """
     b = m.aerodynamics
     b.unexplained = Param(
@@ -143,7 +161,11 @@ _Rules = dict[str, tuple[Callable[[Block, float], NumericExpression], str]]
 
 
 def _wind_acceleration(updraft: Expression | None) -> _Rules:
-    """Return rule and documentation of each wind force of eq. (9) as printed."""
+    """Return the wind forces of eq. (9) as printed, by name: a Pyomo rule and its documentation.
+
+    The printed equation adds the wind velocity times 1 1/s to the acceleration. `updraft` is the
+    vertical wind over time, or None for a horizontal wind.
+    """
 
     def force_x(b: Block, t: float) -> NumericExpression:
         m = b.parent_block()
@@ -192,7 +214,10 @@ def _declare_airspeed(b: Block, m: ConcreteModel) -> None:
 
 
 def _drag(b: Block, m: ConcreteModel) -> _Rules:
-    """Declare drag per airspeed; return rules and documentation of the drag forces."""
+    """Declare the drag coefficient and return rule and documentation of each drag force.
+
+    The coefficient is drag over airspeed [kg/s]; the forces are named by world axis, as `force_x`.
+    """
 
     @b.Expression(m.time, doc="drag over airspeed [kg/s]")
     def drag_coefficient(b: Block, t: float) -> NumericExpression:
@@ -290,7 +315,11 @@ def _declare_rotor_moments(b: Block, m: ConcreteModel) -> None:
 
 
 def _declare_sum(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare the force along each body axis, and the sum of all forces along each world axis."""
+    """Declare the sum of the aerodynamic forces along each body axis and each world axis [N].
+
+    The sum along the world axes has the forces that are declared in world axes already (the printed
+    wind acceleration or the isotropic drag), and the forces along the body axes, rotated.
+    """
     by_axis = any(scenario.vehicle.parasitic_drag)
     has_rotor_forces = scenario.vehicle.has_rotor_forces
     for axis in _AXES:

@@ -65,7 +65,7 @@ _TOUCHING_M = 5e-5
 
 @parameters_in("airspace")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters of floor, ceiling, fence, terrain and zones."""
+    """Return the parameters of floor, ceiling, fence, terrain and keep-out zones of a scenario."""
     return _OF_ALL + (_OF_ZONES if scenario.airspace.keep_out else ())
 
 
@@ -109,7 +109,11 @@ def _centres(scenario: Scenario) -> dict[tuple[str, int, str], float]:
 
 
 def _axes_and_centre(ball: Ball) -> tuple[tuple[int, ...], tuple[float, ...]]:
-    """Return the axes along which a ball (sphere or cylinder) is round, and its centre."""
+    """Return the axes in which a ball measures distances, and the ball's centre on these axes [m].
+
+    A ball of one axis is a slab (two parallel faces), of two axes a vertical cylinder. A slab
+    across the edge of a polygon has a horizontal normal, so that its centre is given along x and y.
+    """
     if ball.normal is None:
         return ball.axes, ball.centre
     (out,) = ball.centre
@@ -178,12 +182,21 @@ _OF_ZONES = (
 
 
 def declare_airspace(m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare floor, ceiling and keep-outs as path constraints in block `airspace`.
+    """Declare floor, ceiling, fence, terrain edges and keep-out zones as path constraints.
+
+    They stand in block `airspace`, each only if the scenario has it.
 
     Parameters
     ----------
     m : ConcreteModel
-        With `time` and `rigid_body`.
+        With `time`, `rigid_body` and, over terrain, `ground`.
+    scenario : Scenario
+        Source of the limits.
+
+    Raises
+    ------
+    ScenarioError
+        If start, goal or a waypoint is on the surface of a keep-out zone.
     """
     _refuse_touching(scenario)
     b = m.airspace = Block(doc="airspace")
@@ -243,20 +256,25 @@ def _declare_keep_outs(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _beyond(away: Any, radius: Any, rounding: Any) -> Any:
-    """Return the distance outside a ball's surface, rounded smoothly, from the squared distance.
+    """Return the distance outside the surface of a ball, from the squared distance of its centre.
 
-    ``away`` is the squared distance from the ball's centre.
+    The result is negative inside. ``away`` is the squared distance from the ball's centre [m^2];
+    the smoothing `rounding` [m] makes the result differentiable at the centre and is zero on the
+    surface.
     """
     return sqrt(away + rounding**2) - sqrt(radius**2 + rounding**2)
 
 
 def _largest(distances: Sequence[Any], width: Any) -> Any:
-    """Return a smooth lower bound of the maximum of some distances."""
+    """Return a smooth lower bound of the largest of several distances.
+
+    A place is outside a zone if the largest of its distances from the zone's balls is positive.
+    """
     return reduce(lambda one, other: saturated(one, other, width), distances)
 
 
 def _refuse_touching(scenario: Scenario) -> None:
-    """Raise an error for a start, waypoint or goal on the surface of a zone."""
+    """Raise a ScenarioError for a start, waypoint or goal on the surface of a keep-out zone."""
     told, mission = scenario.airspace, scenario.mission
     # A waypoint with a radius may be passed away from the surface.
     is_exact = (True, *(waypoint.radius == 0.0 for waypoint in mission.waypoints), True)
@@ -277,7 +295,7 @@ def _refuse_touching(scenario: Scenario) -> None:
 
 
 def _room(zone: KeepOut, clearance: float, place: Sequence[float]) -> float:
-    """Return the distance of a place from a zone, smoothed as in the path constraint [m]."""
+    """Return the distance of a place from a keep-out zone as the path constraint smooths it [m]."""
     distances = [
         _beyond(
             float(np.sum((ball.coordinates(place) - ball.centre) ** 2)),

@@ -1,4 +1,4 @@
-"""Battery, eq. (4)-(5): equal cells in series and parallel, as an equivalent circuit.
+"""Battery, eq. (4)-(5) of the paper: equal cells in series and parallel, as a circuit.
 
 symbol | name | unit | meaning
 int i_bat | charge_drawn | A h | charge drawn from the full pack, a state
@@ -60,7 +60,7 @@ CHARGE_STATE = "battery.charge_drawn"
 # Fractions of the charge and of the greatest power at which the guards act, and their widths.
 GUARD_FLOOR = 0.01
 GUARD_WIDTH = 0.005
-# Fraction of the greatest power up to which the pack's equations are exact to rounding.
+# Fraction of the pack's greatest power below which the guard changes no digit of the equations.
 GIVEN_SHARE = 1 - GUARD_FLOOR - 10 * GUARD_WIDTH
 # Fraction of the capacity that a flight of some seconds may draw, for scaling.
 _NOMINAL_SHARE = 0.01
@@ -79,18 +79,18 @@ _CELL = (
 
 @parameters_in("battery")
 def _parameters(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the declarations of the parameters of the model's block `battery`, for a scenario."""
+    """Return the parameters that the model of a scenario declares in its block `battery`."""
     return _CELL + circuit.parameters_of(scenario)
 
 
 def may_lose_voltage(scenario: Scenario) -> bool:
-    """Return whether the voltage of eq. (5) can vanish before the battery is empty."""
+    """Return whether the open-circuit voltage of eq. (5) can vanish before the battery is empty."""
     least_share = GUARD_FLOOR - DIP * GUARD_WIDTH
     return scenario.battery.K / least_share >= scenario.battery.E0
 
 
 def build_pack(scenario: Scenario) -> ConcreteModel:
-    """Build a model of the battery alone under a load, the mutable parameter `power.load`.
+    """Build a model of the battery alone that delivers a constant power, `power.load` [W].
 
     Parameters
     ----------
@@ -100,7 +100,8 @@ def build_pack(scenario: Scenario) -> ConcreteModel:
     Returns
     -------
     ConcreteModel
-        With `time` (one hour, not discretised), `power.total` and `battery`.
+        With `time` (one hour, not discretised), the mutable parameter `power.load`, the expression
+        `power.total` equal to it, and block `battery`.
     """
     m = ConcreteModel(name="pack")
     m.time = ContinuousSet(initialize=(0.0, 1800.0, 3600.0), doc="time [s]")
@@ -125,6 +126,9 @@ def declare_battery(m: ConcreteModel, scenario: Scenario) -> None:
     ----------
     m : ConcreteModel
         With `time`, `power` and `scaling_factor`.
+    scenario : Scenario
+        Source of the battery's numbers; with relaxation or temperature, these states are declared
+        too.
     """
     b = m.battery = Block(doc="battery pack, eq. (4)-(5)")
     pack = scenario.battery
@@ -148,9 +152,10 @@ def declare_battery(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def declare_loss(m: ConcreteModel) -> None:
-    """Declare the energy lost inside the battery as a state, for costs that count the charge.
+    """Declare the energy lost inside the battery as a state, for missions that minimise the charge.
 
-    See docs/theory/battery.md, eqs. (11) to (12).
+    An objective of power plus this loss equals the charge drawn times the open-circuit voltage of
+    the start. See docs/theory/battery.md, eqs. (11) to (12).
 
     Parameters
     ----------
@@ -180,7 +185,7 @@ def declare_loss(m: ConcreteModel) -> None:
 
 
 def _declare_sizes(b: Block) -> None:
-    """Declare capacity and resistance of the battery for its state of health."""
+    """Declare capacity [A h] and resistance [ohm] of the whole pack at its state of health."""
     capacity = b.capacity * b.cells_parallel
     resistance = b.cell_resistance * b.cells_series / b.cells_parallel
     if b.component("capacity_factor") is not None:
@@ -244,6 +249,9 @@ def _declare_voltage(b: Block, m: ConcreteModel) -> None:
 
 
 def _charge_of_new_cell(b: Block, t: float) -> NumericExpression:
-    """Return the charge drawn from a new cell at the same state of charge [A h]."""
+    """Return the charge drawn from an unaged cell at the same state of charge as this cell [A h].
+
+    The constants of eq. (5) are those of an unaged cell, whose capacity is larger.
+    """
     charge = b.charge_drawn[t] / b.cells_parallel
     return charge if b.component("capacity_factor") is None else charge / b.capacity_factor

@@ -1,7 +1,7 @@
 """Equivalent circuit of a battery: relaxation voltage (RC pair), temperature and health.
 
 symbol | name | unit | meaning
-u_1 | relaxation_voltage | V | slow part of the pack's voltage drop, a state
+u_1 | relaxation_voltage | V | voltage of the RC pair, the slow part of the pack's drop, a state
 R_1, tau_1 | relaxation_resistance, relaxation_time_constant | ohm, s | of one cell
 T | temperature | K | of the pack, a state
 C_T, h | heat_capacity, cooling | J/K, W/K | of one cell
@@ -9,8 +9,9 @@ T_a, T_r | ambient_temperature, reference_temperature | K | of the air, of the r
 E_a | activation_energy | J/mol | of the resistances
 s_R | resistance_share | - | resistances at the temperature T over those at T_r
 
-Derivation and sources: see docs/theory/battery.md, eqs. (4) to (10). A scenario without
-`battery.relaxation` declares no slow drop, one without `battery.thermal` no temperature.
+Derivation and sources: see docs/theory/battery.md, eqs. (4) to (10). Without
+`battery.relaxation` in the scenario no RC pair is declared, without `battery.thermal` no
+temperature.
 
 Assumptions: all cells alike and at one temperature, no entropic heat, one time constant at all
 temperatures and states of charge.
@@ -29,8 +30,8 @@ from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.mission import Aim
 
 GAS_CONSTANT = 8.314462618 * units.J / units.mol / units.K
-"""CODATA 2018, exact."""
-# Fraction of the cells' constant voltage that the slow drop may reach, for scaling.
+"""Molar gas constant, CODATA 2018, exact."""
+# Usual relaxation voltage as a fraction of the cells' constant voltage E0, for scaling.
 _NOMINAL_DROP = 0.03
 
 _RELAXATION = fields_of(
@@ -51,20 +52,24 @@ _THERMAL = (
 )
 _HEALTH = fields_of("battery.health", "capacity_factor", "resistance_factor")
 CIRCUIT_STATES = _DROP, _TEMPERATURE = ("battery.relaxation_voltage", "battery.temperature")
-"""Full names of the states that an equivalent circuit adds to the charge."""
-#: Energy that the pack lost, a state under `mission.aim = "charge"`.
+"""Full names of the optional states of the battery: relaxation voltage and temperature."""
+#: Full name of the energy lost in the battery, a state under `mission.aim = "charge"`.
 LOSS = "battery.loss"
 
 
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters of relaxation, temperature and health that a scenario sets."""
+    """Return the parameters of relaxation, temperature and health of a scenario's battery."""
     pack = scenario.battery
     optional = ((pack.relaxation, _RELAXATION), (pack.thermal, _THERMAL), (pack.health, _HEALTH))
     return tuple(row for given, table in optional if given is not None for row in table)
 
 
 def states_at_start(scenario: Scenario) -> dict[str, float]:
-    """Return the initial states of the battery other than its charge, by full name."""
+    """Return the initial values of the battery's states other than its charge, by full name.
+
+    These are the relaxation voltage [V], the temperature [K] and the lost energy [J], each only if
+    the scenario declares it.
+    """
     pack, states = scenario.battery, {}
     if pack.relaxation is not None:
         states[_DROP] = pack.cells_series * pack.relaxation.initial_voltage
@@ -76,17 +81,21 @@ def states_at_start(scenario: Scenario) -> dict[str, float]:
 
 
 def fields_after(scenario: Scenario, ended: Mapping[str, float]) -> dict[str, float]:
-    """Return the scenario fields that start the next flight with the final states of the last.
+    """Return scenario fields that start a next flight with the battery as the last flight left it.
+
+    The charge is not among them: only relaxation voltage and temperature.
 
     Parameters
     ----------
+    scenario : Scenario
+        Of the last flight.
     ended : mapping
-        State at the end of the flight, by full name.
+        States at the end of the last flight, by full name.
 
     Returns
     -------
     dict
-        Dotted scenario field -> value; empty for a pack without a circuit.
+        Dotted scenario field -> value; empty for a battery without relaxation and temperature.
     """
     fields = {}
     if _DROP in ended:
@@ -98,7 +107,7 @@ def fields_after(scenario: Scenario, ended: Mapping[str, float]) -> dict[str, fl
 
 
 def declare_states(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare relaxation voltage and temperature as states, if the scenario sets them."""
+    """Declare relaxation voltage [V] and temperature [K] of the pack as states, if modelled."""
     pack = scenario.battery
     if pack.relaxation is not None:
         b.relaxation_voltage = Var(
@@ -120,7 +129,10 @@ def declare_states(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def declare_balances(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare the balances of relaxation voltage and temperature, with initial values."""
+    """Declare the differential equations of relaxation voltage and temperature, if modelled.
+
+    Their initial values are declared too.
+    """
     if scenario.battery.relaxation is not None:
         b.relaxation_balance = Constraint(
             m.time, rule=relaxation_balance, doc=_line(relaxation_balance)
@@ -133,7 +145,7 @@ def declare_balances(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _line(equation: object) -> str:
-    """Return the first line of an equation's docstring, for the reports."""
+    """Return the first line of an equation's docstring, which reports print as its description."""
     return str(equation.__doc__).partition("\n")[0].rstrip(".")
 
 

@@ -1,4 +1,4 @@
-"""Continuous model of a mission, from the declared parts or from a user's builder."""
+"""Builders of the continuous-time model of a mission, from `model` or from a user's own file."""
 
 from collections.abc import Callable, Hashable
 from importlib.util import module_from_spec, spec_from_file_location
@@ -65,7 +65,7 @@ def build_model(scenario: Scenario) -> ConcreteModel:
 
 
 def build_in_turbulence(scenario: Scenario) -> ConcreteModel:
-    """Build the model of a mission in the turbulence of its wind.
+    """Build the model of a mission in the turbulence of its wind, for simulated flights.
 
     Parameters
     ----------
@@ -75,9 +75,9 @@ def build_in_turbulence(scenario: Scenario) -> ConcreteModel:
     Returns
     -------
     ConcreteModel
-        As `build_model`, with the shaping filters of block `wind.turbulence`, and with the errors
-        of forecast and power model as mutable parameters, initially zero: ``wind.error`` by axis
-        and ``power.error``.
+        As `build_model`, with the Dryden shaping filters of block `wind.turbulence`, and with two
+        errors as mutable parameters, initially zero: of the wind forecast, ``wind.error`` by axis
+        [m/s], and of the power model, ``power.error`` (relative).
 
     Examples
     --------
@@ -97,7 +97,7 @@ def build_in_turbulence(scenario: Scenario) -> ConcreteModel:
 
 
 def build_remaining(scenario: Scenario) -> ConcreteModel:
-    """Build the model of the rest of a mission, from any state of the vehicle.
+    """Build the model of the rest of a mission from a measured state, for replanning in flight.
 
     Parameters
     ----------
@@ -107,9 +107,11 @@ def build_remaining(scenario: Scenario) -> ConcreteModel:
     Returns
     -------
     ConcreteModel
-        As `build_model`, except for three differences: the states at the start are mutable
-        parameters of block `start`; there is the mutable acceleration `aerodynamics.unexplained`,
-        zero until the vehicle has observed one; and the limits are soft, see `model.soft_limits`.
+        As `build_model`, except for four differences: the states at the start are mutable
+        parameters of block `start`; the flight ends in steady hover, tilted against the wind; there
+        is the mutable acceleration `aerodynamics.unexplained`, zero until the vehicle has observed
+        one; and the limits are soft, that is a flight may violate them at a penalty
+        (`model.soft_limits`).
 
     Examples
     --------
@@ -128,7 +130,7 @@ def build_remaining(scenario: Scenario) -> ConcreteModel:
 
 
 def _vehicle_in_the_wind(scenario: Scenario) -> ConcreteModel:
-    """Declare time, states of the vehicle, rotor forces and mean wind."""
+    """Start the model of a mission: time, vehicle, rotors, rigid-body states, ground and wind."""
     m = ConcreteModel(name=scenario.name)
     *passages, duration = scenario.nominal_times
     inside = sorted(set(passages)) or [duration / 2]
@@ -153,16 +155,16 @@ def _vehicle_in_the_wind(scenario: Scenario) -> ConcreteModel:
 
 
 def _declare_flight(m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare the balances, energy, limits, boundary conditions and objective."""
+    """Complete a model with forces and wind: balances, power, battery, limits and objective."""
     declare_balances(m, scenario)
     power.declare_power(m, scenario)
     _declare_cost_and_limits(m, scenario)
 
 
 def _declare_cost_and_limits(m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare the battery, the limits, both ends of the flight and the objective.
+    """Declare the battery, the limits, the conditions at start and goal, and the objective.
 
-    The cost of the charge: see docs/theory/battery.md, eq. (12).
+    For the objective of a mission that minimises the charge, see docs/theory/battery.md, eq. (12).
     """
     battery.declare_battery(m, scenario)
     limits.declare_limits(m, scenario)
@@ -246,7 +248,7 @@ def structure_key(scenario: Scenario) -> Hashable:
 
 
 def guess_key(scenario: Scenario) -> Scenario:
-    """Return a key that is equal for scenarios with the same initial values and scales.
+    """Return a key that is equal for scenarios with the same initial guess and variable scaling.
 
     The key is the scenario without its wind, which affects neither.
     """
@@ -254,7 +256,7 @@ def guess_key(scenario: Scenario) -> Scenario:
 
 
 def ask_for_least_time(m: ConcreteModel, bounds: tuple[float, float], guess: float) -> Var:
-    """Replace the objective of a model by the duration of the flight.
+    """Replace the objective of a mission's model by the duration, for a minimum-time problem.
 
     Parameters
     ----------
@@ -376,6 +378,10 @@ def load_builder(spec: str, base_folder: Path) -> Builder:
 
 
 def _run(spec: str, file: Path) -> ModuleType:
+    """Import the Python file of a user's model builder and return it as a module.
+
+    `spec` is the scenario's field `model`, for messages.
+    """
     if not file.is_file():
         raise ScenarioError(f"model = {spec!r}: no file {file}; name an existing Python file.")
     module_spec = spec_from_file_location(f"custom_model_{file.stem}", file)
@@ -392,4 +398,5 @@ def _run(spec: str, file: Path) -> ModuleType:
 
 
 def _told(error: Exception) -> str:
+    """Return class and first line of an error on one line, for the message of another error."""
     return ": ".join((type(error).__name__, *str(error).splitlines()[:1]))

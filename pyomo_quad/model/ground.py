@@ -29,12 +29,17 @@ _SURFACES = {1: ("above", "height_limited_below"), -1: ("below", "height_limited
 
 
 def declare_ground(m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare the heights above the terrain, if there is one, in block `ground`.
+    """Declare the heights of the vehicle above the terrain, if the scenario has terrain.
+
+    They stand in block `ground`: `height_limited_below` for the floor and, if the scenario has a
+    ceiling, `height_limited_above`.
 
     Parameters
     ----------
     m : ConcreteModel
         With `time` and `rigid_body`.
+    scenario : Scenario
+        Holds the terrain; without terrain nothing is declared.
     """
     grid = scenario.airspace.ground
     if grid is None:
@@ -57,6 +62,11 @@ def declare_ground(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def height_above_ground(m: ConcreteModel, t: float, side: int = 1) -> Any:
-    """Return the height at a time above the surface that floor (1) or ceiling (-1) count from."""
+    """Return the height of the vehicle above the ground that a floor or ceiling limits [m].
+
+    Over terrain, `side` 1 counts from a smooth surface that is nowhere below the ground (for a
+    floor), and -1 from one that is nowhere above the ground (for a ceiling). Over flat ground it is
+    z.
+    """
     b = m.component("ground")
     return m.rigid_body.z[t] if b is None else b.component(_SURFACES[side][1])[t]

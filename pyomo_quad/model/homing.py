@@ -27,12 +27,14 @@ from pyomo_quad.model.parameters import (
 )
 from pyomo_quad.scenario import Scenario
 
-# Lengthens the way home where it is short, so that it has a slope at home.
+# Added in quadrature to the way home, so that its length is differentiable at the home itself.
 _AT_HOME = 1.0 * units.m
-# Ground speeds and squares of speeds below which the wind stops the return; see `saturated`.
+# Ground speed, and square of the airspeed along the way, below which the wind prevents the return,
+# with the widths over which these limits are rounded; see `saturated`.
 _SLOWEST, _SPEED_WIDTH = 0.5 * units.m / units.s, 0.05 * units.m / units.s
 _STOPPED, _SQUARE_WIDTH = 0.25 * units.m**2 / units.s**2, 0.025 * units.m**2 / units.s**2
-# Share of the pack by which homes differ where the nearer one counts for nearly all.
+# Sharpness of the smooth minimum over homes: where the charges of two returns differ by 1/200 of
+# the pack, the weight of the dearer return is smaller by a factor e.
 _SHARPNESS = 200.0
 
 
@@ -60,7 +62,7 @@ _USABLE_CHARGE = Parameter(
 
 @parameters_in("homing")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters of the return flight, empty without a reserve for it."""
+    """Return the parameters of the return flight; empty for a mission without return reserve."""
     if not scenario.mission.return_reserve:
         return ()
     of_flight = fields_of("mission.return_flight", "margin", "airspeed", "current")
@@ -68,12 +70,17 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 
 
 def declare_homing(m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare the charge of the return flight and its limit in block `homing`.
+    """Declare the charge that a return flight needs at each time, and its limit, in block `homing`.
+
+    The limit holds at each time of the mission: charge drawn plus charge of the return to the
+    nearest home does not exceed the usable charge of the pack.
 
     Parameters
     ----------
     m : ConcreteModel
         With `time`, `rigid_body`, `wind` and `battery`.
+    scenario : Scenario
+        Nothing is declared if its mission keeps no charge for a return.
     """
     if not scenario.mission.return_reserve:
         return
@@ -109,7 +116,7 @@ def _declare_way(b: Block, m: ConcreteModel) -> None:
         wind = b.parent_block().wind
         across = wind.velocity_x[t] ** 2 + wind.velocity_y[t] ** 2 - b.tail_wind[k, t] ** 2
         left = b.airspeed**2 - across
-        # In a wind across the way that is faster than the vehicle it keeps no course.
+        # In a cross wind that is faster than the airspeed, the vehicle cannot track the way.
         held = (1 + tanh(left / _SQUARE_WIDTH)) / 2
         along = b.tail_wind[k, t] + sqrt(saturated(left, _STOPPED, _SQUARE_WIDTH))
         return saturated(held * along, _SLOWEST, _SPEED_WIDTH)
@@ -126,7 +133,7 @@ def _declare_charge(b: Block, m: ConcreteModel) -> None:
         homes = list(b.home)
         if len(homes) == 1:
             return b.charge_to[homes[0], t]
-        # A mean with weights that fall with the charge is never below the least, and smooth.
+        # A mean whose weights decrease with the charge is smooth and never below the minimum.
         capacity = b.parent_block().battery.pack_capacity
         weights = [
             exp(-_SHARPNESS * (b.charge_to[k, t] - b.charge_to[homes[0], t]) / capacity)

@@ -1,12 +1,12 @@
-"""Limits of the flight, eq. (10), and of the battery where the scenario sets them.
+"""Limits on attitude, rotors, thrust and moments, eq. (10) of the paper, and on the battery.
 
 The paper writes |u_k| <= u_max for k = 1, 2, 3; u_1 has its own limit, so the moments are k = 2, 3,
 4. The limit on the rotor accelerations is not in the paper; without it, the paper's problem with
 its own efficiency function has no minimum.
 
-Plans reserve a fraction of the largest rotor speed and thrust for the controller, `reserve`. A
-motor with lag accelerates its rotor by at most (rotor_speed_max - speed) / time constant. Both are
-declared only where they are not zero.
+Plans leave a fraction of the largest rotor speed and thrust, `reserve`, to the controller that
+will fly them. A motor with lag accelerates its rotor by at most (rotor_speed_max - speed) / time
+constant. Both limits are declared only where they are not zero.
 """
 
 from pyomo.core import Block, ConcreteModel, inequality, sqrt
@@ -31,7 +31,7 @@ _BOUNDS = (
     *fields_of("limits", "speed_max", "state_of_charge_min"),
     *fields_of("limits", "battery_current_max", "battery_voltage_min", "battery_power_share_max"),
 )
-# Declared where they are not zero.
+# Names of the parameters that are declared only where they are not zero.
 _RESERVE, _MOTOR_LAG = "reserve", "motor_time_constant"
 _OPTIONAL = (*fields_of("limits", _RESERVE), *fields_of("vehicle", _MOTOR_LAG))
 
@@ -46,24 +46,33 @@ _VALIDATED = fields_of(
 
 @parameters_in("limits")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters of all limits that a scenario may set; None leaves a limit out."""
+    """Return the parameters of all limits that a scenario may set.
+
+    A limit whose scenario field is None has no value and is not declared.
+    """
     validated = _VALIDATED if scenario.limits.within_validated else ()
     return (*_BOUNDS, *(row for row in _OPTIONAL if row.value(scenario)), *validated)
 
 
 def without_reserve(numbers: dict[str, float] | None) -> dict[str, float] | None:
-    """Return parameter values with the reserve of the limits set to zero."""
+    """Return parameter values in which the fraction of thrust kept for the controller is zero.
+
+    A plan keeps this reserve, a flight may use it. `numbers` holds values by full component name;
+    None and values without a reserve are returned unchanged.
+    """
     reserve = f"limits.{_RESERVE}"
     return numbers | {reserve: 0.0} if numbers is not None and reserve in numbers else numbers
 
 
 def declare_limits(m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare every limit as a path constraint in block `limits`.
+    """Declare every limit of a scenario as a path constraint in block `limits`.
 
     Parameters
     ----------
     m : ConcreteModel
-        With `time`, `rigid_body`, `rotors` and `battery`.
+        With `time`, `rigid_body`, `rotors`, `wind` and `battery`.
+    scenario : Scenario
+        Source of the limits; optional limits are declared only if it sets them.
     """
     b = m.limits = Block(doc="limits, eq. (10)")
     declare_parameters(b, scenario)
@@ -80,7 +89,10 @@ def declare_limits(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _left(b: Block, most: NumericExpression) -> NumericExpression:
-    """Return the upper limit of rotor speed or thrust that a plan may use, less the reserve."""
+    """Return the upper limit of rotor speed or thrust for a plan: `most` less a reserve.
+
+    The reserve is a fraction that the plan leaves to the controller which flies it.
+    """
     reserve = b.component(_RESERVE)
     return most if reserve is None else (1 - reserve) * most
 
@@ -101,7 +113,7 @@ def _declare_motor_lag(b: Block, m: ConcreteModel) -> None:
 
 
 def _declare_validated_range(b: Block, m: ConcreteModel) -> None:
-    """Declare limits on airspeed, climb and descent to the range validated by measurements."""
+    """Limit airspeed, climb and descent to the range that measured flights confirm."""
     if b.component("validated_airspeed") is not None:
 
         @b.Expression(m.time, doc="airspeed [m/s]")

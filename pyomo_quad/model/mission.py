@@ -1,5 +1,7 @@
 """Boundary conditions of a mission: hover at start and goal, passages of waypoints.
 
+A passage is the instant at which the flight is at a waypoint; its time is a variable of the plan.
+
 The paper gives every rotor 912 rad/s at both ends, 0.07 % short of balancing the weight. Here it is
 the exact speed at which 4 kappa_b omega^2 = m g.
 """
@@ -77,7 +79,10 @@ _TURNING = Parameter(
 
 
 def _passed(field: str, scenario: Scenario) -> dict[int, float]:
-    """Return a waypoint field's values that differ from the default, by the waypoint's number."""
+    """Return the values of one field of the waypoints, by waypoint number.
+
+    Default values are left out, so that they declare no parameter.
+    """
     default = Waypoint.model_fields[field].default
     values = {k: getattr(w, field) for k, w in enumerate(scenario.mission.waypoints)}
     return {k: number for k, number in values.items() if number != default}
@@ -91,22 +96,24 @@ _PASSAGES = tuple(
 
 @parameters_in("mission")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters of block `mission` for a scenario."""
+    """Return the parameters of block `mission`: both ends, duration, waypoints."""
     duration = _DURATION if scenario.mission.is_free else ()
     return (*_ENDS, *duration, *((_TURNING,) if scenario.keeps_yaw else ()), *_PASSAGES)
 
 
-# Largest distance from a place, and largest speed, at which a vehicle counts as hovering there.
+# Largest distance from a waypoint, and largest speed, during a hover at the waypoint.
 HOVERING_M, HOVERING_M_PER_S = 0.05, 0.1
 
 
 def declare_mission(m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare both ends of the flight in block `mission`.
+    """Declare hover at start and goal and the conditions at waypoints in block `mission`.
 
     Parameters
     ----------
     m : ConcreteModel
         With `time`, `vehicle`, `rigid_body` and `rotors`.
+    scenario : Scenario
+        Holds start, goal and waypoints.
     """
     b = m.mission = Block(doc="boundary conditions, section 3 of the paper")
     declare_parameters(b, scenario)
@@ -132,7 +139,11 @@ def _hover_speed(m: ConcreteModel, mass: NumericExpression) -> NumericExpression
 
 
 def free_times(m: ConcreteModel, scenario: Scenario) -> dict[float, Any]:
-    """Return the variables of all free times, by their declared time."""
+    """Return the variables of the times that the plan chooses, by their nominal time [s].
+
+    These are the duration, if it is free, the passage of each waypoint and the end of each hover at
+    a waypoint. The nominal time is the member of the model's time set that stands for the variable.
+    """
     *passages, end = scenario.nominal_times
     free: dict[float, Any] = {end: m.duration} if scenario.mission.is_free else {}
     for k in range(len(scenario.mission.waypoints)):
@@ -143,7 +154,10 @@ def free_times(m: ConcreteModel, scenario: Scenario) -> dict[float, Any]:
 
 
 def _declare_waypoints(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare the position at each passage of a waypoint and the conditions there."""
+    """Declare for each waypoint the time of its passage and the conditions there.
+
+    The conditions are on position, heading, speed and time of hover, as the waypoint sets them.
+    """
     waypoints, times = scenario.mission.waypoints, scenario.nominal_times
     reached = {k: times[2 * k] for k in range(len(waypoints))}
     left = {k: times[2 * k + 1] for k in reached}
@@ -235,7 +249,7 @@ def _speed_squared(body: Block, t: float) -> NumericExpression:
 
 
 def declare_duration(m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare the duration as a variable within the limits of the mission."""
+    """Declare the duration of the flight as a variable within the limits of the mission [s]."""
     nominal = scenario.nominal_duration
     m.duration = Var(
         bounds=(m.mission.duration_min, m.mission.duration_max),
@@ -249,7 +263,10 @@ def declare_duration(m: ConcreteModel, scenario: Scenario) -> None:
 def _declare_end(
     b: Block, m: ConcreteModel, end: str, t: float, rotor_speed: NumericExpression
 ) -> None:
-    """Declare hover at one end of the flight: place, heading, rest and rotor speed at time t."""
+    """Declare hover at one end of the flight: place, heading, rest and rotor speed at time t.
+
+    `end` is "start" or "goal".
+    """
     said = "x(t_0) = x_0" if end == "start" else "x(t_f) = x_f"
 
     def place(b: Block, state: str) -> RelationalExpression:
@@ -270,12 +287,12 @@ def _declare_end(
 
 
 def _goal_of_turning(b: Block) -> tuple[Any, ...]:
-    """Return the goal conditions on yaw and yaw rate, redundant where the heading is constant."""
+    """Return the goal conditions on yaw and yaw rate, which a constant heading makes redundant."""
     return b.goal_place["psi"], b.goal_rest["r"]
 
 
 def _declare_kept_yaw(b: Block, m: ConcreteModel) -> None:
-    # A limit and not a balance, because a flown vehicle yaws as its rotors make it.
+    # A limit and not an equation: in a simulated flight, the yaw follows from the rotor moments.
     @b.Constraint(m.time, doc="psi' cos(theta) = 0: the heading is kept [rad/s]")
     def yaw_keeping(b: Block, t: float) -> RelationalExpression:
         body = b.parent_block().rigid_body
@@ -286,7 +303,10 @@ def _declare_kept_yaw(b: Block, m: ConcreteModel) -> None:
 
 
 def start_where_measured(m: ConcreteModel) -> None:
-    """Replace the start conditions of the mission by mutable parameters in block `start`.
+    """Replace the start of a mission by measured states, mutable parameters of block `start`.
+
+    For replanning in flight: each state gets a parameter of its own name and the condition that its
+    initial value equals it. A constant heading is no longer demanded.
 
     Parameters
     ----------
@@ -299,7 +319,7 @@ def start_where_measured(m: ConcreteModel) -> None:
         if m.battery.component(condition) is not None:
             m.battery.component(condition).deactivate()
     if m.mission.component("yaw_keeping") is not None:
-        # A vehicle that a gust turned off its heading must be free to turn back.
+        # A gust may have changed the heading, and the vehicle must be free to turn back.
         m.mission.yaw_keeping.deactivate()
         for row in _goal_of_turning(m.mission):
             row.activate()
@@ -309,7 +329,7 @@ def start_where_measured(m: ConcreteModel) -> None:
 
 
 def _start_measured(b: Block, start: float, state: Var) -> None:
-    """Declare the measured initial value of a state as a condition."""
+    """Declare a mutable parameter and a condition that equates it to a state's initial value."""
     beside_time = [index[:-1] for index in state if isinstance(index, tuple) and index[-1] == start]
     sets = (beside_time,) if beside_time else ()
     measured = Param(
@@ -329,8 +349,9 @@ def _start_measured(b: Block, start: float, state: Var) -> None:
 def end_in_equilibrium(m: ConcreteModel) -> None:
     """Replace the level hover at the goal by steady hover in the wind, tilted against it.
 
-    In wind, a level attitude is a transient state that a vehicle reaches by a swing timed to one
-    instant. If the wind is not known exactly, the swing misses it.
+    For replanning in flight. In wind, a level attitude is a transient state that a vehicle reaches
+    by a swing timed to one instant. If the wind is not known exactly, the swing misses this
+    instant.
 
     Parameters
     ----------
@@ -353,5 +374,5 @@ def end_in_equilibrium(m: ConcreteModel) -> None:
 
 
 def measured_start(states: Mapping[str, float]) -> dict[str, float]:
-    """Return the start parameters for measured states, given by full name."""
+    """Return the values of the parameters in block `start`, from measured states by full name."""
     return {f"start.{name.rpartition('.')[2]}": value for name, value in states.items()}

@@ -1,7 +1,8 @@
 """Building blocks of declared equations: parameters from the scenario, and a smooth `max`.
 
-A number becomes a mutable Pyomo parameter with its unit. Replacements for `max` are smooth, so that
-every equation is twice differentiable.
+A number of a scenario becomes a mutable Pyomo parameter with its unit, so that a re-solve with
+another number needs no rebuild of the model. Replacements for `max` are smooth, so that every
+equation is twice differentiable.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -16,15 +17,16 @@ from pyomo.core.expr import NumericExpression
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.messages import declared_place
 
+# Value of a parameter: a number, numbers by index, or None for a parameter that is left out.
 Value = float | Mapping[Any, float] | None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
-    """Declaration of a parameter: name in its block, unit, and function that reads a scenario.
+    """Declaration of a model parameter: name in its block, unit, and source in a scenario.
 
-    `value` takes the scenario and returns a number, or a mapping from indices to numbers. Without
-    a value, that is with None or an empty mapping, the parameter is not declared.
+    `value` takes the scenario and returns a number, or a mapping from indices to numbers. Where it
+    returns None or an empty mapping, the model does not have the parameter.
     """
 
     name: str
@@ -33,20 +35,26 @@ class Parameter:
     doc: str
 
 
+# Function that returns the parameters which a block has for a scenario.
 Table = Callable[[Scenario], Iterable[Parameter]]
 # Name of a block -> the parameters that it declares for a scenario.
 _TABLES: dict[str, Table] = {}
 
 
 def fields_of(table: str, *names: str, **renamed: str) -> tuple[Parameter, ...]:
-    """Return a parameter for each of several scenario fields, with unit and meaning.
+    """Return the declaration of a model parameter for each of several scenario fields.
+
+    Unit and meaning of the parameter are those of the field in the schema of scenarios.
 
     Parameters
     ----------
     table : str
-        Dotted path of the table that holds the fields, empty for the scenario itself.
+        Dotted path of the scenario's table that holds the fields, as ``"battery.thermal"``; empty
+        for the scenario itself.
+    *names : str
+        Fields whose parameters have the name of the field.
     **renamed : str
-        Name of a parameter that differs from that of its field, and the field.
+        Name of a parameter, and the field of another name that it takes its value from.
     """
     rows = []
     for name, field in (*zip(names, names, strict=True), *renamed.items()):
@@ -64,7 +72,11 @@ def fields_of(table: str, *names: str, **renamed: str) -> tuple[Parameter, ...]:
 
 
 def parameters_in(block_name: str) -> Callable[[Table], Table]:
-    """Return a decorator that registers a function as the parameter table of a block."""
+    """Return a decorator that registers a function as the parameter table of a model block.
+
+    The decorated function takes a scenario and returns the parameters that the block
+    `block_name` of the scenario's model declares.
+    """
 
     def register(table: Table) -> Table:
         _TABLES[block_name] = table
@@ -74,18 +86,18 @@ def parameters_in(block_name: str) -> Callable[[Table], Table]:
 
 
 def parameter_tables(scenario: Scenario) -> Iterator[tuple[str, tuple[Parameter, ...]]]:
-    """Yield the name and the parameters of each block with registered parameters."""
+    """Yield the name of each model block that has registered parameters, and its parameters."""
     for block_name, table in _TABLES.items():
         yield block_name, tuple(table(scenario))
 
 
 def declare_parameters(b: Block, scenario: Scenario) -> None:
-    """Add the registered parameters of a block to it, as mutable parameters."""
+    """Add to a model block the mutable Pyomo parameters that are registered for it."""
     add_parameters(b, _TABLES[b.name](scenario), scenario)
 
 
 def add_parameters(b: Block, table: Iterable[Parameter], scenario: Scenario) -> None:
-    """Add a mutable parameter for each row of a table that has a value."""
+    """Add to a block a mutable Pyomo parameter for each declaration with a value."""
     for row in table:
         value = row.value(scenario)
         if value is None or value == {}:
@@ -98,17 +110,21 @@ def add_parameters(b: Block, table: Iterable[Parameter], scenario: Scenario) -> 
 def parameter_items(
     block_name: str, table: Iterable[Parameter], scenario: Scenario
 ) -> Iterator[tuple[str, float]]:
-    """Yield the full name and the value of every parameter in a table.
+    """Yield the full name and the value of every parameter that a table declares for a scenario.
 
     Parameters
     ----------
     block_name : str
         Name of the block that holds the parameters, as ``"wind.x"``.
+    table : iterable of Parameter
+        Declarations; a parameter without a value in the scenario is left out.
+    scenario : Scenario
+        Source of the values.
 
     Yields
     ------
     tuple of str and float
-        As ``("wind.x.amplitudes[1]", 0.1)``.
+        Name and value in the declared unit, as ``("wind.x.amplitudes[1]", 0.1)``.
     """
     for row in table:
         value = row.value(scenario)
@@ -128,12 +144,13 @@ def positive_part(value: NumericExpression, width: NumericExpression) -> Numeric
     value : expression
         Any quantity.
     width : expression
-        Half the distance over which the corner is rounded, same unit.
+        Half the distance over which the corner at zero is rounded, in the unit of `value`.
 
     Returns
     -------
     expression
-        Exceeds the true maximum by width/2 at value = 0 and by width^2/(4 |value|) far off.
+        Exceeds max(value, 0) by width/2 at value = 0 and by about width^2/(4 |value|) far from
+        zero.
     """
     return (value + sqrt(value**2 + width**2)) / 2
 
@@ -148,24 +165,24 @@ def floored(
     value, floor : expression
         Quantities of the same unit.
     width : expression
-        As for `positive_part`.
+        Half the distance over which the corner is rounded, as for `positive_part`.
 
     Returns
     -------
     expression
-        The rounded maximum.
+        Above the exact maximum everywhere: by width/2 where the two are equal.
     """
     return floor + positive_part(value - floor, width)
 
 
-#: Share of the width by which `saturated` may fall below its floor.
+#: Largest distance by which `saturated` falls below its floor, relative to its width.
 DIP = 0.14
 
 
 def saturated(
     value: NumericExpression, floor: NumericExpression, width: NumericExpression
 ) -> NumericExpression:
-    """Return a smooth max(value, floor): ``value`` well above the floor, the floor far below it.
+    """Return a smooth max(value, floor) that equals the value to rounding well above the floor.
 
     Parameters
     ----------

@@ -78,11 +78,11 @@ _TORQUE = units.N * units.m
 _SPEED = units.rad / units.s
 _ROWS = ("cubic", "quadratic", "linear", "constant")
 _COLUMNS = ("a", "b", "c")
-# Half widths over which the floors of f_r are rounded: far below the hover values 0.0187 N m and
-# 0.14.
+# Half widths over which the lower limits of torque and f_r are rounded: far below their values in
+# hover, 0.0187 N m and 0.14.
 TORQUE_FLOOR_WIDTH = 1e-4 * _TORQUE
 EFFICIENCY_FLOOR_WIDTH = 1e-3
-# Widths of the smoothed corner at zero power, tried in turn down to the requested width.
+# Widths [W] of the smoothed corner at zero power with which solves start before the requested one.
 _WIDER_SMOOTHINGS_W = (10.0, 3.0, 1.0, 0.3)
 
 
@@ -126,12 +126,16 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 
 
 def wider_smoothings(scenario: Scenario) -> tuple[dict[str, float], ...]:
-    """Return parameters that widen the smoothed corner of a power model, widest first.
+    """Return parameter values that widen the smoothed corner of the power at zero, widest first.
+
+    Without regeneration, the power is max(P, 0), rounded over `power.smoothing`. A solve with a
+    wide rounding converges more easily and warm-starts the next one.
 
     Returns
     -------
-    tuple of mapping
-        Full component name to value [W]; empty if the power has no corner.
+    tuple of dict
+        Full component name to value [W]; empty if regeneration is enabled, so that there is no
+        corner.
     """
     if scenario.power.regeneration:
         return ()
@@ -140,12 +144,14 @@ def wider_smoothings(scenario: Scenario) -> tuple[dict[str, float], ...]:
 
 
 def declare_power(m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare the power of each rotor and of all four in block `power`.
+    """Declare the power of each rotor and the total power in block `power`.
 
     Parameters
     ----------
     m : ConcreteModel
         With `time`, `vehicle` and `rotors`; for `momentum`, also the airspeeds.
+    scenario : Scenario
+        Selects the power model and whether braking rotors return energy.
     """
     b = m.power = Block(doc="power, eq. (8)")
     declare_parameters(b, scenario)
@@ -164,12 +170,14 @@ def declare_power(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def declare_error(m: ConcreteModel) -> None:
-    """Multiply the modelled power by 1 + `power.error`, a mutable relative error.
+    """Multiply the modelled power by 1 + `power.error`, a mutable relative error, initially zero.
+
+    Simulated flights sample the error to represent an imperfect power model.
 
     Parameters
     ----------
     m : ConcreteModel
-        With `power`, whose total nothing refers to yet.
+        With `power`, to whose total no other component refers yet.
     """
     b = m.power
     b.error = Param(initialize=0.0, mutable=True, doc="relative error of the modelled power")
@@ -188,7 +196,7 @@ _RotorRule = Callable[[Block, int, float], NumericExpression]
 def _power_of_each_rotor(
     m: ConcreteModel, name: str, *, doc: str
 ) -> Callable[[_RotorRule], _RotorRule]:
-    """Return a decorator that declares a function as the power of each rotor in `power`."""
+    """Return a decorator that declares a rule as the power of each rotor, `power.<name>` [W]."""
 
     def declare(rule: _RotorRule) -> _RotorRule:
         m.power.add_component(name, Expression(m.rotors.rotor, m.time, rule=rule, doc=doc))
@@ -198,7 +206,7 @@ def _power_of_each_rotor(
 
 
 def declare_motor_power(m: ConcreteModel, name: str) -> None:
-    """Declare `motor`: terminal voltage times current, eq. (2)-(3).
+    """Declare the power model `motor`: terminal voltage times current of each motor, eq. (2)-(3).
 
     Valid wherever the motor runs: copper loss grows with the square of the torque, so the power is
     convex in alpha and in thrust. With regeneration, braking returns its power less the loss in the
@@ -217,7 +225,7 @@ def declare_motor_power(m: ConcreteModel, name: str) -> None:
 
 
 def declare_shaft_power(m: ConcreteModel, name: str) -> None:
-    """Declare `shaft`: mechanical power, torque times speed.
+    """Declare the power model `shaft`: mechanical power of each rotor, torque times speed.
 
     A lower bound of every other model: it has no loss in motor or converter, and with regeneration
     braking returns all its power. Linear in alpha, so alpha needs its bound; convex in thrust
@@ -231,7 +239,7 @@ def declare_shaft_power(m: ConcreteModel, name: str) -> None:
 
 
 def declare_constant_efficiency_power(m: ConcreteModel, name: str) -> None:
-    """Declare `constant_efficiency`: shaft power divided by a constant.
+    """Declare the power model `constant_efficiency`: shaft power divided by a constant efficiency.
 
     Valid near the operating point at which the efficiency was measured. Convex in alpha and in
     thrust. Non-negative unless regeneration is enabled.
@@ -244,13 +252,14 @@ def declare_constant_efficiency_power(m: ConcreteModel, name: str) -> None:
 
 
 def declare_efficiency_power(m: ConcreteModel, name: str) -> None:
-    """Declare `efficiency`: shaft power over the recovered polynomial f_r(tau, omega), eq. (8).
+    """Declare the power model `efficiency`: shaft power divided by f_r(tau, omega), eq. (8).
 
-    Valid only with its regularisation: f_r has zeros at moderate braking torque below some 780
-    rad/s. It is therefore evaluated at a torque of at least `torque_floor`, is bounded below by
-    `efficiency_floor`, and braking returns nothing unless regeneration is enabled. Not convex in
-    alpha: below 858 rad/s, alternating acceleration and coasting is cheaper than steady flight, so
-    an optimum depends on the bound on alpha and on the mesh. Non-negative without regeneration.
+    f_r is the paper's efficiency polynomial with its coefficients as recovered. Valid only with its
+    regularisation: f_r has zeros at moderate braking torque below some 780 rad/s. It is therefore
+    evaluated at a torque of at least `torque_floor`, is bounded below by `efficiency_floor`, and
+    braking returns nothing unless regeneration is enabled. Not convex in alpha: below 858 rad/s,
+    alternating acceleration and coasting is cheaper than steady flight, so an optimum depends on
+    the bound on alpha and on the mesh. Non-negative without regeneration.
     """
     b = m.power
 
@@ -282,11 +291,11 @@ def declare_efficiency_power(m: ConcreteModel, name: str) -> None:
 
 
 def declare_motor_power_with_friction(m: ConcreteModel, name: str) -> None:
-    """Declare `motor_with_friction`: v i with dry and viscous friction (Morbidi et al. 2016).
+    """Declare the power model `motor_with_friction`: v i with dry and viscous friction.
 
-    Valid in form, and convex in alpha; the published friction constants seem ten times too high
-    (hover at 1.3 kW). Not convex in thrust: the viscous and dry friction make the first newton the
-    most expensive.
+    After Morbidi et al. (2016). Valid in form, and convex in alpha; the published friction
+    constants seem ten times too high (hover at 1.3 kW). Not convex in thrust: the viscous and dry
+    friction make the first newton the most expensive.
     """
     b = m.power
 
@@ -313,7 +322,7 @@ def declare_motor_power_with_friction(m: ConcreteModel, name: str) -> None:
 
 
 def _declare_floor(m: ConcreteModel) -> None:
-    """Declare a smooth lower limit of zero on the power, since braking returns no energy."""
+    """Declare the rotor power as a smooth max(P, 0), since braking returns no energy."""
     b = m.power
 
     @b.Expression(m.rotors.rotor, m.time, doc="eq. (8): power of one rotor [W]")
@@ -332,9 +341,10 @@ _FASTEST_INDUCED = 20.0
 
 
 def declare_momentum_power(m: ConcreteModel, name: str) -> None:
-    """Declare `momentum`: induced, profile and climb power, and rotor acceleration.
+    """Declare the power model `momentum`: induced, profile, climb and rotor-acceleration power.
 
-    Valid in hover, climb, forward flight and slow descent. Convex in alpha and in thrust.
+    Valid in hover, climb, forward flight and slow descent. Convex in alpha and in thrust. The
+    docstring of this module has the equations.
     """
     b = m.power
     b.disc_area = Expression(

@@ -1,4 +1,4 @@
-"""The rigid body: translation and rotation, eq. (6) and its state form, eq. (9).
+"""The rigid body: translation and rotation, eq. (6) of the paper and its state form, eq. (9).
 
 symbol | name | unit | meaning
 x, y, z | x, y, z | m | position in world axes, z up
@@ -45,7 +45,7 @@ STATES = {
     "q": (_RATE, "pitch rate"),
     "r": (_RATE, "yaw rate"),
 }
-# States that a mission gives at both ends; all other states are zero there.
+# States whose values at start and goal the mission sets; all others are zero there.
 PLACE = ("x", "y", "z", "psi")
 _NOMINAL_ANGLE = 0.1
 _NOMINAL_RATE = 0.1
@@ -83,12 +83,15 @@ def declare_balances(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _straight_line(start: float, goal: float, duration: float) -> Callable[[Block, float], float]:
-    """Return an initial guess that moves from start to goal at constant speed."""
+    """Return an initial guess of a state that changes linearly in time from start to goal."""
     return lambda _b, t: start + (goal - start) * t / duration
 
 
 def _from_place_to_place(scenario: Scenario, axis: int) -> Callable[[Block, float], float]:
-    """Return a guess of one coordinate, linear in time between start, waypoints and goal."""
+    """Return an initial guess of one coordinate, linear in time between start, waypoints and goal.
+
+    `axis` is 0, 1 or 2 for x, y or z. During a hover at a waypoint the coordinate is constant.
+    """
     places = [position[axis] for position in scenario.mission.positions]
     times = [0.0, *scenario.nominal_times]
     stays = [places[0], *(place for place in places[1:-1] for _ in range(2)), places[-1]]
@@ -133,7 +136,7 @@ def _declare_translation(b: Block, m: ConcreteModel) -> None:
 
 
 def turning(b: Block, t: float) -> NumericExpression:
-    """Return the yaw rate about the world's vertical times cos(pitch), from the body rates."""
+    """Return the yaw rate about the vertical times cos(pitch), from the body rates [rad/s]."""
     return b.q[t] * sin(b.phi[t]) + b.r[t] * cos(b.phi[t])
 
 
@@ -166,13 +169,13 @@ def _declare_equated_rates(b: Block, m: ConcreteModel) -> None:
 
 
 def forward_axis(b: Block, t: float) -> tuple[NumericExpression, ...]:
-    """Return body x in world axes."""
+    """Return the unit vector of body x (forward) in world axes, shape (3,)."""
     theta, psi = b.theta[t], b.psi[t]
     return cos(theta) * cos(psi), cos(theta) * sin(psi), -sin(theta)
 
 
 def left_axis(b: Block, t: float) -> tuple[NumericExpression, ...]:
-    """Return body y in world axes."""
+    """Return the unit vector of body y (left) in world axes, shape (3,)."""
     phi, theta, psi = b.phi[t], b.theta[t], b.psi[t]
     return (
         sin(phi) * sin(theta) * cos(psi) - cos(phi) * sin(psi),
@@ -182,7 +185,7 @@ def left_axis(b: Block, t: float) -> tuple[NumericExpression, ...]:
 
 
 def thrust_axis(b: Block, t: float) -> tuple[NumericExpression, ...]:
-    """Return body z, along which the rotors push, in world axes."""
+    """Return the unit vector of body z, the direction of the thrust, in world axes, shape (3,)."""
     phi, theta, psi = b.phi[t], b.theta[t], b.psi[t]
     return (
         cos(phi) * sin(theta) * cos(psi) + sin(phi) * sin(psi),
@@ -191,12 +194,17 @@ def thrust_axis(b: Block, t: float) -> tuple[NumericExpression, ...]:
     )
 
 
+# Function of block `rigid_body` and time that returns a body axis in world axes.
 BodyAxis = Callable[[Block, float], tuple[NumericExpression, ...]]
 BODY_AXES: tuple[BodyAxis, ...] = (forward_axis, left_axis, thrust_axis)
 
 
 def _moment(m: ConcreteModel, name: str, t: float) -> NumericExpression:
-    """Return a rotor moment plus the aerodynamic moment, if declared."""
+    """Return the moment of rotors and air about a body axis [N m].
+
+    `name` is "roll_moment", "pitch_moment" or "yaw_moment". Air adds a moment only for a vehicle
+    with rotor forces.
+    """
     of_rotors, of_air = m.rotors.component(name)[t], m.aerodynamics.component(name)
     return of_rotors if of_air is None else of_rotors + of_air[t]
 
@@ -243,7 +251,11 @@ def _declare_tilting_balances(b: Block, m: ConcreteModel) -> None:
 
 
 def _declare_yaw_balance(b: Block, m: ConcreteModel, attitude: Attitude) -> None:
-    """Declare the moment balance about body z, with the rotor reaction that the paper omits."""
+    """Declare the moment balance about body z.
+
+    Under exact Euler rates, the balance has the reaction of the body to accelerating rotors, which
+    the paper omits.
+    """
     is_exact = attitude is Attitude.EULER
     what = " with the rotors' reaction: body z" if is_exact else ": moment balance about body z"
 

@@ -1,4 +1,7 @@
-"""The rotors and their brushless motors, eq. (1)-(3) and (7), as direct-current motors."""
+"""The rotors and their brushless motors, eq. (1)-(3) and (7) of the paper.
+
+The motors are modelled as direct-current motors.
+"""
 
 from collections.abc import Callable, Iterable
 
@@ -25,7 +28,10 @@ def _by_rotor(
 
 @parameters_in("rotors")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters of positions and senses of rotation for a general rotor layout."""
+    """Return the parameters of positions and directions of rotation of the rotors.
+
+    A standard cross of four rotors without rotor forces needs none: eq. (7) has its signs.
+    """
     vehicle = scenario.vehicle
     ahead = Parameter(
         name="ahead",
@@ -50,12 +56,15 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 
 
 def declare_motors(m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare torque, and if the motor's constants are known current and voltage, per rotor.
+    """Declare the torque of each motor and, if its constants are known, its current and voltage.
 
     Parameters
     ----------
     m : ConcreteModel
-        With `time`, `vehicle` and the speeds and accelerations of `rotors`.
+        With `time`, `vehicle` and the speeds and accelerations of `rotors`, to which the
+        expressions are added.
+    scenario : Scenario
+        Its vehicle has a table `motor` if the constants are known.
     """
     b = m.rotors
 
@@ -84,12 +93,17 @@ _NOMINAL_ACCELERATION = 10.0
 
 
 def declare_rotors(m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare rotor states, controls and the mixer in block `rotors`.
+    """Declare rotor speeds, their accelerations and the mixer in block `rotors`.
+
+    Speeds are states and accelerations are controls. The mixer gives total thrust [N], moments [N
+    m] and speed imbalance [rad/s] of the rotor speeds.
 
     Parameters
     ----------
     m : ConcreteModel
         With `time`, `vehicle` and `scaling_factor`.
+    scenario : Scenario
+        Its vehicle gives the rotor layout.
     """
     b = m.rotors = Block(doc="rotors, eq. (7) and (9)")
     b.rotor = Set(initialize=_numbers(scenario), doc="rotors as the paper numbers them")
@@ -148,7 +162,7 @@ def _declare_mixer(b: Block, m: ConcreteModel) -> None:
 
 
 def _declare_mixer_of_places(b: Block, m: ConcreteModel) -> None:
-    """Declare the mixer for any planar rotor layout; eq. (7) is its special case."""
+    """Declare thrust and moments for any planar rotor layout; eq. (7) is a special case."""
 
     @b.Expression(b.rotor, m.time, doc="thrust of one rotor [N]")
     def rotor_thrust(b: Block, j: int, t: float) -> NumericExpression:

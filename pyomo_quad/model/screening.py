@@ -1,7 +1,4 @@
-"""Checks of a declared model before compilation: its contents, gaps and contradictions.
-
-Includes the consistency of its units.
-"""
+"""Checks of a declared model before compilation: contents, gaps, contradictions and units."""
 
 from collections import defaultdict
 from collections.abc import Hashable, Iterator
@@ -23,7 +20,7 @@ from pyomo.repn import generate_standard_repn
 
 
 class Severity(StrEnum):
-    """Severity of a finding: rules out the flight or the vehicle, or needs a second look."""
+    """Severity of a finding: flight impossible, vehicle unphysical, or a second look advised."""
 
     IMPOSSIBLE = "impossible"
     UNPHYSICAL = "unphysical"
@@ -32,15 +29,16 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """Result of a check in one line: field or declaration, value found, allowed range.
+    """Result of one check of a model or scenario, worded for the user.
 
     Attributes
     ----------
     severity : Severity
+        Whether the finding rules out the flight.
     subject : str
         Dotted field of the scenario, or full name of the component.
     message : str
-        One line that names the field or component.
+        One line: field or declaration, value found, allowed range.
     """
 
     severity: Severity
@@ -53,7 +51,7 @@ class Finding:
 
 @dataclass(frozen=True, kw_only=True)
 class _Interval:
-    """Interval that one declaration allows for a variable."""
+    """Interval of values to which one declaration (bounds or a constraint) restricts a variable."""
 
     source: str
     lower: float
@@ -61,12 +59,17 @@ class _Interval:
 
 
 def screen_model(model: ConcreteModel) -> tuple[Finding, ...]:
-    """Look for unscaled, unbounded, redundant and contradictory declarations.
+    """Return findings on unscaled, unbounded, redundant and contradictory declarations of a model.
 
     Parameters
     ----------
     model : ConcreteModel
         Continuous, not discretised.
+
+    Returns
+    -------
+    tuple of Finding
+        Empty if no declaration needs the user's attention.
     """
     intervals = _intervals(model)
     return (
@@ -134,7 +137,7 @@ def _is_enclosed(intervals: list[_Interval]) -> bool:
 
 
 def _intervals(model: ConcreteModel) -> dict[str, list[_Interval]]:
-    """Return the bounds and single-variable limits of every variable."""
+    """Return the intervals from bounds and single-variable limits, by the name of the variable."""
     found = defaultdict[str, list[_Interval]](list)
     for variable in _variables(model):
         for data in variable.values():
@@ -155,7 +158,10 @@ def _bounds(data: VarData) -> _Interval:
 
 
 def _single_variable(constraint: ConstraintData) -> tuple[VarData, _Interval] | None:
-    """Return the variable of a linear limit on a single variable, and its allowed interval."""
+    """Return the variable and the allowed interval of a constraint that limits a single variable.
+
+    None for a constraint that is nonlinear or has several variables.
+    """
     body = generate_standard_repn(constraint.body, quadratic=False)
     if len(body.linear_vars) != 1 or body.nonlinear_expr is not None:
         return None
@@ -166,7 +172,7 @@ def _single_variable(constraint: ConstraintData) -> tuple[VarData, _Interval] | 
     lower = -inf if constraint.lb is None else (constraint.lb - constant) / factor
     upper = inf if constraint.ub is None else (constraint.ub - constant) / factor
     if factor < 0.0:
-        # An absent bound has no sign to change.
+        # A negative factor exchanges the bounds; an absent bound stays infinite.
         lower, upper = (
             -inf if constraint.ub is None else upper,
             inf if constraint.lb is None else lower,
@@ -174,7 +180,7 @@ def _single_variable(constraint: ConstraintData) -> tuple[VarData, _Interval] | 
     return body.linear_vars[0], _Interval(source=constraint.name, lower=lower, upper=upper)
 
 
-# Limits that follow from a file's extent, which nobody wrote and nobody can remove.
+# Limits that follow from the extent of a data file: no declaration that a user could remove.
 _OF_DATA = {"airspace.terrain_edge"}
 
 
@@ -245,10 +251,18 @@ def _span(interval: _Interval) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class ModelInspection:
-    """Counts of scalar functions of time and of equations, and the unit check.
+    """Size of a continuous model, counted at one time inside the flight, and its unit errors.
 
-    `degrees_of_freedom` is the number of functions of time that the equations leave free: the
-    controls, if the model is complete.
+    Attributes
+    ----------
+    states, other_variables : tuple of str
+        Names of the states, and of all other functions of time (controls and algebraic variables).
+    equations, path_limits : int
+        Equations and inequalities that hold at each time.
+    boundary_conditions, parameters : int
+        Active constraints that hold at single times, and parameters that do not depend on time.
+    unit_errors : tuple of str
+        One line for each component with inconsistent units.
     """
 
     states: tuple[str, ...]
@@ -360,7 +374,7 @@ def _over_time(model: ConcreteModel, kind: type, time: ContinuousSet) -> list[In
 
 
 def instances(component: IndexedComponent, instant: float) -> list[ComponentData]:
-    """Return the members of a component over time at one instant."""
+    """Return the members of a component over time at one time, such as one for each rotor."""
     return [d for index, d in component.items() if instant in _as_tuple(index)[-1:]]
 
 

@@ -1,14 +1,20 @@
-"""Soft limits: every limit but those of rotors and pack may be broken, at a price.
+"""Soft limits: limits and end conditions that a flight may violate at a penalty.
+
+Replanning in flight uses them, because a measured state may violate a limit already, and a plan
+must exist all the same. The physical limits of rotors (speed, acceleration, thrust, moments) and
+pack (greatest power) stay hard.
 
 symbol | name | unit | meaning
-s_k | most[k] | unit of limit k | largest breach of limit k over time
-s+_j, s-_j | above[j], below[j] | unit of condition j | breach of condition j upwards and downwards
-rho | price | J/unit | price of a unit of breach
+s_k | most[k] | unit of limit k | largest violation of limit k over time
+s+_j, s-_j | above[j], below[j] | unit of condition j | violation of condition j, upwards and
+downwards
+rho | price | J/unit | penalty per unit of violation
 
 A limit g(t) <= u over time becomes g(t) - s <= u with one s >= 0, a condition h = c becomes
 h = c + s+ - s-, and the objective grows by rho times the sum of all s.  Some flight within the
-limits of rotors and pack always exists, so that a plan does.  See docs/theory/soft_limits.md for
-the price above which the breaches are zero wherever a flight without any exists.
+limits of rotors and pack always exists, and therefore a solution does.  See
+docs/theory/soft_limits.md for the penalty above which all violations are zero wherever a flight
+without violation exists.
 """
 
 from typing import Any
@@ -56,29 +62,39 @@ _CONDITIONS = (
     "mission.goal_balance",
     "mission.goal_moments",
 )
-# Price of a breach of a metre, radian, ..., as the height [m] to which it would lift the vehicle:
-# a flight that is a metre off its goal saves what takes it there, some ten metres' worth.
+# Penalty of a violation by one unit (metre, radian, ...), as the height [m] to which the same
+# energy would lift the vehicle. A flight that ends a metre off its goal saves the energy of that
+# metre, which is some ten metres of lift: the penalty is far above it.
 _LIFTED_M = 300.0
-# Size of a breach by which solves are scaled, in its unit.
+# Usual size of a violation, in its unit, from which the solver's scaling is set.
 _USUAL = 0.1
-#: Full name of the price of a unit of breach.
+#: Full name of the parameter that holds the penalty per unit of violation.
 PRICE = "soft.price"
-#: Largest breaches over time, and breaches of conditions upwards and downwards, by full name.
+#: Full names of the violations: of limits (largest over time), of conditions up- and downwards.
 BREACHES = ("soft.most", "soft.above", "soft.below")
 
 
 def usual_price(scenario: Scenario) -> float:
-    """Return a price of breaches [J per their unit] that is above most multipliers."""
+    """Return a penalty on violations of soft limits [J per unit] that exceeds most multipliers.
+
+    An exact penalty must exceed the multiplier of the limit; then violations are zero wherever a
+    flight without violation exists.
+    """
     return _LIFTED_M * scenario.vehicle.total_mass * scenario.gravity
 
 
 def soften(m: ConcreteModel, scenario: Scenario) -> None:
-    """Replace the limits and conditions of a model by soft ones, in block `soft`.
+    """Replace limits and end conditions of a model by soft ones with a penalty, in block `soft`.
+
+    The objective is replaced by its sum with the penalty times all violations.
 
     Parameters
     ----------
     m : ConcreteModel
-        With its `objective`; the price is a mutable parameter.
+        With its `objective`. The penalty per unit of violation becomes the mutable parameter
+        `soft.price` [J per unit].
+    scenario : Scenario
+        Its vehicle's weight sets the initial penalty.
     """
     b = m.soft = Block(doc="soft limits: breaches and their price")
     limits = [c for c in map(m.find_component, _LIMITS) if c]
@@ -103,7 +119,10 @@ def soften(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _soften_limit(b: Block, limit: Constraint) -> None:
-    """Replace a limit over time by a soft one for each of its ends."""
+    """Replace a path constraint by soft ones, for its lower and its upper limit where it has them.
+
+    A path constraint holds at all times; its violation is a single variable, the largest over time.
+    """
     name, stated = limit.name, function_of(limit)
     unit = units.get_units(limit[next(iter(limit))].body)
     ends = limit[next(iter(limit))].to_bounded_expression()
@@ -132,7 +151,10 @@ def _soften_limit(b: Block, limit: Constraint) -> None:
 
 
 def _soften_condition(b: Block, condition: Constraint) -> None:
-    """Replace a condition at a time by one whose breach either way has a price."""
+    """Replace an equality constraint at one time by a soft constraint.
+
+    A violation upwards or downwards is allowed at a penalty.
+    """
     held = [index for index in condition if condition[index].active]
 
     def softly(holder: Block, *index: Any) -> Any:

@@ -3,7 +3,7 @@
 symbol | name | unit | meaning
 W_20 | wind_at_6_m | m/s | wind at 6 m (20 ft), which sets the intensity
 h | height | m | height above the ground, from 10 to 1,000 ft
-L_u = L_v, L_w | horizontal_length, vertical_length | m | scales of the turbulence
+L_u = L_v, L_w | horizontal_length, vertical_length | m | length scales of the turbulence
 sigma_u = sigma_v, sigma_w | horizontal_deviation, vertical_deviation | m/s | standard deviations
 V | crossing_speed | m/s | speed at which the vehicle crosses the frozen gusts
 xi | along, across, across_lag, upwards, upwards_lag | 1 | states of the filters
@@ -19,11 +19,12 @@ With a = V / L, each filter has one of two state forms (see docs/theory/risk.md,
 The lengths of MIL-HDBK-1797 are half of those of MIL-F-8785C, and its filters have twice the
 length; at low altitude both give the same spectra.
 
-Gusts are frozen only for a vehicle that crosses them faster than they change by themselves, which
-takes about L / sigma (Tennekes and Lumley, 1972, section 1.5). Therefore V is the airspeed, but at
-least sigma_u. The axes are horizontal and vertical, as in the specification at low altitude, and
-keep the direction of the mission's mean relative wind, because axes along the airspeed would turn
-the gusts with it. Turbulence acts on flights only; no plan includes it.
+Gusts are frozen (Taylor's hypothesis) only for a vehicle that crosses them faster than they change
+by themselves, which takes about L / sigma (Tennekes and Lumley, 1972, section 1.5). Therefore V is
+the airspeed, but at least sigma_u. The axes are horizontal and vertical, as in the specification at
+low altitude, and keep the direction of the mission's mean relative wind, because axes along the
+airspeed would turn the gusts with it. Turbulence acts on simulated flights only; no plan includes
+it.
 """
 
 from collections.abc import Callable, Sequence
@@ -51,7 +52,7 @@ from pyomo_quad.scenario.wind import Wind
 
 _SPEED = units.m / units.s
 _FOOT = 0.3048 * units.m
-# Heights between which the laws of low altitude are valid, MIL-F-8785C, section 3.7.3.4.
+# Heights between which the low-altitude model is valid, MIL-F-8785C, section 3.7.3.4.
 _LOWEST, _HIGHEST = 10.0 * _FOOT, 1000.0 * _FOOT
 # Ranges of height and speed over which a law blends into the constant value beyond its range.
 _HEIGHT_ROUNDING = 0.1 * units.m
@@ -59,7 +60,7 @@ _SPEED_ROUNDING = 0.1 * _SPEED
 _ROOT_RATE = units.s**-0.5
 _WORLD = ("x", "y", "z")
 
-#: s. Step over which the noise is constant: at 6 Hz, 5 % of the spectrum is missing.
+#: Step over which the noise is constant [s]: at 6 Hz, 5 % of the spectrum is missing.
 NOISE_STEP = 0.02
 _BLOCK = "wind.turbulence"
 #: The noise of each filter, by full name.
@@ -78,7 +79,7 @@ LONG_RUN_FACTOR[1:3, 1:3] = LONG_RUN_FACTOR[3:5, 3:5] = _LAGGING
 
 
 def mean_wind(wind: Wind) -> FloatArray:
-    """Return the mean horizontal wind of a scenario along x and y [m/s]."""
+    """Return the mean horizontal wind of a scenario along x and y [m/s], shape (2,)."""
     if wind.series is not None:
         return np.array([np.mean(wind.series.wind_x), np.mean(wind.series.wind_y)])
     steady = wind.speed * np.array([np.cos(wind.direction), np.sin(wind.direction)])
@@ -86,7 +87,10 @@ def mean_wind(wind: Wind) -> FloatArray:
 
 
 def _mean_direction(scenario: Scenario) -> float:
-    """Return the direction of the mean airflow: wind less mean velocity to the goal."""
+    """Return the direction of the mean airflow over the vehicle, counter-clockwise from x [rad].
+
+    The airflow is the mean wind less the mean velocity from start to goal.
+    """
     mission = scenario.mission
     way = np.subtract(mission.goal.position, mission.start.position)[:2]
     along, aside = (mean_wind(scenario.wind) - way / scenario.nominal_duration).tolist()
@@ -110,57 +114,66 @@ PARAMETERS = (
 
 
 def turbulence_values(scenario: Scenario) -> dict[str, float]:
-    """Return the parameters of block `wind.turbulence` by full name."""
+    """Return the values of the parameters in block `wind.turbulence`, by full name."""
     return dict(parameter_items(_BLOCK, PARAMETERS, scenario))
 
 
 def horizontal_length(height: Any) -> Any:
-    """Return the length scale L_u = L_v, MIL-F-8785C, fig. 10 (MIL-HDBK-1797: half of it)."""
+    """Return the length scale L_u = L_v at a height [m]: MIL-F-8785C, figure 10.
+
+    That of MIL-HDBK-1797 is half of it for L_v.
+    """
     return height / (0.177 + 0.000823 * height / _FOOT) ** 1.2
 
 
 def vertical_length(height: Any) -> Any:
-    """Return the length scale L_w, MIL-F-8785C, section 3.7.3.4."""
+    """Return the length scale L_w at a height [m]: MIL-F-8785C, section 3.7.3.4."""
     return 1 * height
 
 
 def vertical_deviation(wind_at_6_m: Any) -> Any:
-    """Return the standard deviation sigma_w, MIL-F-8785C, section 3.7.3.4."""
+    """Return the standard deviation sigma_w of gusts [m/s]: MIL-F-8785C, section 3.7.3.4."""
     return 0.1 * wind_at_6_m
 
 
 def horizontal_deviation(wind_at_6_m: Any, height: Any) -> Any:
-    """Return the standard deviation sigma_u = sigma_v, MIL-F-8785C, figure 11."""
+    """Return the standard deviation sigma_u = sigma_v of gusts [m/s]: MIL-F-8785C, figure 11."""
     return vertical_deviation(wind_at_6_m) / (0.177 + 0.000823 * height / _FOOT) ** 0.4
 
 
 def longitudinal_gust(deviation: Any, state: Any) -> Any:
-    """Return the longitudinal gust u from the state of its filter."""
+    """Return the longitudinal gust u [m/s] from its standard deviation and filter state xi_1."""
     return deviation * sqrt(2) * state
 
 
 def transverse_gust(deviation: Any, state: Any, lag: Any) -> Any:
-    """Return the transverse gust v or w from the states of its filter."""
+    """Return the transverse gust v or w [m/s] from its standard deviation and filter states."""
     return deviation * (sqrt(3) * state + (1 - sqrt(3)) * lag)
 
 
 def filter_rate(rate: Any, state: Any, noise: Any) -> Any:
-    """Return the rate of the first filter state xi_1, whose stationary variance is 1/2."""
+    """Return the time derivative of the filter state xi_1, whose stationary variance is 1/2 [1/s].
+
+    `rate` is a = V / L [1/s], `noise` is white noise of unit intensity [1/s^(1/2)].
+    """
     return -rate * state + root(rate) * noise
 
 
 def lag_rate(rate: Any, state: Any, lag: Any) -> Any:
-    """Return the rate of the second filter state xi_2."""
+    """Return the time derivative of the filter state xi_2, which lags xi_1 [1/s]."""
     return rate * (state - lag)
 
 
 def declare_turbulence(m: ConcreteModel, scenario: Scenario) -> None:
-    """Add turbulence to the wind, in block `wind.turbulence`.
+    """Add Dryden turbulence and a forecast error to the wind, in block `wind.turbulence`.
 
     Parameters
     ----------
     m : ConcreteModel
-        With `time`, `rigid_body` and the mean wind of `wind`, to which no component refers yet.
+        With `time`, `rigid_body` and the mean wind of `wind`, to which no component refers yet:
+        each wind component is replaced by its sum with the gust.
+    scenario : Scenario
+        With ``wind.turbulence``.
     """
     b = m.wind.turbulence = Block(doc="turbulence, MIL-F-8785C at low altitude")
     add_parameters(b, PARAMETERS, scenario)
@@ -179,7 +192,7 @@ def declare_turbulence(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _declare_scales(b: Block, m: ConcreteModel) -> None:
-    """Declare lengths, standard deviations, the crossing speed and the filters' rates."""
+    """Declare length scales, standard deviations, crossing speed and rates V / L of the filters."""
 
     @b.Expression(m.time, doc="h: height at which the laws are read [m]")
     def height(_b: Block, t: float) -> NumericExpression:
@@ -217,7 +230,7 @@ def _declare_scales(b: Block, m: ConcreteModel) -> None:
 
 
 def _declare_filters(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare states, noise and rates of the filters."""
+    """Declare the states, the white noise and the differential equations of the filters."""
     begun = Gusts.of(scenario).start
     for full_name in NOISE:
         noise = Param(m.time, initialize=_no_noise, mutable=True, units=_ROOT_RATE, doc="n")
@@ -271,7 +284,7 @@ def _declare_gusts(b: Block, m: ConcreteModel) -> None:
 
 
 def _add_gusts(m: ConcreteModel) -> None:
-    """Redefine the wind velocity as mean wind plus gust, along each world axis."""
+    """Redefine the wind velocity as mean wind, gust and forecast error, along each world axis."""
     b = m.wind.turbulence
     turned = {
         "x": lambda t: (
@@ -302,13 +315,13 @@ def _add_gusts(m: ConcreteModel) -> None:
 
 
 class Gusts:
-    """Noise and initial filter states of the turbulence in one flight, from a seed.
+    """Noise and initial filter states of the turbulence in one simulated flight, from a seed.
 
     Parameters
     ----------
     seed : int or sequence of int
-        Seed of `numpy.random.default_rng`; a flight of an ensemble has the ensemble's seed and its
-        own number.
+        Seed of `numpy.random.default_rng`; a flight of an ensemble has the ensemble's seed and the
+        flight's number.
     """
 
     def __init__(self, seed: int | Sequence[int]) -> None:
@@ -316,22 +329,33 @@ class Gusts:
 
     @classmethod
     def of(cls, scenario: Scenario) -> "Gusts":
-        """Return the turbulence of a scenario's flight."""
+        """Return the turbulence of a single simulated flight, with the scenario's seed."""
         turbulence = scenario.wind.turbulence
         return cls(0 if turbulence is None else turbulence.seed)
 
     @property
     def start(self) -> dict[str, float]:
-        """Initial `FILTER_STATES`, a sample of the stationary distribution."""
+        """Initial values of `FILTER_STATES` by full name, a sample of the stationary state."""
         drawn = LONG_RUN_FACTOR @ np.random.default_rng(self._seed).standard_normal(
             len(FILTER_STATES)
         )
         return dict(zip(FILTER_STATES, drawn.tolist(), strict=True))
 
     def noise(self, duration: float) -> FloatArray:
-        """Return the white noise per step, shape (n_steps, 3), of variance 1 / `NOISE_STEP`.
+        """Return the white noise of a flight, constant over steps of `NOISE_STEP`.
 
-        The noise of a shorter flight is the beginning of that of a longer one.
+        Its variance is 1 / `NOISE_STEP`. The noise of a shorter flight is the beginning of that of
+        a longer one.
+
+        Parameters
+        ----------
+        duration : float
+            Length of the flight [s].
+
+        Returns
+        -------
+        ndarray, shape (n_steps, 3)
+            Noise of the filters along, across and upwards [1/s^(1/2)].
         """
         generator = np.random.default_rng(self._seed)
         generator.standard_normal(len(FILTER_STATES))
@@ -339,7 +363,7 @@ class Gusts:
         return generator.standard_normal((steps, len(NOISE))) / sqrt(NOISE_STEP)
 
     def steps(self, duration: float) -> dict[str, Steps]:
-        """Return the noise parameters as step functions of time, by full name."""
+        """Return the white noise of a flight as step functions of time, by full parameter name."""
         columns = self.noise(duration).T
         return {
             name: Steps(start=0.0, step=NOISE_STEP, values=tuple(column.tolist()))

@@ -55,7 +55,7 @@ _FUNCTIONS = {"sin", "cos", "tan", "exp", "log", "tanh"}
 
 @dataclass(frozen=True, kw_only=True)
 class TypesetEquation:
-    """One declared equation: component name, its `doc`, and LaTeX without delimiters."""
+    """One declared equation as LaTeX without delimiters, with component name and its `doc` text."""
 
     name: str
     description: str
@@ -63,12 +63,17 @@ class TypesetEquation:
 
 
 def typeset_equations(model: ConcreteModel) -> tuple[TypesetEquation, ...]:
-    """Typeset every constraint and named expression over time.
+    """Typeset every constraint and named expression over time as LaTeX.
 
     Parameters
     ----------
     model : ConcreteModel
         A continuous model, as `build_model` declares it.
+
+    Returns
+    -------
+    tuple of TypesetEquation
+        In the order of declaration; a component over rotors gives one equation with the index j.
     """
     time = next(model.component_objects(ContinuousSet, descend_into=True))
     instant = sorted(time)[len(time) // 2]
@@ -93,7 +98,7 @@ def _component(component: IndexedComponent, time: ContinuousSet, instant: float)
 
 
 def _index(data: ComponentData) -> tuple[Hashable, ...]:
-    """Return the index without time."""
+    """Return the index of a member of an indexed component, as a tuple without its time."""
     index = data.index()
     if index is None:
         return ()
@@ -105,7 +110,10 @@ def _index(data: ComponentData) -> tuple[Hashable, ...]:
 
 
 class _Writer:
-    """Writer of Pyomo expressions as LaTeX; rotor 1 is written as j if the index is free."""
+    """Writer of Pyomo expressions as LaTeX; rotor 1 is written as j if the index is free.
+
+    A free index means that the equation is typeset once for all rotors.
+    """
 
     def __init__(self, *, has_free_index: bool) -> None:
         self._has_free_index = has_free_index
@@ -242,12 +250,15 @@ def _number(number: float) -> str:
 
 
 def _is_single_term(node: NumericValue) -> bool:
-    """Return whether a leading minus in the node's text applies to the whole node."""
+    """Return whether a leading minus in the LaTeX of an expression applies to all of it."""
     return type(node) in native_numeric_types or not isinstance(node, numeric_expr.SumExpression)
 
 
 def _is_unit(node: NumericValue) -> bool:
-    """Return whether a factor is a unit, or a product of units, with the value one."""
+    """Return whether a factor is a unit, or a product of units, with the value one.
+
+    Typeset equations leave units out.
+    """
     if isinstance(node, _PyomoUnit):
         return True
     if type(node) in native_numeric_types or not node.is_expression_type():

@@ -1,4 +1,4 @@
-"""Numbers of the vehicle: airframe, rotors and motors.
+"""Parameters of the vehicle: mass, geometry, inertia, rotors and motors.
 
 symbol | name | unit | meaning
 m | mass | kg | vehicle and payload
@@ -50,12 +50,12 @@ _PARAMETERS = (
 
 @parameters_in("vehicle")
 def parameters_of(_scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the numbers of a vehicle, and the payloads that it releases on the way."""
+    """Return the parameters of a vehicle: its own, and the payloads released at waypoints."""
     return _PARAMETERS
 
 
 def declare_vehicle(m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare the vehicle's numbers as mutable parameters in block `vehicle`."""
+    """Declare the vehicle's parameters and the releases of payloads in block `vehicle`."""
     m.vehicle = Block(doc="numbers of the vehicle")
     declare_parameters(m.vehicle, scenario)
     loads, times = _loads(scenario), scenario.nominal_times
@@ -74,7 +74,7 @@ def _loads(scenario: Scenario) -> tuple[int, ...]:
 
 
 def mass_at(m: ConcreteModel, t: float) -> NumericExpression:
-    """Return the mass in flight at a time, without payloads of waypoints that have been left."""
+    """Return the mass of vehicle and payload at a time, less the payloads released before [kg]."""
     b = m.vehicle
     if b.component("released") is None:
         return b.mass

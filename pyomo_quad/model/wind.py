@@ -1,4 +1,4 @@
-"""Wind in world axes: formula of eq. (11)-(12), measured table, or field over places.
+"""Wind in world axes: eq. (11)-(12) of the paper, a measured table, or a field over places.
 
 symbol | name | unit | meaning
 v_0 | mean | m/s | mean value, with the scenario's steady wind added
@@ -94,9 +94,9 @@ def _measured_heights(wind: Wind) -> tuple[float, ...]:
 
 
 def _least_height(wind: Wind) -> float:
-    """Return the lowest height at which a measured wind or a wind profile is defined.
+    """Return the lowest height at which a measured wind or a wind profile is defined [m].
 
-    The logarithmic law has no wind at the roughness and below.
+    The logarithmic law has no wind at the roughness length and below.
     """
     if wind.profile is not None:
         return max(_LEAST_HEIGHT_M, wind.profile.roughness or 0.0)
@@ -105,7 +105,7 @@ def _least_height(wind: Wind) -> float:
 
 @parameters_in("wind")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters of block `wind` for a scenario."""
+    """Return the parameters of block `wind`, which depend on the kind of wind of the scenario."""
     wind = scenario.wind
     return (
         *(() if wind.grid is None else (FIELD_UNIT,)),
@@ -135,7 +135,7 @@ def _angular_frequencies(scenario: Scenario, name: str) -> dict[int, float]:
 
 
 def _axis_parameters(name: str, scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters of eq. (11)-(12) along one axis, empty for a wind from a file."""
+    """Return the parameters of eq. (11)-(12) along one axis; empty for a wind from a file."""
     of_axis = (
         Parameter(name="mean", units=_SPEED, value=lambda s: _mean(s, name), doc="v_0: mean value"),
         Parameter(
@@ -161,12 +161,14 @@ for _name in _HORIZONTAL:
 
 
 def declare_wind(m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare the wind velocity in block `wind`, as a formula or as a splined table.
+    """Declare the wind velocity over time in block `wind`, from a formula, a table or a field.
 
     Parameters
     ----------
     m : ConcreteModel
-        With `time`, `clock` and an empty `wind`; the height of `rigid_body` for a profile.
+        With `time`, `clock`, `rigid_body` and an empty block `wind`.
+    scenario : Scenario
+        Holds the wind: eq. (11)-(12), a measured time series, or a field over places.
     """
     b, wind = m.wind, scenario.wind
     declare_parameters(b, scenario)
@@ -209,7 +211,7 @@ def _declare_of_field(b: Block, m: ConcreteModel, field: Sequence[Expression]) -
 
 
 def _declare_height(b: Block, m: ConcreteModel) -> None:
-    """Declare the height at which the wind is evaluated, with a lower limit."""
+    """Declare the height above ground at which the wind is evaluated, with a smooth lower limit."""
 
     @b.Expression(m.time, doc="height above the least height [m]")
     def height_above(b: Block, t: float) -> NumericExpression:
@@ -221,7 +223,7 @@ def _declare_height(b: Block, m: ConcreteModel) -> None:
 
 
 def _declare_profile(b: Block, m: ConcreteModel, law: WindLaw) -> None:
-    """Declare the ratio of the wind at the vehicle's height to the wind at the reference height."""
+    """Declare the ratio of the wind at the vehicle's height to that at the reference height."""
 
     def power(b: Block, t: float) -> NumericExpression:
         return (b.height[t] / b.reference_height) ** b.exponent
@@ -234,13 +236,16 @@ def _declare_profile(b: Block, m: ConcreteModel, law: WindLaw) -> None:
 
 
 def _at_height(b: Block, t: float, velocity: NumericExpression) -> NumericExpression:
-    """Return the wind at the vehicle's height, from the wind at the reference height."""
+    """Return the wind at the vehicle's height from that at the reference height [m/s].
+
+    Without a wind profile the two are equal.
+    """
     profile = b.component("profile")
     return velocity if profile is None else profile[t] * velocity
 
 
 def still_air(m: ConcreteModel) -> dict[str, float | Callable[[float], float]]:
-    """Return the parameter values that set the wind of a model to zero.
+    """Return the parameter values that set the wind of a model to zero, by full name.
 
     Every mutable parameter of block `wind` with the unit of a speed is zero, so that a wind of the
     user's own is switched off as well. A wind that is not a parameter remains.
@@ -283,7 +288,7 @@ def _declare_formula(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _velocity(axis: Block, t: float) -> NumericExpression:
-    """Return the wind of eq. (11): mean, harmonics and gust."""
+    """Return the wind of eq. (11) along one axis: mean, harmonics and gust [m/s]."""
     wind_time = axis.parent_block().wind_time[t]
     harmonics = sum(axis.amplitudes[k] * sin(axis.frequencies[k] * wind_time) for k in HARMONICS)
     return axis.mean + harmonics + axis.gust[t]
@@ -351,10 +356,10 @@ def _declare_velocity(b: Block, m: ConcreteModel, name: str, measured: Sequence[
 
 
 def _declare_shapes(b: Block, m: ConcreteModel, heights: FloatArray) -> None:
-    """Declare the basis functions of height whose weighted sum is the measured wind.
+    """Declare the basis functions of height whose weighted sum is the wind measured over heights.
 
-    They are those of a cubic not-a-knot spline. Below the lowest and above the highest height the
-    wind is constant, with the same smoothing as a profile.
+    The functions are those of a cubic not-a-knot spline. Below the lowest and above the highest
+    measured height the wind is constant, with the same smoothing as a profile.
     """
     shares, functions = _shares(heights), _truncated_powers(_shares(heights))
 
@@ -385,7 +390,12 @@ def _shapes(heights: FloatArray) -> FloatArray:
 
 
 def _truncated_powers(shares: FloatArray) -> list[Callable[[Any], Any]]:
-    """Return powers up to the third and truncated cubes at inner heights (spline basis)."""
+    """Return the truncated power basis of a cubic spline in height.
+
+    The functions are the powers of the height up to the third and, for each inner height, the cube
+    of the distance above it, zero below. `shares` are the measured heights, scaled to the range
+    from 0 to 1.
+    """
     degree = min(_CUBIC, len(shares) - 1)
     begun = [partial(_power_from, float(share)) for share in shares[2:-2]]
     return [*(partial(_power, degree=n) for n in range(degree + 1)), *begun]
@@ -400,18 +410,19 @@ def _power_from(start: float, share: Any) -> Any:
     return ((beyond + abs(beyond)) / 2) ** _CUBIC
 
 
-# Width of the passage into the constant wind after the last row, in units of the usual step.
+# Width over which the spline blends into the constant wind after the last row, relative to the
+# median time between rows.
 _PASSING_STEPS = 0.1
-# Rows kept on either side of those that a flight reads. The effect of a row decreases by a factor
-# of 3.7 per row, so that rows farther away are below rounding.
+# Rows kept on either side of the rows within the time of a flight. The effect of a row on the
+# spline decreases by a factor of 3.7 per row, so that rows farther away are below rounding.
 _ROWS_BESIDE = 30
 
 
 class _OverTime:
-    """Measured wind speed as a spline over the time of flight.
+    """Wind speed measured over time, as a spline that a Pyomo model can evaluate.
 
-    It is the cubic spline through its rows, constant after the last row, with the same smoothing as
-    a profile.
+    The cubic spline passes through the rows of the table. After the last row the wind is constant,
+    with the same smoothing as a profile.
     """
 
     def __init__(self, times: Sequence[float], speeds: FloatArray, scenario: Scenario) -> None:
@@ -426,7 +437,10 @@ class _OverTime:
         self._rows = slice(max(first - _ROWS_BESIDE, 0), last + _ROWS_BESIDE)
 
     def __call__(self, t: Any) -> Any:
-        """Return the speed at a time, as a number, or as a Pyomo expression of a symbol."""
+        """Return the speed at a time in flight, as a number, or as a Pyomo expression of a symbol.
+
+        The speed is in m/s, without Pyomo unit.
+        """
         if isinstance(t, int | float):
             return float(self._spline(self._held(t, self._end)))
         return self._table(self._held(t, float(self._spline.x[self._rows][-1])))
@@ -436,7 +450,7 @@ class _OverTime:
 
     @cached_property
     def _table(self) -> Table:
-        """Spline over the rows of the file that a flight of variable duration may read.
+        """Spline over the rows of the table within reach of a flight of variable duration.
 
         Its cost grows with its rows; rows left out are too far away to have an effect.
         """

@@ -1,18 +1,19 @@
-"""Wind that varies from place to place, as a spline of place and time per component.
+"""Wind that varies from place to place: a spline over place and time for each component.
 
 symbol | name | unit | meaning
 s | field_unit | m/s | factor on the wind of the field, as a speed
 x, y, z, t | - | m, s | the vehicle's place, and the wind time
 
 Each component is the tensor product of cubic B-splines through its values on the grid, without
-knots beside the ends: twice differentiable, with exact derivatives, and its work does not grow
-with the grid (`collocation.Table`).  An axis of two or three points is the line or parabola
-through them.  Grid points without wind, such as points inside a building, get the wind of the
-nearest point with wind, because a spline needs a value everywhere; a flight through them is
-refused (`unknown_wind`) unless `wind.beyond` is "hold".
+knots beside the ends (not-a-knot): twice differentiable, with exact derivatives, and its
+evaluation costs the same on any grid (`collocation.Table`).  An axis of two or three points is the
+line or parabola through them.  Grid points without wind, such as points inside a building, get the
+wind of the nearest point with wind, because a spline needs a value everywhere; a flight through
+them is refused (`unknown_wind`) unless `wind.beyond` is "hold".
 
-With `wind.beyond` "hold", the place is clipped smoothly to the grid: farther than a tenth of a step
-inside the border it is the vehicle's own to 1e-10 of a step, and outside the wind is constant.
+With `wind.beyond` "hold", the place is clipped smoothly to the grid: inside the border by more than
+a tenth of a step the clipped place is the vehicle's own to 1e-10 of a step, and outside the grid
+the wind is that of its border.
 """
 
 from collections.abc import Sequence
@@ -39,23 +40,36 @@ FIELD_UNIT = Parameter(
     doc="s: factor on the wind of the field, as a speed",
 )
 _SPLINE_POINTS = 4
-# Width over which a place beyond the grid is moved back to it, relative to the axis's least step.
+# Width over which the clipping of a place to the grid is rounded, relative to the axis's smallest
+# step.
 _PASSING_STEPS = 0.02
 
 
 def smooth_positive(number: Any, width: Any) -> Any:
-    """Return a smooth max(number, 0), rounded over a width."""
+    """Return a smooth max(number, 0), rounded near zero over a width of the same unit.
+
+    Unlike `parameters.positive_part`, it equals max(number, 0) to rounding a few widths from zero.
+    """
     rounding = width**2 * exp(-((number / width) ** 2))
     return (number + sqrt(number**2 + rounding)) / 2
 
 
 def declare_field(m: ConcreteModel, grid: WindGrid, scenario: Scenario) -> list[Expression]:
-    """Declare the tables of a wind field and return its components over time [m/s].
+    """Declare the tables of a wind field and return the wind components at the vehicle [m/s].
 
     Parameters
     ----------
     m : ConcreteModel
         With `time`, `rigid_body` and `wind`, which has `wind_time` and `field_unit`.
+    grid : WindGrid
+        Grid points and wind components of the field.
+    scenario : Scenario
+        Its `wind.beyond` says whether places are clipped to the grid.
+
+    Returns
+    -------
+    list of Expression
+        Wind over time along world x, y and, if the field has it, z.
     """
     b, is_held = m.wind, scenario.wind.beyond is Beyond.HOLD
     axes, tables = _filled(grid)
@@ -90,7 +104,7 @@ def _arguments(b: Block, grid: WindGrid, t: float) -> list[Any]:
 
 
 def _led_back(argument: Any, axis: FloatArray, unit: Any) -> Any:
-    """Clip a coordinate smoothly to the range of its grid axis."""
+    """Clip a coordinate smoothly to the range of a grid axis."""
     width = _PASSING_STEPS * float(np.diff(axis).min()) * unit
     first, last = float(axis[0]) * unit, float(axis[-1]) * unit
     above = first + smooth_positive(argument - first, width)
@@ -98,7 +112,18 @@ def _led_back(argument: Any, axis: FloatArray, unit: Any) -> Any:
 
 
 def _filled(grid: WindGrid) -> tuple[list[FloatArray], FloatArray]:
-    """Return axes and wind components of a grid, with missing values filled in for a spline."""
+    """Return axes and wind components of a grid, prepared for a cubic spline.
+
+    Missing values get the wind of the nearest point with wind, and an axis with fewer than four
+    points is resampled at four.
+
+    Returns
+    -------
+    axes : list of ndarray
+        Coordinates along each axis [m, m, m, s].
+    values : ndarray, shape (n_components, *grid)
+        Wind [m/s] relative to `field_unit`.
+    """
     from scipy.interpolate import BarycentricInterpolator  # noqa: PLC0415  for fields alone
     from scipy.ndimage import distance_transform_edt  # noqa: PLC0415  for fields alone
 
@@ -119,7 +144,7 @@ def _filled(grid: WindGrid) -> tuple[list[FloatArray], FloatArray]:
 
 
 def mean_of_field(scenario: Scenario, grid: WindGrid) -> FloatArray:
-    """Return the mean of a field over grid points with wind, along world x and y [m/s]."""
+    """Return the mean wind of a field along world x and y, over the grid points with wind [m/s]."""
     told = grid.components[:2].reshape(2, -1)
     return np.asarray(scenario.wind.field_scale * np.nanmean(told, axis=1))
 
@@ -127,7 +152,21 @@ def mean_of_field(scenario: Scenario, grid: WindGrid) -> FloatArray:
 def is_wind_known(
     scenario: Scenario, times: FloatArray | float, places: FloatArray
 ) -> NDArray[np.bool_]:
-    """Return whether the wind is known at places (n, 3) at times in flight [s], shape (n,)."""
+    """Return for each place and time of a flight whether the wind field has a value there.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        A wind without field, or with `wind.beyond` "hold", is known everywhere.
+    times : ndarray, shape (n,), or float
+        Times in flight [s].
+    places : ndarray, shape (n, 3)
+        Places in world axes [m].
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+    """
     wind = scenario.wind
     if wind.grid is None or wind.beyond is Beyond.HOLD:
         return np.ones(len(places), dtype=bool)
@@ -135,13 +174,21 @@ def is_wind_known(
 
 
 def unknown_wind(scenario: Scenario, times: FloatArray, places: FloatArray) -> str:
-    """Return a message on the first place of a flight without wind in its field, or an empty text.
+    """Return a message on the first place of a flight at which the wind field has no value.
 
     Parameters
     ----------
+    scenario : Scenario
+        Holds the wind field.
     times : ndarray, shape (n,)
         Times in flight [s].
     places : ndarray, shape (n, 3)
+        Places at these times in world axes [m].
+
+    Returns
+    -------
+    str
+        The message for the user; empty if the wind is known on the whole flight.
     """
     lost = np.flatnonzero(~is_wind_known(scenario, times, places))
     if not lost.size:

@@ -1,4 +1,8 @@
-"""The paper's experiments as missions, and their optimal and controlled flights."""
+"""The two experiments of Yacef et al. as missions, with their optimal and controlled flights.
+
+f_r is the efficiency of motor and rotor in their paper, a polynomial of torque and speed that the
+paper does not print; a form recovered from public re-implementations is used.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -25,22 +29,31 @@ from pyomo_quad.scenario.accuracy import Accuracy
 PAPER_CELL = "paper_cell"
 PHANTOM_PACK = "phantom_2_pack"
 
-#: The power models for which the paper gives the vehicle's numbers; it gives no rotor radius.
+#: Power models for which the paper gives the vehicle's numbers: all except the momentum model,
+#: which needs the rotor radius.
 POWER_MODELS = tuple(model for model in PowerModel if model is not PowerModel.MOMENTUM)
 
-# Name and wind of each experiment's scenario.
+# Name of the scenario, and library name of the wind, for each experiment.
 _NAMED = {1: ("paper_calm", "calm"), 2: ("paper_wind", "paper_table_2")}
 
 
 class Experiment(IntEnum):
-    """Tests of the paper's section IV."""
+    """Experiments of Yacef et al., section IV: the same flight in calm air and in wind."""
 
     CALM = 1
     WIND = 2
 
 
 def paper_scenario(experiment: Experiment, values: Mapping[str, Any] | None = None) -> Scenario:
-    """Return an experiment of the paper, with fields changed."""
+    """Return the scenario of one of the experiments of Yacef et al.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Flight in calm air or in wind.
+    values : mapping, optional
+        Changed fields: new value by dotted path.
+    """
     name, wind = _NAMED[experiment]
     scenario = scenario_from_mapping(
         {
@@ -57,7 +70,10 @@ def paper_scenario(experiment: Experiment, values: Mapping[str, Any] | None = No
 
 @dataclass(frozen=True, kw_only=True)
 class BaselineCase:
-    """Case of a flight under the adaptive controller: experiment, power model, reference."""
+    """Settings of a flight under the adaptive controller.
+
+    These are the experiment (calm air or wind), the power model and the reference trajectory.
+    """
 
     experiment: Experiment
     power_model: PowerModel
@@ -71,14 +87,20 @@ class BaselineCase:
 
 @dataclass(frozen=True, kw_only=True)
 class BaselineFlight:
-    """Flight under the adaptive controller, with its case."""
+    """Simulated flight under the adaptive controller, with its settings."""
 
     case: BaselineCase
     flight: Flight
 
 
 def baseline_cases(*, is_quick: bool = False) -> tuple[BaselineCase, ...]:
-    """List the controlled flights of the report."""
+    """List the settings of the report's flights under the adaptive controller.
+
+    Parameters
+    ----------
+    is_quick : bool, optional
+        Whether to leave out the reference that jumps to the goal.
+    """
     references = (Reference.QUINTIC,) if is_quick else (Reference.QUINTIC, Reference.STEP)
     cases = product(Experiment, (PowerModel.MOTOR, PowerModel.EFFICIENCY), references)
     return tuple(
@@ -88,7 +110,7 @@ def baseline_cases(*, is_quick: bool = False) -> tuple[BaselineCase, ...]:
 
 
 def fly_baseline_case(case: BaselineCase) -> BaselineFlight:
-    """Simulate the adaptive controller in an experiment."""
+    """Simulate a flight of an experiment of Yacef et al. under the adaptive controller."""
     scenario = paper_scenario(case.experiment, {"power.model": case.power_model})
     dynamics = Planner().dynamics(scenario)
     return BaselineFlight(
@@ -98,24 +120,30 @@ def fly_baseline_case(case: BaselineCase) -> BaselineFlight:
 
 @cache
 def full_speed_energy(experiment: Experiment) -> float:
-    """Return the energy under f_r of all rotors at full speed throughout an experiment [J].
+    """Return the energy of an experiment with all rotors at full speed throughout [J].
 
-    To spend more, the rotors would have to accelerate and brake all the time.
+    The power is computed with the efficiency f_r of Yacef et al. To use more energy, the rotors
+    would have to accelerate and brake all the time.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Flight in calm air or in wind.
     """
     scenario = paper_scenario(experiment, {"power.model": PowerModel.EFFICIENCY})
     steady = Planner().steady_flight(scenario)
     return float(steady.power(scenario.limits.rotor_speed_max)) * scenario.mission.fixed_duration
 
 
-# These powers are flat or kinked in the controls: their solves start from the optimum under the
-# motors' power, and two of them stop after few iterations. Under f_r, Ipopt meets no tolerance,
-# however many iterations it takes.
+# Solver settings for power models whose power is flat or has a kink as a function of the controls.
+# Their solves start from the optimum under the motors' electrical power, and two are stopped after
+# few iterations: under f_r, Ipopt meets no tolerance, however many iterations it takes.
 _STARTED_FROM_MOTOR: dict[PowerModel, dict[str, Any]] = {
     PowerModel.EFFICIENCY: {"solver.max_refinements": 0, "solver.max_iterations": 20},
     PowerModel.CONSTANT_EFFICIENCY: {"solver.max_iterations": 60},
     PowerModel.SHAFT: {},
 }
-# A power with a kink at zero needs more points than the default tolerance requires.
+# Settings for a power with a kink at zero, which needs a finer mesh than by the default tolerance.
 _TIGHTER: dict[str, Any] = {"solver.tolerance": 3e-7}
 _OPTIMA = (PlanStatus.VERIFIED, PlanStatus.SOLVED)
 _COARSE: dict[str, Any] = {"solver.elements": 20, "solver.max_refinements": 0}
@@ -123,7 +151,11 @@ _COARSE: dict[str, Any] = {"solver.elements": 20, "solver.max_refinements": 0}
 
 @dataclass(frozen=True, kw_only=True)
 class FlightCase:
-    """Case of an optimal flight: experiment, power model and readings."""
+    """Settings of an optimal flight: experiment, power model, wind and battery.
+
+    The paper of Yacef et al. leaves open how the wind acts, in which unit its frequencies are, and
+    which battery is meant; each combination is a case.
+    """
 
     experiment: Experiment
     power_model: PowerModel
@@ -139,7 +171,7 @@ class FlightCase:
 
     @property
     def scenario(self) -> Scenario:
-        """The mission with the settings of this case."""
+        """Scenario of the experiment with these settings."""
         chosen = {
             "power.model": self.power_model,
             "battery.use": self.battery,
@@ -151,17 +183,21 @@ class FlightCase:
 
 @dataclass(frozen=True, kw_only=True)
 class PaperFlight:
-    """Optimal flight of a case, with the energy of hovering for the same time.
+    """Optimal flight of an experiment of Yacef et al.
 
     Attributes
     ----------
+    case : FlightCase
+        Experiment, power model, wind and battery.
+    flight : Flight
+        The planned flight.
     status : PlanStatus
-        Status of the solve; a flight under f_r may be verified although its solve proves no
-        optimum.
+        Status of the solve. With the efficiency f_r a flight may be verified although the solve
+        does not prove that it is optimal.
     hover_energy_J : float
         Energy of hovering for the same time under the same power model.
     end_prices : mapping
-        `Plan.end_prices` of a solve that found an optimum, else empty.
+        Costates at the end of the plan, by state; empty if the solve found no optimum.
     """
 
     case: FlightCase
@@ -172,7 +208,13 @@ class PaperFlight:
 
 
 def flight_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
-    """List both experiments under every power model."""
+    """List the settings of both experiments under every power model.
+
+    Parameters
+    ----------
+    is_quick : bool, optional
+        Whether to solve on a coarse mesh without refinement.
+    """
     return tuple(
         FlightCase(experiment=experiment, power_model=model, is_quick=is_quick)
         for experiment, model in product(Experiment, POWER_MODELS)
@@ -180,20 +222,36 @@ def flight_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
 
 
 def battery_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
-    """List the first experiment with both batteries."""
+    """List the settings of the flight in calm air with two batteries.
+
+    The batteries are that of the vehicle's maker and the cell of Yacef et al.
+
+    Parameters
+    ----------
+    is_quick : bool, optional
+        Whether to solve on a coarse mesh without refinement.
+    """
     calm = FlightCase(experiment=Experiment.CALM, power_model=PowerModel.MOTOR, is_quick=is_quick)
     return tuple(replace(calm, battery=battery) for battery in (PHANTOM_PACK, PAPER_CELL))
 
 
 def wind_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
-    """List the second experiment with both couplings and both readings of the frequencies."""
+    """List the settings of the flight in wind with every interpretation of the wind.
+
+    The wind acts as an acceleration or by drag, and its frequencies are in rad/s or Hz.
+
+    Parameters
+    ----------
+    is_quick : bool, optional
+        Whether to solve on a coarse mesh without refinement.
+    """
     windy = FlightCase(experiment=Experiment.WIND, power_model=PowerModel.MOTOR, is_quick=is_quick)
     readings = product(WindCoupling, FrequencyUnit)
     return tuple(replace(windy, coupling=c, frequency_unit=unit) for c, unit in readings)
 
 
 def fly_case(case: FlightCase) -> PaperFlight:
-    """Plan the flight of a case and verify it by simulation."""
+    """Plan a flight of an experiment of Yacef et al., and verify it by simulation."""
     plan = _plan(case.scenario, Planner())
     return PaperFlight(
         case=case,
@@ -218,7 +276,7 @@ def _plan(scenario: Scenario, planner: Planner) -> Plan:
 
 
 def _flown(plan: Plan) -> Flight:
-    """Verify the flight of a plan even if the solve did not prove it optimal."""
+    """Return the flight of a plan, simulated even if the solve did not prove it optimal."""
     if plan.verification is not None:
         return plan.flight()
     held = plan.trajectories

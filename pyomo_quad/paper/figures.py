@@ -1,4 +1,7 @@
-"""The counterparts of the paper's figures 1 to 7, and the figure of the floors."""
+"""Counterparts of figures 1 to 7 of Yacef et al., and a figure of least energies under f_r.
+
+f_r is the efficiency of motor and rotor in their paper.
+"""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -27,12 +30,21 @@ from pyomo_quad.scenario import FrequencyUnit, PowerModel, WindCoupling
 from pyomo_quad.scenario.battery import Battery
 
 _KILO = 1e3
-LOWEST_SHOWN = -2.0  # kJ: low enough to show that the literal curve falls without end
-_HEADROOM = 0.6  # kJ above hovering
+LOWEST_SHOWN = -2.0  # lower end of the energy axis [kJ]: shows that the literal curve falls on
+_HEADROOM = 0.6  # space above the energy of hovering [kJ]
 
 
 def draw_floors(study: PaperStudy) -> Figure:
-    """Draw the least energy of any flight for both readings of f_r."""
+    """Draw the least energy of any flight against the bound on the rotor acceleration.
+
+    There is one curve for each interpretation of the efficiency f_r of Yacef et al.: with lower
+    limits (regularised), and as the bare polynomial (literal).
+
+    Parameters
+    ----------
+    study : PaperStudy
+        Results of the study.
+    """
     hovering = find_flight(study.flights, Experiment.CALM, PowerModel.EFFICIENCY).hover_energy_J
     figure, panels = panel_grid(1, 1, panel_height=2.9, left=0.6, legend_entries=12)
     axes = panels[0, 0]
@@ -68,7 +80,7 @@ _MOTION_FIGURES = {Experiment.CALM: (3, 4), Experiment.WIND: (5, 6)}
 
 
 def paper_drawings(study: PaperStudy) -> tuple[Drawing, ...]:
-    """List the figures of this package that reproduce the paper's figures 1 to 7."""
+    """List the figures that are counterparts of figures 1 to 7 of Yacef et al."""
     return (
         *_power(study),
         *_motion(study, Experiment.CALM),
@@ -78,7 +90,7 @@ def paper_drawings(study: PaperStudy) -> tuple[Drawing, ...]:
 
 
 def floor_drawing(study: PaperStudy) -> Drawing:
-    """Return the figure of the least energy under f_r."""
+    """Return the figure of the least energy of any flight under the efficiency f_r."""
     return Drawing(
         name="floors",
         title="Least energy under f_r",

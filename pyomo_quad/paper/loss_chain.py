@@ -1,4 +1,8 @@
-"""Figure 1: the chain of losses of a flight, and the flight on the map of f_r."""
+"""Counterpart of figure 1 of Yacef et al.: chain of losses of a flight, and map of f_r.
+
+The chain leads from the battery over resistances and windings to the rotors. The flight is also
+drawn on the map of their efficiency f_r of motor and rotor over rotor speed and torque.
+"""
 
 from dataclasses import dataclass
 
@@ -17,9 +21,9 @@ from pyomo_quad.scenario import ScenarioError
 
 _MAP_COLORS = "YlGnBu"
 _LEVELS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3)
-_BAR = 0.62  # height of a bar, of the distance between bars
-# Margin left and right of the chain, relative to all losses; on an axis from 0 the losses would be
-# invisible.
+_BAR = 0.62  # height of a bar relative to the distance between bars
+# Margin left and right of the bars, relative to the sum of all losses. The axis does not begin at
+# 0, where the losses would be too small to see.
 _CHAIN_MARGIN = 0.45
 _MILLI = 1e3
 # Margin around the flight in the right map, as a share of the range of its values.
@@ -28,9 +32,18 @@ _ZOOM_MARGIN = 0.15
 
 @dataclass(frozen=True, kw_only=True)
 class EnergyChain:
-    """Energies along the chain of losses, from the battery to the air [J].
+    """Energies of a flight along its chain of losses, from the battery to the rotors [J].
 
-    ``constant_product`` is k_t k_v, 1 for a motor that conserves energy.
+    Attributes
+    ----------
+    drawn : float
+        Energy drawn from the cells.
+    battery_loss, electrical : float
+        Loss in the battery's resistance, and energy supplied to the motors.
+    copper_loss, shaft : float
+        Loss in the motors' windings, and energy supplied to the rotors.
+    constant_product : float
+        Torque constant times voltage constant of a motor, 1 for a motor that conserves energy.
     """
 
     drawn: float
@@ -44,18 +57,30 @@ class EnergyChain:
     def created(self) -> float:
         """Shaft energy in excess of the energy that leaves the windings [J].
 
-        The power tau omega exceeds the electromotive force times the current as k_t exceeds 1/k_v.
+        It is not physical. It arises because the printed torque constant k_t exceeds 1/k_v, so that
+        the shaft power tau omega exceeds the electromotive force times the current.
         """
         return self.shaft - self.passed
 
     @property
     def passed(self) -> float:
-        """Electrical energy of the motors less the copper loss in their windings [J]."""
+        """Electrical energy of the motors less the loss in their windings [J]."""
         return self.electrical - self.copper_loss
 
 
 def energy_chain(flown: PaperFlight) -> EnergyChain:
-    """Integrate the chain of losses over a flight under the motors' electrical power."""
+    """Integrate the losses of a flight from the battery over the windings to the rotors.
+
+    Parameters
+    ----------
+    flown : PaperFlight
+        Optimal flight under the power model `motor`, the motors' electrical power.
+
+    Returns
+    -------
+    EnergyChain
+        Energies and losses [J].
+    """
     frame, scenario = flown.flight.frame, flown.case.scenario
     time = frame[TIME].to_numpy()
     pack = scenario.battery
@@ -87,12 +112,18 @@ def energy_chain(flown: PaperFlight) -> EnergyChain:
 def draw_loss_chain(
     chain: EnergyChain, sampled: EfficiencyMap, flown: PaperFlight, bound: float
 ) -> Figure:
-    """Draw the chain of losses above the efficiency map with the optimal flight on it.
+    """Draw the chain of losses of a flight, and below it the flight on the map of f_r.
 
     Parameters
     ----------
+    chain : EnergyChain
+        Energies of the chain.
+    sampled : EfficiencyMap
+        The efficiency f_r over rotor speed and torque.
+    flown : PaperFlight
+        The flight.
     bound : float
-        Acceleration at which f_r first passes zero, rad/s².
+        Rotor acceleration at which f_r first reaches zero [rad/s²].
     """
     figure = Figure(figsize=(FULL_WIDTH, 5.4))
     _draw_chain(figure.add_axes((0.36, 0.735, 0.6, 0.225)), chain)
@@ -124,7 +155,7 @@ def draw_loss_chain(
 
 
 def _draw_chain(axes: Axes, chain: EnergyChain) -> None:
-    """Draw stages as bars from the left edge, and between them the losses and the remainder."""
+    """Draw each energy of the chain as a bar, and between the bars the losses."""
     lowest = min(chain.passed, chain.shaft)
     margin = _CHAIN_MARGIN * (chain.drawn - lowest)
     left = lowest - margin

@@ -1,7 +1,8 @@
-"""Readings of the paper's efficiency f_r, and solves on fixed meshes under each reading.
+"""Interpretations of the efficiency f_r of Yacef et al., and solves on fixed meshes under each.
 
-The paper does not print f_r. Its form recovered from public re-implementations is zero at some
-braking torques, so that the literal problem has no minimum if the rotors may brake hard enough.
+f_r is the efficiency of motor and rotor, which their paper does not print. Its form recovered from
+public re-implementations is zero at some braking torques, so that the literal problem has no
+minimum if the rotors may brake hard enough.
 """
 
 from dataclasses import dataclass
@@ -23,42 +24,57 @@ from pyomo_quad.scenario import PowerModel, Scenario
 if TYPE_CHECKING:
     from pyomo.core import ConcreteModel
 
-# A floor so far below every torque [N m] and every value of f_r that it has no effect.
+# Lower limit that is so far below every torque [N m] and every value of f_r that it has no effect.
 _NO_FLOOR = -1e3
 
 
 class Reading(StrEnum):
-    """Treatment of f_r where it is small or negative."""
+    """Interpretation of the efficiency f_r of motor and rotor where it is small or negative.
+
+    `REGULARISED` limits torque and efficiency from below, and braking returns no energy. `LITERAL`
+    uses the bare polynomial, and braking returns energy.
+    """
 
     REGULARISED = "regularised"
     LITERAL = "literal"
 
     def values(self) -> dict[str, Any]:
-        """Return the scenario fields that select this reading."""
+        """Return the scenario fields that select this interpretation of the efficiency f_r.
+
+        Returns
+        -------
+        dict
+            Values by dotted path.
+        """
         return {
             "power.model": PowerModel.EFFICIENCY,
             "power.regeneration": self is Reading.LITERAL,
         }
 
     def planner(self) -> Planner:
-        """Return a planner whose model uses this reading of f_r."""
+        """Return a planner whose model uses this interpretation of the efficiency f_r."""
         return Planner(literal_model if self is Reading.LITERAL else model_without_battery)
 
 
 def model_without_battery(scenario: Scenario) -> "ConcreteModel":
-    """Build a mission's model without battery, whose current is undefined for some f_r."""
+    """Build a mission's model without battery.
+
+    The battery's current is undefined for some values of the efficiency f_r of Yacef et al.
+    """
     m = build_model(scenario)
     m.del_component(m.battery)
     return m
 
 
 def literal_model(scenario: Scenario) -> "ConcreteModel":
-    """Build a mission's model with f_r as the bare polynomial, without lower limits.
+    """Build a mission's model in which the efficiency f_r is the bare polynomial.
+
+    The package's usual model limits the torque and the efficiency from below.
 
     Parameters
     ----------
     scenario : Scenario
-        With `Reading.LITERAL.values`.
+        Scenario with the fields of `Reading.LITERAL.values`.
     """
     m = model_without_battery(scenario)
     m.power.torque_floor.set_value(_NO_FLOOR)
@@ -66,19 +82,29 @@ def literal_model(scenario: Scenario) -> "ConcreteModel":
     return m
 
 
-# Meshes of the trials, and the bounds on the rotor acceleration [rad/s²]: the literal floor equals
-# the paper's optimum between the first two bounds, and does not exist above the second.
+# Meshes of the trials, and bounds on the rotor acceleration [rad/s²]. Between the first two bounds
+# the least energy under the literal f_r equals the paper's optimum; above the second there is none.
 _DEGREE, _ELEMENTS = 4, (5, 10, 20)
 _BOUNDS = (300.0, 1000.0, 3000.0, 10000.0)
-# Samples for the energy of a flown trial, whose power jumps within an element.
+# Samples per element for the energy of a simulated trial, whose power jumps within an element.
 _SAMPLES_PER_ELEMENT = 400
-# Looser than the planner's, because a problem without a minimum meets no tolerance for long.
+# Solver options looser than the planner's, because a problem without a minimum meets no tolerance.
 _OPTIONS = SolverOptions(tolerance=1e-6, max_iterations=100)
 
 
 @dataclass(frozen=True, kw_only=True)
 class MeshTrial:
-    """Trial: reading of f_r, bound on the rotor acceleration [rad/s²], and mesh."""
+    """Settings of a solve on a fixed mesh with an interpretation of the efficiency f_r.
+
+    Attributes
+    ----------
+    reading : Reading
+        Interpretation of f_r.
+    bound : float
+        Bound on the rotor acceleration [rad/s²].
+    elements, degree : int
+        Number of elements of the mesh, and their polynomial degree.
+    """
 
     reading: Reading
     bound: float
@@ -87,22 +113,26 @@ class MeshTrial:
 
     @property
     def title(self) -> str:
-        """Name of the trial in a progress display."""
+        """Name of the solve in a progress display."""
         return f"{self.reading.value} f_r, {self.bound:g} rad/s², {self.elements} elements"
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrialOutcome:
-    """Result of a trial: the solver's status, and the simulated flight.
+    """Result of a solve on a fixed mesh, and of the simulation of its controls.
 
     Attributes
     ----------
+    trial : MeshTrial
+        Settings of the solve.
+    has_converged : bool
+        Whether the solver converged.
     energy_J : float
         Energy by the quadrature on the mesh.
     flown_energy_J : float
-        Energy when the controls are flown; NaN where f_r passes zero during the flight.
+        Energy when the controls are simulated; NaN if the efficiency f_r passes zero in flight.
     miss_m : float
-        Distance from the goal when the controls are flown.
+        Distance from the goal when the controls are simulated.
     """
 
     trial: MeshTrial
@@ -113,13 +143,25 @@ class TrialOutcome:
 
 
 def mesh_trials(*, is_quick: bool = False) -> tuple[MeshTrial, ...]:
-    """List the solves on fixed meshes."""
+    """List the settings of all solves on fixed meshes.
+
+    Parameters
+    ----------
+    is_quick : bool, optional
+        Whether to use the coarsest mesh only.
+    """
     trials = product(Reading, _BOUNDS, _ELEMENTS[:1] if is_quick else _ELEMENTS)
     return tuple(MeshTrial(reading=r, bound=bound, elements=count) for r, bound, count in trials)
 
 
 def run_trial(trial: MeshTrial) -> TrialOutcome:
-    """Solve on one mesh without refinement, and simulate the controls."""
+    """Solve the experiment in calm air on one mesh, and simulate the controls.
+
+    Parameters
+    ----------
+    trial : MeshTrial
+        Interpretation of the efficiency f_r, bound on the rotor acceleration, and mesh.
+    """
     scenario = paper_scenario(
         Experiment.CALM,
         trial.reading.values() | {"limits.rotor_acceleration_max": trial.bound},
@@ -143,7 +185,14 @@ def run_trial(trial: MeshTrial) -> TrialOutcome:
 
 
 def _fly(scenario: Scenario, solution: Solution, priced: Dynamics) -> tuple[float, float]:
-    """Simulate the controls of a solution; return energy and distance from the goal."""
+    """Simulate the controls of a solution.
+
+    Returns
+    -------
+    tuple of float
+        Energy [J], NaN if the efficiency f_r passes zero, and distance from the goal at the end
+        [m].
+    """
     # The motion is independent of the power model; the motors' power is finite everywhere.
     steerable = scenario.with_values({"power.model": PowerModel.MOTOR, "power.regeneration": True})
     flown = fly_controls(

@@ -1,4 +1,4 @@
-"""Report on the paper: results reproduced or not, with the reasons in numbers."""
+"""Report on the paper of Yacef et al.: results that are reproduced or not, with the reasons."""
 
 import json
 from collections.abc import Iterator
@@ -41,9 +41,20 @@ _THROUGH_DRAG = {"wind.coupling": WindCoupling.DRAG}
 
 
 class Tolerance(NamedTuple):
-    """Largest relative difference between a committed and a regenerated number of a table.
+    """Relative difference up to which a table of the report counts as reproduced.
 
-    `scope` names the rows to which it applies.
+    The tables in the repository are compared with tables that another machine computes.
+
+    Attributes
+    ----------
+    table : str
+        Name of the table.
+    columns : tuple of str
+        Columns to which the tolerance applies.
+    relative : float
+        The tolerance.
+    scope : str
+        Rows to which the tolerance applies, in words.
     """
 
     table: str
@@ -67,20 +78,18 @@ TIMES_NAME = "timings.json"
 
 
 def write_paper_report(folder: Path, study: PaperStudy, figures: Figures = Figures.SVG) -> None:
-    """Write `report.md`, tables and figures of the paper's study.
+    """Write the report on the paper of Yacef et al.: `report.md`, tables and figures.
+
+    Equal results give files with the same bytes, apart from the wall times in a file of their own.
 
     Parameters
     ----------
-    An existing folder without reports.
-        An existing folder, empty of reports.
+    folder : Path
+        Existing folder that holds no report.
     study : PaperStudy
-        The results.
+        Results of the study.
     figures : Figures, optional
-        Formats of the figures.
-
-    Notes
-    -----
-    Two runs write the same bytes, apart from the wall times, which have a file of their own.
+        Which figures to draw, and in which file formats.
     """
     tables = paper_tables(study)
     optimum = find_flight(study.flights, Experiment.CALM, PowerModel.MOTOR)
@@ -108,7 +117,7 @@ def write_paper_report(folder: Path, study: PaperStudy, figures: Figures = Figur
 
 
 def _equations() -> Iterator[dict[str, Any]]:
-    """Yield the declared equations of the second experiment in groups, each equation once."""
+    """Yield the model's equations for the flight in wind in groups, each equation once."""
     seen: set[str] = set()
     groups: tuple[tuple[str | None, PowerModel | None, dict[str, Any]], ...] = (
         ("The second experiment, under the electrical power of the motors", None, {}),
@@ -126,7 +135,13 @@ def _equations() -> Iterator[dict[str, Any]]:
 
 
 def examination(study: PaperStudy) -> dict[str, Any]:
-    """Return the values of the templates of the conclusion and of the examination."""
+    """Compare the study's results with the claims of Yacef et al.
+
+    Returns
+    -------
+    dict
+        Variables of the report's template.
+    """
     bound, least = map(float, study.floors[Reading.REGULARISED][-1])
     regularised, literal = study.floors[Reading.REGULARISED], study.floors[Reading.LITERAL]
     trials = [outcome for outcome in study.trials if outcome.trial.reading is Reading.LITERAL]
@@ -157,14 +172,18 @@ def examination(study: PaperStudy) -> dict[str, Any]:
 
 
 def _bound_of_printed_optimum(study: PaperStudy) -> float:
-    """Return the rotor acceleration at which the literal floor equals the printed energy."""
+    """Return the bound on the rotor acceleration at which the least energy is the printed one.
+
+    The least energy is that of any flight with the bare polynomial of the efficiency f_r; the
+    printed energy is that of the optimum of Yacef et al. The bound is in rad/s².
+    """
     bounds, energies = study.floors[Reading.LITERAL].T
     finite = np.isfinite(energies)
     return float(np.interp(-OPTIMAL_ENERGY[1], -energies[finite], bounds[finite]))
 
 
 def _adaptive(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
-    """Return the numbers to compare with a printed adaptive flight."""
+    """Return numbers to compare with the energy that Yacef et al. print for adaptive control."""
     has_jump = any(flown.case.reference is Reference.STEP for flown in study.baselines)
     references = Reference.QUINTIC, Reference.STEP if has_jump else Reference.QUINTIC
     smooth, jump = (
@@ -186,7 +205,7 @@ def _adaptive(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
 
 
 def _saving(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
-    """Return the saving of the optimum against the stand-in on a smooth reference."""
+    """Return the saving of the optimum over the adaptive controller on a smooth reference."""
     by_motor, by_efficiency = (
         baseline_row(study, find_baseline(study, experiment, model, Reference.QUINTIC))
         for model in (PowerModel.MOTOR, PowerModel.EFFICIENCY)

@@ -1,6 +1,9 @@
-"""Power and efficiency of one rotor, sampled from the declared equations; floors of the energy.
+"""Power and efficiency of one rotor, and the least energy of any flight under f_r.
 
-`docs/theory` has no page on these floors: `examination.md.j2` prints their derivation beside them.
+f_r is the efficiency of motor and rotor of Yacef et al. Power and f_r are sampled from the declared
+equations. The least energy lets rotors alternate between speeds and accelerations ("chattering"),
+which is the convex envelope of the power; it is a floor below every flight. `docs/theory` has no
+page on these floors: `examination.md.j2` prints their derivation beside them.
 """
 
 from dataclasses import dataclass
@@ -14,34 +17,34 @@ from pyomo_quad.paper.experiments import Experiment, paper_scenario
 from pyomo_quad.paper.readings import Reading
 from pyomo_quad.scenario import Scenario
 
-#: Bounds on the rotor acceleration for which the floors are computed, rad/s².
+#: Bounds on the rotor acceleration for which the least energies are computed [rad/s²].
 BOUNDS = (10, 30, 100, 200, 300, 500, 600, 700, 800, 900, 1000, 1100, 1150, 1250, 1500, 2000, 3000)
 _HIGHER_BOUNDS = (5000, 7500, 10000, 20000)
-# Samples of the floors: twice as many move a floor by 0.6 % at most.
+# Numbers of samples for the least energies, which change by at most 0.6 % with twice as many.
 _SPEEDS, _ACCELERATIONS = 141, 90
-_SMALLEST_ACCELERATION = 1.0  # rad/s², of the logarithmic samples
-# Samples of the figure of f_r.
+_SMALLEST_ACCELERATION = 1.0  # least of the logarithmic samples [rad/s²]
+# Numbers of samples for the figure of f_r.
 _MAP_SPEEDS, _TORQUES = 106, 101
-#: Torques that the figure shows, N m: from hard braking to hard acceleration.
+#: Range of torques in the figure of f_r [N m]: from hard braking to hard acceleration.
 TORQUE_RANGE = (-0.12, 0.14)
 
 
 @dataclass(frozen=True, kw_only=True)
 class RotorMap:
-    """Power and efficiency of one rotor, sampled.
+    """Samples of the thrust, torque, power and efficiency of one rotor.
 
     Attributes
     ----------
     speed : ndarray, shape (n,)
-        rad/s, rising from 0.
+        Rotor speeds [rad/s], ascending from 0.
     acceleration : ndarray, shape (k,)
-        rad/s², rising, symmetric about 0.
+        Rotor accelerations [rad/s²], ascending.
     thrust : ndarray, shape (n,)
-        Thrust of one rotor, N.
+        Thrust of one rotor [N].
     torque, power : ndarray, shape (n, k)
-        N m and W.
+        Torque [N m] and power [W] of one rotor.
     efficiency : ndarray, shape (n, k)
-        f_r without floors where the model has it, else 1.
+        f_r; 1 if the model has no efficiency.
     """
 
     speed: FloatArray
@@ -55,14 +58,16 @@ class RotorMap:
 def rotor_map(
     dynamics: Dynamics, speed: FloatArray, acceleration: FloatArray, efficiency: str | None
 ) -> RotorMap:
-    """Sample the declared power of one rotor.
+    """Sample the power of one rotor from the model's equations.
 
     Parameters
     ----------
+    dynamics : Dynamics
+        Compiled equations.
     speed, acceleration : ndarray
-        rad/s and rad/s².
-    efficiency : str, optional
-        Component that holds the efficiency.
+        Rotor speeds [rad/s] and accelerations [rad/s²] of the samples.
+    efficiency : str or None
+        Model component that holds the efficiency; None if the model has none.
     """
     count = speed.size * acceleration.size
     states = np.zeros((count, len(dynamics.state_names)))
@@ -91,16 +96,16 @@ def envelope_at(x: FloatArray, y: FloatArray, at: float) -> FloatArray:
     Parameters
     ----------
     x : ndarray, shape (k,)
-        Rising.
+        Sample places, ascending.
     y : ndarray, shape (..., k)
         Values of one or more functions.
     at : float
-        Between the ends of x.
+        Place between the ends of x.
 
     Returns
     -------
     ndarray, shape (...)
-        The least chord over the place.
+        Least value at the place of all chords between samples.
     """
     left, right = x <= at, x >= at
     width = x[right][None, :] - x[left][:, None]
@@ -112,17 +117,22 @@ def envelope_at(x: FloatArray, y: FloatArray, at: float) -> FloatArray:
 def chattering_floors(
     reading: Reading, bounds: tuple[float, ...] = BOUNDS + _HIGHER_BOUNDS
 ) -> FloatArray:
-    """Return the least energies of any flight of the paper's mission, with alternating speeds.
+    """Compute lower bounds on the energy of any flight in calm air under f_r.
+
+    f_r is the efficiency of Yacef et al. The rotors may alternate between speeds and accelerations
+    arbitrarily fast.
 
     Parameters
     ----------
-    bounds : tuple of float
-        Bounds on the rotor acceleration, rad/s².
+    reading : Reading
+        Interpretation of f_r.
+    bounds : tuple of float, optional
+        Bounds on the rotor acceleration [rad/s²].
 
     Returns
     -------
     ndarray, shape (len(bounds), 2)
-        Bound and energy [J], minus infinity where f_r passes zero.
+        Bound [rad/s²] and least energy [J]; minus infinity where f_r passes zero.
     """
     scenario = paper_scenario(Experiment.CALM, reading.values())
     largest = max(bounds)
@@ -137,7 +147,22 @@ def chattering_floors(
 
 
 def floor_energy(scenario: Scenario, sampled: RotorMap, bound: float) -> float:
-    """Return the least energy, J, of a flight whose rotors keep a bound on |alpha|, rad/s²."""
+    """Compute a lower bound on the energy of any flight whose rotor acceleration is bounded.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Scenario with vehicle and duration.
+    sampled : RotorMap
+        Power and efficiency of one rotor.
+    bound : float
+        Bound on the absolute rotor acceleration [rad/s²].
+
+    Returns
+    -------
+    float
+        Least energy [J]; minus infinity if f_r reaches zero within the bound.
+    """
     allowed = np.abs(sampled.acceleration) <= bound
     if sampled.efficiency[:, allowed].min() <= 0.0:
         return -np.inf
@@ -148,17 +173,19 @@ def floor_energy(scenario: Scenario, sampled: RotorMap, bound: float) -> float:
 
 
 def critical_acceleration(samples: int = 151) -> tuple[float, float]:
-    """Return the least bound on the rotor acceleration at which f_r reaches zero.
+    """Find the least bound on the rotor acceleration at which the efficiency f_r reaches zero.
+
+    f_r is the efficiency of motor and rotor of Yacef et al., as a bare polynomial.
 
     Parameters
     ----------
-    samples : int
-        Number of samples of speed, and of acceleration between the bounds around the zero.
+    samples : int, optional
+        Number of samples of the speed, and of the acceleration.
 
     Returns
     -------
     bound, speed : float
-        Smallest |alpha| [rad/s²] with f_r = 0, and the rotor speed [rad/s] there.
+        Smallest absolute acceleration with f_r = 0 [rad/s²], and rotor speed there [rad/s].
     """
     scenario = paper_scenario(Experiment.CALM, Reading.LITERAL.values())
     dynamics = Reading.LITERAL.planner().dynamics(scenario)
@@ -171,7 +198,7 @@ def critical_acceleration(samples: int = 151) -> tuple[float, float]:
 
 
 def _last_zero(braking: FloatArray, efficiency: FloatArray) -> float:
-    """Return the weakest braking at which an efficiency vanishes, or minus infinity."""
+    """Return the weakest braking at which an efficiency is zero [rad/s²], or minus infinity."""
     below = np.flatnonzero(efficiency <= 0.0)
     if not below.size:
         return -np.inf
@@ -181,18 +208,18 @@ def _last_zero(braking: FloatArray, efficiency: FloatArray) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class EfficiencyMap:
-    """Samples of f_r without floors over speed and torque.
+    """Samples of the efficiency f_r of Yacef et al. over rotor speed and torque.
 
     Attributes
     ----------
     speed : ndarray, shape (n,)
-        rad/s.
+        Rotor speeds [rad/s].
     torque : ndarray, shape (k,)
-        N m.
+        Motor torques [N m].
     efficiency : ndarray, shape (n, k)
-        Negative where the polynomial is.
+        The bare polynomial, which may be negative.
     steady_torque : ndarray, shape (n,)
-        Torque of a rotor that does not accelerate, N m.
+        Torque of a rotor that does not accelerate [N m].
     """
 
     speed: FloatArray
@@ -202,7 +229,7 @@ class EfficiencyMap:
 
 
 def sample_efficiency_map() -> EfficiencyMap:
-    """Sample the recovered f_r as declared."""
+    """Sample the recovered efficiency f_r over rotor speed and torque, for a figure."""
     scenario = paper_scenario(Experiment.CALM, Reading.LITERAL.values())
     dynamics = Reading.LITERAL.planner().dynamics(scenario)
     speed = np.linspace(0.0, scenario.limits.rotor_speed_max, _MAP_SPEEDS)

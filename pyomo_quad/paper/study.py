@@ -1,4 +1,4 @@
-"""Computation of all results of the paper's report by worker processes."""
+"""Computation of all results of the report on Yacef et al., in two worker processes."""
 
 from collections.abc import Callable
 from concurrent.futures import as_completed
@@ -22,10 +22,12 @@ from pyomo_quad.paper.rotor_map import (
 from pyomo_quad.scenario import PowerModel
 from pyomo_quad.study.processes import process_pool
 
-# The voltage falls without bound as the charge runs out, so the stored energy is counted to here.
+# Fraction of the charge up to which the stored energy is counted, because the model's voltage falls
+# without bound as the charge runs out.
 _DEEPEST_DISCHARGE = 0.99
 _SAMPLES = 400
-# The cell as printed, cells in series as in the library, and the vehicle's own pack.
+# Batteries of the study: the single cell that the paper prints, this cell in series as in the
+# library, and the battery of the vehicle's maker.
 _PACKS: tuple[tuple[str, dict[str, int]], ...] = (
     (experiments.PAPER_CELL, {"battery.cells_series": 1, "battery.cells_parallel": 1}),
     (experiments.PAPER_CELL, {}),
@@ -35,14 +37,24 @@ _PACKS: tuple[tuple[str, dict[str, int]], ...] = (
 
 @dataclass(frozen=True, kw_only=True)
 class PackFacts:
-    """Energy and power of a battery pack, and of a hover powered by it.
+    """Energy and greatest power of a battery pack, compared with hovering.
 
     Attributes
     ----------
+    battery : str
+        Library name of the battery.
+    cells_series, cells_parallel : int
+        Numbers of cells.
+    power_model : PowerModel
+        Power model of the hover.
     stored_energy_J : float
         Energy without load, from full to 1 % of the charge.
+    hover_energy_J, hover_power_W : float
+        Energy of hovering for the duration of the mission, and power of hovering.
+    greatest_power_W : float
+        Greatest power that the pack can supply.
     shortfalls : tuple of str
-        Shortfalls of the pack for hovering through the mission, one line each.
+        Reasons why the pack cannot supply a hover of the mission's duration, one line each.
     """
 
     battery: str
@@ -57,7 +69,11 @@ class PackFacts:
 
 
 def pack_facts() -> tuple[PackFacts, ...]:
-    """Return each pack's energy and power, under the motors' power and under f_r."""
+    """Compute energy and power of each battery, and compare them with hovering.
+
+    Hovering is computed with the motors' electrical power and with the efficiency f_r of Yacef et
+    al.
+    """
     planner = Planner()
     cases = product((PowerModel.MOTOR, PowerModel.EFFICIENCY), _PACKS)
     return tuple(_facts(planner, model, name, cells) for model, (name, cells) in cases)
@@ -81,7 +97,8 @@ def _facts(planner: Planner, model: PowerModel, name: str, cells: dict[str, int]
     )
 
 
-#: Called with a result's name, the number of results so far, and the number of all results.
+#: Function that shows the progress of a study: it receives the name of a finished result, the
+#: number of results so far, and the number of all results.
 Step = Callable[[str, int, int], None]
 
 WORKERS = 2
@@ -89,19 +106,28 @@ WORKERS = 2
 
 @dataclass(frozen=True, kw_only=True)
 class PaperStudy:
-    """Results of the paper's study.
+    """All results of the study that reproduces the experiments of Yacef et al.
 
     Attributes
     ----------
     flights, wind_flights, battery_flights : tuple of PaperFlight
-        Both experiments under every power model; the second in every reading of the wind; the
-        first with both batteries.
-    floors : mapping
-        Reading of f_r -> bounds on the rotor acceleration and least energies.
+        Optimal flights: both experiments (calm air, wind) under every power model; the flight in
+        wind with every interpretation of the wind; the flight in calm air with two batteries.
+    baselines : tuple of BaselineFlight
+        Flights under the adaptive controller.
+    packs : tuple of PackFacts
+        Energy and power of the batteries.
+    floors : dict
+        Bounds on the rotor acceleration [rad/s²] and least energies of any flight [J], for each
+        interpretation of the efficiency f_r.
     critical_acceleration, critical_speed : float
-        Acceleration and speed at which f_r is first zero, rad/s² and rad/s.
-    seconds : mapping
-        Name of each part -> wall time.
+        Rotor acceleration [rad/s²] and speed [rad/s] at which f_r first reaches zero.
+    efficiency_map : EfficiencyMap
+        f_r over rotor speed and torque.
+    trials : tuple of TrialOutcome
+        Solves on fixed meshes.
+    seconds : dict
+        Wall time of each result [s], by name.
     """
 
     flights: tuple[experiments.PaperFlight, ...]
@@ -124,12 +150,14 @@ class _Task(NamedTuple):
 
 
 def run_paper_study(*, is_quick: bool = False, step: Step | None = None) -> PaperStudy:
-    """Compute all results of the paper's study on two processes.
+    """Compute all results of the study of Yacef et al. in two worker processes.
 
     Parameters
     ----------
+    is_quick : bool, optional
+        Whether to use coarse meshes, and fewer of them.
     step : callable, optional
-        Called as each result arrives.
+        Function that shows the progress; see `Step`.
     """
     tasks = _tasks(is_quick=is_quick)
     results: list[Any] = [None] * len(tasks)

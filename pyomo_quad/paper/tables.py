@@ -1,6 +1,6 @@
-"""Results of the paper's study as tables, beside the numbers that the paper prints.
+"""Tables of the study of Yacef et al., with the numbers that their paper prints.
 
-Columns are named with SI units. `printed.csv` holds the paper's parameters, each with the scenario
+Column names contain SI units. `printed.csv` holds the paper's parameters, each with the scenario
 field that it corresponds to.
 """
 
@@ -29,26 +29,27 @@ from pyomo_quad.report.signals import BATTERY, POWER
 from pyomo_quad.scenario import PowerModel, Reference, describe_fields
 from pyomo_quad.study.comparison import settled_energy
 
-# By number of the experiment, from the tests of section IV.
-#: Energy of the optimum, J; the paper prints it for the first experiment only.
+# Results that the paper prints in section IV, by number of the experiment.
+#: Energy of the optimal flight [J], which the paper prints for the first experiment only.
 OPTIMAL_ENERGY = {1: 1890.0}
-#: Energy of the adaptive flight, J.
+#: Energy of the flight under the adaptive controller [J].
 ADAPTIVE_ENERGY = {1: 5770.0, 2: 9740.0}
-#: Saving of the optimum against the adaptive flight, percent; the paper calls it an increase.
+#: Saving of the optimal flight over the adaptive flight [percent]; the paper calls it an increase.
 SAVING = {1: 67.24, 2: 78.85}
 _PRINTED_HOVER_SPEED = 912.0  # rad/s, section IV
 
 
 def implied_wind_optimum() -> float:
-    """Return the optimum of the second test that the paper's saving implies [J].
+    """Return the energy [J] of the optimal flight in wind that the printed saving implies.
 
-    The savings are reductions relative to the adaptive flight.
+    Yacef et al. print only the saving, a reduction relative to their flight under the adaptive
+    controller.
     """
     return ADAPTIVE_ENERGY[2] * (1 - SAVING[2] / 100)
 
 
 def paper_parameters() -> pd.DataFrame:
-    """Return the parameters that the paper prints, and the values used for them."""
+    """Return a table of the parameters that Yacef et al. print, and of the values that are used."""
     table = pd.read_csv(Path(__file__).with_name("printed.csv"), converters={"printed": float})
     scenario = paper_scenario(Experiment.WIND, {"battery.use": PAPER_CELL})
     used = {field.path: field.value for field in describe_fields(scenario)}
@@ -65,7 +66,13 @@ def _used(values: dict[str, object], field: str) -> float:
 
 
 def corrections(study: PaperStudy) -> dict[str, Any]:
-    """Return the values of the template that lists the paper's errors and gaps."""
+    """List the errors and gaps in the paper of Yacef et al., as numbers.
+
+    Returns
+    -------
+    dict
+        Variables of the report's template.
+    """
     printed = paper_parameters().set_index("field")["printed"]["vehicle.torque_constant"]
     scenario = paper_scenario(Experiment.CALM)
     steady = Planner().steady_flight(scenario.with_values({"power.model": PowerModel.SHAFT}))
@@ -96,12 +103,13 @@ def corrections(study: PaperStudy) -> dict[str, Any]:
 
 
 _KILO = 1e3
-# Outside these limits, in J and m, numbers are written with significant digits, not decimals.
+# Largest energy [J] and smallest distance [m] that are printed with a fixed number of decimals;
+# others are printed with significant digits.
 _LARGEST_PLAIN, _SMALLEST_PLAIN = 1e6, 1e-2
 
 
 def kilojoules(energy: float, digits: int = 3) -> str:
-    """Format an energy given in J in kJ."""
+    """Format an energy given in J as a number of kJ; "no minimum" for minus infinity."""
     if energy == -float("inf"):
         return "no minimum"
     if not isfinite(energy):
@@ -114,7 +122,7 @@ def metres(distance: float) -> str:
     return fixed(distance) if distance >= _SMALLEST_PLAIN else rough(distance)
 
 
-#: File name without suffix -> content of the table.
+#: Content of each table in words, by file name without suffix.
 TABLES = {
     "parameters": "the numbers of Tables 1 and 2 and of section IV, printed and used",
     "experiments": "both experiments under every power model",
@@ -127,7 +135,7 @@ TABLES = {
 
 
 def paper_tables(study: PaperStudy) -> dict[str, pd.DataFrame]:
-    """Return every table of the report, by its name in `TABLES`."""
+    """Return every table of the report on Yacef et al., by its name in `TABLES`."""
     rows = {
         "experiments": map(_experiment_row, study.flights),
         "wind": map(_wind_row, study.wind_flights),
@@ -145,7 +153,17 @@ def paper_tables(study: PaperStudy) -> dict[str, pd.DataFrame]:
 def find_flight(
     flights: Iterable[PaperFlight], experiment: Experiment, model: PowerModel
 ) -> PaperFlight:
-    """Return the optimal flight of an experiment under a power model."""
+    """Return the optimal flight of an experiment under a power model.
+
+    Parameters
+    ----------
+    flights : iterable of PaperFlight
+        Flights to search.
+    experiment : Experiment
+        The experiment.
+    model : PowerModel
+        The power model.
+    """
     return next(
         flown
         for flown in flights
@@ -156,7 +174,19 @@ def find_flight(
 def find_baseline(
     study: PaperStudy, experiment: Experiment, model: PowerModel, reference: Reference
 ) -> BaselineFlight:
-    """Return the controlled flight of an experiment under a power model along a reference."""
+    """Return the adaptive controller's flight of an experiment along a reference trajectory.
+
+    Parameters
+    ----------
+    study : PaperStudy
+        Results of the study.
+    experiment : Experiment
+        The experiment.
+    model : PowerModel
+        The power model.
+    reference : Reference
+        The reference trajectory.
+    """
     return next(
         flown
         for flown in study.baselines
@@ -200,11 +230,19 @@ def _wind_row(flown: PaperFlight) -> dict[str, object]:
 
 
 def baseline_row(study: PaperStudy, flown: BaselineFlight) -> dict[str, Any]:
-    """Return the row of a controlled flight: its energies, and the saving of the optimum.
+    """Return the table row of a controlled flight: energies, and the saving of the optimum.
 
-    Savings are in per cent of the controlled flight's energy, including the energy to complete it,
-    and of its energy above hovering. A power without an optimum has no costates to estimate that
-    energy; its flights count as flown.
+    The flight's energy includes the estimated energy that the flight still needs to reach the exact
+    goal state, which the optimum's costates give; a power model without an optimum has none, and
+    its flights count as flown. Savings are in per cent of this energy, and of this energy above
+    hovering.
+
+    Parameters
+    ----------
+    study : PaperStudy
+        Results of the study.
+    flown : BaselineFlight
+        The controlled flight.
     """
     case = flown.case
     optimum = find_flight(study.flights, case.experiment, case.power_model)

@@ -1,1 +1,1 @@
-"""Polar of a vehicle: power of steady flight at each airspeed, payload and wind."""
+"""Polar of a vehicle: power of steady level flight over airspeed, payload and wind."""

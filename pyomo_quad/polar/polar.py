@@ -1,9 +1,9 @@
 """Polar of a vehicle: steady flight over airspeed, with best speeds, range and endurance.
 
-Each point is a trim: the declared equations solved for the attitude and the rotor speeds that keep
-level flight at that airspeed, and the power they then give.  In a wind the airspeed is the ground
-speed less the wind; with power P over airspeed, the energy per metre over the ground at ground
-speed g is P / g, or (P + price of time) / g.
+Each point is a trim: the equations of the scenario's model are solved for the attitude and the
+rotor speeds that keep level flight at that airspeed, and give the power.  In a wind the airspeed is
+the ground speed less the wind; with power P over airspeed, the energy per metre over the ground at
+ground speed g is P / g, or (P + price of time) / g with a value of each second in W.
 """
 
 from collections.abc import Callable, Sequence
@@ -29,24 +29,33 @@ COURSE, REACH = "course_deg", "reach_m"
 #: Columns of these and of the table of airspeeds.
 AIRSPEED, POWER, RANGE = "airspeed_m_s", "power_W", "range_m"
 
-_STEP_M_S = 0.5  # between trims; a cubic spline runs through them
+_STEP_M_S = 0.5  # airspeed step between trims, which a cubic spline interpolates
 _FASTEST_M_S = 40.0  # greatest airspeed of the trims, unless a limit of the vehicle is lower
-# Payloads compared, besides the scenario's own, as fractions of the vehicle's mass.
+# Payloads of the curves: the scenario's own plus these fractions of the vehicle's mass.
 _MORE_PAYLOAD = (0.0, 0.1, 0.2)
-# Wind speeds compared, m/s, besides the scenario's own.
+# Wind speeds of the table besides the scenario's own [m/s].
 _WINDS_M_S = (0.0, 2.0, 4.0, 6.0, 8.0, 10.0)
-_DIRECTIONS = 36  # every 10 degrees
-_SAMPLES = 60  # of the state of charge, in the integral of the endurance
+_DIRECTIONS = 36  # number of courses, every 10 degrees
+_SAMPLES = 60  # samples of the state of charge in the integral of the endurance
 _SLOWEST_GROUND_SPEED = 0.05  # m/s; below this speed the wind stops the vehicle
 _NO_WIND = 1e-9  # m/s
-_TRIALS = 200  # ground speeds before the bounded search
+_TRIALS = 200  # speeds that are tried before the bounded search for the best
 
 
 @dataclass(frozen=True, kw_only=True)
 class SteadyCurve:
-    """Level flight with one payload at equal steps of airspeed.
+    """Power and endurance of level flight over airspeed, for one payload.
 
-    Shapes (n,): airspeeds [m/s], powers [W], endurances on the full pack [s].
+    Attributes
+    ----------
+    payload_kg : float
+        Mass carried.
+    airspeeds : ndarray, shape (n,)
+        Airspeeds in equal steps from 0 to the greatest that the vehicle can fly [m/s].
+    powers : ndarray, shape (n,)
+        Power at each airspeed [W].
+    endurances : ndarray, shape (n,)
+        Flight time at each airspeed on the full battery [s].
     """
 
     payload_kg: float
@@ -71,23 +80,28 @@ class SteadyCurve:
 
     @property
     def speed_of_least_power(self) -> float:
-        """Airspeed of least power, and so of the longest flight [m/s]."""
+        """Airspeed of least power, and therefore of the longest flight time [m/s]."""
         return _least(self.power, np.linspace(0.0, self.airspeeds[-1], _TRIALS))
 
     def best_over_ground(
         self, wind: float = 0.0, angle: float = 0.0, price_of_time: float = 0.0
     ) -> "GroundSpeed":
-        """Return the ground speed of least energy per metre on a course.
+        """Return the ground speed with the least energy per metre on a course.
 
         Parameters
         ----------
-        wind : float
-            Speed of the wind, m/s.
-        angle : float
-            Angle between the course and the direction to which the wind blows, rad; 0 is a tail
+        wind : float, optional
+            Speed of the wind [m/s].
+        angle : float, optional
+            Angle between the course and the direction to which the wind blows [rad]; 0 is a tail
             wind.
-        price_of_time : float
-            Price of a second, J/s.
+        price_of_time : float, optional
+            Value of one second, added to the power [W].
+
+        Returns
+        -------
+        GroundSpeed
+            The best ground speed, with airspeed, power and endurance.
         """
         along, across = wind * np.cos(angle), wind * np.sin(angle)
 
@@ -111,7 +125,10 @@ class SteadyCurve:
 
 
 def _least(cost: Callable[[FloatArray | float], FloatArray], trials: FloatArray) -> float:
-    """Return the argument of least cost, refined by the neighbours of the best sample."""
+    """Return the argument of least cost.
+
+    The best of the trial arguments is refined by a bounded search between its neighbours.
+    """
     best = int(np.argmin(cost(trials)))
     low, high = trials[max(0, best - 1)], trials[min(len(trials) - 1, best + 1)]
     found = minimize_scalar(
@@ -122,9 +139,18 @@ def _least(cost: Callable[[FloatArray | float], FloatArray], trials: FloatArray)
 
 @dataclass(frozen=True, kw_only=True)
 class GroundSpeed:
-    """Steady flight at a ground speed: airspeed [m/s], power [W], endurance [s].
+    """Steady flight at one ground speed, with its energy per metre and its range.
 
-    The ground speed is zero if the wind is too strong for the course.
+    Attributes
+    ----------
+    ground_speed : float
+        Speed over the ground [m/s]; zero if the wind is too strong for the course.
+    airspeed : float
+        Speed through the air [m/s].
+    power : float
+        Power [W].
+    endurance : float
+        Flight time on the full battery [s].
     """
 
     ground_speed: float
@@ -134,32 +160,33 @@ class GroundSpeed:
 
     @property
     def energy_per_metre(self) -> float:
-        """Energy per metre over the ground, J/m."""
+        """Energy per metre over the ground [J/m]; infinite at zero ground speed."""
         return self.power / self.ground_speed if self.ground_speed > 0.0 else np.inf
 
     @property
     def range_m(self) -> float:
-        """Distance over the ground on the full pack, m."""
+        """Distance over the ground on the full battery [m]."""
         return self.ground_speed * self.endurance
 
 
 @dataclass(frozen=True, kw_only=True)
 class Polar:
-    """The polar of a scenario's vehicle.
+    """Polar of a scenario's vehicle: steady flight over airspeed, payload and wind.
 
     Attributes
     ----------
     scenario : Scenario
+        Scenario with the vehicle.
     curves : tuple of SteadyCurve
-        The scenario's own payload first.
+        Curve of each payload, the scenario's own payload first.
     winds : DataFrame
-        One row per wind speed and angle between course and wind.
+        Best ground speed for each wind speed and each angle between course and wind.
     reach : DataFrame
-        One row per direction of the outward course, in the scenario's wind.
+        Distance out and back on one charge for each course, in the scenario's mean wind.
     wind_m_s, wind_towards_rad : float
-        The scenario's mean wind.
+        Speed of the mean wind, and direction to which it blows.
     depth : float
-        Fraction of the pack's charge that is used.
+        Fraction of the battery charge that may be used.
     """
 
     scenario: Scenario
@@ -172,12 +199,22 @@ class Polar:
 
     @property
     def own(self) -> SteadyCurve:
-        """Curve of the scenario's own payload."""
+        """Curve of power and endurance over airspeed with the scenario's own payload."""
         return self.curves[0]
 
 
 def find_polar(scenario: Scenario) -> Polar:
-    """Solve steady flight of a scenario's vehicle over airspeed, payload and wind.
+    """Compute steady flight of a scenario's vehicle over airspeed, payload and wind.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Scenario with vehicle, battery, limits and wind.
+
+    Returns
+    -------
+    Polar
+        Curves of power, best speeds in wind, and reach.
 
     Raises
     ------
@@ -207,9 +244,15 @@ def find_polar(scenario: Scenario) -> Polar:
 
 
 def mean_wind(scenario: Scenario) -> tuple[float, float]:
-    """Return the mean wind along world x and y [m/s], at the reference height of a profile.
+    """Return the scenario's mean wind along world x and y [m/s].
 
-    That of a field is its mean over all places that have wind.
+    A wind that depends on height is taken at the reference height of 10 m; a wind field is averaged
+    over all places that have wind.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Scenario whose wind is a formula, a measured series or a field.
     """
     wind = scenario.wind
     if wind.grid is not None:
@@ -230,7 +273,17 @@ def mean_wind(scenario: Scenario) -> tuple[float, float]:
 
 
 def steady_curve(scenario: Scenario, steady: SteadyFlight, depth: float) -> SteadyCurve:
-    """Compute steady flight at rising airspeeds until a limit of rotors or tilt is active."""
+    """Compute steady flight at ascending airspeeds, until rotors or tilt reach a limit.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Scenario with the limits.
+    steady : SteadyFlight
+        Solver for steady flight of the scenario's vehicle.
+    depth : float
+        Fraction of the battery charge that may be used.
+    """
     speeds: list[float] = []
     powers: list[float] = []
     endurances: list[float] = []
@@ -290,7 +343,7 @@ def _winds(curve: SteadyCurve, winds: Sequence[float]) -> pd.DataFrame:
 
 
 def _reach(curve: SteadyCurve, wind: float, towards: float) -> pd.DataFrame:
-    """Return how far a vehicle gets out and back on one charge, on each course [m]."""
+    """Return the distance out and back on one battery charge, for each course [m]."""
     rows = []
     for course in np.linspace(0.0, 2.0 * np.pi, _DIRECTIONS, endpoint=False):
         legs = [
@@ -298,7 +351,7 @@ def _reach(curve: SteadyCurve, wind: float, towards: float) -> pd.DataFrame:
             for turned in (0.0, np.pi)
         ]
         ranges = [leg.range_m for leg in legs]
-        # Fraction of the pack used per metre out and back.
+        # Fraction of the battery charge that one metre out and back uses.
         share = sum(1.0 / leg if leg > 0.0 else np.inf for leg in ranges)
         rows.append(
             {

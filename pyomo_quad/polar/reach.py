@@ -1,9 +1,9 @@
-"""Reach of a vehicle on one battery charge in a wind field, one way or out and back.
+"""Reach of a vehicle on one battery charge in a wind, one way or out and back.
 
 The flight is straight and level, at the height of the start and at the ground speed of least energy
-per metre in the local wind. A metre uses the share 1 / range of the pack, where range is the
-distance that a full pack lasts for in the local wind. On the boundary, the shares along a course,
-out and with a return also back, add up to the whole pack. Keep-out zones are ignored.
+per metre in the local wind. A metre uses the share 1 / range of the battery, where range is the
+distance that a full battery lasts for in the local wind. On the boundary, the shares along a
+course, out and with a return also back, add up to the whole battery. Keep-out zones are ignored.
 """
 
 import json
@@ -32,8 +32,8 @@ from pyomo_quad.version import __version__
 TABLE_NAME, OUTLINE_NAME = "reach.csv", "reach.geojson"
 #: Columns of `Reach.boundary`, beside `COURSE` and `REACH`.
 EAST, NORTH, IS_CUT = "x_m", "y_m", "is_cut"
-_COURSES = 72  # every 5 degrees
-_STEPS = 400  # along each course, in the integral of the pack's share
+_COURSES = 72  # number of courses, every 5 degrees
+_STEPS = 400  # steps along each course, in the integral of the battery's share
 # Speeds and angles of the wind between which the share of the pack per metre is interpolated.
 _WIND_STEP_M_S, _ANGLES = 0.5, 37
 _KILO = 1e-3
@@ -41,18 +41,19 @@ _KILO = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class Reach:
-    """Boundary of the places that a vehicle reaches from its start.
+    """Boundary of the places that a vehicle reaches from its start on one battery charge.
 
     Attributes
     ----------
     scenario : Scenario
+        Scenario with vehicle, start and wind.
     has_return : bool
-        Whether the pack brings the vehicle back as well.
+        Whether the charge also suffices for the way back.
     boundary : DataFrame
-        One row per course: course [deg from x, counter-clockwise], distance and place [m], and
-        whether the wind field ends before the pack does.
+        One row for each course: course [deg from x, counter-clockwise], distance and position [m],
+        and whether the wind field ends before the battery is empty.
     depth : float
-        Fraction of the pack's charge that is used.
+        Fraction of the battery charge that may be used.
     """
 
     scenario: Scenario
@@ -62,7 +63,14 @@ class Reach:
 
 
 def find_reach(scenario: Scenario, *, has_return: bool) -> Reach:
-    """Find how far one charge takes a vehicle on each course from its start.
+    """Compute how far one battery charge takes a vehicle on each course from its start.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Scenario with vehicle, battery, start and wind.
+    has_return : bool
+        Whether the charge must also suffice for the way back.
 
     Raises
     ------
@@ -73,7 +81,8 @@ def find_reach(scenario: Scenario, *, has_return: bool) -> Reach:
     depth = 1.0 - scenario.limits.least_charge
     curve = steady_curve(scenario, planner.steady_flight(scenario), depth)
     courses = np.linspace(0.0, 2.0 * np.pi, _COURSES, endpoint=False)
-    # No flight reaches farther than the fastest one with a tail wind as fast.
+    # An upper bound on the distance: greatest airspeed with a tail wind of the same speed, for the
+    # longest endurance.
     farthest = float(2.0 * curve.airspeeds[-1] * curve.endurances.max())
     along = np.linspace(0.0, farthest, _STEPS)
     headings = np.column_stack([np.cos(courses), np.sin(courses), np.zeros(_COURSES)])
@@ -93,7 +102,24 @@ def find_reach(scenario: Scenario, *, has_return: bool) -> Reach:
 def _shares(
     curve: SteadyCurve, winds: FloatArray, courses: FloatArray, *, has_return: bool
 ) -> FloatArray:
-    """Return the share of the charge per metre at each place of each course [1/m]."""
+    """Return the share of the battery charge that a metre uses, at each place of each course.
+
+    Parameters
+    ----------
+    curve : SteadyCurve
+        Power and endurance over airspeed.
+    winds : ndarray, shape (n_courses, n_steps, 2)
+        Wind at the places [m/s].
+    courses : ndarray, shape (n_courses, 1)
+        Courses from x, counter-clockwise [rad].
+    has_return : bool
+        Whether the metre is also flown back.
+
+    Returns
+    -------
+    ndarray, shape (n_courses, n_steps)
+        Shares [1/m].
+    """
     speed = np.hypot(winds[..., 0], winds[..., 1])
     angle = np.arctan2(winds[..., 1], winds[..., 0]) - courses
     per_metre = _share_per_metre(curve, speed)
@@ -104,9 +130,20 @@ def _shares(
 def _share_per_metre(
     curve: SteadyCurve, winds: FloatArray
 ) -> Callable[[FloatArray, FloatArray], FloatArray]:
-    """Return the share of the charge per metre over ground, by wind speed and angle.
+    """Return a function for the share of the battery charge that a metre over ground uses [1/m].
 
-    It is infinite where the wind is too strong for the course.
+    Parameters
+    ----------
+    curve : SteadyCurve
+        Power and endurance over airspeed.
+    winds : ndarray
+        Wind speeds that occur [m/s], whose range is tabulated.
+
+    Returns
+    -------
+    callable
+        Function of wind speed [m/s] and of the angle between course and wind [rad]; infinite where
+        the wind is too strong for the course.
     """
     low, high = float(winds.min()), float(winds.max())
     count = max(2, int(np.ceil((high - low) / _WIND_STEP_M_S)) + 1)
@@ -118,7 +155,7 @@ def _share_per_metre(
     held = RegularGridInterpolator((speeds, angles), ranges)
 
     def share(speed: FloatArray, angle: FloatArray) -> FloatArray:
-        # The range is even in the angle.
+        # The range is an even function of the angle, tabulated from 0 to pi.
         folded = np.abs(np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi)
         found = held(np.stack([speed, folded], axis=-1))
         return np.divide(1.0, found, out=np.full(found.shape, np.inf), where=found > 0.0)
@@ -145,7 +182,10 @@ def _boundary_on(
 
 
 def boundary_geojson(reach: Reach) -> dict[str, Any] | None:
-    """Return the boundary as a GeoJSON polygon, None without mission.origin."""
+    """Return the boundary of the places within reach as a GeoJSON polygon.
+
+    None if the scenario gives no `mission.origin`, the position of x = y = 0 on earth.
+    """
     origin = reach.scenario.mission.origin
     if origin is None:
         return None
@@ -165,12 +205,21 @@ def boundary_geojson(reach: Reach) -> dict[str, Any] | None:
 
 
 def write_reach(folder: Path, reach: Reach, figures: Figures = Figures.SVG) -> dict[str, Any]:
-    """Write the boundary (CSV, GeoJSON), its figure and the report into an empty folder.
+    """Write the report of a vehicle's reach: boundary (CSV, GeoJSON), figure and text.
+
+    Parameters
+    ----------
+    folder : Path
+        Existing empty folder that receives the files.
+    reach : Reach
+        Boundary of the places within reach.
+    figures : Figures, optional
+        Which figures to draw, and in which file formats.
 
     Returns
     -------
     dict
-        The summary, as it is in `summary.json`.
+        The content of `summary.json`.
     """
     outline = boundary_geojson(reach)
     if outline is not None:
@@ -194,7 +243,7 @@ def write_reach(folder: Path, reach: Reach, figures: Figures = Figures.SVG) -> d
 
 
 def reach_summary(reach: Reach) -> dict[str, Any]:
-    """Return the least and the greatest reach as values for JSON."""
+    """Return the least and the greatest reach [m] as a dictionary for `summary.json`."""
     return {
         "scenario": reach.scenario.name,
         "has_return": reach.has_return,
@@ -215,7 +264,7 @@ _ARROWS = 9  # along each side of the map
 
 
 def draw_reach_map(reach: Reach) -> Figure:
-    """Draw the boundary round the start, with the wind."""
+    """Draw a map of the places within reach of the start, with arrows of the wind."""
     figure = Figure(figsize=(FULL_WIDTH, 5.2))
     axes = figure.add_axes((0.12, 0.1, 0.84, 0.86))
     start = np.array(reach.scenario.mission.start.position)

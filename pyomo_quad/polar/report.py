@@ -1,6 +1,7 @@
-"""Report of a polar: tables, summary, figures and text.
+"""Report of a vehicle's polar: tables, summary, figures and text.
 
-The figures are power over airspeed, best speeds over the direction of the wind, and the reach map.
+The figures show power over airspeed, best speeds over the direction of the wind, and the reach out
+and back on each course.
 """
 
 from functools import partial
@@ -34,7 +35,17 @@ _POLAR_NAME, _WIND_NAME, _REACH_NAME = "polar.csv", "wind.csv", "reach.csv"
 
 
 def write_polar(folder: Path, polar: Polar, figures: Figures = Figures.SVG) -> None:
-    """Write tables (CSV), summary, figures and the report into an empty folder."""
+    """Write the report of a vehicle's polar: tables (CSV), `summary.json`, figures and text.
+
+    Parameters
+    ----------
+    folder : Path
+        Existing empty folder that receives the files.
+    polar : Polar
+        Steady flight over airspeed, payload and wind.
+    figures : Figures, optional
+        Which figures to draw, and in which file formats.
+    """
     ends = polar.winds[polar.winds[ANGLE].isin((0.0, 90.0, 180.0))]
     write_study(
         folder,
@@ -60,7 +71,7 @@ def write_polar(folder: Path, polar: Polar, figures: Figures = Figures.SVG) -> N
 
 
 def polar_summary(polar: Polar) -> dict[str, Any]:
-    """Return the speeds, ranges and reaches of a polar as values for JSON."""
+    """Return the best speeds, ranges and reaches of a polar as a dictionary for `summary.json`."""
     facts = _facts(polar.own)
     best = facts.pop("best")
     price = polar.scenario.mission.price_of_time
@@ -111,13 +122,13 @@ def _table(curve: SteadyCurve) -> pd.DataFrame:
     )
 
 
-# Below this airspeed the energy per metre is not drawn, because it grows without bound.
+# Least airspeed at which the energy per metre is drawn; it grows without bound toward zero.
 _SLOWEST_M_S = 2.0
 _KILO = 1e-3
 
 
 def polar_drawings(polar: Polar) -> tuple[Drawing, ...]:
-    """List the figures of a polar."""
+    """List the figures of a polar's report."""
     power = (
         "Level, steady flight in still air for each mass carried. The dots mark the speeds of "
         "least power, left, and of least energy per metre, right."
@@ -141,7 +152,7 @@ def polar_drawings(polar: Polar) -> tuple[Drawing, ...]:
 
 
 def draw_polar(polar: Polar) -> Figure:
-    """Draw power and energy per metre over airspeed for each payload."""
+    """Draw power and energy per metre of steady flight over airspeed, for each payload."""
     figure, (left, right) = full_width(3.1, (1, 2), top=0.9, bottom=0.16, wspace=0.25)
     for curve, style in zip(polar.curves, SERIES_STYLES, strict=False):
         speeds = np.linspace(0.0, curve.airspeeds[-1], 300)
@@ -161,7 +172,10 @@ def draw_polar(polar: Polar) -> Figure:
 
 
 def draw_winds(polar: Polar) -> Figure:
-    """Draw best ground speed and its energy per metre over the wind's angle."""
+    """Draw the ground speed of least energy per metre, and that energy, over the wind's angle.
+
+    Each curve is one wind speed; the angle is between the course and the direction of the wind.
+    """
     figure, (left, right) = full_width(3.3, (1, 2), top=0.9, bottom=0.26, wspace=0.25)
     speeds = polar.winds[WIND].unique().tolist()
     for wind, style in zip(speeds, SERIES_STYLES, strict=False):
@@ -182,7 +196,7 @@ def draw_winds(polar: Polar) -> Figure:
 
 
 def draw_reach(polar: Polar) -> Figure:
-    """Draw the distance out and back on one charge in every direction."""
+    """Draw the distance out and back on one battery charge over the course, in polar axes."""
     figure = Figure(figsize=(FULL_WIDTH, 4.2))
     axes = figure.add_axes((0.25, 0.08, 0.5, 0.84), projection="polar")
     courses = np.radians(polar.reach[COURSE].to_numpy())

@@ -1,10 +1,14 @@
-"""Tables, figures and documents of a plan or a run; the only package that draws."""
+"""Reports of plans and of runs: tables, figures, Markdown text and HTML pages.
+
+A run compares the minimum-energy plan of a mission with the flights of a controller. Only the
+reporting modules of `pyomo_quad` import matplotlib.
+"""
 
 from enum import StrEnum
 
 
 class Figures(StrEnum):
-    """Choice of the figures in a report; the values name the file formats."""
+    """Choice of the figure files of a report: SVG, PNG, both (`ALL`) or none."""
 
     SVG = "svg"
     PNG = "png"
@@ -13,5 +17,8 @@ class Figures(StrEnum):
 
     @property
     def formats(self) -> tuple[str, ...]:
-        """Endings of the files of each figure; a report shows the first."""
+        """Endings of the files that each figure is written to; the report shows the first.
+
+        For example ``("svg", "png")`` for `ALL`; empty for `NONE`.
+        """
         return {"all": ("svg", "png"), "none": ()}.get(self, (str(self),))

@@ -1,4 +1,8 @@
-"""Report of a campaign: flights per charge, their table and the figure of charge and voltage."""
+"""Report of a campaign: the same missions flown in turn until the battery is empty.
+
+A campaign counts the flights that each battery charge permits. The report has a table of the
+flights and a figure of charge and voltage.
+"""
 
 from functools import partial
 from pathlib import Path
@@ -20,12 +24,21 @@ CAMPAIGN_NAME = "campaign.csv"
 def write_campaign(
     folder: Path, campaign: Campaign, figures: Figures = Figures.SVG
 ) -> dict[str, Any]:
-    """Write table (CSV), summary, figure and report of a campaign into an empty folder.
+    """Write the report of a campaign: table (CSV), `summary.json`, figure and text.
+
+    Parameters
+    ----------
+    folder : Path
+        Existing empty folder that receives the files.
+    campaign : Campaign
+        Flights of one or more battery charges.
+    figures : Figures, optional
+        Which figures to draw, and in which file formats.
 
     Returns
     -------
     dict
-        The summary, as it is in `summary.json`.
+        The content of `summary.json`.
     """
     summary = campaign_summary(campaign)
     table = campaign.table()
@@ -53,7 +66,11 @@ def write_campaign(
 
 
 def campaign_summary(campaign: Campaign) -> dict[str, Any]:
-    """Return the results of a campaign as values for JSON."""
+    """Return the results of a campaign as a dictionary for `summary.json`.
+
+    It holds the number of flights per battery charge, the reason for the end of each charge, total
+    duration [s] and energy [J], and the scenarios.
+    """
     plans = [flight.plan for flight in campaign.flights]
     return {
         "missions": [mission.name for mission in campaign.missions],
@@ -69,7 +86,16 @@ def campaign_summary(campaign: Campaign) -> dict[str, Any]:
 
 
 def campaign_words(campaign: Campaign) -> list[str]:
-    """Return a sentence for each charge with its flights, their time and energy, and its end."""
+    """Return one sentence for each battery charge of a campaign.
+
+    The sentence gives the number of flights, their total time and energy, and the reason why no
+    further flight was possible.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        Flights of one or more battery charges.
+    """
     said = []
     for charge, (count, ending) in enumerate(
         zip(campaign.counts, campaign.endings, strict=True), start=1
@@ -85,7 +111,15 @@ def campaign_words(campaign: Campaign) -> list[str]:
 
 
 def draw_campaign(campaign: Campaign) -> Figure:
-    """Draw the state of charge and the lowest voltage over the flights, one line per charge."""
+    """Draw a campaign: state of charge and lowest pack voltage of each flight, in two panels.
+
+    Each battery charge has its own line. Dashed lines mark the limits.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        Flights of one or more battery charges.
+    """
     figure, panels = panel_grid(2, 1, panel_height=1.7, left=0.6, legend_entries=campaign.charges)
     charge_panel, voltage_panel = panels[:, 0]
     table, limits = campaign.table(), campaign.missions[0].limits

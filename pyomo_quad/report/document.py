@@ -1,6 +1,7 @@
-"""Writing of a report: tables, summary, figures and text together.
+"""Writing of a report's files: tables, summary, figures and text.
 
-Matplotlib is imported only when a figure is drawn.
+The figures are drawn in parallel while tables and text are written. Matplotlib is imported only
+when a figure is drawn.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -25,9 +26,20 @@ PAGE_NAME = "report.html"
 
 @dataclass(frozen=True)
 class Drawing:
-    """Figure of a report: name, title, caption, and the function that draws it.
+    """Figure of a report before it is drawn: name, title, caption and drawing function.
 
-    ``needs`` names the columns that the figure shows, ``formats`` the endings of its files.
+    Attributes
+    ----------
+    name : str
+        Name of the figure's file, without ending.
+    title, caption : str
+        Heading of the figure, and the text below it.
+    draw : callable
+        Function without arguments that draws and returns the matplotlib Figure.
+    needs : tuple of str
+        Columns of a flight's table that the figure shows; without them it is left out.
+    formats : tuple of str
+        File endings in which the figure is written.
     """
 
     name: str
@@ -39,12 +51,20 @@ class Drawing:
 
     @property
     def files(self) -> tuple[str, ...]:
-        """Names of the figure's files; the report shows the first."""
+        """Names of the figure's files, one for each format; the report shows the first."""
         return tuple(f"{self.name}.{ending}" for ending in self.formats)
 
 
 def wanted_drawings(drawings: Iterable[Drawing], figures: Figures) -> tuple[Drawing, ...]:
-    """Return the drawings in the requested formats, none for `Figures.NONE`."""
+    """Return the figures with the requested file formats, or no figures for `Figures.NONE`.
+
+    Parameters
+    ----------
+    drawings : iterable of Drawing
+        Figures of a report.
+    figures : Figures
+        Which figures the user requests, and in which file formats.
+    """
     if figures is Figures.NONE:
         return ()
     return tuple(replace(drawing, formats=figures.formats) for drawing in drawings)
@@ -61,28 +81,28 @@ def write_study(
     name: str = REPORT_NAME,
     **values: object,
 ) -> tuple[Drawing, ...]:
-    """Write the report of a study: tables, summary, figures and text.
+    """Write a report: CSV tables, `summary.json`, figures and the text from a template.
 
     Parameters
     ----------
     folder : Path
-        An existing folder without reports.
+        Existing folder that holds no report.
     template : str
-        The template of the text, a path below the package. Besides ``values`` it receives
-        ``tables`` (the names of the files), ``drawings`` (those requested, in the requested
-        formats) and ``version``.
+        Template of the text, as a path below the package's folder. In addition to ``values`` the
+        template receives ``tables`` (names of the table files), ``drawings`` (the requested
+        figures) and ``version``.
     tables : mapping of str to DataFrame or mapping, optional
-        Tables to write as CSV, by the file's name.
+        Tables to write as CSV, by file name.
     summary : mapping, optional
-        Values to write as `summary.json`.
+        Content of `summary.json`; without it no such file is written.
     drawings : iterable of Drawing, optional
-        The figures, in the order of the report; not iterated if no figures are wanted.
+        The figures, in the order of the report; not iterated if no figures are requested.
     figures : Figures, optional
-        Whether figures are drawn, and in which formats.
+        Which figures to draw, and in which file formats.
     name : str, optional
-        File of the text.
+        File name of the text.
     **values
-        Values of the template.
+        Variables of the template.
 
     Returns
     -------
@@ -115,9 +135,22 @@ def write_page(
     views: Mapping[str, str],
     data: str,
 ) -> None:
-    """Write the text of a report, the file ``name``, and its figures as one HTML file.
+    """Write a report as one self-contained HTML file, `report.html`, from its text and figures.
 
-    ``is_good``, ``views`` and ``data`` are those of `page.render_html`.
+    Parameters
+    ----------
+    folder : Path
+        Folder of the report, which holds the text and the figures.
+    name : str
+        File name of the report's Markdown text.
+    drawn : iterable of Drawing
+        The figures of the report.
+    is_good : bool
+        Whether the box with the verdict has the colour of a success.
+    views : mapping of str to str
+        HTML to show above a figure, by the figure's name.
+    data : str
+        JSON data of the interactive player of flights; empty without a player.
     """
     from pyomo_quad.report.page import render_html  # noqa: PLC0415  a solve writes no page
 
@@ -133,19 +166,31 @@ def write_page(
 
 
 def write_text(file: Path, template: str, **values: object) -> None:
-    """Fill in a template below the package and write the Markdown to a file."""
+    """Fill in a Markdown template and write the text to a file.
+
+    Parameters
+    ----------
+    file : Path
+        File to write.
+    template : str
+        Template, as a path below the package's folder.
+    **values
+        Variables of the template.
+    """
     file.write_text(render_markdown(template, **values), encoding="utf-8")
-
-
-def save_drawings(drawings: Iterable[Drawing], folder: Path) -> None:
-    """Draw figures, on all cores, into the subfolder `FIGURE_FOLDER` of a report's folder."""
-    with drawn_meanwhile(drawings, folder):
-        pass
 
 
 @contextmanager
 def drawn_meanwhile(drawings: Iterable[Drawing], folder: Path) -> Iterator[None]:
-    """Draw figures on other cores while the block runs."""
+    """Context manager: draw and save figures on other cores while the ``with`` block runs.
+
+    Parameters
+    ----------
+    drawings : iterable of Drawing
+        Figures to draw.
+    folder : Path
+        Folder of the report; the figures go to its subfolder `FIGURE_FOLDER`.
+    """
     wanted = tuple(drawings)
     if not wanted:
         yield

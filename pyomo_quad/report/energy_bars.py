@@ -1,4 +1,7 @@
-"""Energies of flights as bars: in total, above hovering, and by scenario."""
+"""Bar charts of the energies of flights: total, above hovering, and by scenario.
+
+The energy above hovering is a flight's energy less the energy of hovering for the same time.
+"""
 
 from collections.abc import Sequence
 from typing import Any
@@ -20,17 +23,24 @@ from pyomo_quad.study.certificate import SAME_TIME
 from pyomo_quad.study.comparison import ComparisonColumn
 
 _ROW, _EDGES = 0.32, 0.95  # inches
-BAR_WIDTH = 0.62  # of the row
-_ABSENT = 0.35  # opacity
-_TITLE = 0.35  # inches
+BAR_WIDTH = 0.62  # height of a bar, as a share of its row
+_ABSENT = 0.35  # opacity of the bar of a flight that did not arrive
+_TITLE = 0.35  # height of a panel's title, inches
 _NUMBER_ROOM = 1.28  # the axis is longer than the longest bar, to fit the numbers beside the bars
 
 
 def draw_energy_split(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figure:
-    """Draw bars of the total energy from zero, and bars of the differences between flights.
+    """Draw two bar charts of flights: the total energy, and the enlarged difference.
 
-    The difference is the energy above hovering; if durations differ, it is the energy above that of
-    the first flight.
+    Left: total energy from zero; grey: hovering for the same time. Right: energy above hovering,
+    or, if the durations of the flights differ, energy above that of the first flight.
+
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        Flights to compare; the first is the plan.
+    hover_energy_J : float
+        Energy of hovering for the duration of the first flight.
     """
     height = _EDGES + _ROW * len(flights)
     figure = Figure(figsize=(FULL_WIDTH, height))
@@ -61,10 +71,16 @@ def draw_energy_split(flights: Sequence[StyledFlight], hover_energy_J: float) ->
 
 
 def draw_energy_by_scenario(comparison: pd.DataFrame) -> Figure:
-    """Draw the energy of each flight as a bar, in one panel for each scenario, on one scale.
+    """Draw the energy of each flight as a bar, one panel for each scenario, on a common scale.
 
-    Bars show the energy above hovering if the flights of each scenario have equal durations, else
-    the total energy, because energies above hovering would rank such flights by duration.
+    The bars show the energy above hovering if the flights of each scenario have equal durations.
+    Otherwise they show the total energy, because flights of different durations would be ranked by
+    duration. Flights that did not arrive are pale.
+
+    Parameters
+    ----------
+    comparison : DataFrame
+        One row for each flight of each scenario, with the columns of `ComparisonColumn`.
     """
     is_above = takes_one_time_each(comparison)
     energies = comparison[ComparisonColumn.EXCESS_ENERGY].astype(float)
@@ -95,13 +111,13 @@ def draw_energy_by_scenario(comparison: pd.DataFrame) -> Figure:
 
 
 def takes_one_time_each(comparison: pd.DataFrame) -> bool:
-    """Return whether the flights of each scenario of a comparison have equal durations."""
+    """Return whether the flights of each scenario in a comparison table have equal durations."""
     times = comparison.groupby(ComparisonColumn.SCENARIO)[ComparisonColumn.DURATION]
     return bool((times.max() <= times.min() * (1.0 + SAME_TIME)).all())
 
 
 def bar_look(flight: StyledFlight) -> dict[str, Any]:
-    """Return the keyword arguments of a flight's bar, the same in every figure."""
+    """Return the keyword arguments of `Axes.barh` for a flight: its colour and hatch."""
     style = flight.style
     return {
         "color": style.color,
@@ -113,7 +129,15 @@ def bar_look(flight: StyledFlight) -> dict[str, Any]:
 
 
 def annotate_bars(axes: Axes, values: Sequence[float]) -> None:
-    """Write each value to the right of its bar."""
+    """Print each value to the right of its horizontal bar, with room for the numbers.
+
+    Parameters
+    ----------
+    axes : Axes
+        Panel with the bars.
+    values : sequence of float
+        Lengths of the bars, from the top.
+    """
     _write_values(axes, values, [max(value, 0.0) for value in values])
     _make_room(axes, values)
 

@@ -1,4 +1,4 @@
-"""Report of many flights of one mission: tables, summary, figures and text."""
+"""Report of an ensemble: one mission flown many times, each flight in its own random wind."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -32,9 +32,9 @@ from pyomo_quad.study.ensemble import (
 )
 
 FLIGHTS_NAME, BANDS_NAME = "flights.csv", "bands.csv"
-#: Number of paths in the figure; more paths could not be distinguished.
+#: Largest number of paths in the figure; more could not be distinguished.
 SHOWN_PATHS = 50
-_BINS = 40
+_BINS = 40  # of the histogram of energies
 
 
 def write_ensemble(
@@ -43,12 +43,23 @@ def write_ensemble(
     savings: Sequence[Saving] = (),
     figures: Figures = Figures.SVG,
 ) -> dict[str, Any]:
-    """Write tables (CSV), summary, figures and the report into an empty folder.
+    """Write the report of an ensemble of flights: tables, `summary.json`, figures and text.
+
+    Parameters
+    ----------
+    folder : Path
+        Existing empty folder that receives the files.
+    flown : Ensemble
+        Flights of one mission in random winds.
+    savings : sequence of Saving, optional
+        Energy savings over other flights in the same winds.
+    figures : Figures, optional
+        Which figures to draw, and in which file formats.
 
     Returns
     -------
     dict
-        The summary, as it is in `summary.json`.
+        The content of `summary.json`.
     """
     summary = ensemble_summary(flown, savings)
     write_study(
@@ -69,7 +80,18 @@ def write_ensemble(
 def ensemble_drawings(
     flown: Ensemble, savings: Sequence[Saving], margin: float = 0.0
 ) -> tuple[Drawing, ...]:
-    """List the figures of many flights, with an optional margin round their path."""
+    """List the figures of an ensemble of flights: paths, energies, and quantities over time.
+
+    Parameters
+    ----------
+    flown : Ensemble
+        Flights of one mission in random winds.
+    savings : sequence of Saving
+        Energy savings over other flights in the same winds; their energies are drawn too.
+    margin : float, optional
+        Distance from zones [m] by which the plan was tightened, drawn on both sides of the planned
+        path; 0 for none.
+    """
     shown = min(SHOWN_PATHS, flown.count)
     paths = f"Paths of {shown} flights, and the path to follow."
     energy = "Energies of the flights (kJ), each in its own random wind; line: median."
@@ -84,9 +106,17 @@ def ensemble_drawings(
 
 
 def draw_many_paths(flown: Ensemble, margin: float = 0.0) -> Figure:
-    """Draw the paths of some flights and of their reference, from above and from the front.
+    """Draw the paths of some flights of an ensemble, and their reference path, in two views.
 
-    With a margin [m] to zones, its width is drawn on both sides of the reference.
+    The views are from above and from the front.
+
+    Parameters
+    ----------
+    flown : Ensemble
+        Flights of one mission in random winds.
+    margin : float, optional
+        Distance from zones [m] by which the plan was tightened, drawn on both sides of the
+        reference path; 0 for none.
     """
     figure, panels = panel_grid(2, 1, panel_height=2.5, legend_entries=2, share_time=False)
     tracks = [flown.flown.tracks[f"{axis}_m"][:, :SHOWN_PATHS] for axis in "xyz"]
@@ -115,14 +145,22 @@ def draw_many_paths(flown: Ensemble, margin: float = 0.0) -> Figure:
 
 
 def _beside(path: FloatArray, off: float) -> FloatArray:
-    """Return a path in a plane, shifted to its left by a margin."""
+    """Return a path in a plane, shape (n, 2), shifted to its left by the distance `off`."""
     along = np.gradient(path, axis=0)
     length = np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
     return path + off * np.column_stack([-along[:, 1], along[:, 0]]) / length
 
 
 def draw_energies(flown: Ensemble, savings: Sequence[Saving]) -> Figure:
-    """Draw histograms of the energies of plan and autopilot."""
+    """Draw histograms of the energies of an ensemble's flights, each with its median.
+
+    Parameters
+    ----------
+    flown : Ensemble
+        Flights of one mission in random winds.
+    savings : sequence of Saving
+        Other flights in the same winds, each of which has its own histogram.
+    """
     kinds = [flown, *(saving.rival for saving in savings)]
     figure, ((axes,),) = panel_grid(
         1, 1, panel_height=2.4, legend_entries=len(kinds), share_time=False
@@ -138,7 +176,7 @@ def draw_energies(flown: Ensemble, savings: Sequence[Saving]) -> Figure:
     return figure
 
 
-# Track, title of its panel, and printed value of a stored value of 1.
+# Recorded quantity, title of its panel, and factor from the stored to the printed unit.
 _PANELS = (
     (OFF, "Distance from the path to follow (m)", 1.0),
     (SPEED, "Speed over ground (m/s)", 1.0),
@@ -148,7 +186,15 @@ _PANELS = (
 
 
 def draw_bands(flown: Ensemble) -> Figure:
-    """Draw medians and 90 % bands of quantities over time."""
+    """Draw the median and the band of 90 % of an ensemble's flights over time, in four panels.
+
+    The panels show distance from the reference path, speed, tilt and energy.
+
+    Parameters
+    ----------
+    flown : Ensemble
+        Flights of one mission in random winds.
+    """
     figure, panels = panel_grid(2, 2, panel_height=1.9)
     t, color = flown.flown.t, SERIES_STYLES[0].color
     for axes, (track, title, scale) in zip(panels.flat, _PANELS, strict=True):

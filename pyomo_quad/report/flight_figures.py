@@ -1,4 +1,4 @@
-"""Figures of flights, one function each; the first flight is the plan."""
+"""Figures of flights, one function for each figure; the first flight is always the plan."""
 
 from collections.abc import Sequence
 from itertools import chain
@@ -72,13 +72,22 @@ if TYPE_CHECKING:
 _CENTIMETRES = 100.0
 _SMALLEST_ERROR = 1.0  # cm
 _SMALLEST_DISTURBANCE = 0.1  # m/s^2
-# The flight with adaptation has the same style as in the other figures.
+# The flight with an adaptive controller has the same style as in the other figures.
 _WITH = flight_styles((FAIR_BASELINE,))[FAIR_BASELINE]
 _WITHOUT = LineStyle(color=MUTED, dashes=(4.5, 1.6))
 
 
 def draw_adaptation(study: pd.DataFrame) -> Figure:
-    """Draw the distance from the reference, and the disturbance along x and y."""
+    """Draw the effect of the controller's adaptation to the wind, in three panels.
+
+    Left: distance of the vehicle from the reference path, with and without adaptation. Middle and
+    right: disturbance acceleration along x and y, true and as the controller estimates it.
+
+    Parameters
+    ----------
+    study : DataFrame
+        Table over time from `adaptation_study`.
+    """
     figure, (panels,) = panel_grid(1, 3, panel_height=1.8, legend_entries=2)
     error, *disturbances = panels
     time = TIME.of(study)
@@ -107,7 +116,15 @@ def _draw_disturbance(
 
 
 def draw_battery(flights: Sequence[StyledFlight]) -> Figure:
-    """Draw voltage, current, state of charge, relaxation voltage and temperature."""
+    """Draw battery voltage, current and state of charge of flights over time.
+
+    If all flights have these columns, relaxation voltage and temperature are drawn too.
+
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        Flights to draw; the first is the plan.
+    """
     further = [own for own in CIRCUIT if all(own.name in one.frame for one in flights)]
     figure, panels = panel_grid(
         2 if further else 1,
@@ -126,7 +143,13 @@ def draw_battery(flights: Sequence[StyledFlight]) -> Figure:
 
 
 def draw_controls(flights: Sequence[StyledFlight]) -> Figure:
-    """Draw the acceleration of each rotor in its own panel, all on one scale."""
+    """Draw the angular acceleration of each rotor over time, one panel per rotor on one scale.
+
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        Flights to draw; the first is the plan.
+    """
     figure, panels = panel_grid(2, 2, panel_height=1.25, legend_entries=len(flights))
     draw_panels(panels.flat, ROTOR_ACCELERATION, flights)
     for axes in panels.flat:
@@ -147,7 +170,7 @@ _GROUPS = (
     (ROTOR_SPEED, "Rotors", "mJ s/rad", 1e3),
 )
 _SMALLEST_PRICE = 1e-2
-# In the line of the title, where there is no curve.
+# Legend of a panel, in the line of its title, where no curve runs.
 _LEGEND: dict[str, Any] = {
     "loc": "lower right",
     "bbox_to_anchor": (1.0, 0.98),
@@ -168,7 +191,15 @@ COSTATES = (
 
 
 def draw_costates(costates: pd.DataFrame, duration: float) -> Figure:
-    """Draw the costates in five groups, and the Hamiltonian, up to the end of the flight, s."""
+    """Draw the costates (adjoint variables) of a plan in five groups, and its Hamiltonian.
+
+    Parameters
+    ----------
+    costates : DataFrame
+        The columns of `COSTATES`, indexed by time in s.
+    duration : float
+        Duration of the flight in s, where the time axes end.
+    """
     figure, panels = panel_grid(3, 2, panel_height=1.4, legend_entries=0)
     time = costates.index.to_numpy()
     for axes, (states, title, unit, scale) in zip(panels.flat, _GROUPS, strict=False):
@@ -187,17 +218,26 @@ def draw_costates(costates: pd.DataFrame, duration: float) -> Figure:
 
 
 _ABOVE_HOVER_TITLE = r"$E - P_\mathrm{hover}\,t$, energy above hovering (J)"
-# Values of power outside these quantiles are peaks.
+# Powers in the lowest and the highest of these shares are peaks. The axis excludes peaks if they
+# would make its range larger than this factor; the margin is a share of the range without peaks.
 _PEAK_SHARE = 0.05
 _WORTH_CUTTING = 2.0
 _PEAK_MARGIN = 0.1
-# Difference of two curves, relative to their range, below which they look like one.
+# Difference of two curves, relative to their range, below which they cannot be distinguished.
 _COINCIDENT = 0.01
 _HOVER_LINE: dict[str, Any] = {"color": MUTED, "linewidth": 1.0, "linestyle": (0, (1, 1))}
 
 
 def draw_energy(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figure:
-    """Draw power, energy, and energy above hovering, in three panels with one time axis."""
+    """Draw power, energy, and energy above hovering of flights over time, in three panels.
+
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        Flights to draw; the first is the plan.
+    hover_energy_J : float
+        Energy of hovering for the duration of the first flight.
+    """
     figure, panels = panel_grid(3, 1, panel_height=1.5, legend_entries=1 + len(flights))
     hover_power, end = hover_energy_J / flights[0].duration_s, last_end(flights)
     power, energy, above = panels[:, 0]
@@ -212,7 +252,17 @@ def draw_energy(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figur
 
 
 def draw_above_hover(axes: Axes, flights: Sequence[StyledFlight], hover_power_W: float) -> None:
-    """Draw the energy spent until each time, less the energy of hovering for that time."""
+    """Draw the energy of flights over time, less the energy of hovering until the same time.
+
+    Parameters
+    ----------
+    axes : Axes
+        Panel to draw into.
+    flights : sequence of StyledFlight
+        Flights to draw.
+    hover_power_W : float
+        Power of hovering.
+    """
     axes.axhline(0.0, **_HOVER_LINE)
     for flight in flights:
         time, energy = TIME.of(flight.frame), ENERGY.of(flight.frame)
@@ -222,7 +272,13 @@ def draw_above_hover(axes: Axes, flights: Sequence[StyledFlight], hover_power_W:
 
 
 def cut_flights(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
-    """Return the flights whose short peaks exceed the panel of power."""
+    """Return the flights with short power peaks that the power panel cuts off.
+
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        Flights drawn in one panel; the first is the plan, which is never cut off.
+    """
     window = _power_window(flights)
     if window is None:
         return ()
@@ -238,7 +294,15 @@ def cut_flights(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
 def coinciding_flights(
     flights: Sequence[StyledFlight], hover_power_W: float
 ) -> tuple[StyledFlight, ...]:
-    """Return the flights whose curve of energy above hovering coincides with the first flight's."""
+    """Return the flights whose curve of energy above hovering coincides with the first flight's.
+
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        Flights drawn in one panel; the first is the plan.
+    hover_power_W : float
+        Power of hovering.
+    """
     first, *others = flights
     time = TIME.of(first.frame)
     curves = [
@@ -254,9 +318,9 @@ def coinciding_flights(
 
 
 def _power_window(flights: Sequence[StyledFlight]) -> tuple[float, float] | None:
-    """Return the range of the power panel [W] if peaks would flatten the other curves.
+    """Return the range [W] of the power panel's axis if short peaks would flatten the curves.
 
-    None if the panel can show all values.
+    None if the axis can show all values.
     """
     optimum, *others = powers = [POWER.of(flight.frame) for flight in flights]
     ends = [optimum.min(), optimum.max()]
@@ -272,20 +336,32 @@ def _power_window(flights: Sequence[StyledFlight]) -> tuple[float, float] | None
 
 
 def _cut_peaks(axes: Axes, flights: Sequence[StyledFlight]) -> None:
-    """Limit the power panel if short peaks would flatten the other curves."""
+    """Exclude short peaks from the power panel's axis if they would flatten the curves."""
     window = _power_window(flights)
     if window is not None:
         axes.set_ylim(*window)
         axes.set_title(f"{POWER.title}, short peaks cut off")
 
 
-_ERROR_FLOOR = 1e-16  # keeps an error of zero on the logarithmic axis
+_ERROR_FLOOR = 1e-16  # drawn instead of an error of zero, which has no logarithm
 
 
 def draw_mesh(
     history: "Sequence[MeshRecord]", mesh: "Mesh", tolerance: float, duration: float
 ) -> Figure:
-    """Draw the error estimate of each mesh, and the last mesh over time [s]."""
+    """Draw the refinement of a plan's mesh: the error estimate of each mesh, and the last mesh.
+
+    Parameters
+    ----------
+    history : sequence of MeshRecord
+        Size and error estimate of each mesh, in the order of refinement.
+    mesh : Mesh
+        The last mesh: element boundaries and polynomial degrees.
+    tolerance : float
+        Relative error that the refinement had to reach.
+    duration : float
+        Duration of the flight in s.
+    """
     height = 2.6
     figure, (errors, elements) = full_width(
         height, (1, 2), right=0.985, top=1 - 0.3 / height, bottom=0.5 / height, wspace=0.24
@@ -333,7 +409,15 @@ def _draw_elements(axes: Axes, mesh: "Mesh", duration: float) -> None:
 
 
 def draw_power(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figure:
-    """Draw the power of flights over time, and the power of hovering."""
+    """Draw the power of flights over time, and the power of hovering as a dotted line.
+
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        Flights to draw; the first is the plan.
+    hover_energy_J : float
+        Energy of hovering for the duration of the first flight.
+    """
     figure, ((axes,),) = panel_grid(1, 1, panel_height=1.9, legend_entries=1 + len(flights))
     axes.axhline(hover_energy_J / flights[0].duration_s, label="hovering", **_HOVER_LINE)
     draw_panels((axes,), (POWER,), flights)
@@ -349,9 +433,15 @@ _LEG_ROW = 0.2  # inches
 
 
 def draw_way(flights: Sequence[StyledFlight], mission: "Scenario") -> Figure:
-    """Draw the speed over the length of the path, and the energy of each leg of the first flight.
+    """Draw the speed of flights over path length, and the plan's energy between waypoints.
 
-    ``mission`` has the passing times of that flight.
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        Flights to draw; the first is the plan.
+    mission : Scenario
+        Scenario with waypoints and speed limit; each waypoint has the time at which the plan
+        passes it.
     """
     optimum, legs = flights[0], leg_table(mission, flights[0].frame)
     below = 0.45 + 0.2 * ceil(len(flights) / LEGEND_COLUMNS)
@@ -389,7 +479,15 @@ def _draw_legs(axes: Axes, flight: StyledFlight, legs: pd.DataFrame) -> None:
 
 
 def draw_front(front: pd.DataFrame) -> Figure:
-    """Draw energy over duration for each price of time, with the plan marked."""
+    """Draw the energy-time front: least energy against duration, with the plan marked.
+
+    Each point is an optimal flight for one price of time, the energy that one second is worth [W].
+
+    Parameters
+    ----------
+    front : DataFrame
+        One row for each flight, with the columns of `FrontColumn`.
+    """
     figure, panels = panel_grid(1, 1, panel_height=2.4, legend_entries=2)
     (axes,) = panels.flat
     optimum, is_plan = flight_styles((OPTIMAL,))[OPTIMAL], front[FrontColumn.IS_PLAN].astype(bool)
@@ -409,7 +507,13 @@ def draw_front(front: pd.DataFrame) -> Figure:
 
 
 def draw_rotors(flight: StyledFlight) -> Figure:
-    """Draw the motors' mechanical and electrical quantities."""
+    """Draw speed, torque, current and voltage of a flight's four motors, one panel for each.
+
+    Parameters
+    ----------
+    flight : StyledFlight
+        Flight to draw.
+    """
     figure, panels = panel_grid(2, 2, panel_height=1.45, legend_entries=len(ROTORS))
     for axes, signals in zip(panels.flat, MOTOR, strict=True):
         for rotor, signal, style in zip(ROTORS, signals, ROTOR_STYLES, strict=True):
@@ -422,7 +526,15 @@ def draw_rotors(flight: StyledFlight) -> Figure:
 
 
 def draw_states(flights: Sequence[StyledFlight]) -> Figure:
-    """Draw all states, one panel each: rows for place, velocity, attitude and body rates."""
+    """Draw all sixteen states of flights, one panel each.
+
+    The rows show position, velocity, attitude and body rates; the last column shows rotor speeds.
+
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        Flights to draw; the first is the plan.
+    """
     figure, panels = panel_grid(
         4, 4, panel_height=1.15, gap=0.52, left=0.42, legend_entries=len(flights)
     )
@@ -434,7 +546,15 @@ def draw_states(flights: Sequence[StyledFlight]) -> Figure:
 
 
 def draw_column(flight: StyledFlight, column: str) -> Figure:
-    """Draw one column of a flight's table, in its own unit."""
+    """Draw one column of a flight's table against time, in the unit of the column.
+
+    Parameters
+    ----------
+    flight : StyledFlight
+        Flight to draw.
+    column : str
+        Name of the column.
+    """
     figure, panels = panel_grid(1, 1, panel_height=2.6)
     (axes,) = panels.flat
     axes.plot(TIME.of(flight.frame), flight.frame[column], label=flight.name, **flight.style.line)
@@ -443,13 +563,21 @@ def draw_column(flight: StyledFlight, column: str) -> Figure:
     return figure
 
 
-# Wind has other colours than flights.
+# Wind curves have other colours than the curves of flights.
 _WIND = LineStyle(color=INK, width=1.9)
 _FORECAST = LineStyle(color=MUTED, dashes=(4.5, 1.6))
 
 
 def draw_wind(told: StyledFlight, flown: StyledFlight | None = None) -> Figure:
-    """Draw both components of the wind, and of the forecast if there is one."""
+    """Draw the wind's components along x and y over time, with the forecast if there is one.
+
+    Parameters
+    ----------
+    told : StyledFlight
+        The plan, whose table has the wind that it was planned for.
+    flown : StyledFlight, optional
+        A flight in the true wind, if the plan was made for a forecast.
+    """
     figure, panels = panel_grid(1, 2, panel_height=1.5, legend_entries=0 if flown is None else 2)
     forecast = [] if flown is None else [("forecast", told, _FORECAST)]
     winds = [("wind", told if flown is None else flown, _WIND), *forecast]
@@ -466,5 +594,5 @@ def draw_wind(told: StyledFlight, flown: StyledFlight | None = None) -> Figure:
 
 
 def is_calm(*flights: StyledFlight) -> bool:
-    """Return whether all flights are in calm air."""
+    """Return whether the wind is zero throughout all the given flights."""
     return not any(signal.of(flight.frame).any() for flight in flights for signal in WIND)

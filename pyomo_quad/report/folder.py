@@ -1,4 +1,8 @@
-"""Output folders and files that are written completely or not at all."""
+"""Output folders and files that appear complete, or not at all if the program is interrupted.
+
+Output is written under a temporary name in the same folder and renamed at the end. A folder or file
+that this package did not write is never replaced.
+"""
 
 import errno
 import fcntl
@@ -22,19 +26,27 @@ _unfinished: set[Path] = set()
 
 @contextmanager
 def output_folder(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary folder that becomes the final folder when the block succeeds.
+    """Context manager: write an output folder that appears complete or not at all.
+
+    The ``with`` block writes to a temporary folder beside the final folder. When the block ends,
+    the temporary folder replaces the final folder. If the block raises, the temporary folder is
+    removed and the final folder remains unchanged.
+
+    Parameters
+    ----------
+    path : str or Path
+        Final folder.
 
     Yields
     ------
     Path
-        An empty folder beside the final one. If the block raises, it is removed and the final
-        folder remains unchanged.
+        The empty temporary folder.
 
     Raises
     ------
     OutputError
-        If the folder cannot be written, is full, is in use by another run, or holds files that no
-        run wrote.
+        If the folder cannot be written, the disk is full, another run is writing the folder, or it
+        holds files that this package did not write.
     """
     final = final_folder(path)
     aside = _hidden(final, f"new-{os.getpid()}")
@@ -55,7 +67,7 @@ def output_folder(path: str | Path) -> Iterator[Path]:
         _refuse(path, error)
 
 
-#: Text in each single file, by which a later command recognises that it may replace the file.
+#: Text in each output file, by which a later command recognises a file that it may replace.
 MARK = "Written by pyomo_quad"
 # The mark is searched for within this distance of either end: a PDF names its creator last.
 _MARKED_WITHIN_BYTES = 65_536
@@ -63,20 +75,29 @@ _MARKED_WITHIN_BYTES = 65_536
 
 @contextmanager
 def output_file(path: str | Path, mark: str = MARK) -> Iterator[Path]:
-    """Yield a temporary file that becomes the final file when the block succeeds.
+    """Context manager: write an output file that appears complete or not at all.
 
-    A character device or a FIFO receives the bytes instead and is not replaced.
+    The ``with`` block writes to a temporary file, which replaces the final file when the block
+    ends. If the final path is a character device or a FIFO, such as ``/dev/stdout``, the bytes are
+    copied to it instead.
 
     Parameters
     ----------
+    path : str or Path
+        Final file.
     mark : str, optional
-        Text in the new file. An existing regular file is replaced only if it also has this text, or
-        is empty.
+        Text that the new file contains. An existing regular file is replaced only if it contains
+        this text, too, or is empty.
+
+    Yields
+    ------
+    Path
+        The temporary file, which does not exist yet.
 
     Raises
     ------
     OutputError
-        If the file cannot be written, or an existing file was written by another program or a
+        If the file cannot be written, or the existing file was written by another program or a
         person.
     """
     final = final_folder(path)
@@ -99,8 +120,8 @@ def output_file(path: str | Path, mark: str = MARK) -> Iterator[Path]:
 
 
 def _is_stream(path: str | Path) -> bool:
-    """Return whether a path leads to a character device or a FIFO."""
-    # The links of /dev/stdout have targets that cannot be opened by name, but can be followed.
+    """Return whether a path leads to a character device or a FIFO, such as ``/dev/stdout``."""
+    # The target of the link /dev/stdout cannot be opened by its name, only through the link.
     with suppress(FileNotFoundError):
         mode = os.stat(path).st_mode  # noqa: PTH116  a path may be a text
         return stat.S_ISCHR(mode) or stat.S_ISFIFO(mode)
@@ -135,12 +156,19 @@ def _is_marked(file: Path, mark: str) -> bool:
 
 
 def refuse_output_folder(path: str | Path) -> None:
-    """Refuse a folder that `output_folder` would refuse, without writing.
+    """Check, without writing, that `output_folder` would accept a folder.
+
+    A command calls the function before a long solve, so that a wrong folder is reported early.
+
+    Parameters
+    ----------
+    path : str or Path
+        Final folder of the output.
 
     Raises
     ------
     OutputError
-        If no report can be written there now.
+        If the folder cannot be written, or holds files that this package did not write.
     """
     final = final_folder(path)
     try:
@@ -155,7 +183,7 @@ def refuse_output_folder(path: str | Path) -> None:
 
 
 def discard_unfinished() -> None:
-    """Remove the temporary files and folders of this process."""
+    """Remove the unfinished output files and folders of this process, before it is ended."""
     for begun in _unfinished:
         _discard(begun)
 
@@ -167,7 +195,10 @@ def _discard(begun: Path) -> None:
 
 @contextmanager
 def _until_finished(begun: Path) -> Iterator[None]:
-    """Remove a temporary file or folder after the block, also if the process is terminated."""
+    """Context manager: remove a temporary file or folder after the block.
+
+    It is also removed if the process is terminated, because `discard_unfinished` then removes it.
+    """
     _unfinished.add(begun)
     try:
         yield
@@ -177,7 +208,13 @@ def _until_finished(begun: Path) -> Iterator[None]:
 
 
 def final_folder(path: str | Path) -> Path:
-    """Resolve all links of an output path, and refuse the root of all folders."""
+    """Resolve all symbolic links of an output path.
+
+    Raises
+    ------
+    OutputError
+        If the path is the root of the file system.
+    """
     # Unlike `Path.resolve`, `realpath` does not raise for a loop of links; opening the path does.
     final = Path(os.path.realpath(path))
     if final == final.parent:
@@ -186,7 +223,7 @@ def final_folder(path: str | Path) -> Path:
 
 
 def _unused(path: Path) -> Path:
-    """Return a path, or raise an error if something exists there."""
+    """Return the path if nothing exists there; raise FileExistsError otherwise."""
     if os.path.lexists(path):
         raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST))
     return path
@@ -204,7 +241,7 @@ def _lock(final: Path, path: str | Path) -> Iterator[None]:
         descriptor = os.open(file, flags, 0o644)
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            # The run that held the lock removes the file; a lock on a removed file has no effect.
+            # A run removes its lock file when it ends; a lock on a removed file has no effect.
             if file.exists() and file.stat().st_ino == os.fstat(descriptor).st_ino:
                 break
         except BlockingIOError:
@@ -226,7 +263,7 @@ def _lock(final: Path, path: str | Path) -> Iterator[None]:
 
 
 def _finish_swap(final: Path, path: str | Path, aside: Path) -> None:
-    """Replace the final folder by a completed new folder, if a run has left one.
+    """Replace the final folder by a complete new folder ``ready``, if there is one.
 
     The old folder is renamed to `aside` until it is removed. Between the two renames there is no
     final folder: if a run is killed there, the next run puts the new folder in place.
@@ -241,7 +278,7 @@ def _finish_swap(final: Path, path: str | Path, aside: Path) -> None:
 
 
 def _remove_leftovers(final: Path) -> None:
-    # The lock is held, so the process that made these is no longer running.
+    # This process holds the lock, so that the processes that made such folders have ended.
     name = re.compile(re.escape(_hidden(final, "new-").name) + r"\d+")
     for entry in final.parent.iterdir():
         if not name.fullmatch(entry.name):
@@ -254,12 +291,15 @@ def _remove_leftovers(final: Path) -> None:
 
 
 def _is_of_a_run(folder: Path) -> bool:
-    """Return whether a run made a hidden folder, by the folder's manifest."""
+    """Return whether this package made a hidden folder, which its manifest shows."""
     return not folder.is_symlink() and (folder / MANIFEST_NAME).is_file()
 
 
 def _remove(folder: Path) -> None:
-    """Delete a run's folder, its manifest last, so that an interrupted deletion is recognised."""
+    """Delete an output folder, its manifest last.
+
+    If the deletion is interrupted, the manifest still marks the rest as an output of this package.
+    """
     for entry in folder.iterdir():
         if entry.name == MANIFEST_NAME:
             continue
@@ -271,7 +311,10 @@ def _remove(folder: Path) -> None:
 
 
 def _files(folder: Path) -> Iterator[str]:
-    """Yield all files of a folder, links to folders included; raise if it cannot be read."""
+    """Yield the relative names of all files in a folder, including links to folders.
+
+    Raises OSError if the folder cannot be read.
+    """
 
     def fail(error: OSError) -> NoReturn:
         raise error

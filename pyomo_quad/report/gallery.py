@@ -1,4 +1,8 @@
-"""Figures of each report in order, with their captions."""
+"""Lists of the figures in each kind of report, in order and with captions.
+
+A `Drawing` holds a figure's caption and the function that draws it. The sequence of flights that
+the functions receive begins with the plan.
+"""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -74,17 +78,30 @@ if TYPE_CHECKING:
     from pyomo_quad.study.run import RunResult
 
 PATH_NAME = "path"
-#: The page shows its player above the figure of the paths.
+#: Title of the figure of paths; the HTML report shows an interactive player of flights above it.
 PLAYER_TITLE = "Paths and player"
 MAP_NAME, POWER_NAME = "map", "power_over_time"
 FRONT_FIGURE = "front"
 
 
 def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawing, ...]:
-    """List the figures of a plan and of the flights drawn with it.
+    """List the figures of a plan, and of flights that are drawn together with it.
 
-    A figure is left out if a user's model does not declare its columns, if a failed solve has no
-    numbers for it, or if it shows wind in calm air.
+    A figure is left out if the table of the plan lacks its columns (because a user's model does not
+    declare them), if a failed solve has no finite values for it, or if it would show the wind of
+    calm air.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+    flights : sequence of StyledFlight
+        Flights to draw; the first is the plan's.
+
+    Returns
+    -------
+    tuple of Drawing
+        Figures of paths, states, controls, energy, motors, battery, wind, costates and mesh.
     """
     has_forecast = plan.scenario.wind.forecast is not None
     blowing = flights[1] if has_forecast and len(flights) > 1 else None
@@ -108,10 +125,19 @@ def flight_drawings(
     blowing: StyledFlight | None = None,
     mission: "Scenario | None" = None,
 ) -> tuple[Drawing, ...]:
-    """List the figures that can be drawn from the tables of flights.
+    """List the figures that need only the tables of flights: paths, motion, energy, wind.
 
-    ``blowing`` is a flight in another wind than the plan's forecast; ``mission`` has the passing
-    times of its plan.
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        Flights to draw; the first is the plan.
+    hover_energy_J : float
+        Energy of hovering for the duration of the first flight.
+    blowing : StyledFlight, optional
+        A flight in the true wind, if the plan was made for a forecast of another wind.
+    mission : Scenario, optional
+        Scenario whose waypoints and zones are drawn; each waypoint has the time at which the plan
+        passes it.
     """
     frame = flights[0].frame
     finite = {name for name in frame if np.isfinite(frame[name]).all()}
@@ -125,7 +151,15 @@ def flight_drawings(
 
 
 def column_drawing(flight: StyledFlight, column: str) -> Drawing:
-    """Return the figure of one column of a flight's table against time."""
+    """Return the figure of one column of a flight's table against time.
+
+    Parameters
+    ----------
+    flight : StyledFlight
+        Flight to draw.
+    column : str
+        Name of the column.
+    """
     return Drawing(column, column, "", partial(draw_column, flight, column))
 
 
@@ -135,11 +169,23 @@ def comparison_drawings(
     comparison: pd.DataFrame,
     mission: "Scenario",
 ) -> tuple[Drawing, ...]:
-    """List the figures that compare flights; the plan comes first.
+    """List the figures of a comparison of flights: map, power over time, and energies.
 
-    The map and the power over time show the optimum and the flight that its saving is against; the
-    bars show the flights that arrived within the limits, for only their energies can be compared.
-    ``mission`` has the zones.  A user's model without positions has no such figures.
+    The map and the power over time show the plan and its rival, the flight against which the
+    printed energy saving is computed. The energy bars show the plan and the flights that arrived
+    and kept all limits, because only their energies can be compared. A model without positions has
+    no such figures.
+
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        Flights of the comparison; the first is the plan.
+    hover_energy_J : float
+        Energy of hovering for the duration of the plan.
+    comparison : DataFrame
+        One row for each flight, with the columns of `ComparisonColumn`.
+    mission : Scenario
+        Scenario whose zones and waypoints the map shows.
     """
     if not set(_columns(POSITION)) <= set(flights[0].frame):
         return ()
@@ -174,7 +220,10 @@ def comparison_drawings(
 
 
 def _not_comparable(flights: Sequence[StyledFlight], compared: Sequence[StyledFlight]) -> str:
-    """Return the sentence that names the flights without a bar, empty if all have one."""
+    """Return the caption's sentence that names the flights without an energy bar.
+
+    Empty if all flights have a bar.
+    """
     rest = [flight for flight in flights if flight not in compared]
     if not rest:
         return ""
@@ -182,7 +231,13 @@ def _not_comparable(flights: Sequence[StyledFlight], compared: Sequence[StyledFl
 
 
 def adaptation_drawing(study: pd.DataFrame) -> Drawing:
-    """Return the figure of the effect of adaptation, from an `adaptation_study`."""
+    """Return the figure of the controller's adaptation to the wind.
+
+    Parameters
+    ----------
+    study : DataFrame
+        Table of simulated flights with and without adaptation, from `adaptation_study`.
+    """
     caption = (
         "The adaptive controller does not know the wind. Left: distance of the vehicle from the "
         "path to follow, with adaptation and without. Right: the force of the wind divided by the "
@@ -192,7 +247,14 @@ def adaptation_drawing(study: pd.DataFrame) -> Drawing:
 
 
 def front_drawing(front: pd.DataFrame) -> Drawing:
-    """Return the figure of an energy-time front."""
+    """Return the figure of the energy-time front: least energy against duration.
+
+    Parameters
+    ----------
+    front : DataFrame
+        One row for each price of time (value of one second in J), with the columns of
+        `FrontColumn`.
+    """
     caption = (
         "Flights of least energy for several prices of a second; star: the plan. No flight on the "
         "plan's route is both shorter and cheaper."
@@ -201,15 +263,15 @@ def front_drawing(front: pd.DataFrame) -> Drawing:
 
 
 def drawings_of_solve(plan: "Plan") -> tuple[Drawing, ...]:
-    """List the figures in the report of a plan alone."""
+    """List the figures in the report of a plan without baseline flights."""
     return plan_drawings(plan, styled_flights([plan_flight(plan)]))
 
 
 def drawings_of_run(result: "RunResult") -> tuple[Drawing, ...]:
-    """List the figures in the report of a run.
+    """List the figures in the report of a run: a plan with the flights it is compared with.
 
-    First come those of the flights beside each other, then those of the effect of adaptation and
-    of the price of time, then those of the plan.
+    First come the comparison of the flights, the controller's adaptation, the energy-time front and
+    the flights in turbulence, as far as the run has them; then the figures of the plan.
     """
     flights = _styled(result)
     return (
@@ -222,14 +284,20 @@ def drawings_of_run(result: "RunResult") -> tuple[Drawing, ...]:
 
 
 def _in_turbulence(often: "InTurbulence", plan: "Plan") -> Iterator[Drawing]:
-    """Yield the figures of the flights in turbulence, with names of their own."""
+    """Yield the figures of many flights in turbulence, renamed to begin with ``turbulence_``."""
     margin = 0.0 if plan.risk is None else plan.risk.margins.get("airspace.clearance", 0.0)
     for drawing in ensemble_drawings(often.flown, often.savings, margin):
         yield replace(drawing, name=f"turbulence_{drawing.name}")
 
 
 def drawings_of_comparison(comparison: pd.DataFrame) -> tuple[Drawing]:
-    """List the figures in the comparison of many scenarios: the energies of their flights."""
+    """List the figures in the comparison of several scenarios: the energies of all flights.
+
+    Parameters
+    ----------
+    comparison : DataFrame
+        One row for each flight of each scenario, with the columns of `ComparisonColumn`.
+    """
     energy = "Energy above hovering for the same time"
     if not takes_one_time_each(comparison):
         energy = "Total energy"
@@ -242,9 +310,21 @@ def drawings_of_comparison(comparison: pd.DataFrame) -> tuple[Drawing]:
 
 
 def view_of_paths(result: "RunResult", drawn: Sequence[Drawing]) -> tuple[dict[str, str], str]:
-    """Return the player of the flights by the name of its figure, and its data as JSON.
+    """Return the interactive player of a run's flights for the HTML report.
 
-    Both are empty if the figure of the paths is not drawn.
+    Parameters
+    ----------
+    result : RunResult
+        The run.
+    drawn : sequence of Drawing
+        Figures of the report.
+
+    Returns
+    -------
+    views : dict
+        HTML of the player, by the name of the figure above which it is shown.
+    data : str
+        The flights as JSON, for the player. Both are empty if the figure of the paths is not drawn.
     """
     if PATH_NAME not in [drawing.name for drawing in drawn]:
         return {}, ""
@@ -294,13 +374,16 @@ def _course(mission: "Scenario") -> str:
 
 
 def _zones(mission: "Scenario") -> str:
-    """Return the sentence that names the keep-outs in a figure, empty without any."""
+    """Return the caption's sentence that names the keep-out zones; "" if there are none."""
     named = ", ".join(zone.name for zone in mission.airspace.keep_out)
     return f" Red: keep-out zones ({named})." if named else ""
 
 
 def _has_way(scenario: "Scenario") -> bool:
-    """Return whether to draw speed over path length: a mission with waypoints, zones or similar."""
+    """Return whether a report shows the speed over path length.
+
+    It does for missions with waypoints, keep-out zones, a speed limit or a free duration.
+    """
     mission, airspace = scenario.mission, scenario.airspace
     has_more = mission.is_free or mission.waypoints or airspace.keep_out
     return bool(has_more or scenario.limits.speed_max)
@@ -335,7 +418,13 @@ def _heights(flights: Sequence[StyledFlight], mission: "Scenario") -> Drawing:
 
 
 def left_out(flights: Sequence[StyledFlight]) -> str:
-    """Return the sentence that names paths left out of a figure or cut off; empty without any."""
+    """Return the caption's sentences on paths that are not drawn or leave the figure; or "".
+
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        Flights of the figure; the first is the plan.
+    """
     said = ""
     distinct, astray = distinct_paths(flights), leaving_paths(flights)
     near = [flight for flight in flights if flight not in distinct]
@@ -393,7 +482,10 @@ def _wind(optimum: StyledFlight, blowing: StyledFlight | None) -> tuple[Drawing,
 
 
 def _own_floors(flights: Sequence[StyledFlight]) -> str:
-    """Return the caption's warning if durations differ: energies above hovering do not compare."""
+    """Return the caption's warning if the durations of flights differ; "" if they are equal.
+
+    Energies above hovering cannot be compared between flights of different durations.
+    """
     if take_one_time(flights):
         return ""
     return (
@@ -403,7 +495,7 @@ def _own_floors(flights: Sequence[StyledFlight]) -> str:
 
 
 def _cut(flights: Sequence[StyledFlight]) -> str:
-    """Return the caption's sentence on power peaks above the panel, "" without any."""
+    """Return the caption's sentence on power peaks that the panel cuts off, or ""."""
     if POWER.name not in flights[0].frame:
         return ""
     peaks = [
@@ -415,7 +507,10 @@ def _cut(flights: Sequence[StyledFlight]) -> str:
 
 
 def _coinciding(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
-    """Return the caption's sentence on flights whose energy curve the optimum's curve covers."""
+    """Return the caption's sentence on flights whose energy curve the plan's curve covers.
+
+    Empty if all curves can be seen.
+    """
     if ENERGY.name not in flights[0].frame:
         return ""
     same = coinciding_flights(flights, hover_energy_J / flights[0].duration_s)
@@ -425,9 +520,10 @@ def _coinciding(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
 
 
 def _undercut(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
-    """Return the caption's sentence on flights that need less energy than hovering for as long.
+    """Return the caption's sentence on energy bars that end below the hover energy.
 
-    "" if no energy bar ends below the mark of the hover energy.
+    A flight can use less energy than hovering for the same time, for example in descent or in
+    forward flight. Its bar then ends inside the grey bar of the hover energy. "" if no flight does.
     """
     hover_power = hover_energy_J / flights[0].duration_s
     is_below = any(flight.energy_J < hover_power * flight.duration_s for flight in flights)
@@ -435,7 +531,7 @@ def _undercut(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
 
 
 def _not_drawn(flights: Sequence[StyledFlight], drawn: Sequence[StyledFlight]) -> str:
-    """Return the sentence that names the flights that a figure leaves out."""
+    """Return the caption's sentence that names the flights a figure leaves out; "" if none."""
     rest = [flight for flight in flights if flight not in drawn]
     return f" Not drawn: {_listed(rest)}." if rest else ""
 

@@ -1,4 +1,4 @@
-"""Labels beside points of a figure, placed where they cover neither each other nor the curves."""
+"""Placement of text labels in a figure so that labels cover neither each other nor curves."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -15,15 +15,18 @@ _FONT_SIZE = 7.0  # points
 _WIDTH, _HEIGHT = 0.62, 1.25
 _GAP = 4.0  # points between a label and its point
 _POINTS_PER_INCH = 72.0
-# Cost of a label: per point of a curve below it, per label or marker that it covers, and outside
-# the axes. Covering a label is worse than any number of points.
+# Cost of a label's place: per curve point that the label covers, per label or marker that it
+# covers, and for text outside the axes. Covering a label costs more than any number of points.
 _ON_CURVE, _ON_LABEL, _OUTSIDE = 1.0, 1e4, 1e5
 _HALO = withStroke(linewidth=1.6, foreground="white")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Label:
-    """A text beside a point, in the coordinates of the axes; a centred text may cover its point."""
+    """Text beside a point of a figure, in data coordinates.
+
+    If `is_centred`, the text may also cover its point, as the name of a zone does.
+    """
 
     text: str
     x: float
@@ -33,9 +36,17 @@ class Label:
 
 
 def write_labels(axes: Axes, labels: Sequence[Label]) -> None:
-    """Write labels, each at the side of its point that covers least.
+    """Print labels into a panel, each at the side of its point where it covers least.
 
-    The limits of the axes must be final.  Every point of a label counts as a marker.
+    The candidates are ten places around each point, tried label by label. The limits of the axes
+    must be final. The point of each label counts as a marker that no label may cover.
+
+    Parameters
+    ----------
+    axes : Axes
+        Panel, after all curves are drawn.
+    labels : sequence of Label
+        Texts with their points.
     """
     axes.apply_aspect()
     per_inch = _POINTS_PER_INCH / axes.figure.dpi
@@ -72,7 +83,7 @@ def write_labels(axes: Axes, labels: Sequence[Label]) -> None:
 
 
 def _shifts(size: FloatArray) -> Iterable[FloatArray]:
-    """Yield positions of a label's middle relative to its point, the preferred first [points]."""
+    """Yield positions of a label's middle relative to its point [points], the preferred first."""
     half = size / 2 + _GAP
     for across, up in ((0.0, 1.0), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, 1), (1, -1), (-1, -1)):
         yield np.array([across, up]) * half
@@ -81,7 +92,7 @@ def _shifts(size: FloatArray) -> Iterable[FloatArray]:
 
 
 def _curves(axes: Axes) -> FloatArray:
-    """Return the points of all curves of some axes, in pixels, shape (n, 2)."""
+    """Return the points of all curves in a panel, in pixels, shape (n, 2)."""
     points = [np.empty((0, 2))]
     for line in axes.get_lines():
         held = np.asarray(line.get_xydata(), dtype=float)

@@ -1,4 +1,4 @@
-"""Conversion of a report's Markdown into a self-contained HTML file."""
+"""Conversion of a report from Markdown into a self-contained HTML file."""
 
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
@@ -25,25 +25,25 @@ def render_html(
     views: Mapping[str, str],
     data: str,
 ) -> str:
-    """Return a report as an HTML page without external resources.
+    """Convert a report from Markdown into an HTML page without external resources.
 
     Parameters
     ----------
     markdown : str
-        The report, as `render_markdown` returns it.
+        Text of the report, as `render_markdown` returns it.
     is_good : bool
-        Whether the verdict is shown as good.
+        Whether the box with the verdict has the colour of a success.
     pictures : mapping of str to bytes
-        SVG or PNG of each picture of the report, by name.
+        SVG or PNG data of each figure of the report, by name.
     views : mapping of str to str
-        HTML shown above a picture on a screen, by the picture's name.
+        HTML to show above a figure, by the figure's name; not printed on paper.
     data : str
-        JSON for the page's player, empty without one.
+        JSON data of the interactive player of flights; empty without a player.
 
     Returns
     -------
     str
-        The file's text.
+        The HTML text.
     """
     parser = MarkdownIt("commonmark", {"html": False}, renderer_cls=_PageRenderer).enable("table")
     tokens = parser.parse(markdown)
@@ -66,12 +66,19 @@ _PROGRAM = Path(__file__).with_name("page.js")
 
 
 def _label(inline: Token) -> str:
-    """Return the words of a line of Markdown, as HTML without tags."""
+    """Return the text of a line of Markdown without formatting, escaped for HTML."""
     return escape("".join(child.content for child in inline.children or ()))
 
 
 def _role(tokens: Sequence[Token], at: int) -> str:
-    """Return the role of a paragraph: figure, caption of a figure or a table, or text."""
+    """Return the HTML role of a Markdown paragraph in a report.
+
+    Returns
+    -------
+    str
+        "picture" for an image, "figcaption" for the paragraph after an image, "caption" for the
+        paragraph before a table, "p" for text.
+    """
     if [child.type for child in tokens[at + 1].children or ()] == ["image"]:
         return "picture"
     if at >= 3 and tokens[at - 3].type == "paragraph_open" and _role(tokens, at - 3) == "picture":
@@ -80,20 +87,21 @@ def _role(tokens: Sequence[Token], at: int) -> str:
 
 
 def _scrolled(label: str) -> str:
-    # Content wider than a phone scrolls on its own, also with the keyboard.
+    # A table or figure that is wider than the screen scrolls by itself, also with the keyboard.
     return f'<div class="scroll" tabindex="0" role="group" aria-label="{label}">'
 
 
-# Places where a long name may break in a narrow column: after dots, underscores and brackets, and
-# the name of a flight after its slash too.
+# Places where a long name may break in a narrow column: after dots, underscores and brackets; in a
+# code span, such as the name of a flight, after a slash too.
 _JOINT = pattern(r"(?<=\w[._\]])(?=\w)(?<!\d.)")
 _JOINT_OF_CODE = pattern(r"(?<=\w[._/\]])(?=\w)(?<!\d.)")
 
 
 class _PageRenderer(RendererHTML):
-    """Renderer of captions inside tables and figures, and of the verdict as a box.
+    """Markdown-to-HTML renderer with captions inside figures and tables, and a verdict box.
 
-    The methods are markdown-it's rules: one for each kind of token, named after it.
+    The methods override rules of markdown-it; each is named after the kind of token that it
+    renders.
     """
 
     def paragraph_open(self, tokens: Sequence[Token], idx: int, _: object, env: EnvType) -> str:
@@ -104,7 +112,7 @@ class _PageRenderer(RendererHTML):
         if role == "caption":
             return f"{_scrolled(_label(inline))}<table><caption>"
         if role == "figcaption":
-            # Drop links to files of the report, which would break when the page is sent alone.
+            # Delete links to files of the report, which fail when the page is sent by itself.
             end = [child.type for child in children].index("em_close")
             del children[end + 1 :]
         return f"<{role}>"
@@ -133,7 +141,7 @@ class _PageRenderer(RendererHTML):
         title = tokens[idx + 1].content
         closed = _end_of_section(tokens[:idx])
         is_open = title in _UNFOLDED or _has_view(tokens, idx, env["views"])
-        # A page of a single section has nothing to fold.
+        # The only section of a page is not folded.
         is_open = is_open or sum(map(_is_h2, tokens)) == 1
         shown = " open" if is_open else ""
         return f'{closed}<details class="part" id="{_anchor(title)}"{shown}><summary><h2>'
@@ -186,7 +194,7 @@ def _is_h2(token: Token) -> bool:
 
 
 def _end_of_section(before: Sequence[Token]) -> str:
-    """Return the HTML tag that closes the section left open by the tokens before, "" if none is."""
+    """Return the HTML tag that closes the section that the given tokens left open; or ""."""
     if any(map(_is_h2, before)):
         return "</details>\n"
     has_top = any(token.type == "blockquote_close" for token in before)
@@ -194,7 +202,7 @@ def _end_of_section(before: Sequence[Token]) -> str:
 
 
 def _has_view(tokens: Sequence[Token], at: int, views: Mapping[str, str]) -> bool:
-    """Return whether a section holds a picture with a view above it."""
+    """Return whether a section has a figure with a view above it, such as the flight player."""
     end = next((k for k in range(at + 1, len(tokens)) if _is_h2(tokens[k])), len(tokens))
     children = (child for token in tokens[at:end] for child in token.children or ())
     return any(child.type == "image" and _name(child) in views for child in children)

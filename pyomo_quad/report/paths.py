@@ -1,6 +1,7 @@
-"""Paths in space: the paper's figures 4 and 6, and the data of the page's interactive view.
+"""Figures of flight paths in space and on a map, and the data of the interactive player.
 
-The first of the flights is the optimum.
+The figures correspond to figures 4 and 6 of Yacef et al., "Energy-Efficiency Path Planning for
+Quadrotor UAV Under Wind Conditions". The first of several flights is the plan.
 """
 
 import json
@@ -49,16 +50,16 @@ from pyomo_quad.scenario.wind import WindGrid
 
 _PROJECTIONS = ((0, 1, "from above"), (0, 2, "from the front"), (1, 2, "from the side"))
 BEAT_COUNT = 5  # markers at equal times along each path: a larger distance means a higher speed
-# Relative to the size of the optimum's path: distance below which two paths are indistinguishable,
-# and distance above which a path is left out of the limits of the figure.
+# Relative to the size of the plan's path: distance from the plan below which a path cannot be
+# distinguished from it, and distance above which a path may extend beyond the figure.
 COINCIDENT, ASTRAY = 0.02, 1.0
 _MARGIN = 0.08
 _MOST_TICKS = 9
 # Ratio of the shortest to the longest side below which the label of the longest axis must move.
 _FLAT = 0.3
-_SMALLEST_SIDE = 0.2  # m
+_SMALLEST_SIDE = 0.2  # least range of each axis of a figure, m
 _SEEN_THROUGH = 0.18  # opacity of a zone's faces in space, which overlap in pairs
-# Margin around all paths, relative to their largest side: zones and limits beyond are cut off.
+# Margin around all paths, relative to their largest side. Parts of zones beyond are cut off.
 _AROUND = 0.25
 _UP = 2
 _AT_LEFT: Any = ("axes fraction", "data")
@@ -69,9 +70,11 @@ _BESIDE: dict[str, Any] = {
     "fontsize": 7,
     "zorder": 5,
 }
-# Inches: height of the map, and length of the arrow of its wind; m/s, the least wind that has one.
+# Height of the map [inches], length of its wind arrow [inches], least wind with an arrow [m/s].
 _MAP_HEIGHT, _ARROW, _CALM = 3.1, 0.55, 0.05
-# Arrows of a wind field along each axis, at most twice as many.
+# Share of a map's height above its axes for the key of a wind field.
+_ROOM_OF_KEY = 0.06
+# Largest number of arrows of a wind field along each axis.
 _MOST_ARROWS = 25
 WIND_COLOR = "#3a6ea5"  # as in the page's view
 # Distance of start and goal, relative to the path length, below which they share a marker.
@@ -79,14 +82,23 @@ _SAME_PLACE = 0.01
 
 
 def distinct_paths(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
-    """Return the plan and the flights whose paths differ visibly from it."""
+    """Return the plan and the flights whose paths differ visibly from the plan's path.
+
+    The first of the given flights is the plan.
+    """
     return (flights[0], *_further(flights, COINCIDENT))
 
 
 def draw_path(flights: Sequence[StyledFlight], mission: Scenario | None = None) -> Figure:
-    """Draw all paths in space, and as seen along each axis with zones and waypoints.
+    """Draw flight paths in space, and seen from above, from the front and from the side.
 
-    ``mission`` has the passing times of its plan.
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        Flights to draw; the first is the plan.
+    mission : Scenario, optional
+        Scenario whose zones and waypoints are drawn; each waypoint has the time at which the plan
+        passes it.
     """
     figure = Figure(figsize=(FULL_WIDTH, FULL_WIDTH))
     limits = _limits(flights, mission)
@@ -103,12 +115,22 @@ def draw_path(flights: Sequence[StyledFlight], mission: Scenario | None = None) 
 
 
 def draw_map(flights: Sequence[StyledFlight], mission: Scenario) -> Figure:
-    """Draw paths from above with zones, waypoints and wind, to one scale.
+    """Draw a map of flight paths from above, with zones, waypoints and wind, true to scale.
 
-    The wind is that of a field at its least height and first time, or the mean along the flight.
+    A wind field is drawn as arrows at its lowest grid points and first time. Without a field, one
+    arrow shows the mean wind along the first flight.
+
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        Flights to draw; the first is the plan.
+    mission : Scenario
+        Scenario with the zones, waypoints and wind.
     """
     figure = Figure(figsize=(FULL_WIDTH, _MAP_HEIGHT))
     left, below, wide, high = 0.075, 0.21, 0.915, 0.76
+    if mission.wind.grid is not None:
+        high -= _ROOM_OF_KEY
     axes = figure.add_axes((left, below, wide, high))
     limits = _limits(flights, mission)[:2]
     room = np.array([wide * FULL_WIDTH, high * _MAP_HEIGHT])
@@ -132,7 +154,10 @@ def draw_map(flights: Sequence[StyledFlight], mission: Scenario) -> Figure:
 
 
 def mean_wind_of(flight: StyledFlight) -> np.ndarray:
-    """Return the mean wind that a flight meets along x and y, m/s; zero if it has no columns."""
+    """Return the mean wind that a flight meets, components along x and y [m/s].
+
+    Zero if the flight's table has no columns of the wind.
+    """
     known = [signal for signal in WIND if signal.name in flight.frame]
     if len(known) < len(WIND):
         return np.zeros(len(WIND))
@@ -140,7 +165,7 @@ def mean_wind_of(flight: StyledFlight) -> np.ndarray:
 
 
 def _draw_mean_wind(axes: Axes, flight: StyledFlight) -> None:
-    """Draw the direction of the mean wind as an arrow in a corner, with its speed."""
+    """Draw an arrow with the direction and speed of a flight's mean wind in a corner."""
     wind = mean_wind_of(flight)
     speed = float(np.linalg.norm(wind))
     if speed < _CALM:
@@ -166,10 +191,10 @@ def _draw_mean_wind(axes: Axes, flight: StyledFlight) -> None:
 
 
 def _draw_wind_field(axes: Axes, grid: WindGrid, scale: float) -> None:
-    """Draw a field's horizontal wind as arrows at its grid points, with a key of the arrow length.
+    """Draw the horizontal wind of a gridded field as arrows, with a key for their length.
 
-    Of many grid points every second, third, ... has an arrow. Drawn is the wind at the first
-    height and time.
+    The wind is that at the first height and time. If the grid is fine, only every second, third,
+    ... grid point has an arrow.
     """
     every_x, every_y = (1 + len(axis) // _MOST_ARROWS for axis in (grid.x, grid.y))
     components = grid.components[:2].reshape(2, len(grid.x), len(grid.y), -1)
@@ -188,7 +213,17 @@ def _draw_wind_field(axes: Axes, grid: WindGrid, scale: float) -> None:
 def draw_space(
     axes: Axes3D, flights: Sequence[StyledFlight], mission: Scenario | None = None
 ) -> None:
-    """Draw all paths and the keep-outs in space, to one scale along all axes."""
+    """Draw flight paths and keep-out zones in space, on one scale along all axes.
+
+    Parameters
+    ----------
+    axes : Axes3D
+        Panel to draw into.
+    flights : sequence of StyledFlight
+        Flights to draw; the first is the plan.
+    mission : Scenario, optional
+        Scenario whose keep-out zones are drawn.
+    """
     limits = _limits(flights, mission)
     floor = limits[2, 0]
     for zone in () if mission is None else mission.airspace.keep_out:
@@ -227,7 +262,7 @@ def draw_space(
 
 
 def leaving_paths(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
-    """Return the flights whose paths are too far from the plan's to fit the figure."""
+    """Return the flights whose paths are so far from the plan's path that they leave the figure."""
     return _further(flights, ASTRAY)
 
 
@@ -239,7 +274,7 @@ def _further(flights: Sequence[StyledFlight], share: float) -> tuple[StyledFligh
 
 
 def _limits(flights: Sequence[StyledFlight], mission: Scenario | None) -> np.ndarray:
-    """Return the range of each axis of a figure of paths, shape (3, 2) [m]."""
+    """Return the range of each axis of a figure of paths, shape (3, 2), in m."""
     astray = leaving_paths(flights)
     points = np.concatenate([_track(flight) for flight in flights if flight not in astray])
     low, high = points.min(axis=0), points.max(axis=0)
@@ -254,7 +289,17 @@ def _track(flight: StyledFlight) -> np.ndarray:
 
 
 def _distance(flight: StyledFlight, time: np.ndarray, track: np.ndarray) -> float:
-    """Return the largest distance of a flight from another flight's track at equal times [m]."""
+    """Return a flight's largest distance [m] from another track at equal times.
+
+    Parameters
+    ----------
+    flight : StyledFlight
+        The flight.
+    time : ndarray, shape (n,)
+        Times of the other track, in s.
+    track : ndarray, shape (n, 3)
+        Positions of the other track, in m.
+    """
     own_time = TIME.of(flight.frame)
     own = np.column_stack([np.interp(time, own_time, axis) for axis in _track(flight).T])
     return float(np.linalg.norm(own - track, axis=1).max())
@@ -267,13 +312,13 @@ def _beats(flight: StyledFlight) -> np.ndarray:
 
 
 def _inside(points: np.ndarray, limits: np.ndarray) -> np.ndarray:
-    """Replace points outside a figure's limits by NaN, because 3-D axes do not clip."""
+    """Replace points outside a figure's limits by NaN, because 3-D axes do not clip curves."""
     is_inside = np.all((limits[:, 0] <= points) & (points <= limits[:, 1]), axis=1)
     return np.where(is_inside[:, None], points, np.nan)
 
 
 def _with_airspace(limits: np.ndarray, airspace: Airspace) -> np.ndarray:
-    """Extend limits to the near parts of zones, floor and ceiling."""
+    """Extend the axis limits of a figure to show near zones, the floor and the ceiling."""
     room = _AROUND * float(np.ptp(limits, axis=1).max())
     furthest = limits + room * np.array([-1.0, 1.0])
     wanted = limits.copy()
@@ -288,7 +333,7 @@ def _with_airspace(limits: np.ndarray, airspace: Airspace) -> np.ndarray:
     heights = [(_UP, height + margin) for height, margin in ends if height is not None]
     if airspace.ground is not None:
         heights = []  # heights above the ground
-    # Leave out a floor or ceiling beyond this distance.
+    # A floor or ceiling is shown only if it lies inside the widest permitted limits.
     sides += [side for side in heights if furthest[_UP, 0] <= side[1] <= furthest[_UP, 1]]
     for axis, place in sides:
         wanted[axis] = min(wanted[axis, 0], place), max(wanted[axis, 1], place)
@@ -298,9 +343,22 @@ def _with_airspace(limits: np.ndarray, airspace: Airspace) -> np.ndarray:
 
 
 def draw_mission(axes: Axes, mission: Scenario, directions: tuple[int, int]) -> list[Label]:
-    """Draw terrain, zones, limits of height and waypoints along an axis; return their labels.
+    """Draw terrain, zones, height limits and waypoints of a mission as seen along one axis.
 
-    The labels of waypoints come first, then, from above, the names of zones.
+    Parameters
+    ----------
+    axes : Axes
+        Panel to draw into.
+    mission : Scenario
+        Scenario with airspace and waypoints.
+    directions : tuple of int
+        Coordinates of the horizontal and the vertical axis of the panel: 0 for x, 1 for y, 2 for z.
+
+    Returns
+    -------
+    list of Label
+        Labels for `write_labels`: first those of waypoints, then, in the view from above, the names
+        of zones.
     """
     airspace = mission.airspace
     draw_relief(axes, airspace.ground, directions)
@@ -328,7 +386,7 @@ def draw_mission(axes: Axes, mission: Scenario, directions: tuple[int, int]) -> 
         place = waypoint.position[directions[0]], waypoint.position[directions[1]]
         if waypoint.radius:
             axes.add_patch(Circle(place, waypoint.radius, fill=False, ec=MUTED, linewidth=0.6))
-        # Only the view from above shows the times: from the side, one waypoint may hide another.
+        # Only the view from above shows passing times: from the side, a waypoint may hide another.
         has_time = waypoint.at is not None and directions[1] != _UP
         label = f"{number}: {waypoint.at:.1f} s" if has_time else str(number)
         passed.setdefault(place, []).append(label)
@@ -365,7 +423,7 @@ def _draw_projection(
 
 
 def _ends(optimum: StyledFlight) -> tuple[tuple[np.ndarray, str, str], ...]:
-    """Return place, name and marker of start and goal, joined if a flight returns to its start."""
+    """Return position, name and marker of start and goal; a single marker if both coincide."""
     track = _track(optimum)
     way = np.linalg.norm(np.diff(track, axis=0), axis=1).sum()
     if np.linalg.norm(track[-1] - track[0]) <= _SAME_PLACE * way:
@@ -386,12 +444,12 @@ def _marker(flight: StyledFlight) -> dict[str, Any]:
 
 
 def axis_label(signal: Column) -> str:
-    """Return the symbol of a column and its unit, as beside an axis of a path."""
+    """Return the label of a coordinate axis: the column's symbol and unit."""
     return f"${signal.symbol}$ ({signal.unit})"
 
 
-_SAMPLES = 201
-_DIGITS = 6
+_SAMPLES = 201  # largest number of times of each flight in the player
+_DIGITS = 6  # significant digits of the player's numbers
 _SERIES = (
     ("Position", POSITION),
     ("Velocity", VELOCITY),
@@ -407,9 +465,21 @@ _SERIES = (
 
 
 def view_data(flights: Sequence[StyledFlight], airspace: Airspace, arm_m: float) -> dict[str, Any]:
-    """Return the data of the page's interactive view: flights, their columns, zones and ends.
+    """Return the data of the HTML report's interactive player of flights, ready for JSON.
 
-    ``arm_m`` is the length of the vehicle's arm.
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        Flights of the run; the first is the plan.
+    airspace : Airspace
+        Keep-out zones to show.
+    arm_m : float
+        Distance from the vehicle's centre to a rotor.
+
+    Returns
+    -------
+    dict
+        Tracks and columns of the flights, groups of columns, zones, start and goal.
     """
     framed = [flight for flight in flights if flight not in leaving_paths(flights)]
     shown = [flight for flight in distinct_paths(flights) if flight in framed]
@@ -489,5 +559,8 @@ def _rounded(values: np.ndarray) -> list[Any]:
 
 
 def script_json(value: object) -> str:
-    """Return JSON that is safe inside a script element: no text can end the script."""
+    """Return a value as JSON text that is safe inside an HTML script element.
+
+    The characters ``<`` and ``>`` are escaped, so that no text can end the element.
+    """
     return json.dumps(value, allow_nan=False).replace("<", "\\u003c").replace(">", "\\u003e")

@@ -1,6 +1,7 @@
-"""Figures and reports for `Plan.plot`, `RunResult.report` and similar methods.
+"""Figures and reports for methods such as `Plan.plot` and `RunResult.report`.
 
-The package registers this module as the presenter of `pyomo_quad.presentation`.
+The package registers this module with `pyomo_quad.presentation`, through which those methods call
+it, because the modules of plans and runs must not import matplotlib.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -33,21 +34,36 @@ ENDINGS = (".png", ".svg", ".pdf")
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class DrawnFigure:
-    """Drawn figure that notebooks show and `save` writes."""
+    """Drawn figure of a plan or run: a notebook displays it, and `save` writes it to a file.
+
+    Attributes
+    ----------
+    name : str
+        Name of the figure, or the trajectory table's column that it shows.
+    caption : str
+        Caption that a report prints under the figure.
+    figure : matplotlib Figure
+        The figure itself, for changes by the user.
+    """
 
     name: str
     caption: str
     figure: "Figure"
 
     def save(self, path: str | Path) -> Path:
-        """Write the figure to a file that ends in .png, .svg or .pdf, and return its path.
+        """Write the figure to a file and return its path.
+
+        Parameters
+        ----------
+        path : str or Path
+            Name of the file, which ends in .png, .svg or .pdf.
 
         Raises
         ------
         ScenarioError
-            If the file has another ending.
+            If the name has another ending.
         OutputError
-            If the file cannot be written, or is not a figure that this package wrote.
+            If the file cannot be written, or exists and is not a figure that this package wrote.
         """
         file = Path(path)
         refuse_other_endings(file, "path")
@@ -66,12 +82,19 @@ class DrawnFigure:
 
 
 def refuse_other_endings(file: Path, name: str) -> None:
-    """Raise an error for a file name whose ending is no figure format.
+    """Raise an error if a file name does not end in .png, .svg or .pdf.
+
+    Parameters
+    ----------
+    file : Path
+        Name of a figure's file.
+    name : str
+        Argument or option that gave the file name, for the message.
 
     Raises
     ------
     ScenarioError
-        If the ending is not one of `ENDINGS`; ``name`` stands first in the message.
+        If the ending is not one of `ENDINGS`.
     """
     if file.suffix not in ENDINGS:
         raise ScenarioError(f"{name} {file}: must end in {', '.join(ENDINGS)}.")
@@ -80,12 +103,23 @@ def refuse_other_endings(file: Path, name: str) -> None:
 def chosen_drawing(
     offered: Iterable[Drawing], flight: "StyledFlight", what: str, name: str
 ) -> Drawing:
-    """Return a figure by its name, or the figure of a column of a flight's table.
+    """Find a figure by its name, or make the figure of one column of a flight's table.
+
+    Parameters
+    ----------
+    offered : iterable of Drawing
+        Figures to choose from.
+    flight : StyledFlight
+        Flight whose columns may be drawn instead.
+    what : str
+        Name of a figure or of a column.
+    name : str
+        Argument or option that gave `what`, for the message.
 
     Raises
     ------
     ScenarioError
-        If there is neither; the message, which ``name`` begins, lists all of both.
+        If no figure and no column has this name; the message lists all names.
     """
     drawings = {drawing.name: drawing for drawing in offered}
     if what in drawings:
@@ -99,12 +133,28 @@ def chosen_drawing(
 
 
 def picture_of_plan(plan: "Plan", what: str) -> DrawnFigure:
-    """Draw a figure of a plan, or a column of its table."""
+    """Draw one figure of a plan, or one column of its trajectory table against time.
+
+    Parameters
+    ----------
+    plan : Plan
+        Planned flight.
+    what : str
+        Name of the figure or of the column.
+    """
     return _picture(lambda: drawings_of_solve(plan), plan, what)
 
 
 def picture_of_run(result: "RunResult", what: str) -> DrawnFigure:
-    """Draw a figure of a run, or a column of its plan's table."""
+    """Draw one figure of a run's report, or one column of its plan's table against time.
+
+    Parameters
+    ----------
+    result : RunResult
+        A plan with the baseline flights it is compared with.
+    what : str
+        Name of the figure or of the column.
+    """
     return _picture(lambda: drawings_of_run(result), result.plan, what)
 
 
@@ -116,7 +166,17 @@ def _picture(drawings: Callable[[], Iterable[Drawing]], plan: "Plan", what: str)
 
 
 def report_plan(plan: "Plan", folder: str | Path, figures: str) -> Path:
-    """Write the report of a plan into a folder and return its text file."""
+    """Write the report of a plan into a folder, and return the report's Markdown file.
+
+    Parameters
+    ----------
+    plan : Plan
+        Planned flight.
+    folder : str or Path
+        Folder that appears when the report is complete; an earlier report there is replaced.
+    figures : str
+        Which figures to write: a value of `Figures`.
+    """
     chosen = _figures(figures)
     with output_folder(folder) as aside:
         write_solve_report(aside, plan, figures=chosen)
@@ -125,7 +185,17 @@ def report_plan(plan: "Plan", folder: str | Path, figures: str) -> Path:
 
 
 def report_run(result: "RunResult", folder: str | Path, figures: str) -> Path:
-    """Write the report of a run into a folder and return its page."""
+    """Write the report of a run into a folder, and return the report's HTML page.
+
+    Parameters
+    ----------
+    result : RunResult
+        A plan with the baseline flights it is compared with.
+    folder : str or Path
+        Folder that appears when the report is complete; an earlier report there is replaced.
+    figures : str
+        Which figures to write: a value of `Figures`.
+    """
     chosen = _figures(figures)
     with output_folder(folder) as aside:
         write_run_report(aside, result, chosen)
@@ -133,7 +203,7 @@ def report_run(result: "RunResult", folder: str | Path, figures: str) -> Path:
     return Path(folder) / PAGE_NAME
 
 
-# The seconds of importing and writing, which a command measures, are unknown here.
+# Wall times of import and report for the summary: commands measure them, this module does not.
 _NO_SECONDS: Mapping[str, float] = {}
 
 

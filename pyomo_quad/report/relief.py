@@ -1,4 +1,4 @@
-"""Drawing of terrain: contours, the outline of its hills from a side, heights over the way."""
+"""Figures of terrain: contour lines on a map, hills in a side view, heights along a path."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -23,13 +23,24 @@ _BELOW_END: dict[str, Any] = {
     "fontsize": 7,
     "zorder": 5,
 }
-_BELOW = 0.08  # of the range of heights, drawn below the lowest ground
-# Lines of heights above the ground: name, field of the airspace, and side of its surface.
+_BELOW = 0.08  # space below the lowest ground, as a share of the range of heights
+# Limits of height above the ground: field of the airspace, and side on which the smooth surface
+# lies that stands for the terrain (1: nowhere below the terrain, -1: nowhere above).
 _LIMITS = (("floor", 1), ("ceiling", -1))
 
 
 def draw_relief(axes: Axes, ground: TerrainGrid | None, directions: tuple[int, int]) -> None:
-    """Draw terrain, if there is any, as seen along an axis."""
+    """Draw terrain into a figure of paths: contour lines from above, hills from a side.
+
+    Parameters
+    ----------
+    axes : Axes
+        Panel to draw into.
+    ground : TerrainGrid or None
+        Elevations on a grid; None draws nothing.
+    directions : tuple of int
+        Coordinates of the horizontal and the vertical axis of the panel: 0 for x, 1 for y, 2 for z.
+    """
     if ground is None:
         return
     x, y, heights = np.array(ground.x), np.array(ground.y), ground.elevations
@@ -44,7 +55,17 @@ def draw_relief(axes: Axes, ground: TerrainGrid | None, directions: tuple[int, i
 
 
 def draw_heights(flights: Sequence[StyledFlight], airspace: Airspace) -> Figure:
-    """Draw the height of flights over the way flown, with the ground under the first of them."""
+    """Draw the height of flights over path length, with the ground below the first flight.
+
+    Dashed lines show the least and the greatest permitted height above the ground.
+
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        Flights to draw; the first is the plan.
+    airspace : Airspace
+        Terrain and limits of height.
+    """
     figure, ((axes,),) = panel_grid(
         1, 1, panel_height=2.1, legend_entries=1 + len(flights), share_time=False
     )

@@ -1,4 +1,4 @@
-"""Rendering of templates as Markdown."""
+"""Rendering of Jinja templates as Markdown, with number formats and escaping of text."""
 
 import re
 from functools import cache
@@ -42,7 +42,17 @@ STATUS_WORDS = {
 
 
 def fixed(value: float, digits: int = 2) -> str:
-    """Format a number with fixed decimals, without minus zero; `NOTHING` if not finite."""
+    """Format a number with a fixed number of decimals, "0.00" instead of "-0.00".
+
+    Returns "n/a" if the number is not finite.
+
+    Parameters
+    ----------
+    value : float
+        The number.
+    digits : int, optional
+        Number of decimals.
+    """
     if not isfinite(value):
         return NOTHING
     text = f"{value:.{digits}f}"
@@ -50,7 +60,15 @@ def fixed(value: float, digits: int = 2) -> str:
 
 
 def rough(value: float, digits: int = 2) -> str:
-    """Format a number with significant digits; `NOTHING` if not finite."""
+    """Format a number with the given significant digits; "n/a" if it is not finite.
+
+    Parameters
+    ----------
+    value : float
+        The number.
+    digits : int, optional
+        Number of significant digits.
+    """
     return f"{value:.{digits}g}" if isfinite(value) else NOTHING
 
 
@@ -61,7 +79,7 @@ def yes_no(value: object) -> str:
 
 FIGURE_FOLDER = "figures"
 
-# Characters that print as nothing although Python calls them printable: fillers, joiners and
+# Characters that are invisible although `str.isprintable` accepts them: fillers, joiners and
 # selectors (Unicode's Default_Ignorable_Code_Point without its format characters).
 _BLANK = re.compile(
     "[\u034f\u115f\u1160\u17b4\u17b5\u180b-\u180f\u2800\u3164\ufe00-\ufe0f\uffa0"
@@ -70,10 +88,11 @@ _BLANK = re.compile(
 
 
 def visible(text: str) -> str:
-    """Return text with invisible characters spelled out as Python escapes.
+    r"""Replace the invisible characters of a text by Python escapes such as ``\u200b``.
 
-    Blanks and line breaks are kept; control characters, marks of direction, characters of no width
-    and halves of surrogate pairs are spelled out.
+    Control characters, direction marks, zero-width characters and lone surrogates are replaced;
+    blanks and line breaks are kept. Thus no name in a message or report can look like a different
+    name.
     """
     return "".join(
         letter
@@ -94,13 +113,13 @@ _LINE_START = re.compile(r"^([-+](?=\s|$)|-{3,}$|\d+(?=[.)](?:\s|$)))")
 
 
 def escape_markdown(text: str) -> str:
-    """Return text escaped for Markdown and HTML, with line breaks as spaces.
+    """Escape a text for Markdown and HTML, with line breaks as spaces.
 
-    Invisible characters are spelled out.
+    Invisible characters are replaced by Python escapes, and web addresses do not become links.
     """
     one_line = visible(" ".join(text.split()))
     escaped = _SPECIAL.sub(r"\\\1", one_line.translate(_ENTITIES))
-    # Addresses in a text must not become links.
+    # Web addresses in a text must not become links.
     unlinked = escaped.replace("://", ":&#47;&#47;").replace("www.", "www&#46;")
     return _LINE_START.sub(lambda found: _entities(found[0]), unlinked)
 
@@ -110,12 +129,12 @@ def _entities(text: str) -> str:
 
 
 def written(text: str) -> Markup:
-    """Mark text as finished Markdown or HTML, so that it is not escaped again."""
+    """Mark a text as finished Markdown or HTML, which the templates do not escape again."""
     return Markup(text)  # noqa: S704  every caller has escaped foreign text
 
 
 def _code(text: str) -> Markup:
-    """Format a program's name (flight, file, field, command) as a code span."""
+    """Format the name of a flight, file, field or command as a Markdown code span."""
     # A code span has no escapes, so text that would end the span is printed without a span.
     if set(visible(text)) & set("`|\\\n\r") or text != text.strip() or not text:
         return written(escape_markdown(text))
@@ -123,13 +142,13 @@ def _code(text: str) -> Markup:
 
 
 def _finalize(value: object) -> Markup:
-    """Escape a printed value, unless a template or a filter made it."""
+    """Escape a value that a template prints, unless a template or filter produced the value."""
     return value if isinstance(value, Markup) else written(escape_markdown(str(value)))
 
 
 @cache
 def environment() -> Environment:
-    """Return the Jinja environment, which escapes all values for Markdown."""
+    """Return the Jinja environment of all reports, which escapes every value for Markdown."""
     made = Environment(
         loader=FileSystemLoader(Path(__file__).parents[1]),
         # Marks the results of macros and blocks as written by a template.
@@ -164,9 +183,14 @@ def environment() -> Environment:
 
 
 def render_markdown(template: str, **values: object) -> str:
-    """Fill in a template below the package, with one blank line between blocks.
+    """Fill in a template and return the Markdown, with one blank line between blocks.
 
-    Texts among the values are escaped for Markdown.
+    Parameters
+    ----------
+    template : str
+        Template, as a path below the package's folder.
+    **values
+        Variables of the template; texts are escaped for Markdown.
     """
     text = environment().get_template(template).render(values)
     return re.sub(r"\n{3,}", "\n\n", text).strip() + "\n"

@@ -1,4 +1,7 @@
-"""Reports of a solve, a run and a comparison: values, templates and files."""
+"""Reports of a plan, of a run and of a comparison of scenarios: values, templates and files.
+
+A run is a plan with the flights of baseline controllers on the same mission.
+"""
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -82,10 +85,22 @@ def write_solve_report(
     rate_hz: float | None = None,
     figures: Figures = Figures.SVG,
 ) -> None:
-    """Write the report of a plan into a folder.
+    """Write the report of a plan: trajectory table, figures, text, and the plan file.
 
-    The title and the text say if the plan is not verified; ``warnings`` are cautions to print with
-    the numbers.  The table has a row per node of the mesh, or ``rate_hz`` rows a second.
+    If the plan is not verified, title and text say so.
+
+    Parameters
+    ----------
+    folder : Path
+        Existing empty folder that receives the files.
+    plan : Plan
+        The plan, which may be the best iterate of a failed solve.
+    warnings : sequence of str, optional
+        Cautions to print beside the results.
+    rate_hz : float, optional
+        Number of table rows per second; by default the table has one row for each mesh node.
+    figures : Figures, optional
+        Which figures to draw, and in which file formats.
     """
     write_study(
         folder,
@@ -101,10 +116,17 @@ def write_solve_report(
 
 
 def write_run_report(folder: Path, result: "RunResult", figures: Figures = Figures.SVG) -> None:
-    """Write the report of a run into a folder.
+    """Write the report of a run: tables, figures, `report.md` and `report.html`.
 
-    It has tables, figures, `report.md` and `report.html`; without figures the page has no view of
-    the paths.
+    Parameters
+    ----------
+    folder : Path
+        Existing empty folder that receives the files.
+    result : RunResult
+        A plan with the baseline flights it is compared with.
+    figures : Figures, optional
+        Which figures to draw, and in which file formats. Without figures the HTML page has no
+        interactive player of flights.
     """
     replanned = replanning_table(result.flights, result.scenario.baseline.mpc or Replanning())
     optional = {
@@ -134,22 +156,43 @@ def write_run_report(folder: Path, result: "RunResult", figures: Figures = Figur
 
 @dataclass(frozen=True, kw_only=True)
 class RunRecord:
-    """Record of a run: its summary and the comparison of its flights."""
+    """Results of a run that its report folder keeps: summary and comparison of the flights.
+
+    Attributes
+    ----------
+    summary : mapping
+        Content of `summary.json`.
+    comparison : DataFrame
+        One row for each flight, with the columns of `ComparisonColumn`.
+    """
 
     summary: Mapping[str, Any]
     comparison: "pd.DataFrame"
 
     @classmethod
     def of(cls, result: "RunResult") -> "RunRecord":
-        """Return the record of a run."""
+        """Make the record of a run from its result."""
         return cls(summary=run_summary(result, wall_s={}), comparison=result.comparison)
 
 
 def find_run(folder: Path, scenario: "Scenario") -> RunRecord | None:
-    """Return the verified run of the same scenario in a folder, None if there is none.
+    """Read an earlier, verified run of the same scenario from a report folder.
 
-    A run by other versions is ignored, because its numbers may differ. A run of a user's model is
-    ignored too, because the code of the model may have changed.
+    With it, a comparison of scenarios need not solve the scenario again. A run by other versions of
+    the package or its dependencies is ignored, because its numbers may differ. A run of a user's
+    own model is also ignored, because the model's code may have changed.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder that may hold a report.
+    scenario : Scenario
+        Scenario that the run must have solved.
+
+    Returns
+    -------
+    RunRecord or None
+        None if the folder has no such run.
     """
     import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
@@ -181,9 +224,18 @@ def find_run(folder: Path, scenario: "Scenario") -> RunRecord | None:
 def write_compare_report(
     folder: Path, comparison: "pd.DataFrame", *, is_good: bool, figures: Figures = Figures.SVG
 ) -> None:
-    """Write the comparison of the flights of many scenarios: a table, a figure and a page.
+    """Write the comparison of the flights of several scenarios: table, figure, text and page.
 
-    ``is_good`` says whether every plan was verified.
+    Parameters
+    ----------
+    folder : Path
+        Existing empty folder that receives the files.
+    comparison : DataFrame
+        One row for each flight of each scenario, with the columns of `ComparisonColumn`.
+    is_good : bool
+        Whether all plans were verified; sets the colour of the page's verdict.
+    figures : Figures, optional
+        Which figures to draw, and in which file formats.
     """
     if comparison.empty:
         write_table(comparison, folder / COMPARISON_NAME)
@@ -202,13 +254,13 @@ def write_compare_report(
 
 
 def _title(plan: "Plan") -> str:
-    """Return the report's title, with the status of a plan that is not verified."""
+    """Return the report's title; the status precedes it if the plan is not verified."""
     title = plan.scenario.title or plan.scenario.name
     return title if plan.is_flyable else f"{STATUS_WORDS[plan.status]}: {title}"
 
 
 def _plan_values(plan: "Plan") -> dict[str, Any]:
-    """Return the values of a plan for the templates."""
+    """Return the template variables that describe a plan."""
     columns = plan.columns(np.linspace(*plan.trajectories.horizon, FLIGHT_SAMPLES))
     figures = plan.figures_checked
     return {
@@ -237,7 +289,20 @@ def _plan_values(plan: "Plan") -> dict[str, Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class FreeClimb:
-    """Climb that costs less energy than it adds, because the power model ignores airspeed."""
+    """Climb whose potential energy exceeds all the energy that the flight uses above hovering.
+
+    This is physically impossible and shows a limitation of power models that do not depend on the
+    airspeed; the report warns of it.
+
+    Attributes
+    ----------
+    height_m : float
+        Height of the goal above the start.
+    potential_J : float
+        Potential energy that the climb adds.
+    spent_J : float
+        Energy of the flight above hovering for the same time.
+    """
 
     height_m: float
     potential_J: float
@@ -246,11 +311,11 @@ class FreeClimb:
 
 
 def _free_climb(plan: "Plan") -> FreeClimb | None:
-    """Return the mission's climb if the flight spends less than its potential energy on it.
+    """Return the mission's climb if the flight uses less energy above hovering than it gains.
 
-    Of the declared power models only `momentum` depends on the airspeed and so prices a climb; a
-    user's model may.  Parcels released on the way do not climb to the goal, so missions with them
-    are left out.
+    Only the power model `momentum`, and possibly a user's model, depend on the airspeed and so
+    account for the energy of a climb; for these models the result is None. It is also None if the
+    mission releases parcels on the way, because the parcels do not climb to the goal.
     """
     scenario = plan.scenario
     height, potential = climb_of(scenario)
@@ -265,14 +330,33 @@ def _free_climb(plan: "Plan") -> FreeClimb | None:
 
 
 def climb_of(scenario: "Scenario") -> tuple[float, float]:
-    """Return the height that a mission climbs [m] and the potential energy it adds [J]."""
+    """Return the height that a mission climbs [m] and the potential energy it adds [J].
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Scenario with start, goal and vehicle.
+
+    Returns
+    -------
+    tuple of float
+        Height of the goal above the start [m], and potential energy of vehicle and payload [J].
+    """
     mission = scenario.mission
     height = mission.goal.position[2] - mission.start.position[2]
     return height, scenario.vehicle.total_mass * scenario.gravity * height
 
 
 def _wind_words(columns: Mapping[str, np.ndarray]) -> str:
-    """Return mean, direction and range of the horizontal wind along a plan; empty if calm."""
+    """Return a text with mean, direction and range of the horizontal wind along a plan.
+
+    Empty in calm air.
+
+    Parameters
+    ----------
+    columns : mapping
+        Columns of the plan's trajectory table.
+    """
     if not set(_WIND) <= set(columns):
         return ""
     along = np.array([columns[name] for name in _WIND])
@@ -287,7 +371,14 @@ def _wind_words(columns: Mapping[str, np.ndarray]) -> str:
 
 
 def _battery_use(plan: "Plan", columns: Mapping[str, np.ndarray]) -> dict[str, float | None]:
-    """Return path length and charge used of a plan, and time and range on a full charge."""
+    """Return a plan's path length and battery use, and the range on a full charge.
+
+    Returns
+    -------
+    dict
+        Path length [m], charge used [percent], and the time [minutes] and distance [m] that a full
+        charge would permit.
+    """
     if plan.verification is None:
         return {"path_m": 0.0, "battery_percent": None}
     path = float(way_flown(columns)[-1])
@@ -305,7 +396,7 @@ def _battery_use(plan: "Plan", columns: Mapping[str, np.ndarray]) -> dict[str, f
 
 
 def _comparison_values(comparison: "pd.DataFrame") -> dict[str, Any]:
-    """Return the values of a comparison for the templates."""
+    """Return the template variables that describe a comparison table."""
     return {
         "column": ComparisonColumn,
         "rows": comparison.to_dict("records"),
@@ -319,7 +410,7 @@ def _comparison_values(comparison: "pd.DataFrame") -> dict[str, Any]:
 
 
 def _run_values(result: "RunResult", replanned: "pd.DataFrame") -> dict[str, Any]:
-    """Return the values of a run for its template, besides those of its plan."""
+    """Return the template variables that describe a run, besides those of its plan."""
     comparison, certificate = result.comparison, result.certificate
     by_name = comparison.set_index(ComparisonColumn.FLIGHT, drop=False).to_dict("index")
     followed, fair = by_name.get(baseline_name(Reference.PLAN)), by_name.get(FAIR_BASELINE)
@@ -362,25 +453,40 @@ def _run_values(result: "RunResult", replanned: "pd.DataFrame") -> dict[str, Any
 
 
 def _is_good(result: "RunResult") -> bool:
-    """Return whether the plan is verified and, if made for a forecast, all flights arrive."""
+    """Return whether the verdict of a run is good.
+
+    The plan must be verified; if it was made for a wind forecast, all flights must arrive.
+    """
     is_untold = result.plan.scenario.wind.forecast is not None
     arrived = result.comparison[ComparisonColumn.ARRIVED].astype(bool)
     return result.plan.is_verified and (not is_untold or bool(arrived.all()))
 
 
 def prepare_figures(figures: Figures) -> None:
-    """Import matplotlib and the gallery in advance if figures are requested."""
+    """Import matplotlib and the module of figures ahead of use, unless no figures are wanted.
+
+    A command does so while other processes compute.
+    """
     if figures is not Figures.NONE:
         _gallery()
 
 
 def _gallery() -> ModuleType:
-    """Import the gallery when needed, because matplotlib takes longer than a solve."""
+    """Import the module of figures on first use, because matplotlib takes longer than a solve."""
     from pyomo_quad.report import gallery  # noqa: PLC0415
 
     return gallery
 
 
 def _from_gallery(listed: Callable[[ModuleType], Iterable[Drawing]]) -> Iterator[Drawing]:
-    """Yield figures of the gallery, imported at the first of them."""
+    """Yield the figures that a function of the gallery lists.
+
+    The gallery is imported when the first figure is requested, so that a report without figures
+    does not import matplotlib.
+
+    Parameters
+    ----------
+    listed : callable
+        Function of the gallery module that returns the figures.
+    """
     yield from listed(_gallery())

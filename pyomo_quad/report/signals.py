@@ -1,4 +1,4 @@
-"""Groups of a flight's columns that figures show side by side."""
+"""Groups of columns of a flight's table that figures draw together."""
 
 from pyomo_quad.flight import columns
 from pyomo_quad.flight.columns import ROTORS, Column, column_of
@@ -24,7 +24,8 @@ ROTOR_SPEED = _per_rotor("rotors.omega")
 ROTOR_ACCELERATION = _per_rotor("rotors.alpha")
 TORQUE = _per_rotor("rotors.motor_torque")
 
-# Rows: place, velocity, attitude, body rates.  The last column holds the rotors.
+# Panels of the figure of states. Rows: position, velocity, attitude, body rates. Last column:
+# rotor speeds.
 STATE_GRID = tuple(
     (*row, speed)
     for row, speed in zip((POSITION, VELOCITY, ATTITUDE, BODY_RATE), ROTOR_SPEED, strict=True)
@@ -39,6 +40,6 @@ MOTOR = (
 )
 
 BATTERY = _group("battery.voltage", "battery.current", "battery.state_of_charge")
-#: Columns of a pack that is declared as an equivalent circuit.
+#: Columns of a battery pack that is modelled as an equivalent circuit.
 CIRCUIT = _group("battery.relaxation_voltage", "battery.temperature")
 WIND = _group("wind.velocity_x", "wind.velocity_y")

@@ -1,4 +1,7 @@
-"""House style of all figures: colours, panels, and files with the same bytes at each run."""
+"""Style of all figures: colours, fonts, panels and legends; and writing of figure files.
+
+A figure drawn twice from the same data gives files with the same bytes.
+"""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -42,7 +45,7 @@ _ORANGE, _PURPLE, _SKY = "#e69f00", "#a8487f", "#56b4e9"
 _BROWN, _PINK, _OLIVE, _TEAL = "#7a4b1e", "#f2a0c0", "#8a8a00", "#006d77"
 _VIOLET, _LIME = "#5e3c99", "#66a61e"
 
-# Without a date, because a date would make two equal runs differ.
+# Metadata of files, without a date, because a date would make the files of equal runs differ.
 _UNDATED = {"svg": {"Date": None, "Creator": None}, "pdf": {"CreationDate": None}}
 
 #: Settings under which every figure is drawn and written.
@@ -92,7 +95,7 @@ HOUSE_STYLE: Any = {
 
 @dataclass(frozen=True, kw_only=True)
 class LineStyle:
-    """Colour, dashes and marker of a flight or a rotor."""
+    """Colour, dashes, marker and hatch by which a curve or bar is distinguished in all figures."""
 
     color: str
     dashes: tuple[float, ...] = ()
@@ -102,7 +105,7 @@ class LineStyle:
 
     @property
     def line(self) -> dict[str, Any]:
-        """Keyword arguments of a matplotlib line."""
+        """Keyword arguments of `Axes.plot` for a curve in this style."""
         pattern = (0, self.dashes) if self.dashes else "solid"
         return {"color": self.color, "linestyle": pattern, "linewidth": self.width}
 
@@ -130,8 +133,8 @@ _FLIGHTS = (
     *(replanned_name(knowledge) for knowledge in Knowledge),
     TUNED_CRUISE,
 )
-# Every flight of the program has one style in every report; the other styles are for names that a
-# caller chooses.
+# Each flight that the program itself names has one style in all reports. Flights that a caller
+# names share the remaining styles.
 _FLIGHT_STYLES = dict(zip(_FLIGHTS, SERIES_STYLES, strict=False))
 _OTHER_STYLES = SERIES_STYLES[len(_FLIGHTS) :]
 
@@ -144,9 +147,20 @@ ROTOR_STYLES = (
 
 
 def flight_styles(names: tuple[str, ...]) -> dict[str, LineStyle]:
-    """Return the style of each flight by name, the same in every figure of every report.
+    """Return the line style of each flight, the same for a name in all figures of all reports.
 
-    Other names share the remaining styles.
+    Flights that the program does not name itself, such as flights that a caller names, share the
+    remaining styles in turn.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Names of the flights.
+
+    Returns
+    -------
+    dict
+        Style of each flight, by name.
     """
     others = cycle(_OTHER_STYLES)
     return {
@@ -157,9 +171,16 @@ def flight_styles(names: tuple[str, ...]) -> dict[str, LineStyle]:
 def save_figure(
     draw: Callable[[], Figure], files: Mapping[str, Path], creator: str | None = None
 ) -> None:
-    """Draw a figure once, in the house style, and write it in each format (png, svg, pdf).
+    """Draw a figure once and write it in one or more file formats.
 
-    ``draw`` is called under the house style; ``creator`` is written into the files' metadata.
+    Parameters
+    ----------
+    draw : callable
+        Function that draws and returns the figure; called with the package's matplotlib settings.
+    files : mapping
+        File to write, by format: "png", "svg" or "pdf".
+    creator : str, optional
+        Text for the metadata of the files, which names the program that wrote them.
     """
     with mpl.rc_context(HOUSE_STYLE):
         figure = _drawn(draw)
@@ -172,7 +193,10 @@ def save_figure(
 
 
 def _drawn(draw: Callable[[], Figure]) -> Figure:
-    """Draw a figure; axes without a label skip its placement, which takes a tenth of the time."""
+    """Draw a figure; fix the label positions of unlabelled axes.
+
+    Without this, matplotlib computes the positions of empty labels, a tenth of the drawing time.
+    """
     figure = draw()
     for axes in figure.axes:
         for axis in (axes.xaxis, axes.yaxis):
@@ -182,8 +206,8 @@ def _drawn(draw: Callable[[], Figure]) -> Figure:
 
 
 def _save_png(figure: Figure, path: Path, creator: str | None) -> None:
-    # A palette image has a third of the size. With fewer colours than these, a thin line takes the
-    # colour of a thicker line.
+    # A palette image is a third as large. With fewer than `_PNG_COLORS` colours, a thin line takes
+    # the colour of a thicker line.
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
@@ -202,16 +226,21 @@ def full_width(
     right: float = 0.98,
     **margins: float,
 ) -> tuple[Figure, Any]:
-    """Return a figure over the width of the text, and its axes as `Figure.subplots` gives them.
+    """Make a figure as wide as the text of a report, with a grid of panels.
 
     Parameters
     ----------
     height : float
-        Inches.
+        Height of the figure in inches.
     shape : pair of int, optional
         Rows and columns of panels.
     left, right, **margins
         Arguments of `Figure.subplots_adjust`, as shares of the figure.
+
+    Returns
+    -------
+    tuple of (Figure, Axes or ndarray of Axes)
+        The figure, and its panels as `Figure.subplots` returns them.
     """
     figure = Figure(figsize=(FULL_WIDTH, height))
     axes = figure.subplots(*shape)
@@ -236,10 +265,25 @@ def panel_grid(
     legend_entries: int = 1,
     share_time: bool = True,
 ) -> tuple[Figure, np.ndarray]:
-    """Return a figure of equal panels, with room for titles above them and a legend below.
+    """Make a figure of equal panels, with space for titles above them and a legend below.
 
-    Heights and gaps are in inches; ``left`` is the room for tick labels.  A legend of a single
-    entry is left out.
+    Parameters
+    ----------
+    rows, columns : int
+        Number of panels in each direction.
+    panel_height : float
+        Height of a panel in inches.
+    gap, left : float, optional
+        Horizontal space between panels, and space for tick labels at the left, in inches.
+    legend_entries : int, optional
+        Number of curves in the legend; a legend with a single entry is left out.
+    share_time : bool, optional
+        Whether the panels have a common horizontal axis, labelled in the lowest row only.
+
+    Returns
+    -------
+    tuple of (Figure, ndarray of Axes, shape (rows, columns))
+        The figure and its panels.
     """
     right, top = 0.12, 0.28
     gap_y = 0.36 if share_time else 0.72
@@ -263,14 +307,38 @@ def panel_grid(
 def draw_over_time(
     axes: Axes, frame: pd.DataFrame, shown: Column, style: LineStyle, label: str
 ) -> None:
-    """Draw a column of a flight against time, with a legend entry."""
+    """Draw a column of a flight's table against time, with a legend entry.
+
+    Parameters
+    ----------
+    axes : Axes
+        Panel to draw into.
+    frame : DataFrame
+        The flight's table.
+    shown : Column
+        Column to draw.
+    style : LineStyle
+        Colour and dashes.
+    label : str
+        Text of the legend entry.
+    """
     axes.plot(TIME.of(frame), shown.of(frame), label=label, **style.line)
 
 
 def draw_panels(
     panels: Iterable[Axes], shown: Iterable[Column], flights: Sequence["StyledFlight"]
 ) -> None:
-    """Draw a column of all flights against time in each panel, with title and vertical scale."""
+    """Draw one column of all flights against time in each panel, with title and scale.
+
+    Parameters
+    ----------
+    panels : iterable of Axes
+        Panels, one for each column.
+    shown : iterable of Column
+        Columns to draw.
+    flights : sequence of StyledFlight
+        Flights to draw.
+    """
     for axes, column in zip(panels, shown, strict=True):
         for flight in flights:
             draw_over_time(axes, flight.frame, column, flight.style, flight.name)
@@ -279,9 +347,16 @@ def draw_panels(
 
 
 def keep_span(panels: Iterable[Axes], smallest_span: float) -> None:
-    """Set a common vertical scale of panels, of at least a given span, so that noise stays small.
+    """Give panels a common vertical scale of at least a given range.
 
-    ``smallest_span`` is the least difference between the ends of the axis, in the printed unit.
+    The least range keeps numerical noise from filling a panel whose curve is constant.
+
+    Parameters
+    ----------
+    panels : iterable of Axes
+        Panels, after drawing.
+    smallest_span : float
+        Least difference between the ends of the axis, in the printed unit.
     """
     panels = tuple(panels)
     ends = np.array([axes.dataLim.intervaly for axes in panels])
@@ -293,7 +368,7 @@ def keep_span(panels: Iterable[Axes], smallest_span: float) -> None:
 
 
 def label_time(panels: Iterable[Axes], duration: float) -> None:
-    """Label the time axis of the lowest panels and end it at a duration [s]."""
+    """Label the time axis of panels, and end it at a duration in s."""
     for axes in panels:
         axes.set_xlabel(TIME.label)
         axes.set_xlim(0.0, duration)
@@ -301,7 +376,15 @@ def label_time(panels: Iterable[Axes], duration: float) -> None:
 
 
 def legend_below(figure: Figure, axes: Axes) -> None:
-    """Draw a legend of the lines of one panel below all panels, if there are several lines."""
+    """Draw a legend below all panels, for the curves of one panel; none for a single curve.
+
+    Parameters
+    ----------
+    figure : Figure
+        Figure with the panels.
+    axes : Axes
+        Panel whose curves the legend names.
+    """
     handles, labels = axes.get_legend_handles_labels()
     if len(labels) > 1:
         figure.legend(handles, labels, loc="lower center", ncols=min(LEGEND_COLUMNS, len(labels)))
@@ -312,7 +395,22 @@ _FAILED_PLAN = "best iterate"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StyledFlight:
-    """A flight with its style in all figures; its energy includes the energy to complete it."""
+    """Flight with the line style in which all figures draw it.
+
+    Attributes
+    ----------
+    name : str
+        Name in legends.
+    frame : DataFrame
+        Table of the flight over time.
+    duration_s : float
+        Duration.
+    energy_J : float
+        Energy of the flight, including the estimated energy that it still needs to reach the exact
+        goal state.
+    style : LineStyle
+        Colour, dashes and marker.
+    """
 
     name: str
     frame: pd.DataFrame
@@ -322,12 +420,23 @@ class StyledFlight:
 
 
 def plan_flight(plan: "Plan") -> "Flight":
-    """Return the flight of a plan, named "best iterate" if the solve failed."""
+    """Return the planned flight, named "best iterate" if the solve failed."""
     return plan.flight() if plan.verification is not None else plan.flight(_FAILED_PLAN)
 
 
 def styled_flights(flights: Sequence["Flight"]) -> tuple[StyledFlight, ...]:
-    """Return flights with their styles in the same order, the optimum first."""
+    """Attach line styles to flights, in the same order.
+
+    Parameters
+    ----------
+    flights : sequence of Flight
+        Flights, the plan first.
+
+    Returns
+    -------
+    tuple of StyledFlight
+        The flights with names, tables and line styles for figures.
+    """
     styles = flight_styles(tuple(flight.name for flight in flights))
     return tuple(
         StyledFlight(
@@ -342,7 +451,15 @@ def styled_flights(flights: Sequence["Flight"]) -> tuple[StyledFlight, ...]:
 
 
 def flight_of_table(name: str, frame: pd.DataFrame) -> StyledFlight:
-    """Return a flight that is read from its table."""
+    """Make a flight for figures from its table alone, such as a table that was read from a file.
+
+    Parameters
+    ----------
+    name : str
+        Name of the flight in legends.
+    frame : DataFrame
+        Table with a time column; without an energy column the energy is set to 0.
+    """
     time = TIME.of(frame)
     has_energy = ENERGY.name in frame
     return StyledFlight(
@@ -355,19 +472,25 @@ def flight_of_table(name: str, frame: pd.DataFrame) -> StyledFlight:
 
 
 def last_end(flights: Sequence[StyledFlight]) -> float:
-    """Return the largest duration of several flights [s]."""
+    """Return the longest duration of several flights, in s."""
     return max(flight.duration_s for flight in flights)
 
 
 def take_one_time(flights: Sequence[StyledFlight]) -> bool:
-    """Return whether all flights have one duration, and so the same energy of hovering."""
+    """Return whether flights have equal durations, and hovering thus the same energy."""
     return all(isclose(f.duration_s, flights[0].duration_s, rel_tol=SAME_TIME) for f in flights)
 
 
 def fair_pair(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
-    """Return the optimum (the first flight) and, if flown, the smooth baseline `FAIR_BASELINE`.
+    """Return the plan and the baseline that the energy saving refers to.
 
-    The optimum is alone if that baseline was not flown.
+    The plan is the first of the given flights. The baseline, `FAIR_BASELINE`, follows a smooth
+    reference trajectory; if it was not flown, the plan is returned alone.
+
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        Flights, the plan first.
     """
     return tuple(
         flight for index, flight in enumerate(flights) if index == 0 or flight.name == FAIR_BASELINE

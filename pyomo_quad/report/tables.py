@@ -1,4 +1,7 @@
-"""CSV tables and JSON summaries, with the same bytes at each run."""
+"""CSV tables and JSON summaries of reports: writing and reading.
+
+Equal results give files with the same bytes.
+"""
 
 import csv
 import json
@@ -25,23 +28,34 @@ if TYPE_CHECKING:
     from pyomo_quad.study.run import RunResult
 
 _NUMBER_FORMAT = "%.12g"
-# Spreadsheets read a cell that starts with one of these, or its full-width form, as a formula.
+# First characters, also in full-width form, by which a spreadsheet takes a cell for a formula.
 _FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "＠")
 
 
 def neutral_cell(value: object) -> object:
-    """Return a cell that a spreadsheet does not run as a formula."""
+    """Return a table cell that a spreadsheet program does not execute as a formula.
+
+    A text that starts like a formula gets a leading apostrophe; other values are unchanged.
+    """
     if isinstance(value, str) and value.lstrip(" ").startswith(_FORMULA_STARTS):
         return f"'{value}"
     return value
 
 
-#: A frame, or columns by name, which avoid the 0.3 s of importing pandas.
+#: Table as a DataFrame, or as columns by name, which saves the 0.3 s of importing pandas.
 Table: TypeAlias = "pd.DataFrame | Mapping[str, Iterable[object]]"
 
 
 def write_table(table: Table, path: Path) -> None:
-    """Write a table as CSV."""
+    """Write a table to a CSV file, numbers with twelve significant digits, NaN as empty cells.
+
+    Parameters
+    ----------
+    table : DataFrame or mapping
+        The table, or its columns by name.
+    path : Path
+        File to write.
+    """
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow([neutral_cell(name) for name, _ in table.items()])
@@ -62,7 +76,21 @@ def flight_summary(
     arrived: bool,
     wall_s: Mapping[str, float],
 ) -> dict[str, Any]:
-    """Summarise a flight, with the seconds of each phase."""
+    """Summarise one controlled flight as a dictionary for `summary.json`.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Mission that was flown.
+    flight : Flight
+        The flight.
+    hover_energy_J : float
+        Energy of hovering for the duration of the mission.
+    arrived : bool
+        Whether the flight reached the goal.
+    wall_s : mapping
+        Wall time [s] of each phase of the program except the flight itself.
+    """
     return {
         "scenario": scenario.name,
         "flight": flight.name,
@@ -87,12 +115,20 @@ def flight_summary(
 PLAN_FILE_NAME = "plan.npz"
 PLAN_NAME = "plan.csv"
 
-# Only the best iterate of a failed solve has this column, as the last one.
+# Last column of the table of a failed solve, which holds its best iterate; other plans lack it.
 _STATUS_COLUMN = "status"
 
 
 def plan_table(plan: "Plan", rate_hz: float | None = None) -> dict[str, Iterable[object]]:
-    """Return the columns of a plan: a row per node of the mesh, or ``rate_hz`` rows a second."""
+    """Return the trajectory table of a plan as columns by name.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+    rate_hz : float, optional
+        Number of rows per second; by default one row for each mesh node.
+    """
     columns = plan.columns(plan.times(rate_hz))
     status: dict[str, Iterable[object]] = {}
     if plan.verification is None:
@@ -102,7 +138,7 @@ def plan_table(plan: "Plan", rate_hz: float | None = None) -> dict[str, Iterable
 
 SUMMARY_NAME = "summary.json"
 
-# Distributions whose version may affect a number; the second name is that of conda's package.
+# Packages whose version may affect results: names of the distribution on PyPI, then of conda's.
 _DISTRIBUTIONS = {
     "pyomo": ("pyomo",),
     "casadi": ("casadi",),
@@ -117,9 +153,16 @@ _PHASES = ("import", "build", "compile", "solve", "verify", "report")
 def plan_summary(
     plan: "Plan", *, wall_s: Mapping[str, float], warnings: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """Summarise a plan for JSON, with None for numbers that are not finite.
+    """Summarise a plan as a dictionary for `summary.json`; None stands for NaN or infinity.
 
-    ``wall_s`` has the seconds of the phases that the plan's own timings do not hold.
+    Parameters
+    ----------
+    plan : Plan
+        The plan, which may be the best iterate of a failed solve.
+    wall_s : mapping
+        Wall times [s] of phases that the plan does not know itself, such as import and report.
+    warnings : sequence of str, optional
+        Cautions to record.
     """
     verification = plan.verification
     timings = {**plan.timings, **wall_s}
@@ -162,9 +205,14 @@ def plan_summary(
 
 
 def run_summary(result: "RunResult", *, wall_s: Mapping[str, float]) -> dict[str, Any]:
-    """Summarise a run: its plan, its flights and its lower bound.
+    """Summarise a run as a dictionary for `summary.json`: plan, flights and lower bound.
 
-    ``wall_s`` has the seconds of the phases that the result's own timings do not hold.
+    Parameters
+    ----------
+    result : RunResult
+        A plan with the baseline flights it is compared with.
+    wall_s : mapping
+        Wall times [s] of phases that the result does not know itself, such as import and report.
     """
     from pyomo_quad.study.ensemble import ensemble_summary  # noqa: PLC0415  as below
     from pyomo_quad.study.headline import headline_of  # noqa: PLC0415  a solve has none
@@ -203,12 +251,12 @@ def run_summary(result: "RunResult", *, wall_s: Mapping[str, float]) -> dict[str
 
 
 def summary_text(summary: Mapping[str, Any]) -> str:
-    """Return a summary as JSON text."""
+    """Return a summary as indented JSON text."""
     return json.dumps(summary, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
-    """Write `summary.json` into a folder."""
+    """Write a summary as `summary.json` into a folder."""
     (folder / SUMMARY_NAME).write_text(summary_text(summary), encoding="utf-8")
 
 
@@ -241,7 +289,7 @@ def _number(value: float | None) -> float | None:
 
 
 def installed_versions() -> dict[str, str]:
-    """Return the versions of the distributions that can change a number."""
+    """Return the versions of Python, this package and the packages that may affect results."""
     found = {name: _version(names) for name, names in _DISTRIBUTIONS.items()}
     return {"pyomo_quad": __version__, "python": platform.python_version(), **found}
 
@@ -261,24 +309,27 @@ _LARGEST_FILE = 256 * 1024 * 1024
 
 
 def read_report(folder: Path, table: str = PLAN_NAME) -> tuple[dict[str, Any], "pd.DataFrame"]:
-    """Read the summary and a table of a report, which may be untrusted.
+    """Read summary and trajectory table of a report folder, which may come from a stranger.
 
     Parameters
     ----------
+    folder : Path
+        Folder of the report.
     table : str, optional
-        The table's file.
+        File name of the table.
 
     Returns
     -------
     dict
-        The summary, unchecked.
+        Content of `summary.json`, not validated.
     DataFrame
-        `TIME`, which increases, and the columns of `ALL_COLUMNS` in the table; all are finite.
+        The time, which increases from row to row, and the columns of `ALL_COLUMNS` that the table
+        has; all values are finite.
 
     Raises
     ------
     ScenarioError
-        If a file is missing, too large, damaged or not a flight.
+        If a file is missing, too large or damaged, or the table is not that of a flight.
     """
     file = folder / SUMMARY_NAME
     content = _content(file)
@@ -294,12 +345,23 @@ AIMS_NAME = "energy_and_charge.csv"
 
 
 def read_front(folder: Path) -> "pd.DataFrame | None":
-    """Read the energy-time front of a report, which may be untrusted; None without one.
+    """Read the energy-time front (least energy against duration) of a report folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the report, which may come from a stranger.
+
+    Returns
+    -------
+    DataFrame or None
+        One row for each flight, optimal for one price of time (value of a second), with the columns
+        of `FrontColumn`; None if the report has no front.
 
     Raises
     ------
     ScenarioError
-        If it is too large or damaged.
+        If the file is too large or damaged.
     """
     import pandas as pd  # noqa: PLC0415  see `write_table`
 
@@ -317,7 +379,14 @@ def read_front(folder: Path) -> "pd.DataFrame | None":
 
 
 def refuse_report(file: Path, what: str) -> NoReturn:
-    """Refuse a damaged report with a one-line message.
+    """Raise a one-line error for a damaged file of a report.
+
+    Parameters
+    ----------
+    file : Path
+        The damaged file.
+    what : str
+        The fault, as the end of a sentence that begins with the file's name.
 
     Raises
     ------

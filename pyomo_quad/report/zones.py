@@ -1,4 +1,4 @@
-"""Drawing of keep-out zones: outlines seen along an axis, and faces in space."""
+"""Shapes of keep-out zones for figures: outlines along an axis, and faces in space."""
 
 from collections.abc import Iterator
 from itertools import pairwise
@@ -9,12 +9,22 @@ from matplotlib.patches import Circle, Patch, Polygon, Rectangle
 from pyomo_quad.arrays import FloatArray
 from pyomo_quad.scenario.airspace import KeepOut, Shape
 
-ZONE_COLOR = "#a33a2a"  # as in the page's view
-_ROUND = 36  # corners of a circle
+ZONE_COLOR = "#a33a2a"  # as in the HTML report's player
+_ROUND = 36  # corners of the polygon that is drawn for a circle
 
 
 def outline(zone: KeepOut, directions: tuple[int, int], clearance: float = 0.0) -> Patch:
-    """Return the outline of a zone, grown by its clearance, as seen along an axis."""
+    """Return the outline of a keep-out zone as a matplotlib patch, seen along one axis.
+
+    Parameters
+    ----------
+    zone : KeepOut
+        The zone.
+    directions : tuple of int
+        Coordinates of the horizontal and the vertical axis of the panel: 0 for x, 1 for y, 2 for z.
+    clearance : float, optional
+        Distance [m] by which the outline is grown on all sides.
+    """
     if zone.corners is not None and set(directions) == {0, 1}:
         ring = zone.ring(clearance)
         return Polygon([(corner[directions[0]], corner[directions[1]]) for corner in ring])
@@ -32,7 +42,18 @@ def outline(zone: KeepOut, directions: tuple[int, int], clearance: float = 0.0) 
 
 
 def box_around(zone: KeepOut) -> FloatArray:
-    """Return the least and the greatest corner of the smallest box around a zone, shape (2, 3)."""
+    """Return the two extreme corners of the smallest axis-parallel box around a zone.
+
+    Parameters
+    ----------
+    zone : KeepOut
+        The zone.
+
+    Returns
+    -------
+    ndarray, shape (2, 3)
+        Least and greatest coordinates, in m; infinite where the zone is unbounded.
+    """
     sides = {
         axis: (centre - ball.radius, centre + ball.radius)
         for ball in zone.balls
@@ -45,11 +66,20 @@ def box_around(zone: KeepOut) -> FloatArray:
 
 
 def faces(zone: KeepOut, limits: FloatArray) -> FloatArray:
-    """Return the surface of a zone inside a box: polygons, shape (n_faces, n_corners, 3).
+    """Return the surface of a keep-out zone as polygons, cut off at the limits of a figure.
 
-    ``limits`` has a row of low and high for each axis, at which the faces are cut off. A polygon
-    with fewer corners repeats its last corner, because matplotlib pads faces of unequal length with
-    uninitialised memory and includes it in the scale of its axes.
+    Parameters
+    ----------
+    zone : KeepOut
+        The zone.
+    limits : ndarray, shape (3, 2)
+        Least and greatest x, y and z of the figure, in m.
+
+    Returns
+    -------
+    ndarray, shape (n_faces, n_corners, 3)
+        Corners in m. A polygon with fewer corners repeats its last corner, because matplotlib pads
+        faces of unequal length with uninitialised memory and includes it in the scale of its axes.
     """
     cut = [face for face in (_clipped(face, limits) for face in _whole_faces(zone)) if len(face)]
     most = max(map(len, cut), default=0)
@@ -58,7 +88,7 @@ def faces(zone: KeepOut, limits: FloatArray) -> FloatArray:
 
 
 def _whole_faces(zone: KeepOut) -> Iterator[FloatArray]:
-    """Yield the faces of a solid from a stack of rings, its cross-sections at rising heights."""
+    """Yield the faces of a keep-out zone that joins cross-sections at rising heights."""
     low, high = box_around(zone)
     middle, half = (low + high) / 2, (high - low) / 2
     if zone.shape is Shape.BOX:
@@ -85,7 +115,7 @@ def _whole_faces(zone: KeepOut) -> Iterator[FloatArray]:
 
 
 def _clipped(face: FloatArray, limits: FloatArray) -> FloatArray:
-    """Cut off the parts of a convex polygon outside a box (Sutherland and Hodgman)."""
+    """Clip a convex polygon to an axis-parallel box (algorithm of Sutherland and Hodgman)."""
     for axis, ends in enumerate(limits):
         for side, end in zip((1.0, -1.0), ends, strict=True):
             inside = side * (face[:, axis] - end)

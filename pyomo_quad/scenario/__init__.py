@@ -1,4 +1,8 @@
-"""Scenarios: missions read from TOML and validated."""
+"""Scenarios: complete descriptions of missions, read from TOML files and validated.
+
+A scenario holds vehicle, battery, wind, mission, airspace, limits and settings of the solver.
+Values that its file leaves out come from a library of vehicles, batteries and winds.
+"""
 
 from pyomo_quad.scenario.description import FieldDescription, describe_fields, field_unit
 from pyomo_quad.scenario.loader import load_scenario, scenario_from_mapping

@@ -1,7 +1,7 @@
-"""Accuracy levels of a mission: tolerances that a plan and its simulated flight must meet.
+"""Accuracy levels of a plan: tolerances of its energy, states and limits.
 
-A vehicle model is good to about 2 %: `quick` and `standard` suffice for missions that are flown,
-`proof` for studies that compare small differences.
+A vehicle model predicts power to about 2 %. `quick` and `standard` therefore suffice for missions
+that are flown; `proof` is for studies that compare small differences.
 """
 
 from collections.abc import Mapping
@@ -11,39 +11,39 @@ from types import MappingProxyType
 
 
 class Accuracy(StrEnum):
-    """Required accuracy of a plan, the least accurate first."""
+    """Required accuracy of a plan, in ascending order."""
 
     QUICK = "quick"
     STANDARD = "standard"
     PROOF = "proof"
 
     def meets(self, asked: "Accuracy") -> bool:
-        """Return whether this accuracy is at least as high as another."""
+        """Return whether this accuracy is at least as high as the accuracy `asked`."""
         order = list(Accuracy)
         return order.index(self) >= order.index(asked)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Figures:
-    """Tolerances of an accuracy level.
+    """Tolerances that a plan and the simulation of its controls must meet at an accuracy level.
 
     Attributes
     ----------
     energy : float
-        Share of the energy by which the plan's may be above the least one, and the relative error
-        of states to which the mesh is refined.
+        Relative excess of the plan's energy over the least energy; also the relative error of the
+        states to which the mesh is refined.
     energy_flown : float
-        Share of the energy by which the flight of the controls may differ from the plan.
+        Relative difference between the energies of the plan and of its simulation.
     miss : float
-        Of any final state when the controls are flown open loop, and of the waypoints: metres,
-        metres per second, radians or, for values above 1, relative.
+        Deviation of each final state, and of the passage of waypoints, when the controls are
+        simulated without feedback; in m, m/s, rad or, for values above 1, relative.
     breach : float
-        Of a limit between the points, relative to the larger of 1 and the limit.
+        Violation of a limit between collocation points, relative to the larger of 1 and the limit.
     integration : float
-        Relative and absolute tolerance of the flight.  Errors of a flight without feedback grow
-        about a millionfold in half a minute.
+        Relative and absolute tolerance of the simulation. It is far below the other tolerances,
+        because errors of a flight without feedback grow about a millionfold in half a minute.
     spacing : float
-        Distance [m] between the samples at which the flight is compared with zones.
+        Distance [m] between the places at which the simulated path is checked against zones.
     """
 
     energy: float
@@ -54,9 +54,10 @@ class Figures:
     spacing: float
 
 
-#: Errors allowed at each accuracy.  Between samples 5 mm apart, a straight flight cuts into a ball
-#: of half a metre by less than 1e-5 m and into the edge of a zone by less than 4e-4 m; the former
-#: grows at most with the square of the spacing, the latter in proportion to it.
+#: Tolerances of each accuracy level. The spacing bounds how far a straight flight can enter a zone
+#: between two checked places: at 5 mm, less than 1e-5 m into a ball with a radius of half a metre,
+#: and less than 4e-4 m into the edge of a zone. The first depth grows at most with the square of
+#: the spacing, the second in proportion to the spacing.
 FIGURES: Mapping[Accuracy, Figures] = MappingProxyType(
     {
         Accuracy.QUICK: Figures(
@@ -85,5 +86,6 @@ FIGURES: Mapping[Accuracy, Figures] = MappingProxyType(
         ),
     }
 )
-#: Errors of a usable plan. It may end half a metre off, which feedback in flight corrects.
+#: Tolerances of a usable plan, which may end half a metre from the goal: feedback in flight
+#: corrects this error.
 USABLE = replace(FIGURES[Accuracy.QUICK], miss=0.5)

@@ -1,4 +1,4 @@
-"""Table `airspace`: limits on the height of flight, fence, and keep-out zones."""
+"""Table `airspace` of a scenario: height limits, fence, keep-out zones and terrain."""
 
 from collections.abc import Iterator, Sequence
 from enum import StrEnum
@@ -26,7 +26,7 @@ _MOST_ZONES = 64
 
 
 class Shape(StrEnum):
-    """Shape of a zone."""
+    """Shape of a keep-out zone."""
 
     CYLINDER = "cylinder"
     SPHERE = "sphere"
@@ -35,12 +35,25 @@ class Shape(StrEnum):
 
 
 class Ball(NamedTuple):
-    """Set of places within a radius of a centre along two or three axes: cylinder or sphere.
+    """Set of places within a radius of a centre, in two or three coordinates or in one.
 
-    Every shape is an intersection of balls: a cylinder of a disk in x and y and an interval of z, a
-    sphere of one ball in all three axes, a box of one interval per axis, and a convex polygon of an
-    interval across each edge and one of z.  An interval across an edge has a `normal` of x and y,
-    of length one, in place of the axes of its coordinate.
+    In three coordinates the set is a sphere, in x and y a vertical cylinder without ends, and in
+    one coordinate an interval. Every keep-out zone is an intersection of balls: a cylinder of a
+    disk in x and y and an interval of z, a sphere of one ball in all three axes, a box of one
+    interval per axis, and a convex polygon of an interval across each edge and one of z.
+
+    Attributes
+    ----------
+    axes : tuple of int
+        Coordinates in which the distance is measured: 0 for x, 1 for y, 2 for z. Empty for an
+        interval across an edge of a polygon.
+    centre : tuple of float
+        Centre in these coordinates [m].
+    radius : float
+        Radius, or half the length of the interval [m].
+    normal : tuple of float or None
+        For an interval across an edge: horizontal unit vector normal to the edge, along which the
+        coordinate is measured.
     """
 
     axes: tuple[int, ...]
@@ -49,7 +62,22 @@ class Ball(NamedTuple):
     normal: tuple[float, float] | None = None
 
     def coordinates(self, places: "ArrayLike") -> "FloatArray":
-        """Return the coordinates of places (..., 3) on the ball's axes, shape (..., n) [m]."""
+        """Return the coordinates of places in which the ball's radius is measured.
+
+        A ball is a sphere (three coordinates), a vertical cylinder without ends (x and y) or an
+        interval.
+
+        Parameters
+        ----------
+        places : array_like, shape (..., 3)
+            Positions x, y, z [m].
+
+        Returns
+        -------
+        ndarray, shape (..., n)
+            Coordinates [m]; n is the number of the ball's axes, or 1 for an interval across an
+            edge.
+        """
         import numpy as np  # noqa: PLC0415  reading a scenario does without it
 
         held = np.asarray(places, dtype=float)
@@ -58,7 +86,18 @@ class Ball(NamedTuple):
         return np.asarray(held[..., :2] @ np.array(self.normal))[..., None]
 
     def depth(self, places: "ArrayLike") -> "FloatArray":
-        """Return the depth of places, shape (..., 3), inside the ball; negative outside [m]."""
+        """Return the depth of places inside the ball [m], negative outside.
+
+        Parameters
+        ----------
+        places : array_like, shape (..., 3)
+            Positions x, y, z [m].
+
+        Returns
+        -------
+        ndarray, shape (...)
+            Radius minus distance from the centre.
+        """
         import numpy as np  # noqa: PLC0415  see `coordinates`
 
         away = np.linalg.norm(self.coordinates(places) - self.centre, axis=-1)
@@ -68,14 +107,28 @@ class Ball(NamedTuple):
 #: A corner of a polygon, x and y [m].
 Corner = tuple[Number, Number]
 _FEWEST_CORNERS, MOST_CORNERS = 3, 32
-#: Height that no flight goes above, nor below its negative: the ends of a zone without any [m].
+#: Top of a zone without upper end, and minus the bottom of a zone without lower end [m]; no flight
+#: reaches these heights.
 ENDLESS_M = 1e5
-# Largest inward turn of two edges that counts as rounding, relative to the polygon's extent.
+# Largest turn between two edges that counts as rounding error, relative to the square of the
+# polygon's extent.
 _STRAIGHT = 1e-9
 
 
 def turns_of(corners: Sequence[tuple[float, float]]) -> list[float]:
-    """Return twice the signed area of the triangle at each corner, positive for a left turn."""
+    """Return twice the signed area of the triangle at each corner of a polygon.
+
+    Parameters
+    ----------
+    corners : sequence of (float, float)
+        Corners x, y in order.
+
+    Returns
+    -------
+    list of float
+        For each corner the area [m²] of the triangle with its two neighbours, times 2; positive
+        where the outline turns left.
+    """
     count = len(corners)
     found = []
     for k in range(count):
@@ -85,7 +138,7 @@ def turns_of(corners: Sequence[tuple[float, float]]) -> list[float]:
 
 
 def _refuse_folded(corners: Sequence[tuple[float, float]], what: str) -> None:
-    """Raise an error for corners that do not form a convex polygon in order."""
+    """Raise ValueError unless corners are those of a convex polygon, in order."""
     extent = max(max(along) - min(along) for along in zip(*corners, strict=True))
     turns = turns_of(corners)
     slack = _STRAIGHT * extent**2
@@ -100,7 +153,10 @@ def _refuse_folded(corners: Sequence[tuple[float, float]], what: str) -> None:
 
 
 def _goes_round_once(corners: Sequence[tuple[float, float]]) -> bool:
-    """Return whether a path that turns to one side goes round once, unlike a star."""
+    """Return whether an outline that always turns to the same side goes round once.
+
+    A star, for example, goes round twice and crosses itself.
+    """
     total = 0.0
     edges = [(x1 - x0, y1 - y0) for (x0, y0), (x1, y1) in pairwise((*corners, corners[0]))]
     for (a, b), (c, d) in pairwise((*edges, edges[0])):
@@ -111,7 +167,13 @@ def _goes_round_once(corners: Sequence[tuple[float, float]]) -> bool:
 def _edges_of(
     corners: Sequence[tuple[float, float]],
 ) -> Iterator[tuple[tuple[float, float], float, float]]:
-    """Yield the unit normal of each edge, and the extent of the polygon along it (least, most)."""
+    """Yield, for each edge of a polygon, its unit normal and the polygon's extent along it.
+
+    Yields
+    ------
+    tuple
+        Unit normal, and the least and greatest coordinate of the polygon along the normal [m].
+    """
     for (x0, y0), (x1, y1) in pairwise((*corners, corners[0])):
         length = hypot(x1 - x0, y1 - y0)
         if length > 0.0:
@@ -123,7 +185,7 @@ def _edges_of(
 def _across_edges(corners: Sequence[tuple[float, float]]) -> Iterator[Ball]:
     """Yield the interval across each edge of a convex polygon, from the edge to the far corner.
 
-    Two parallel edges bound the same interval, which is yielded for the first edge only.
+    Two parallel edges bound the same interval, which is yielded only once.
     """
     seen: list[tuple[float, float]] = []
     for normal, low, high in _edges_of(corners):
@@ -142,7 +204,7 @@ _COORDINATES = {Shape.CYLINDER: 2, Shape.SPHERE: 3}
 
 
 class KeepOut(Part):
-    """Keep-out zone of one of several shapes."""
+    """Keep-out zone of the airspace: cylinder, sphere, box or prism over a convex polygon."""
 
     name: Text = quantity(
         "",
@@ -201,7 +263,7 @@ class KeepOut(Part):
 
     @property
     def balls(self) -> tuple[Ball, ...]:
-        """Balls whose intersection is the zone."""
+        """Balls (spheres, vertical cylinders and intervals) whose intersection is the zone."""
         if self.low is not None and self.high is not None:
             sides = enumerate(zip(self.low, self.high, strict=True))
             return tuple(_interval(axis, low, high) for axis, (low, high) in sides)
@@ -214,14 +276,27 @@ class KeepOut(Part):
         return (round_part, _interval(2, self.bottom, self.top))
 
     def ring(self, beyond: float = 0.0) -> "FloatArray":
-        """Return the corners of the zone's polygon, its edges moved outwards, shape (n, 2) [m]."""
+        """Return the corners of the zone's polygon, with its edges moved outwards.
+
+        Corners between two edges on one line are left out.
+
+        Parameters
+        ----------
+        beyond : float, optional
+            Distance by which each edge is moved [m].
+
+        Returns
+        -------
+        ndarray, shape (n, 2)
+            Corners x, y in order [m].
+        """
         import numpy as np  # noqa: PLC0415  see `Ball.coordinates`
 
         corners = self.corners or ()
         turns = turns_of(corners)
         edges = KeepIn(corners=corners).edges
         extent = max(map(abs, turns), default=0.0)
-        # Corners between collinear edges are left out.
+        # Two collinear edges have no unique intersection.
         kept = [k for k, turn in enumerate(turns) if abs(turn) > _STRAIGHT * extent]
         moved = []
         for k in kept:
@@ -231,9 +306,20 @@ class KeepOut(Part):
         return np.array(moved)
 
     def depth(self, places: "ArrayLike") -> "FloatArray":
-        """Return the depth of places, shape (..., 3), inside the zone; negative outside [m].
+        """Return the depth of places inside the zone [m], negative outside.
 
-        Negative outside: minus the largest distance of the place beyond a face.
+        Inside, the depth is the distance to the nearest face; outside, minus the largest distance
+        beyond a face.
+
+        Parameters
+        ----------
+        places : array_like, shape (..., 3)
+            Positions x, y, z [m].
+
+        Returns
+        -------
+        ndarray, shape (...)
+            Depths.
         """
         import numpy as np  # noqa: PLC0415  see `Ball.depth`
 
@@ -245,9 +331,10 @@ def _interval(axis: int, low: float, high: float) -> Ball:
 
 
 class KeepIn(Part):
-    """Fence on the ground that encloses the flight at every height.
+    """Fence on the ground that the flight must stay inside of, at every height.
 
-    The fence is convex; a concave fence is replaced by its hull, with keep-outs inside the hull.
+    The fence is convex. A concave fence is replaced by its convex hull, with keep-out zones for the
+    parts of the hull outside of the fence.
     """
 
     corners: tuple[Corner, ...] = quantity(
@@ -265,8 +352,8 @@ class KeepIn(Part):
 
     @property
     def edges(self) -> tuple[tuple[tuple[float, float], float], ...]:
-        """Outward unit normal of each edge, and the distance of the edge along it [m]."""
-        # For corners in counter-clockwise order, the normals point outwards.
+        """Outward unit normal of each edge, and the edge's coordinate along it [m]."""
+        # The normals of `_edges_of` point outwards if the corners are in counter-clockwise order.
         is_left = sum(turns_of(self.corners)) > 0.0
         return tuple(
             (normal, high) if is_left else ((-normal[0], -normal[1]), -low)
@@ -274,7 +361,18 @@ class KeepIn(Part):
         )
 
     def room(self, places: "ArrayLike") -> "FloatArray":
-        """Return the distance of places (..., 3) to the nearest edge, negative outside [m]."""
+        """Return the distance of places to the nearest edge of the fence [m], negative outside.
+
+        Parameters
+        ----------
+        places : array_like, shape (..., 3)
+            Positions x, y, z [m].
+
+        Returns
+        -------
+        ndarray, shape (...)
+            Distances.
+        """
         import numpy as np  # noqa: PLC0415  see `Ball.coordinates`
 
         normals, ends = (np.array(part) for part in zip(*self.edges, strict=True))
@@ -283,7 +381,7 @@ class KeepIn(Part):
 
 
 class TerrainGrid(Part):
-    """Heights of the ground on a rectilinear grid, read and validated from `airspace.terrain`."""
+    """Heights of the ground on a rectilinear grid, read from the file of `airspace.terrain`."""
 
     x: tuple[Number, ...] = quantity("m", "places along world x, rising")
     y: tuple[Number, ...] = quantity("m", "places along world y, rising")
@@ -295,21 +393,31 @@ class TerrainGrid(Part):
 
     @property
     def elevations(self) -> "FloatArray":
-        """Height z of the ground, shape (len(x), len(y)) [m]."""
+        """Heights z of the ground at the grid points, shape (len(x), len(y)) [m]."""
         return unpacked(self.heights).reshape(len(self.x), len(self.y))
 
     def surface(self, side: int) -> "Surface":
-        """Return the smooth surface that is nowhere below the ground (1) or nowhere above (-1)."""
+        """Return a smooth surface that does not cross the ground.
+
+        Parameters
+        ----------
+        side : int
+            1 for a surface that is nowhere below the ground, -1 for one that is nowhere above.
+        """
         return _surface(self, side)
 
     @property
     def least_step(self) -> float:
-        """Least distance of neighbours on either axis [m]."""
+        """Least distance between neighbouring grid lines in x or y [m]."""
         return min(after - at for axis in (self.x, self.y) for at, after in pairwise(axis))
 
     @property
     def edges(self) -> dict[str, tuple[int, float, float]]:
-        """Name of each edge -> axis that it ends, side, and coordinate on that axis [m]."""
+        """The four edges of the grid, by name ("west", "east", "south", "north").
+
+        Each value gives the axis (0 for x, 1 for y), the side (-1 for the lower end, 1 for the
+        upper) and the coordinate of the edge on that axis [m].
+        """
         return {
             "west": (0, -1.0, self.x[0]),
             "east": (0, 1.0, self.x[-1]),
@@ -326,7 +434,7 @@ def _surface(grid: TerrainGrid, side: int) -> "Surface":
 
 
 class Airspace(Part):
-    """Limits of the airspace of a mission."""
+    """Where the flight may be: height limits, fence, keep-out zones and terrain."""
 
     floor: Number | None = quantity(
         "m",
@@ -380,10 +488,22 @@ class Airspace(Part):
         return self
 
     def height_above_ground(self, place: "ArrayLike", side: int = 1) -> "FloatArray":
-        """Return the heights of places (..., 3) above the surface that floor or ceiling count from.
+        """Return the height of places above the smooth surface that stands for the ground [m].
 
-        With side 1, that of the floor, the surface is nowhere below the ground; with side -1, that
-        of the ceiling, it is nowhere above.
+        Without terrain the ground is the plane z = 0.
+
+        Parameters
+        ----------
+        place : array_like, shape (..., 3)
+            Positions x, y, z [m].
+        side : int, default 1
+            1 for the surface that is nowhere below the ground, from which the floor is counted; -1
+            for the surface that is nowhere above, from which the ceiling is counted.
+
+        Returns
+        -------
+        ndarray, shape (...)
+            Heights.
         """
         import numpy as np  # noqa: PLC0415  see `Ball.coordinates`
 
@@ -393,7 +513,18 @@ class Airspace(Part):
         return np.asarray(held[..., 2] - self.ground.surface(side).at(held))
 
     def room_over_ground(self, places: "ArrayLike") -> "FloatArray":
-        """Return the distance of places (..., 3) from floor and ceiling, negative outside [m]."""
+        """Return the distance of places to the nearer of floor and ceiling [m], negative outside.
+
+        Parameters
+        ----------
+        places : array_like, shape (..., 3)
+            Positions x, y, z [m].
+
+        Returns
+        -------
+        ndarray, shape (...)
+            Distances; infinite without floor and ceiling.
+        """
         import numpy as np  # noqa: PLC0415  see `Ball.coordinates`
 
         low = -np.inf if self.floor is None else self.floor
@@ -402,7 +533,15 @@ class Airspace(Part):
         return np.minimum(over - low, high - under)
 
     def complaints(self, place: Sequence[float]) -> Iterator[str]:
-        """Yield the reasons why a place is outside the airspace, each with a remedy."""
+        """Yield one message for each reason why a place is outside the airspace.
+
+        Each message ends a sentence that names the place, and says what to change.
+
+        Parameters
+        ----------
+        place : sequence of float
+            Position x, y, z [m].
+        """
         over, told = self.height_above_ground(place), ""
         if self.ground is not None:
             told = f"{over:.4g} m above airspace.terrain, "
@@ -429,6 +568,6 @@ class Airspace(Part):
                 yield f"is inside keep-out {near} by {depth:.3g} m; move one of them"
 
     def with_clearance(self, zone: KeepOut) -> str:
-        """Return the name of a zone, with its clearance if positive, for messages."""
+        """Return the name of a zone for messages, followed by the clearance if it is positive."""
         near = f" with its clearance of {self.clearance:g} m" if self.clearance else ""
         return f"{zone.name}{near}"

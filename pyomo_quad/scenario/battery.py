@@ -1,4 +1,4 @@
-"""Table `battery`: cell constants, number of cells, and optional equivalent circuit."""
+"""Table `battery` of a scenario: cells, their constants, temperature and state of health."""
 
 from typing import Self
 
@@ -24,7 +24,7 @@ _FACTOR = positive(0.05, 20, "capacity and resistance of usable batteries change
 
 
 class Relaxation(Part):
-    """RC pair of a cell: the slow part of its voltage drop."""
+    """Slow part of a cell's voltage drop, modelled by a resistor and a capacitor in parallel."""
 
     resistance: Number = quantity(
         "ohm", "slow part of the resistance of one cell", sound=_RESISTANCE
@@ -43,7 +43,7 @@ class Relaxation(Part):
 
 
 class Thermal(Part):
-    """Lumped temperature of a cell, heated by its losses."""
+    """Temperature of a cell, modelled as one heat capacity that the cell's losses heat."""
 
     heat_capacity: Number = quantity(
         "J/K",
@@ -71,7 +71,7 @@ class Thermal(Part):
 
     @property
     def start(self) -> float:
-        """Temperature at the start [K]."""
+        """Temperature at the start [K]; that of the surrounding air if not given."""
         return (
             self.ambient_temperature
             if self.initial_temperature is None
@@ -80,7 +80,7 @@ class Thermal(Part):
 
 
 class Health(Part):
-    """State of health: remaining share of capacity, and growth of resistance."""
+    """State of health of a used pack: remaining share of the capacity, growth of the resistance."""
 
     capacity_factor: Number = quantity(
         "1", "capacity over that of the new pack", 1.0, sound=_FACTOR
@@ -91,7 +91,7 @@ class Health(Part):
 
 
 class Battery(Part):
-    """Battery of the Tremblay-Dessaint model: cell constants and number of cells."""
+    """Battery pack: constants of one cell in the Tremblay-Dessaint model, and number of cells."""
 
     use: Text = quantity("", "name of the battery in the library, or a file of its own, NAME.toml")
     title: Text = title_field("name for people")
@@ -134,7 +134,7 @@ class Battery(Part):
 
     @model_validator(mode="after")
     def _has_a_voltage(self) -> Self:
-        # Eq. (5) of a full cell, the highest voltage of the cell.
+        # Eq. (5) for a full cell, whose voltage E0 + A - K is the cell's highest.
         highest = self.E0 + self.A
         if highest <= self.K:
             raise ValueError(

@@ -1,8 +1,8 @@
-"""Descriptions of scenario fields, of a resolved scenario and of the file format.
+"""Descriptions of scenario fields, JSON Schemas for editors, and the shipped scenarios.
 
-The fields allowed in a file are given as a JSON Schema, with which editors complete and check TOML,
-and as the rows of a table for people. The shipped scenarios, templates for new ones, are found in a
-checkout or in the installed package.
+A field is described by path, unit, default, allowed values and meaning. The JSON Schema of a
+scenario file lets editors complete and check TOML. The shipped scenarios are templates for new
+scenarios, found in a source checkout or in the installed package.
 """
 
 import re
@@ -23,20 +23,21 @@ from pyomo_quad.scenario.spellings import FROM, ON_EARTH, PLACES
 
 @dataclass(frozen=True, kw_only=True)
 class FieldDescription:
-    """Description of one field of a resolved scenario.
+    """Value, unit and origin of one field of a scenario.
 
     Attributes
     ----------
     path : str
-        Dotted path, as in `--set`.
+        Dotted path of the field, such as ``vehicle.mass``.
     value : object
         Number, text, tuple or None.
     unit : str
-        SI unit, empty where there is none.
+        SI unit; empty if the field has none.
     origin : str
-        ``default``, ``library NAME``, ``scenario``, ``--set`` or ``file NAME``.
+        Where the value comes from: ``default``, ``library NAME``, ``scenario``, ``--set`` or
+        ``file NAME``.
     meaning : str
-        One line.
+        Meaning of the field, in one line.
     """
 
     path: str
@@ -47,17 +48,17 @@ class FieldDescription:
 
 
 def describe_fields(scenario: Scenario) -> tuple[FieldDescription, ...]:
-    """List all fields of a scenario in the order of the schema.
+    """List all fields of a scenario with value, unit, origin and meaning.
 
     Parameters
     ----------
     scenario : Scenario
-        The resolved scenario.
+        The complete scenario.
 
     Returns
     -------
     tuple of FieldDescription
-        One for each field that is not a table.
+        One for each field that is not a table, in the order of the schema.
 
     Examples
     --------
@@ -89,7 +90,7 @@ def field_unit(path: str) -> str:
     Returns
     -------
     str
-        SI unit, empty where there is none.
+        SI unit; empty if the field has none.
 
     Examples
     --------
@@ -102,7 +103,7 @@ def field_unit(path: str) -> str:
 
 
 def _origin(provenance: Mapping[str, str], path: FieldPath) -> str:
-    """Return the origin of a field, or of the innermost list of tables that holds it."""
+    """Return the origin of a field's value, or of the list that contains the field."""
     held = (provenance.get(spell(path[:length])) for length in range(len(path), 0, -1))
     return next(filter(None, held), "default")
 
@@ -124,16 +125,16 @@ def _fields(table: BaseModel, prefix: FieldPath = ()) -> Iterator[tuple[FieldPat
             yield (*prefix, name), table, value
 
 
-# Keys that `quantity` adds to a field for messages; editors do not know them.
+# Keys that `quantity` adds to a field's JSON Schema for messages, and that editors do not know.
 _NOTES = ("unit", "allowed", "example", "other_names", "sound", "is_late", "unit_keys")
-# Read from a named file, never written by hand.
+# Fields whose content is read from a file that another field names; users do not write them.
 _DERIVED = ("series", "grid", "ground")
 _LIMITS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
 
 
 @dataclass(frozen=True, kw_only=True)
 class WritableField:
-    """Description of one field of a file format, with every column as text."""
+    """Field of a file format, as a row of the printed table of fields; every column is text."""
 
     path: str
     unit: str
@@ -143,16 +144,19 @@ class WritableField:
 
 
 def editor_schema(model: type[BaseModel], title: str, required: tuple[str, ...]) -> dict[str, Any]:
-    """Return the JSON Schema of a TOML file in its written form.
+    """Return the JSON Schema by which editors complete and check a TOML file.
+
+    The schema includes alternative notations, such as angles in degrees, and excludes fields that
+    users do not write.
 
     Parameters
     ----------
     model : type of BaseModel
-        The top-level table.
+        Model of the whole file.
     title : str
         Title of the schema.
     required : tuple of str
-        Keys required at the top; the library may supply everything below.
+        Keys that every file must have; all other keys have a default or come from the library.
     """
     schema = model.model_json_schema()
     definitions = schema.get("$defs", {})
@@ -181,13 +185,24 @@ def editor_schema(model: type[BaseModel], title: str, required: tuple[str, ...])
 
 
 def writable_fields(model: type[BaseModel]) -> tuple[WritableField, ...]:
-    """List the fields that a file of a model may have, in the order of the schema."""
+    """List the fields that a scenario or study file may have, in the order of the schema.
+
+    Parameters
+    ----------
+    model : type of BaseModel
+        Model of the whole file.
+
+    Returns
+    -------
+    tuple of WritableField
+        Rows of the printed table of fields.
+    """
     schema = model.model_json_schema()
     return tuple(_writable(schema, schema.get("$defs", {}), ""))
 
 
 def _otherwise(name: str, field: dict[str, Any]) -> dict[str, Any]:
-    """Return the alternative notations of a field (see `spellings`) for the schema of editors."""
+    """Return the JSON Schema of alternative notations of a field; see `spellings`."""
     found: dict[str, Any] = {}
     if field.get("unit") == "rad" and name == "direction":
         says = "where the wind comes from, clockwise from north [deg]"
@@ -200,7 +215,7 @@ def _otherwise(name: str, field: dict[str, Any]) -> dict[str, Any]:
 
 
 def _unit_keys(name: str, field: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return the keys that give a field in another unit, and that unit in words."""
+    """Return the keys that give a field in another unit, each with the unit in words."""
     degrees = [(f"{name}{DEGREES}", "degrees")] if field.get("unit") == "rad" else []
     return degrees + [(key, key.partition("_")[2]) for key in field.get("unit_keys", {})]
 
@@ -267,12 +282,15 @@ def _allowed(field: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
 
 
 def _is_ranged(field: Mapping[str, Any], option: Mapping[str, Any]) -> bool:
-    """Return whether a plausible range applies to one type of a field."""
+    """Return whether the plausible range of a field applies to one of its types."""
     return "sound" in field and option.get("type") in {"number", "integer", "array"}
 
 
 def _range(sound: Mapping[str, Any], option: Mapping[str, Any]) -> str:
-    """Return the range that limits and plausibility leave to a number, and the reason."""
+    """Return a number's allowed range in words, with the reason.
+
+    The range is the intersection of the strict limits and of the plausible range.
+    """
     number = option.get("items", option)
     low = max(sound["low"], number.get("minimum", -inf), number.get("exclusiveMinimum", -inf))
     high = min(sound["high"], number.get("maximum", inf), number.get("exclusiveMaximum", inf))
@@ -286,7 +304,7 @@ def _range(sound: Mapping[str, Any], option: Mapping[str, Any]) -> str:
 
 
 def _of_type(option: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
-    """Return the allowed values of one type of a field, in words."""
+    """Return in words the values that a field allows, for one of its types."""
     held = definitions.get(option.get("$ref", "").rpartition("/")[2], {})
     if "const" in option:
         return f'"{option["const"]}"'
@@ -298,25 +316,36 @@ def _of_type(option: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
     return ", ".join(f"{sign} {option[key]:g}" for key, sign in _LIMITS.items() if key in option)
 
 
-# A wheel contains the scenarios in the package; in a checkout they are beside it.
+# Folders of the shipped scenarios: inside the installed package, or beside it in a checkout.
 _PACKAGE = Path(__file__).parents[1]
 _PLACES = (_PACKAGE / "shipped", _PACKAGE.parent / "scenarios")
 _STUDY = "study_"
-#: The paper's own mission has a short name.
+#: Short names of shipped scenarios: `paper` is the mission of the paper in calm air.
 _SHORT_NAMES = {"paper": "paper_calm"}
 _NAME = re.compile(r'^name = ".*"$', re.MULTILINE)
 _SCHEMA_LINE = "#:schema ./scenario.schema.json\n"
 
 
 def shipped_scenarios() -> Mapping[str, Path]:
-    """Return the file of each shipped scenario by its name, short names included."""
+    """Return the files of the shipped scenarios by name, short names such as `paper` included."""
     place = next(place for place in _PLACES if place.is_dir())
     found = {f.stem: f for f in sorted(place.glob("*.toml")) if not f.stem.startswith(_STUDY)}
     return {short: found[name] for short, name in _SHORT_NAMES.items() if name in found} | found
 
 
 def files_beside(template: str) -> dict[str, Path]:
-    """Return the files that a shipped scenario names, by their names in it."""
+    """Return the data files (wind field, terrain) that a shipped scenario refers to.
+
+    Parameters
+    ----------
+    template : str
+        Name of the shipped scenario.
+
+    Returns
+    -------
+    dict
+        Path of each file, by the name that the scenario uses for it.
+    """
     file = shipped_scenarios()[template]
     tables = tomllib.loads(file.read_text(encoding="utf-8"))
     fields = (("wind", "field"), ("airspace", "terrain"))
@@ -325,12 +354,12 @@ def files_beside(template: str) -> dict[str, Path]:
 
 
 def refuse_no_name(text: str) -> None:
-    """Raise an error for a text that cannot name a scenario or vehicle.
+    """Raise an error if a text cannot be the name of a scenario or vehicle.
 
     Raises
     ------
     ScenarioError
-        If it is not a valid name.
+        If the text is not 1 to 64 letters, digits, '_', '-' or '.', or starts with '.', '_' or '-'.
     """
     if re.fullmatch(NAME_PATTERN, text) is None:
         raise ScenarioError(
@@ -340,12 +369,19 @@ def refuse_no_name(text: str) -> None:
 
 
 def started_scenario(template: str, name: str) -> str:
-    """Return the text of a shipped scenario under another name.
+    """Return the text of a shipped scenario under a new name, as a start for an own scenario.
+
+    Parameters
+    ----------
+    template : str
+        Name of the shipped scenario.
+    name : str
+        Name of the new scenario.
 
     Raises
     ------
     ScenarioError
-        If there is no such scenario, or the new name is not valid.
+        If there is no such shipped scenario, or the new name is not valid.
     """
     shipped = shipped_scenarios()
     if template not in shipped:

@@ -1,10 +1,10 @@
-"""Geodetic positions: origin of a mission, and places by latitude and longitude.
+"""Geodetic positions: the origin of a mission on earth, and places by latitude and longitude.
 
 The frame of a mission is east-north-up ("enu"): x is east, y north and z up from the origin, in
-metres, and z = 0 is the plane tangent to the earth there.  The earth's surface lies below it: by
-8 cm at 1 km, by 8 m at 10 km.  Latitude and longitude refer to WGS 84; altitudes have a common
-reference level, usually the sea.  PROJ (`topocentric`) converts, there and back to a hundredth of a
-millimetre.
+metres, and z = 0 is the plane tangent to the earth there.  The earth's surface lies below this
+plane: by 8 cm at 1 km, by 8 m at 10 km.  Latitude and longitude refer to WGS 84; altitudes have a
+common reference level, usually the sea.  PROJ (`topocentric`) converts, there and back to a
+hundredth of a millimetre.
 """
 
 from collections.abc import Mapping
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from pyomo_quad.arrays import FloatArray
 
 
-#: Name of a coordinate on the globe -> least and greatest value, and unit.
+#: Least value, greatest value and unit of each coordinate on the globe, by name.
 GLOBE = {
     "latitude": (-90.0, 90.0, "deg"),
     "longitude": (-180.0, 180.0, "deg"),
-    # From below the Dead Sea to above the highest summit.
+    # From below the shore of the Dead Sea to above the highest summit.
     "altitude": (-500.0, 9000.0, "m"),
 }
 _LATITUDE, _LONGITUDE, _ALTITUDE = GLOBE
@@ -32,7 +32,7 @@ _HEIGHT = "height"
 
 
 class Frame(StrEnum):
-    """Orientation of the world axes on earth."""
+    """Orientation of the world axes on earth; `ENU`: x east, y north, z up."""
 
     ENU = "enu"
 
@@ -43,7 +43,7 @@ def _degrees(name: str, meaning: str) -> Any:  # noqa: ANN401  a declaration of 
 
 
 class GeodeticOrigin(Part):
-    """Position of the origin on the globe: degrees on WGS 84, metres above the sea."""
+    """Position of the mission's origin on earth: WGS 84 degrees, and metres above the sea."""
 
     latitude: Number = _degrees(_LATITUDE, "latitude of the origin, north of the equator")
     longitude: Number = _degrees(_LONGITUDE, "longitude of the origin, east of Greenwich")
@@ -56,9 +56,17 @@ class GeodeticOrigin(Part):
     )
 
     def geodetic(self, place: "FloatArray") -> "FloatArray":
-        """Return latitude [deg], longitude [deg] and height over the origin [m].
+        """Convert places from metres to latitude and longitude.
 
-        Places are x east, y north and z up from the origin, shape (n, 3); so are the results.
+        Parameters
+        ----------
+        place : ndarray, shape (n, 3)
+            x east, y north and z up from the origin [m].
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            Latitude [deg], longitude [deg] and height above the origin's altitude [m].
         """
         import numpy as np  # noqa: PLC0415  reading a scenario does without it
 
@@ -68,9 +76,17 @@ class GeodeticOrigin(Part):
         return np.column_stack([latitude, longitude, altitude - self.altitude])
 
     def local(self, globe: "ArrayLike") -> "FloatArray":
-        """Return x east, y north and z up from the origin, shape (n, 3) [m].
+        """Convert places from latitude and longitude to metres.
 
-        Places are latitude [deg], longitude [deg] and height over the origin [m], shape (n, 3).
+        Parameters
+        ----------
+        globe : array_like, shape (n, 3)
+            Latitude [deg], longitude [deg] and height above the origin's altitude [m].
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            x east, y north and z up from the origin [m].
         """
         import numpy as np  # noqa: PLC0415  see `geodetic`
 
@@ -92,20 +108,29 @@ class GeodeticOrigin(Part):
 def local_place(
     written: Mapping[str, Any], where: str, origin: GeodeticOrigin | None, count: int
 ) -> list[float]:
-    """Convert a place by latitude and longitude to x, y and, for three coordinates, z.
+    """Convert a place of a scenario file from latitude and longitude to metres.
 
     Parameters
     ----------
     written : mapping
-        `latitude`, `longitude` and, for three coordinates, `altitude` above the sea or `height`
-        above the origin.
+        `latitude` and `longitude` [deg] and, for three coordinates, `altitude` above the sea or
+        `height` above the origin [m].
     where : str
-        Start of messages: the source and the field.
+        Start of messages: the file and the field.
+    origin : GeodeticOrigin or None
+        Position of x = y = z = 0 on earth.
+    count : int
+        Number of coordinates: 2 or 3.
+
+    Returns
+    -------
+    list of float
+        x, y and, for three coordinates, z [m].
 
     Raises
     ------
     ScenarioError
-        If the place is not valid, or the mission has no origin; one line.
+        If a coordinate is missing or out of range, or the mission has no origin; one line.
     """
     keys = (_LATITUDE, _LONGITUDE, *((_ALTITUDE, _HEIGHT) if count == 3 else ()))
     strange = next((key for key in written if key not in keys), None)

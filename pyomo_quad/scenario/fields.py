@@ -1,6 +1,7 @@
-"""Declaration of scenario fields, each with unit, meaning and plausible range.
+"""Declaration of scenario fields with unit, meaning and plausible range; access by dotted path.
 
-Fields are arranged in nested tables, as in TOML; they have dotted paths, layers and a depth.
+Fields are in nested tables, as in TOML. A path such as `mission.goal.position[2]` is a tuple of
+keys and list indices.
 """
 
 import re
@@ -20,7 +21,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-# Strict, so that "10" and true are refused as numbers; an integer is accepted.
+# Strict types, so that "10" and true are refused as numbers; an integer is accepted as a float.
 Number = Annotated[float, Strict()]
 WholeNumber = Annotated[int, Strict()]
 Text = Annotated[str, Strict()]
@@ -30,8 +31,8 @@ Triple = tuple[Number, Number, Number]
 #: Ending of keys that give an angle in degrees.
 DEGREES = "_deg"
 
-# Numbers that a table or a command line may hold. Python's own `float` also accepts "2_0" and the
-# digits of any script.
+# Notation of numbers in files of tables and on the command line. Python's `float` would also accept
+# "2_0" and the digits of any script.
 _DECIMAL = re.compile(
     r"[+-]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?|inf|infinity|nan)", re.IGNORECASE
 )
@@ -41,9 +42,18 @@ _ONE_LINE = r"^[^\x00-\x1f\x7f-\x9f\u2028\u2029]*$"
 
 
 class Sound(NamedTuple):
-    """Plausible range of a number, and the reason in words.
+    """Plausible range of a number, with the reason in words.
 
-    A number outside is a typing error or has the wrong unit, and might overflow in arithmetic.
+    A number outside the range is a typing error or has a wrong unit, and might cause overflow.
+
+    Attributes
+    ----------
+    low, high : float
+        Ends of the range, in the field's unit.
+    because : str
+        Reason, for messages and for the table of fields.
+    sign : str
+        Bound at 0 that applies besides the range: "gt" (above 0), "ge" (0 or above) or none.
     """
 
     low: float
@@ -54,12 +64,28 @@ class Sound(NamedTuple):
 
 
 def positive(low: float, high: float, because: str) -> Sound:
-    """Return the plausible range of a number that must be above 0."""
+    """Return the plausible range of a number that must be above 0.
+
+    Parameters
+    ----------
+    low, high : float
+        Ends of the range, in the field's unit.
+    because : str
+        Reason for the range.
+    """
     return Sound(low, high, because, "gt")
 
 
 def not_negative(high: float, because: str) -> Sound:
-    """Return the plausible range of a number from 0 on."""
+    """Return the plausible range of a number that must be 0 or above.
+
+    Parameters
+    ----------
+    high : float
+        Upper end of the range, in the field's unit.
+    because : str
+        Reason for the range.
+    """
     return Sound(0, high, because, "ge")
 
 
@@ -77,7 +103,11 @@ class Part(BaseModel):
 
     @model_serializer(mode="wrap")
     def _record(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Dump the table without fields that are newer than the record and have their default."""
+        """Serialise the table for a record, such as the scenario in the summary of a report.
+
+        Fields that older records lack are left out while they have their default, so that records
+        of unchanged scenarios remain equal.
+        """
         written: dict[str, Any] = dump(self)
         for name, field in type(self).model_fields.items():
             is_late = _declared_with(type(self), name, "is_late")
@@ -87,17 +117,17 @@ class Part(BaseModel):
 
 
 def number_in_text(text: str) -> float:
-    """Read a number in ASCII notation, ignoring surrounding blanks.
+    """Convert the text of a number, in ASCII notation, ignoring surrounding blanks.
 
     Returns
     -------
     float
-        Infinite or NaN if the text says so.
+        Also infinite or NaN, if the text is ``inf`` or ``nan``.
 
     Raises
     ------
     ValueError
-        If the text is anything else.
+        If the text is not a number.
     """
     if _DECIMAL.fullmatch(text.strip(" \t")) is None:
         raise ValueError(f"{text!r} is not a number")
@@ -118,24 +148,39 @@ def quantity(
     unit_keys: Mapping[str, float] | None = None,
     **limits: Any,  # noqa: ANN401
 ) -> Any:  # noqa: ANN401
-    """Declare a field with its unit.
+    """Declare a field of a scenario's table, with unit, meaning and allowed values.
 
     Parameters
     ----------
     unit : str
-        SI unit as a Pyomo unit string, ``"1"`` for a plain number, ``""`` for text.
+        SI unit as a Pyomo unit string; ``"1"`` for a plain number, ``""`` for text and tables.
+    description : str
+        Meaning of the field, in one line.
     default : object, optional
-        Value if neither the scenario nor the library gives one; by default the field is required.
+        Value if neither scenario nor library gives one; without it the field is required.
     allowed : str, optional
-        The allowed texts in words, where a pattern would be hard to read.
+        Allowed texts in words, if the field has a pattern that is hard to read.
+    example : str, optional
+        Example value in TOML, for the message on a missing field.
+    other_names : tuple of str, optional
+        Keys that users may write by mistake for this field; the message then names the field.
+    sound : Sound, optional
+        Plausible range of the number.
     is_late : bool, optional
-        Whether older records lack the field. Its default is the meaning of their silence, and new
-        records leave it out while it has that value.
+        Whether the field is newer than some records (stored scenarios). A record without the field
+        has its default, and new records leave the field out while it has this value.
     initial : object, optional
-        Value implied by a scenario file without the field, if it differs from the default of
-        records.
+        Value of a scenario file without the field, if it differs from the default of records.
     unit_keys : mapping, optional
-        Keys by which a file may give the field in another unit, and that unit in ``unit``.
+        Further keys by which a file may give the field in another unit; each with the factor from
+        that unit to `unit`.
+    **limits
+        Constraints of pydantic, such as ``gt=0`` or ``max_length=200``.
+
+    Returns
+    -------
+    object
+        A pydantic field.
     """
     declared: dict[str, Any] = {} if initial is None else {"default": initial}
     if sound is not None:
@@ -161,54 +206,81 @@ def quantity(
     return field
 
 
-#: Declares a field that older records lack: `quantity` with `is_late`.
+#: Declare a field that older records (stored scenarios) lack: `quantity` with `is_late` set.
 late_quantity = partial(quantity, is_late=True)
-#: Declares a text in one line.
+#: Declare a field with a text of one line, such as a title.
 title_field = partial(quantity, "", pattern=_ONE_LINE, allowed="one line", max_length=200)
 
 
 def unit_of(model: type[BaseModel], name: str) -> str:
-    """Return the unit declared for a field, empty for text and for tables.
+    """Return the unit of a field of a scenario's table.
+
+    Parameters
+    ----------
+    model : type of BaseModel
+        Model of the table.
+    name : str
+        Name of the field.
 
     Returns
     -------
     str
-        Unit string, empty when the field has none or does not exist.
+        Unit string; empty if the field has no unit or does not exist.
     """
     return str(_declared_with(model, name, "unit"))
 
 
 def allowed_text(model: type[BaseModel], name: str) -> str:
-    """Return the allowed texts of a text field, in words.
+    """Return the allowed texts of a table's field, in words.
 
     Returns
     -------
     str
-        Text after "must be"; empty if the field declares none.
+        Words that follow "must be" in a message; empty if the field declares none.
     """
     return str(_declared_with(model, name, "allowed"))
 
 
 def example_of(model: type[BaseModel], name: str) -> str:
-    """Return an example value of a field in TOML; empty if none is declared."""
+    """Return the example value of a table's field, in TOML; empty if none is declared."""
     return str(_declared_with(model, name, "example"))
 
 
 def other_names_of(model: type[BaseModel], name: str) -> tuple[str, ...]:
-    """Return other names by which users may call a field."""
+    """Return keys that users may write by mistake for a field, such as `time` for `duration`."""
     return tuple(_declared_with(model, name, "other_names"))
 
 
 def initial_of(model: type[BaseModel], name: str) -> Any:  # noqa: ANN401
-    """Return the value that a field has in a file that leaves it out, None for the default."""
+    """Return the value of a field that a scenario file leaves out, if it is not the default.
+
+    None if it is the default.
+
+    Parameters
+    ----------
+    model : type of BaseModel
+        Model of the table.
+    name : str
+        Name of the field.
+    """
     return _declared_with(model, name, "default") or None
 
 
 @cache
 def unit_keys_of(model: type[BaseModel]) -> dict[str, tuple[str, float]]:
-    """Return the keys by which a table takes numbers in other units: field and factor of each.
+    """Return the keys by which a table's fields may be given in other units.
 
-    An angle NAME in radians is also taken in degrees, as NAME_deg.
+    An angle NAME in radians may be given in degrees as NAME_deg.
+
+    Parameters
+    ----------
+    model : type of BaseModel
+        Model of the table.
+
+    Returns
+    -------
+    dict
+        For each key the name of the field, and the factor from the key's unit to the field's.
     """
     keys: dict[str, tuple[str, float]] = {}
     for name in model.model_fields:
@@ -236,18 +308,20 @@ def _sound(sound: Sound, value: Any) -> Any:  # noqa: ANN401
 
 FieldPath = tuple[str | int, ...]
 
-# No field is half as deep; the code that follows a path recurses step by step.
+# Largest number of steps of a path, twice the depth of any field; functions that follow a path
+# recurse once for each step.
 _MOST_STEPS = 16
 _STEP = re.compile(r"([A-Za-z0-9_-]+)((?:\[[0-9]{1,3}\])*)")
 
 
 def parse_path(text: str) -> FieldPath | None:
-    """Split `mission.goal.position[2]` into its steps.
+    """Split a path such as `mission.goal.position[2]` into keys and indices.
 
     Returns
     -------
     tuple of str and int, or None
-        The steps, None if the text is not a path or is deeper than any field.
+        The steps, such as ``("mission", "goal", "position", 2)``; None if the text is not a path or
+        has more steps than any field.
     """
     steps: list[str | int] = []
     for part in text.strip().split("."):
@@ -262,7 +336,7 @@ def parse_path(text: str) -> FieldPath | None:
 
 
 def spell(path: FieldPath) -> str:
-    """Write steps as `mission.goal.position[2]`."""
+    """Write a path's keys and indices as text, such as `mission.goal.position[2]`."""
     text = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in path)
     return text.removeprefix(".")
 
@@ -270,10 +344,17 @@ def spell(path: FieldPath) -> str:
 def depth(value: object, allowed: int) -> int:
     """Return the nesting depth of tables and lists, up to a maximum.
 
+    Parameters
+    ----------
+    value : object
+        Tables and lists, or a plain value, whose depth is 0.
+    allowed : int
+        Depth above which the count stops, so that malicious input costs no time.
+
     Returns
     -------
     int
-        Depth, at most ``allowed + 1``; a plain value has depth 0.
+        Depth, at most ``allowed + 1``.
     """
     level, layer = 0, [value]
     while level <= allowed:
@@ -290,7 +371,15 @@ def depth(value: object, allowed: int) -> int:
 
 
 def leaves(tree: Mapping[str, Any], prefix: FieldPath = ()) -> Iterator[tuple[FieldPath, Any]]:
-    """Yield path and value of every entry that is not a table."""
+    """Yield path and value of each entry of nested tables that is not itself a table.
+
+    Parameters
+    ----------
+    tree : mapping
+        Nested tables.
+    prefix : tuple, optional
+        Path of the outer table, put before each path.
+    """
     for key, value in tree.items():
         if isinstance(value, Mapping):
             yield from leaves(value, (*prefix, key))
@@ -299,25 +388,31 @@ def leaves(tree: Mapping[str, Any], prefix: FieldPath = ()) -> Iterator[tuple[Fi
 
 
 def is_number(value: object) -> TypeGuard[float]:
-    """Return whether a value is a number other than true or false."""
+    """Return whether a value is an integer or float; true and false are not numbers."""
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def value_at(tree: Any, *place: str) -> Any:  # noqa: ANN401  before validation
-    """Return the value at a place of nested tables, None where there is none."""
+    """Return the value at a path of nested tables; None if the path does not exist."""
     for step in place:
         tree = tree.get(step) if isinstance(tree, Mapping) else None
     return tree
 
 
 def table_at(tree: Any, *place: str) -> Mapping[str, Any]:  # noqa: ANN401  before validation
-    """Return the table at a place of nested tables, empty where there is none."""
+    """Return the table at a path of nested tables; empty if there is no table."""
     found = value_at(tree, *place)
     return found if isinstance(found, Mapping) else {}
 
 
 def merge(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a copy of a nested table overlaid by another one, whose values take precedence."""
+    """Return a nested table overlaid by another, whose values take precedence.
+
+    Parameters
+    ----------
+    lower, upper : mapping
+        Nested tables; values of `upper` replace those of `lower`.
+    """
     merged = dict(lower)
     for key, value in upper.items():
         below = merged.get(key)
@@ -327,12 +422,21 @@ def merge(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def set_value(tree: object, path: FieldPath, value: object) -> Any:  # noqa: ANN401
-    """Return a copy of nested tables and lists with one value set.
+    """Return a copy of nested tables and lists with the value at one path replaced.
+
+    Parameters
+    ----------
+    tree : object
+        Nested tables and lists.
+    path : tuple of str and int
+        Keys and list indices; missing tables are created.
+    value : object
+        New value.
 
     Raises
     ------
     LookupError
-        If the path goes through a plain value or past the end of a list.
+        If the path goes through a plain value, or past the end of a list.
     """
     if not path:
         return value

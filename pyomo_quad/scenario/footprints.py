@@ -1,9 +1,9 @@
-"""Ground polygons: division into convex parts, and import from GeoJSON with heights.
+"""Zones with polygonal ground plan: division into convex parts, and import from GeoJSON.
 
-Zones are convex, because a zone's limit is the largest distance from its faces.  A concave polygon
-is divided into convex zones NAME-1, NAME-2 and so on, which share edges without gaps.  A concave
-fence becomes its convex hull, and the parts of the hull outside of the fence become zones fence-1,
-fence-2 and so on.
+Keep-out zones must be convex, because a plan keeps out of a zone by a limit on the largest distance
+beyond its faces.  A concave polygon is divided into convex zones NAME-1, NAME-2 and so on, which
+share edges without gaps.  A concave fence becomes its convex hull, and the parts of the hull
+outside of the fence become zones fence-1, fence-2 and so on.
 """
 
 import json
@@ -26,9 +26,14 @@ _Ring = list[tuple[float, float]]
 
 
 def in_convex_parts(airspace: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the table `airspace` with concave polygons divided into convex ones.
+    """Return the table `airspace` with its concave polygons divided into convex parts.
 
-    Invalid polygons are kept, so that validation refuses them.
+    Invalid polygons are not changed; the validation of the scenario refuses them later.
+
+    Parameters
+    ----------
+    airspace : mapping
+        Table as in a scenario file.
     """
     divided = dict(airspace)
     zones: list[Any] = []
@@ -62,7 +67,10 @@ def _parts_of_zone(zone: Mapping[str, Any]) -> list[Any]:
 
 
 def _ring_of(written: Any) -> _Ring | None:  # noqa: ANN401  before validation
-    """Return corners as numbers; None if they cross themselves or enclose no area."""
+    """Return a polygon's corners as pairs of floats.
+
+    None if the corners are not numbers, or the outline crosses itself or encloses no area.
+    """
     from shapely import Polygon  # noqa: PLC0415  for polygons alone
 
     if not isinstance(written, list | tuple) or len(written) < 3:
@@ -84,9 +92,21 @@ def _is_convex(corners: _Ring) -> bool:
 
 
 def convex_parts(corners: _Ring, holes: Sequence[_Ring] = ()) -> list[_Ring]:
-    """Divide a polygon into convex parts: triangulate, then merge neighbours while convex.
+    """Divide a polygon into convex parts: triangulate, then merge neighbours that stay convex.
 
     Method of Hertel and Mehlhorn (1983): at most four times the least number of parts.
+
+    Parameters
+    ----------
+    corners : list of (float, float)
+        Corners of the outer outline, in order.
+    holes : sequence of list, optional
+        Corners of holes.
+
+    Returns
+    -------
+    list of list
+        Corners of each convex part.
     """
     from shapely import Polygon, constrained_delaunay_triangles  # noqa: PLC0415  see `_ring_of`
 
@@ -112,7 +132,7 @@ def convex_parts(corners: _Ring, holes: Sequence[_Ring] = ()) -> list[_Ring]:
 
 
 def _plain(polygon: Any) -> _Ring:  # noqa: ANN401  shapely has no types that mypy reads here
-    """Return the corners of a polygon, except corners on a line between their neighbours."""
+    """Return a polygon's corners without those on a straight line between their neighbours."""
     ring = [(float(x), float(y)) for x, y in polygon.exterior.coords[:-1]]
     extent = polygon.area
     kept = []
@@ -124,7 +144,7 @@ def _plain(polygon: Any) -> _Ring:  # noqa: ANN401  shapely has no types that my
 
 
 def _cut_off(corners: _Ring) -> tuple[_Ring, list[_Ring]]:
-    """Return the convex hull of a polygon, and convex parts of the hull outside of it."""
+    """Return the convex hull of a polygon, and convex parts of the hull outside the polygon."""
     from shapely import Polygon  # noqa: PLC0415  see `_ring_of`
 
     polygon = Polygon(corners)
@@ -136,27 +156,29 @@ def _cut_off(corners: _Ring) -> tuple[_Ring, list[_Ring]]:
 
 
 def read_footprints(file: Path, place: str, origin: GeodeticOrigin | None) -> list[dict[str, Any]]:
-    """Read keep-out zones from GeoJSON (RFC 7946), with longitudes and latitudes on WGS 84.
+    """Read keep-out zones from a GeoJSON file (RFC 7946).
 
     Parameters
     ----------
     file : Path
-        A FeatureCollection of polygons; each has `top` (or `height`), perhaps `bottom` (or
-        `min_height`), in m above the origin, and perhaps a `name`.
+        A FeatureCollection of polygons with longitudes and latitudes on WGS 84. Each feature has
+        the property `top` (or `height`), and may have `bottom` (or `min_height`), both in m above
+        the origin, and `name`.
     place : str
         Start of messages: the field that names the file.
     origin : GeodeticOrigin or None
-        Position of x = y = z = 0.
+        Position of x = y = z = 0 on earth.
 
     Returns
     -------
     list of dict
-        A table `airspace.keep_out` for each convex part.
+        A table `airspace.keep_out`, as in a scenario file, for each convex part.
 
     Raises
     ------
     ScenarioError
-        If it cannot be read, or a feature is no polygon with a height; one line.
+        If the file cannot be read, the mission has no origin, or a feature is not a polygon with a
+        height; one line.
     """
     features = _features(file, place)
     if origin is None:
@@ -187,7 +209,7 @@ def read_footprints(file: Path, place: str, origin: GeodeticOrigin | None) -> li
 
 
 def _as_name(text: str) -> str:
-    """Return a text as the name of a zone, with underscores for other characters."""
+    """Convert a text to a valid name of a zone; other characters become underscores."""
     kept = "".join(c if c.isascii() and (c.isalnum() or c in "_.-") else "_" for c in text)
     return kept[:40] if kept[0].isalnum() else f"zone{kept[:36]}"
 
@@ -222,7 +244,7 @@ def _height(
 
 
 def _polygons(feature: Any, where: str) -> Iterator[list[Any]]:  # noqa: ANN401  untrusted
-    """Yield the rings of each polygon of a feature, the outer ring first."""
+    """Yield the rings of each polygon of a GeoJSON feature, the outer ring first."""
     geometry = feature.get("geometry") if isinstance(feature, Mapping) else None
     told = geometry if isinstance(geometry, Mapping) else {}
     kind, held = told.get("type"), told.get("coordinates")
@@ -235,7 +257,7 @@ def _polygons(feature: Any, where: str) -> Iterator[list[Any]]:  # noqa: ANN401 
 
 
 def _in_metres(rings: list[Any], origin: GeodeticOrigin, where: str) -> tuple[_Ring, list[_Ring]]:
-    """Return the outer ring and the holes of a polygon, x and y [m]."""
+    """Return the outer ring and the holes of a polygon, x and y from the origin [m]."""
     from shapely import Polygon  # noqa: PLC0415  see `_ring_of`
 
     found = []

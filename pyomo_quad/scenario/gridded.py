@@ -1,6 +1,7 @@
-"""Reading of quantities on a rectilinear grid, from NetCDF, CSV or Parquet.
+"""Reading of data on a rectilinear grid, such as wind or terrain, from NetCDF, CSV or Parquet.
 
-The file may be untrusted: it is data only, bounded in size, and checked completely before use.
+The file may come from a stranger: it is read as data only, is bounded in size, and is checked
+completely before use.
 """
 
 from collections.abc import Mapping
@@ -31,7 +32,8 @@ PLACE_AXES = AXES[:2]
 _AXIS_COLUMNS = dict(zip(AXES, ("x_m", "y_m", "z_m", "time_s"), strict=True))
 _COLUMNS_ON_EARTH = ("longitude_deg", "latitude_deg")
 
-# Names of CF, the standard ones first, then those usual in files that have none.
+# Names of coordinates in NetCDF: standard names of the CF conventions first, then names that are
+# usual in files without standard names.
 _AXIS_NAMES = {
     "x": ("projection_x_coordinate", "longitude", "x", "x_m", "lon"),
     "y": ("projection_y_coordinate", "latitude", "y", "y_m", "lat"),
@@ -44,29 +46,31 @@ _ANGLES = tuple(
 )
 _TIMES = {"s": 1.0, "second": 1.0, "seconds": 1.0, "min": 60.0, "h": 3600.0, "hours": 3600.0}
 
-# Deviation in metres of a grid by latitude and longitude from straight lines, relative to its
-# least step.
+# Largest accepted deviation of a grid by latitude and longitude from straight lines in metres, as a
+# share of the grid's least step.
 _SKEW = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
 class Quantity:
-    """A quantity that files give on a grid, with one or several components.
+    """Description of a physical quantity that files give on a grid, such as wind or height.
 
     Attributes
     ----------
     word : str
-        What messages call it.
+        Name of the quantity in messages.
     axes : tuple of str
-        Axes that its grid may have, of `AXES`.
+        Axes that the grid may have, from `AXES`.
     names : tuple of tuple of str
-        Names of each component in NetCDF, that of CF first.
+        For each component its possible names in NetCDF, the standard name of the CF conventions
+        first.
     columns : tuple of str
-        Name of each component in a table.
+        Column of each component in a CSV or Parquet table.
     needed : int
         Number of components that a file must have; the others may be absent.
     units : mapping of str to float
-        Units of NetCDF, each in SI units; the first is that of a variable without any.
+        Units allowed in NetCDF, each with its factor to SI units; the first applies to a variable
+        without a unit.
     """
 
     word: str
@@ -78,10 +82,18 @@ class Quantity:
 
 
 class Gridded(NamedTuple):
-    """Points of each axis by name, rising, and components with one array axis for each.
+    """Data on a rectilinear grid.
 
-    `on_earth` names the axes, of x and y, that are longitudes and latitudes; `is_above_sea` says
-    whether the heights of axis z are altitudes.
+    Attributes
+    ----------
+    axes : dict
+        Ascending grid points of each axis, by name.
+    components : ndarray, shape (n_components, ...)
+        Values, with one further array axis for each axis of the grid.
+    on_earth : tuple of str
+        Which of the axes x and y are a longitude and a latitude [deg].
+    is_above_sea : bool
+        Whether the heights of axis z are altitudes above the sea.
     """
 
     axes: dict[str, FloatArray]
@@ -91,14 +103,22 @@ class Gridded(NamedTuple):
 
 
 def read_gridded(file: Path, place: str, quantity: Quantity) -> Gridded:
-    """Read a quantity on a grid; x and y may be longitude and latitude.
+    """Read a quantity on a rectilinear grid from a file.
 
     Parameters
     ----------
     file : Path
-        NetCDF with CF names and units, or a table with one row for each point of the grid.
+        NetCDF with names and units of the CF conventions, or a CSV or Parquet table with one row
+        for each grid point. x and y may be longitude and latitude.
     place : str
         Start of messages: the field that names the file.
+    quantity : Quantity
+        Names and units of the quantity in files.
+
+    Returns
+    -------
+    Gridded
+        Grid and values, in SI units except for longitude and latitude.
 
     Raises
     ------
@@ -120,10 +140,20 @@ def read_gridded(file: Path, place: str, quantity: Quantity) -> Gridded:
 
 
 def in_metres(field: Gridded, origin: GeodeticOrigin | None, place: str) -> Gridded:
-    """Return a field with x, y and z in metres from the origin.
+    """Convert the axes of gridded data to metres from the mission's origin.
 
     Longitude and latitude are converted along the middle lines of the grid.  Meridians converge
-    toward the poles; a region so large that its grid is skewed is refused.
+    toward the poles; therefore a grid is refused if it spans so much of the earth that it is skewed
+    in metres.
+
+    Parameters
+    ----------
+    field : Gridded
+        Data as read from the file.
+    origin : GeodeticOrigin or None
+        Position of x = y = z = 0 on earth.
+    place : str
+        Start of messages: the field that names the file.
     """
     axes = dict(field.axes)
     if field.is_above_sea and origin is not None:
@@ -213,7 +243,10 @@ def _listed(axes: tuple[str, ...]) -> str:
 
 
 def _named(variables: Mapping[Any, Any], names: tuple[str, ...]) -> Any:  # noqa: ANN401
-    """Return the variable with one of some names, by its standard name or its own name."""
+    """Return the variable that has one of the given names, or None.
+
+    The standard name of a variable counts, and its own name.
+    """
     held = list(variables.values())
     for name in names:
         for variable in held:
@@ -293,7 +326,7 @@ def _from_table(file: Path, place: str, quantity: Quantity) -> Gridded:
 
 
 def _check_columns(columns: list[str], place: str, quantity: Quantity) -> None:
-    """Refuse a table without the columns of a quantity, or with others."""
+    """Raise an error if a table lacks a column of the quantity, or has an unknown one."""
     here, beside = list(_AXIS_COLUMNS.values())[:2], quantity.columns[quantity.needed :]
     known = (*(_AXIS_COLUMNS[axis] for axis in quantity.axes), *quantity.columns)
     needed = (*here, *quantity.columns[: quantity.needed])
@@ -312,9 +345,9 @@ def _check_columns(columns: list[str], place: str, quantity: Quantity) -> None:
 
 
 def _rising(field: Gridded, place: str) -> Gridded:
-    """Return a field with rising axes; refuse a file without x or y, or with too many values.
+    """Sort the grid points of gridded data, and drop axes of height or time with a single point.
 
-    An axis of height or time with a single point is left out.
+    Raises ScenarioError for a file without x or y, or with too many values.
     """
     axes, components = dict(field.axes), field.components
     for lacking in (axis for axis in PLACE_AXES if axis not in axes):
@@ -334,7 +367,17 @@ def _rising(field: Gridded, place: str) -> Gridded:
 
 
 def check_axes(axes: Mapping[str, FloatArray], place: str) -> None:
-    """Refuse axes in SI units that are too short, too far from the origin, or repeat a point."""
+    """Raise an error if an axis of gridded data is not usable.
+
+    It has too few points, points too far from the origin, or a point twice.
+
+    Parameters
+    ----------
+    axes : mapping
+        Ascending grid points of each axis by name, in SI units.
+    place : str
+        Start of messages: the field that names the file.
+    """
     for name, points in axes.items():
         most, unit = (LATEST_TIME, "s") if name == "time" else (_FARTHEST_M, "m")
         if not np.isfinite(points).all() or np.abs(points).max(initial=0.0) > most:

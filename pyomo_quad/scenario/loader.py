@@ -1,4 +1,4 @@
-"""Load a scenario from a file and the settings of the command line."""
+"""Loading of a scenario from a file or from nested mappings, with overrides of fields."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -18,7 +18,7 @@ from pyomo_quad.scenario.schema import Scenario
 
 # Name in messages of a scenario that was not read from a file.
 _MAPPING = "scenario"
-# Table, and its parts that are read from a file -> the field that names the file.
+# Fields whose content is read from a file: table and field, and the field that names the file.
 _READ_FROM = {
     ("wind", "series"): "a CSV file in wind.file",
     ("wind", "grid"): "a NetCDF, CSV or Parquet file in wind.field",
@@ -32,14 +32,16 @@ def load_scenario(
 ) -> Scenario:
     """Read, complete and validate a scenario.
 
-    Later layers win: default, library, scenario file, overrides.
+    A value comes from the overrides, else from the scenario file, else from the library, else from
+    the defaults.
 
     Parameters
     ----------
     path : str, Path or mapping
-        A TOML file, or nested mappings with the same content.
+        A scenario file (TOML), or nested mappings with the same content.
     overrides : sequence of str or mapping, optional
-        ``PATH=VALUE`` with a TOML value, as `--set` takes them; or dotted path -> value.
+        Changed fields: texts ``PATH=VALUE`` with a TOML value, as the option `--set` takes them, or
+        a mapping of dotted path to value.
 
     Returns
     -------
@@ -49,9 +51,9 @@ def load_scenario(
     Raises
     ------
     ScenarioError
-        If the file or fields are not allowed; one line for each, naming the field.
+        If the file cannot be read or fields are invalid; one line for each, which names the field.
     FeasibilityError
-        If the rotors cannot carry the vehicle.
+        If the rotors cannot lift the vehicle.
 
     Examples
     --------
@@ -80,12 +82,12 @@ def load_scenario(
 def scenario_from_mapping(
     tables: Mapping[str, Any], source: str = _MAPPING, folder: FilePath | None = None
 ) -> Scenario:
-    """Complete and validate a scenario given as nested mappings.
+    """Complete and validate a scenario that is given as nested mappings.
 
     Parameters
     ----------
     tables : mapping
-        Content as in a TOML file.
+        Content as in a scenario file.
     source : str, optional
         Name of the scenario in messages.
     folder : Path, optional
@@ -99,9 +101,9 @@ def scenario_from_mapping(
     Raises
     ------
     ScenarioError
-        If a field is not allowed.
+        If a field is invalid.
     FeasibilityError
-        If the rotors cannot carry the vehicle.
+        If the rotors cannot lift the vehicle.
 
     Examples
     --------
@@ -117,12 +119,19 @@ def scenario_from_mapping(
 
 
 def with_overrides(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
-    """Return a scenario with ``PATH=VALUE`` fields changed, as `--set` takes them.
+    """Return a copy of a scenario with some fields changed.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Scenario to change.
+    overrides : sequence of str
+        Texts ``PATH=VALUE`` with a TOML value, as the option `--set` takes them.
 
     Raises
     ------
     ScenarioError
-        If a field or a value is not allowed.
+        If a field is unknown or a value is invalid.
     """
     parsed = _parsed(overrides)
     return scenario.with_values({spell(p): v for p, v in parsed.items()}) if parsed else scenario
@@ -142,7 +151,17 @@ def _from_written(origin: ScenarioSource) -> Scenario:
 
 
 def parse_overrides(overrides: Sequence[str]) -> dict[str, Any]:
-    """Parse overrides such as ``solver.accuracy=proof``: field -> value.
+    """Parse overrides of scenario fields, such as ``solver.accuracy=proof``.
+
+    Parameters
+    ----------
+    overrides : sequence of str
+        Texts ``PATH=VALUE`` with a TOML value.
+
+    Returns
+    -------
+    dict
+        Value of each field, by its dotted path.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Messages about a user's input, in one line: field, value found, values allowed."""
+"""Error messages about a user's input, one line each: field, value found, values allowed."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
@@ -21,7 +21,7 @@ from pyomo_quad.scenario.fields import (
 
 _LONGEST_VALUE = 60
 
-# pydantic's error type -> the allowed values; {name} comes from the error's context.
+# Allowed values in words, by pydantic's type of error; {name} is filled in from the error.
 _ALLOWED: Mapping[str, str] = {
     "greater_than": "must be > {gt}",
     "greater_than_equal": "must be >= {ge}",
@@ -52,11 +52,27 @@ def complaints(
     prefix: FieldPath = (),
     spared: Sequence[FieldPath] = (),
 ) -> list[tuple[FieldPath, str]]:
-    """Describe all errors of a scenario: the path of each, and a line.
+    """Convert the validation errors of pydantic to messages of one line.
 
-    Unknown keys come first, because a misspelt key also leaves a key missing, which is then not
-    reported. In the `spared` paths, missing and contradictory fields are not reported, because the
-    source of their values has failed before.
+    Unknown keys come first. The key that an unknown key probably stands for is not reported as
+    missing.
+
+    Parameters
+    ----------
+    error : ValidationError
+        All errors of a table.
+    model : type of BaseModel
+        Model of the table.
+    prefix : tuple, optional
+        Path of the table in the file, put before the paths in messages.
+    spared : sequence of tuple, optional
+        Paths in which missing and contradictory fields are not reported, because the source of
+        their values has already failed.
+
+    Returns
+    -------
+    list of (tuple, str)
+        Path of the field, and message, of each error.
     """
     # pydantic also reports a list as too short if one of its items is invalid.
     order = {"extra_forbidden": 0, "missing": 2, "too_short": 3}
@@ -87,14 +103,17 @@ _MOST_LINES = 20
 
 
 def listed(lines: Sequence[str]) -> str:
-    """Return one line per error; of many errors, only the first."""
+    """Join messages, one per line; of more than twenty only the first are printed."""
     more = len(lines) - _MOST_LINES
     left_out = [f"... and {more} more."] if more > 0 else []
     return "\n".join([*lines[:_MOST_LINES], *left_out])
 
 
 def _without_branches(path: FieldPath, model: type[BaseModel]) -> FieldPath:
-    """Return a path without pydantic's name for the branch of a field that accepts words."""
+    """Return the path of an error without the name of the type that pydantic tried there.
+
+    Pydantic adds the name for fields that accept a number or a word, such as `mission.duration`.
+    """
     table, _ = declared_place(model, path[:-1])
     last = path[-1] if path else None
     is_branch = len(path) > 1 and bool(words_of(table, str(path[-2]))) and isinstance(last, str)
@@ -102,7 +121,15 @@ def _without_branches(path: FieldPath, model: type[BaseModel]) -> FieldPath:
 
 
 def words_of(model: type[BaseModel], name: str) -> tuple[str, ...]:
-    """Return the words that a field accepts instead of a number."""
+    """Return the words that a field accepts instead of a number, such as "free" for a duration.
+
+    Parameters
+    ----------
+    model : type of BaseModel
+        Model of the table that has the field.
+    name : str
+        Name of the field.
+    """
     field = model.model_fields.get(name)
     annotation: Any = field.annotation if field is not None else None
     literals = [part for part in get_args(annotation) if get_origin(part) is Literal]
@@ -110,13 +137,7 @@ def words_of(model: type[BaseModel], name: str) -> tuple[str, ...]:
 
 
 def shown(value: object) -> str:
-    """Write a value as in TOML, shortened, on one line.
-
-    Returns
-    -------
-    str
-        At most about 60 characters.
-    """
+    """Format a value for a message: as in TOML, on one line, shortened to about 60 characters."""
     if isinstance(value, Mapping):
         return "a table"
     if isinstance(value, bool):
@@ -127,18 +148,20 @@ def shown(value: object) -> str:
 
 
 def printable(text: str) -> str:
-    """Replace line breaks and control characters, so that a message stays one line.
-
-    Returns
-    -------
-    str
-        Text of the same length.
-    """
+    """Replace line breaks and control characters by "?", so that a message stays one line."""
     return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
 def field_paths(model: type[BaseModel], prefix: FieldPath = ()) -> Iterator[FieldPath]:
-    """Yield the paths of all fields of a table and of the tables in it."""
+    """Yield the paths of all fields of a table and of the tables in it.
+
+    Parameters
+    ----------
+    model : type of BaseModel
+        Model of the table.
+    prefix : tuple, optional
+        Path of the table, put before each path.
+    """
     for name in model.model_fields:
         yield (*prefix, name)
         nested = table_of(model, name)
@@ -150,12 +173,19 @@ def field_paths(model: type[BaseModel], prefix: FieldPath = ()) -> Iterator[Fiel
 def declared_place(
     model: type[BaseModel], place: Sequence[str | int]
 ) -> tuple[type[BaseModel], str]:
-    """Find the table that a path leads to, and the unit of the field in it.
+    """Find the table that a path leads to, and the unit of its last field.
+
+    Parameters
+    ----------
+    model : type of BaseModel
+        Model of the whole scenario.
+    place : sequence of str and int
+        Path as keys and list indices.
 
     Returns
     -------
-    tuple
-        The innermost table reached, and the unit string.
+    tuple of (type, str)
+        Model of the innermost table on the path, and the unit string of the field in it.
     """
     table, unit = model, ""
     for step in place:
@@ -234,13 +264,13 @@ def _unknown_key(
 
 
 def _meant(table: type[BaseModel], unknown: str) -> list[str]:
-    """Return the field, or its key in another unit, that an unknown key probably means."""
+    """Return the fields, or keys in other units, that an unknown key probably stands for."""
     meant = [name for name in table.model_fields if unknown in other_names_of(table, name)]
     return meant or get_close_matches(unknown, [*table.model_fields, *unit_keys_of(table)], n=1)
 
 
 def _example(model: type[BaseModel], name: str) -> str:
-    """Return an example value of a field, or a table with its required fields."""
+    """Return an example value of a field in TOML; for a table, one with its required fields."""
     nested = table_of(model, name)
     if nested is None:
         return example_of(model, name)
@@ -252,7 +282,20 @@ def _example(model: type[BaseModel], name: str) -> str:
 
 
 def table_of(model: type[BaseModel], name: str) -> type[BaseModel] | None:
-    """Return the table that a field holds, or a list of it; None for any other field."""
+    """Return the class of the table, or of the tables in the list, that a field holds.
+
+    Parameters
+    ----------
+    model : type of BaseModel
+        Class of the table that has the field.
+    name : str
+        Name of the field.
+
+    Returns
+    -------
+    type of BaseModel or None
+        None if the field holds anything else.
+    """
     field = model.model_fields.get(name)
     annotation: Any = field.annotation if field is not None else None
     is_many = get_origin(annotation) in {Union, UnionType, tuple}
@@ -268,17 +311,25 @@ class PyomoQuadError(Exception):
 
 
 class ScenarioError(PyomoQuadError, ValueError):
-    """A scenario, library or wind file has a value that is not allowed."""
+    """Error: a scenario, or a file that it refers to, has an invalid value."""
 
 
 class FeasibilityError(PyomoQuadError, ValueError):
-    """A valid scenario requires more than the vehicle can physically do."""
+    """Error: a valid scenario demands more than the vehicle can physically do."""
 
 
 class OutputError(PyomoQuadError, RuntimeError):
-    """The results cannot be written to the requested folder."""
+    """Error: results cannot be written to the requested folder or file."""
 
 
 def refuse(place: str, reason: str) -> NoReturn:
-    """Refuse a file, in one line that begins with the field that names it."""
+    """Raise a one-line ScenarioError about a data file.
+
+    Parameters
+    ----------
+    place : str
+        Start of the message: the field that names the file.
+    reason : str
+        What is wrong, and what to do.
+    """
     raise ScenarioError(f"{place}; {reason}.") from None

@@ -1,4 +1,4 @@
-"""The mission: start, goal, waypoints, and a fixed or free duration."""
+"""Table `mission` of a scenario: start, goal, waypoints, and fixed or free duration."""
 
 from collections.abc import Sequence
 from enum import StrEnum
@@ -25,12 +25,12 @@ _TURNS = Sound(-1e4, 1e4, "headings are in radians, a turn is 6.283")
 _ALOFT = Sound(1e-3, 86_400, "flights last from 1 ms to one day")
 _NEAR = "distances within a mission"
 FREE = "free"
-#: Waypoints whose best order is looked for.
+#: Largest number of waypoints whose best order is searched for.
 MOST_ORDERED = 30
 
 
 class Hover(Part):
-    """Place and heading at which the vehicle hovers."""
+    """Position and heading at which the vehicle hovers: start or goal of a mission."""
 
     position: Triple = quantity(
         "m", "position x, y, z in world axes, z up", example="[6.0, 7.0, 8.0]", sound=_FAR
@@ -39,7 +39,7 @@ class Hover(Part):
 
 
 class Aim(StrEnum):
-    """Quantity that a plan minimises."""
+    """Quantity that a plan minimises: energy, battery charge or time."""
 
     ENERGY = "energy"
     CHARGE = "charge"
@@ -47,21 +47,21 @@ class Aim(StrEnum):
 
 
 class Order(StrEnum):
-    """Order in which the waypoints are passed."""
+    """Order in which the waypoints are passed: as given, or with the least energy."""
 
     GIVEN = "given"
     BEST = "best"
 
 
 class Yaw(StrEnum):
-    """Whether the heading may change on the way."""
+    """Whether the heading of the vehicle may change in flight: free, or kept constant."""
 
     FREE = "free"
     KEPT = "kept"
 
 
 class Waypoint(Part):
-    """Place to pass between start and goal, with the conditions on the passage."""
+    """Place to pass between start and goal, with distance, hold, heading, speed and time."""
 
     position: Triple = quantity(
         "m", "position x, y, z to pass, in world axes", example="[3.0, 0.0, 2.0]", sound=_FAR
@@ -99,7 +99,7 @@ class Waypoint(Part):
 
 
 class ReturnFlight(Part):
-    """Steady, level return flight of a vehicle, and the reserve for it."""
+    """Steady, level return flight for which battery charge is kept, and its safety margin."""
 
     margin: Number = quantity(
         "1",
@@ -122,14 +122,14 @@ class ReturnFlight(Part):
 
 
 class NamedDuration(NamedTuple):
-    """Duration [s] and the scenario field that holds it."""
+    """Duration [s], with the scenario field that gives it, for messages."""
 
     field: str
     value: float
 
 
 class Mission(Part):
-    """Start, goal and duration of the flight."""
+    """Start, goal, waypoints and duration of a flight, and what the plan minimises."""
 
     frame: Frame = late_quantity(
         "", "directions of the world axes, enu: x east, y north, z up from the origin", Frame.ENU
@@ -216,13 +216,13 @@ class Mission(Part):
 
     @property
     def positions(self) -> tuple[tuple[float, float, float], ...]:
-        """Positions of start, waypoints and goal, m."""
+        """Positions x, y, z of start, waypoints and goal, in order [m]."""
         between = (waypoint.position for waypoint in self.waypoints)
         return (self.start.position, *between, self.goal.position)
 
     @property
     def named_positions(self) -> tuple[tuple[str, tuple[float, float, float]], ...]:
-        """Positions of start, waypoints and goal, m, each with its field."""
+        """Positions of start, waypoints and goal [m], each with the path of its field."""
         waypoints = (f"waypoints[{k}]" for k in range(len(self.waypoints)))
         names = ("start", *waypoints, "goal")
         fields = (f"mission.{name}.position" for name in names)
@@ -230,27 +230,31 @@ class Mission(Part):
 
     @property
     def released(self) -> float:
-        """Payload released on the way, kg."""
+        """Total payload released at waypoints [kg]."""
         return sum(waypoint.release for waypoint in self.waypoints)
 
     @property
     def is_turning(self) -> bool:
-        """Whether start, waypoints and goal have more than one heading."""
+        """Whether start, waypoints and goal do not all have the same heading."""
         asked = [waypoint.yaw for waypoint in self.waypoints if waypoint.yaw is not None]
         return any(yaw != self.start.yaw for yaw in (*asked, self.goal.yaw))
 
     def paced(self, legs: Sequence[float]) -> tuple[float, ...]:
-        """Return the times at which each waypoint is reached and left, and the end time.
+        """Return the times at which waypoints are reached and left, and the end time.
+
+        A leg is the flight from one place (start, waypoint or goal) to the next. If a waypoint or
+        the goal has a prescribed time, the legs before it are stretched or shortened in proportion
+        to meet it.
 
         Parameters
         ----------
         legs : sequence of float
-            Desired time of each leg, s; the legs before a prescribed time share the time available.
+            Desired time of each leg [s].
 
         Returns
         -------
         tuple of float
-            Two times per waypoint, then the end, s.
+            For each waypoint the times of arrival and departure, then the end time [s].
         """
         goal = self.fixed_duration if not self.is_free else None
         given = (*(waypoint.at for waypoint in self.waypoints), goal)
@@ -276,12 +280,12 @@ class Mission(Part):
 
     @property
     def fixed_duration(self) -> float:
-        """The fixed duration, s; `Scenario.lasting` fixes a free one.
+        """Prescribed duration [s]; `Scenario.lasting` fixes a free duration.
 
         Raises
         ------
         ScenarioError
-            If it is free.
+            If the duration is free.
         """
         if isinstance(self.duration, str):
             raise ScenarioError(
@@ -291,7 +295,7 @@ class Mission(Part):
 
     @property
     def duration_limits(self) -> tuple[float, float]:
-        """Least and greatest duration, s."""
+        """Least and greatest duration [s]; both equal the duration if it is fixed."""
         if not isinstance(self.duration, str):
             return self.duration, self.duration
         return (
@@ -301,12 +305,26 @@ class Mission(Part):
 
     @property
     def longest(self) -> NamedDuration:
-        """The greatest duration and the field that holds it."""
+        """Greatest duration, with the field that gives it."""
         field = "duration_max" if self.is_free else "duration"
         return NamedDuration(f"mission.{field}", self.duration_limits[1])
 
     def chosen(self, duration: float) -> dict[str, float | str | None]:
-        """Return the fields that fix a free duration."""
+        """Return the fields that replace a free duration by a fixed one.
+
+        Limits on the duration and the price of time (the value of a second, in W) get their
+        defaults. The aim of least time becomes least energy, because the time is then fixed.
+
+        Parameters
+        ----------
+        duration : float
+            Fixed duration [s].
+
+        Returns
+        -------
+        dict
+            Values of the fields of the table `mission`, by name.
+        """
         free = Mission.model_fields
         by = ("duration_min", "duration_max", "price_of_time")
         aim = Aim.ENERGY if self.aim is Aim.TIME else self.aim

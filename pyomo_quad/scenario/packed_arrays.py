@@ -1,4 +1,4 @@
-"""Arrays of a scenario written as text: doubles, least byte first, by zlib and base64."""
+"""Arrays stored as text in a scenario: little-endian doubles, zlib-compressed, in base64."""
 
 from base64 import b64decode, b64encode
 from typing import TYPE_CHECKING
@@ -9,12 +9,12 @@ if TYPE_CHECKING:
 
 
 def packed(values: "FloatArray") -> str:
-    """Encode an array, the last axis fastest."""
+    """Encode an array as text, in C order (the last axis varies fastest)."""
     return b64encode(compress(values.astype("<f8").tobytes(), level=1)).decode("ascii")
 
 
 def unpacked(text: str) -> "FloatArray":
-    """Decode an array, in one axis."""
+    """Decode a text that `packed` made, as a one-dimensional array."""
     import numpy as np  # noqa: PLC0415  reading a scenario does without it
 
     return np.frombuffer(decompress(b64decode(text)), dtype="<f8")

@@ -1,13 +1,13 @@
-"""Consistency of a vehicle's numbers: motors, rotors and inertias obey physical laws.
+"""Physical consistency of a vehicle's numbers: motor constants, rotors and inertias.
 
 symbol | meaning
 k_t, k_v | torque constant [N m/A] and voltage constant [rad/s/V]
 tau, omega | torque and speed of one rotor in hover
 P_i | ideal power of hover, T^(3/2) / sqrt(2 rho A), the least for a disc area A
 
-A motor with k_t k_v = 1 conserves energy; a larger product would create power. No rotor hovers
-below P_i (momentum theory). No moment of inertia of a body exceeds the sum of the other two,
-because each integrates the squares of two of the three coordinates.
+A motor with k_t k_v = 1 conserves energy; a larger product would create power. No rotor hovers with
+less power than P_i (momentum theory). No moment of inertia of a body exceeds the sum of the other
+two, because each integrates the squares of two of the three coordinates.
 """
 
 from collections.abc import Iterator
@@ -18,10 +18,10 @@ from math import dist, inf, pi, sqrt
 from pyomo_quad.scenario.tables import Power, PowerModel
 from pyomo_quad.scenario.vehicle import RPM, MotorConstants, Vehicle
 
-#: Relative contradiction allowed between two published numbers: each is rounded to three digits and
-#: therefore off by up to half a per cent.
+#: Accepted relative contradiction between two published numbers: each is rounded to three digits
+#: and therefore wrong by up to half a per cent.
 ROUNDED = 0.01
-# Relative contradiction within rounding above which a remark is shown.
+# Relative contradiction above which a remark is printed, even if rounding explains it.
 _SEEN = 1e-3
 # Figures of merit in hover of small vehicles' rotors, and of the best rotors.
 _USUAL_MERIT, _BEST_MERIT = "0.5 to 0.7", 0.8
@@ -31,14 +31,29 @@ _OF_MOTORS = (PowerModel.MOTOR, PowerModel.MOTOR_WITH_FRICTION)
 
 @dataclass(frozen=True, kw_only=True)
 class Contradiction:
-    """Contradiction between a field and other numbers, in one line."""
+    """Field of a vehicle that contradicts other numbers of the vehicle, with a one-line message."""
 
     field: str
     message: str
 
 
 def created_power(vehicle: Vehicle, power: Power, gravity: float) -> str:
-    """Return a message if the motors create power in hover, empty if they do not."""
+    """Check that the motors do not create power in hover.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The vehicle.
+    power : Power
+        Power model; only models with electrical motor constants are checked.
+    gravity : float
+        Acceleration of gravity [m/s²].
+
+    Returns
+    -------
+    str
+        Message; empty if the motors take at least the power that they give out.
+    """
     motor = vehicle.motor
     if power.model not in _OF_MOTORS or motor is None:
         return ""
@@ -58,7 +73,19 @@ def created_power(vehicle: Vehicle, power: Power, gravity: float) -> str:
 
 
 def contradictions(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[Contradiction]:
-    """Yield the contradictions between the numbers of a vehicle."""
+    """Yield the physical contradictions between a vehicle's numbers.
+
+    Checked are the motor constants, the moments of inertia and the power of hover.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The vehicle.
+    power : Power
+        Power model.
+    gravity : float
+        Acceleration of gravity [m/s²].
+    """
     motor = vehicle.motor
     if motor is not None and not 1 - ROUNDED <= motor.product <= 1 + ROUNDED:
         yield Contradiction(
@@ -85,7 +112,19 @@ def contradictions(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[C
 
 
 def remarks(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[str]:
-    """Yield remarks on numbers at the edge of the possible."""
+    """Yield remarks on numbers that are possible but unusually good.
+
+    Checked are the motor constants within rounding errors, and the figure of merit of the rotors.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The vehicle.
+    power : Power
+        Power model.
+    gravity : float
+        Acceleration of gravity [m/s²].
+    """
     motor = vehicle.motor
     if motor is not None and _SEEN < abs(motor.product - 1) <= ROUNDED:
         slowest = _least_speed(motor, vehicle.drag_torque_coefficient)
@@ -113,9 +152,10 @@ def _motor_constants(motor: MotorConstants) -> str:
 
 
 def _least_speed(motor: MotorConstants, drag_torque_coefficient: float) -> float:
-    """Return the least rotor speed [rad/s] at which a motor creates no power, 0 for any speed.
+    """Return the least rotor speed [rad/s] at which a motor creates no power.
 
-    The copper loss grows with the speed and outweighs, above it, the power created by k_t k_v > 1.
+    The copper loss grows with the speed. Above the returned speed the loss exceeds the power that
+    k_t k_v > 1 creates; 0 if the motor creates no power at any speed.
     """
     created = max(0.0, motor.torque_constant - 1 / motor.voltage_constant)
     return created / (motor.resistance * drag_torque_coefficient / motor.torque_constant)
@@ -131,7 +171,17 @@ def _remedy(motor: MotorConstants) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class _Hover:
-    """Shaft power and ideal rotor power in hover, and the rotor radius."""
+    """Powers of a vehicle in hover, for comparison of shaft power and ideal power.
+
+    Attributes
+    ----------
+    told : str
+        Beginning of a message, with the shaft power.
+    shaft_W, ideal_W : float
+        Power at the shafts of all rotors, and power of ideal rotors.
+    radius : str
+        Rotor radius and its origin in words.
+    """
 
     told: str
     shaft_W: float
@@ -140,7 +190,7 @@ class _Hover:
 
 
 def _hover(vehicle: Vehicle, power: Power, gravity: float) -> _Hover | None:
-    """Return the powers of hover, None if the torque of the rotors does not determine them."""
+    """Return shaft power and ideal power of hover; None if the drag torque does not give them."""
     if power.model is PowerModel.MOMENTUM:
         return None  # this model's powers are at least those of ideal rotors
     places = vehicle.rotor_places

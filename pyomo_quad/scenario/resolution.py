@@ -1,6 +1,7 @@
-"""Layers of a scenario (defaults, library, files, scenario, overrides) and the origin of values.
+"""Completion of a scenario's tables from defaults, library, data files and overrides.
 
-A TOML document may come from an untrusted source: it is data only, bounded in size and depth.
+The origin of each value is recorded. TOML documents may come from strangers: they are read as data
+only, and are bounded in size and depth.
 """
 
 import re
@@ -18,6 +19,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from pyomo_quad.scenario.battery import Battery
+from pyomo_quad.scenario.earth import GeodeticOrigin
 from pyomo_quad.scenario.fields import (
     FieldPath,
     depth,
@@ -54,7 +56,8 @@ from pyomo_quad.scenario.wind_file import read_wind_file
 
 LARGEST_FILE_BYTES = 1_000_000
 DEEPEST_NESTING = 8
-# Comments and texts, closed or unclosed; each part is read once.
+# Comments and strings of TOML, closed or not. Possessive quantifiers avoid backtracking, so that
+# the search takes time in proportion to the length of the text.
 _TEXT = re.compile(
     r"""#[^\n]*+|\"{3}(?:[^"\\]++|\\.|"(?!""))*+(?:\"{3})?|'{3}(?:[^']++|'(?!''))*+(?:'{3})?"""
     r"""|"(?:[^"\\\n]++|\\.)*+"?|'[^'\n]*+'?""",
@@ -65,12 +68,22 @@ _LONG_KEY = re.compile(r"(?<![^.,=\n\[\]{}])(?:[^.,=\n\[\]{}]*+\.){32}")
 
 
 def read_toml(file: Path) -> dict[str, Any]:
-    """Read an untrusted TOML file.
+    """Read a TOML file that may come from a stranger.
+
+    Parameters
+    ----------
+    file : Path
+        The file.
+
+    Returns
+    -------
+    dict
+        Nested tables.
 
     Raises
     ------
     ScenarioError
-        If the file is missing, too large, nested too deep or not TOML.
+        If the file cannot be read, is too large, is nested too deep or is not TOML.
     """
     source = printable(str(file))
     try:
@@ -95,12 +108,12 @@ def read_toml(file: Path) -> dict[str, Any]:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Parse TOML.
+    """Parse the text of a TOML document.
 
     Raises
     ------
     ValueError
-        If the text is not TOML, or nested deeper than its parser can recurse.
+        If the text is not TOML, or is nested deeper than the parser can recurse.
     """
     try:
         if _LONG_KEY.search(_TEXT.sub("''", text)) is None:
@@ -111,19 +124,27 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def refuse_deep(tables: Mapping[str, Any], source: str) -> None:
-    """Refuse tables that are nested deeper than any scenario."""
+    """Raise ScenarioError for tables that are nested deeper than any scenario.
+
+    Parameters
+    ----------
+    tables : mapping
+        Nested tables.
+    source : str
+        Start of the message: the name of the file.
+    """
     if depth(tables, DEEPEST_NESTING) > DEEPEST_NESTING:
         raise ScenarioError(
             f"{source}: nested deeper than {DEEPEST_NESTING} levels; a scenario is a shallow file."
         )
 
 
-# Folder of the library -> table of the scenario that it fills.
+# Table of the scenario that each folder of the library fills.
 LIBRARY_KINDS: Mapping[str, str] = MappingProxyType(
     {"vehicles": "vehicle", "batteries": "battery", "winds": "wind"}
 )
 
-#: Table of a scenario that the library completes -> model that declares its fields.
+#: Models of the scenario's tables that the library completes.
 _TABLES: Mapping[str, type[BaseModel]] = MappingProxyType(
     {"vehicle": Vehicle, "limits": Limits, "battery": Battery, "wind": Wind}
 )
@@ -138,21 +159,21 @@ _SUFFIX = ".toml"
 
 @dataclass(frozen=True, kw_only=True)
 class LibraryEntry:
-    """Named entry of the library, with its sources.
+    """Vehicle, battery or wind of the library, or a user's own file with the same structure.
 
     Attributes
     ----------
     kind, name : str
-        Folder and name.
+        Kind ("vehicles", "batteries" or "winds"), and name or file name.
     tables : mapping
         Scenario tables that the entry fills, ``{"vehicle": {...}, "limits": {...}}``.
     sources : mapping
-        Dotted scenario field -> source of its number.
+        Source (publication, data sheet) of each number, by dotted scenario field.
     base : LibraryEntry or None
-        The library entry that completes a user's own file.
+        Library entry that supplies the values which a user's own file leaves out.
     battery : str
-        Pack that a vehicle flies with unless a scenario names one: a name of the library, or a
-        file beside the vehicle's.  Empty where none is known.
+        Battery pack of a vehicle, used unless the scenario names another: a name of the library, or
+        a file beside the vehicle's. Empty if none is known.
     """
 
     kind: str
@@ -163,19 +184,13 @@ class LibraryEntry:
     battery: str = ""
 
     def values(self) -> dict[str, Any]:
-        """Return the numbers that have a source.
-
-        Returns
-        -------
-        dict
-            Dotted scenario field -> value.
-        """
+        """Return the numbers of the entry that have a source, by dotted scenario field."""
         everything = {spell(path): value for path, value in leaves(self.tables)}
         return {field: everything[field] for field in self.sources}
 
 
 def library_names(kind: str) -> tuple[str, ...]:
-    """List the library's names of one kind.
+    """List the names of all vehicles, batteries or winds of the library.
 
     Parameters
     ----------
@@ -213,7 +228,7 @@ def library_names(kind: str) -> tuple[str, ...]:
 
 @cache
 def library_entry(kind: str, name: str) -> LibraryEntry:
-    """Read one entry of the library.
+    """Read a vehicle, battery or wind of the library.
 
     Parameters
     ----------
@@ -225,7 +240,7 @@ def library_entry(kind: str, name: str) -> LibraryEntry:
     Returns
     -------
     LibraryEntry
-        Its tables and the source of each number.
+        Tables of the scenario that the entry fills, and the source of each number.
 
     Raises
     ------
@@ -254,9 +269,10 @@ def library_entry(kind: str, name: str) -> LibraryEntry:
 def _entry(
     kind: str, name: str, written: Mapping[str, Any], base: LibraryEntry | None
 ) -> LibraryEntry:
-    """Return the entry made of sections of numbers, each bare or with its source.
+    """Make a library entry from the content of its file.
 
-    The entry holds its own tables only; `base` completes them.
+    In the file, a number stands alone or in a table with its source. The entry holds the file's own
+    values only; `base` supplies the others.
     """
     table = LIBRARY_KINDS[kind]
     tables: dict[str, Any] = {table: {"use": name}}
@@ -291,11 +307,20 @@ def _entry(
 
 
 def read_entry(kind: str, name: str, folder: Path) -> LibraryEntry:
-    """Read a user's own library entry from a file.
+    """Read a user's own vehicle, battery or wind from a file.
 
     The file has the structure of the library's files: the sections `fields` and, for a vehicle,
-    `limits`, with each number bare or as a table of `value` and `source`. At its top, `use` names
-    the library entry that completes it, and `battery` the pack of a vehicle.
+    `limits`. A number stands alone, or as a table of `value` and `source`. At the top of the file,
+    `use` names the library entry that supplies other values, and `battery` the pack of a vehicle.
+
+    Parameters
+    ----------
+    kind : str
+        ``vehicles``, ``batteries`` or ``winds``.
+    name : str
+        Name of the file.
+    folder : Path
+        Folder to which the name refers.
 
     Raises
     ------
@@ -311,7 +336,15 @@ def read_entry(kind: str, name: str, folder: Path) -> LibraryEntry:
 
 
 def _shape_complaints(kind: str, written: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the sections and keys that a file of a library kind may not have."""
+    """Yield a message for each section or key that a library file may not have.
+
+    Parameters
+    ----------
+    kind : str
+        ``vehicles``, ``batteries`` or ``winds``.
+    written : mapping
+        Content of the file.
+    """
     sections = _SECTIONS.get(kind, (_FIELDS,))
     tops = ("use", _BATTERY) if kind == _VEHICLES else ("use",)
     for section, content in written.items():
@@ -331,7 +364,10 @@ def _shape_complaints(kind: str, written: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _label_complaints(table: Mapping[str, Any], place: FieldPath) -> Iterator[str]:
-    """Yield complaints about numbers with labels other than value and source."""
+    """Yield a message for each number of a library file that has an unknown key.
+
+    A number stands alone, or as a table with the keys `value` and `source` only.
+    """
     is_labelled = len(place) > 1 and not set(_LABELS).isdisjoint(table)
     for key, content in table.items():
         where = shown(spell((*place, key)))[1:-1]
@@ -352,14 +388,16 @@ def _listed(names: object) -> str:
     return ", ".join(str(name) for name in names)  # type: ignore[attr-defined]
 
 
-# The named sets that a scenario gets when it names none; the pack is that of its vehicle.
+# Library entries of a scenario that names none. The battery is that of the vehicle.
 DEFAULT_LIBRARY: Mapping[str, str] = {"vehicle": "dji_phantom_2", "wind": "calm"}
 
-# Field with the greatest length of a free duration, and the shortest duration, in s.
+# Field that limits a free duration; and duration [s] that a wind file must cover where no limit is
+# given.
 _LONGEST = ("mission", "duration_max")
 _SHORTEST_S = 1e-3
 
-# A forecast is a separate wind, but for the same vehicle: it inherits these fields.
+# Fields that a forecast takes over from the actual wind unless it gives them: they belong to the
+# vehicle, to the notation, or to the uncertainty of forecasts.
 _INHERITED_BY_FORECAST = (
     "acceleration_coefficient",
     "frequency_unit",
@@ -370,7 +408,7 @@ _INHERITED_BY_FORECAST = (
 
 @dataclass(frozen=True, kw_only=True)
 class ScenarioSource:
-    """Source of a scenario: its own tables and the overrides.
+    """Scenario as written by a user: its own tables, and the overrides of fields.
 
     Attributes
     ----------
@@ -379,11 +417,13 @@ class ScenarioSource:
     folder : Path
         Folder to which relative file names refer.
     document : mapping
-        The scenario's own tables, before library and overrides.
+        The scenario's own tables, before values of the library and overrides are added.
     assignments : mapping
-        Path -> value, the overrides in order.
+        Overridden values by path, in order.
     label : str
-        Name of the overrides in messages and provenance.
+        Name of the overrides in messages and in the record of origins.
+    is_resolved : bool
+        Whether the tables are already complete, as in a record of a scenario.
     """
 
     source: str
@@ -396,10 +436,18 @@ class ScenarioSource:
 
 @dataclass(frozen=True, kw_only=True)
 class Resolution:
-    """Completed tables of a scenario and the origin of each value.
+    """Complete tables of a scenario, with the origin of each value and the errors found.
 
-    `complaints` has a line for each value that could not be determined, and `unfilled` the paths
-    that lack fields because of it.
+    Attributes
+    ----------
+    tables : mapping
+        The complete tables.
+    provenance : mapping
+        Origin of each value, by dotted path.
+    complaints : tuple of str
+        A message for each value that could not be determined.
+    unfilled : tuple
+        Paths that lack fields because of these errors.
     """
 
     tables: Mapping[str, Any]
@@ -409,12 +457,24 @@ class Resolution:
 
 
 def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
-    """Complete the tables of a scenario from the library.
+    """Complete the tables of a scenario from defaults, library, data files and overrides.
+
+    Parameters
+    ----------
+    origin : ScenarioSource
+        The scenario as written.
+    model : type of BaseModel
+        Model of the scenario.
+
+    Returns
+    -------
+    Resolution
+        Complete tables, not validated yet, and the origin of each value.
 
     Raises
     ------
     ScenarioError
-        If an override has no place.
+        If an override refers to a place that does not exist, or a place or terrain file is invalid.
     """
     own = _with_assignments(origin, origin.document, indexed=False)
     provenance = {spell(path): "scenario" for path, _ in leaves(origin.document)}
@@ -425,21 +485,23 @@ def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
         filled.add_library((table,), kind)
     if isinstance(value_at(own, "wind", "forecast"), Mapping):
         filled.add_library(("wind", "forecast"), "winds")
-        filled.tables = _inherit_by_forecast(filled.tables, own)
+        for name in _INHERITED_BY_FORECAST:
+            if name in own["wind"]:
+                filled.put(("wind", "forecast", name), own["wind"][name])
     tables = _with_assignments(origin, merge(filled.tables, own), indexed=True)
-    tables = in_plain_terms(tables, own, provenance, origin.source)
-    tables = _add_footprints(origin, tables, provenance)
-    tables = _add_terrain(origin, tables, provenance)
+    filled.tables = in_plain_terms(tables, own, provenance, origin.source)
+    filled.add_footprints()
+    filled.add_terrain()
     try:
-        tables = _add_wind_series(origin, tables, provenance)
-        tables = _add_wind_fields(origin, tables, provenance)
+        filled.add_wind_series()
+        filled.add_wind_fields()
     except ScenarioError as error:
         filled.complain(str(error), ("wind",))
-    tables = in_the_air(tables, origin.document if origin.is_resolved else None, provenance)
-    tables = with_coupling(tables, own, provenance)
-    tables = _with_motor_constants(tables, provenance)
+    tables = in_the_air(filled.tables, origin.document if origin.is_resolved else None, provenance)
+    filled.tables = with_coupling(tables, own, provenance)
+    filled.add_motor_constants()
     return Resolution(
-        tables=_add_derived_limits(tables),
+        tables=_add_derived_limits(filled.tables),
         provenance=provenance,
         complaints=tuple(filled.complaints),
         unfilled=(*filled.unfilled, *(("limits", name) for name in DERIVED_LIMITS)),
@@ -447,7 +509,10 @@ def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
 
 
 def _initial_values(model: type[BaseModel]) -> dict[str, Any]:
-    """Return the initial values of scenario files that differ from the defaults of records."""
+    """Return the values of fields whose default in scenario files differs from that in records.
+
+    A record is a complete scenario that was stored earlier, for example in a report.
+    """
     tables: dict[str, Any] = {}
     for path in field_paths(model):
         table, _ = declared_place(model, path[:-1])
@@ -458,7 +523,17 @@ def _initial_values(model: type[BaseModel]) -> dict[str, Any]:
 
 
 def whose(origin: ScenarioSource, provenance: Mapping[str, str], path: FieldPath) -> str:
-    """Return where a field's value comes from (file, library, option), to begin a message."""
+    """Return the origin of a field's value (file, library entry or option), to begin a message.
+
+    Parameters
+    ----------
+    origin : ScenarioSource
+        The scenario as written.
+    provenance : mapping
+        Origin of each value, by dotted path.
+    path : tuple of str and int
+        Path of the field.
+    """
     for length in range(len(path), 0, -1):
         said = provenance.get(spell(path[:length]))
         if said is not None:
@@ -488,7 +563,7 @@ def _with_assignments(
 
 @dataclass
 class _Filled:
-    """Tables of a scenario during completion, with the errors found."""
+    """Tables of a scenario while library entries are added, with the errors found so far."""
 
     origin: ScenarioSource
     own: Mapping[str, Any]
@@ -496,16 +571,24 @@ class _Filled:
     tables: dict[str, Any]
     complaints: list[str] = field(default_factory=list)
     unfilled: list[FieldPath] = field(default_factory=list)
-    #: Name of the vehicle's pack, with the vehicle that names it.
+    #: Name of the vehicle's battery pack, and name of the vehicle.
     _pack: tuple[str, str] | None = None
 
     def complain(self, line: str, *places: FieldPath) -> None:
-        """Record a line of the message on the whole file, and the paths left incomplete."""
+        """Record an error message, and the paths that remain incomplete because of the error."""
         self.complaints.append(line)
         self.unfilled.extend(places)
 
     def add_library(self, place: tuple[str, ...], kind: str) -> None:
-        """Add a library entry below the scenario's own fields."""
+        """Add the library entry that a table names, for fields that the scenario leaves out.
+
+        Parameters
+        ----------
+        place : tuple of str
+            Path of the table.
+        kind : str
+            ``vehicles``, ``batteries`` or ``winds``.
+        """
         use = (*place, "use")
         if self.origin.is_resolved and use not in self.origin.assignments:
             return
@@ -555,129 +638,110 @@ class _Filled:
                 said[spell(full)] = source
         self.provenance.update(said | self.provenance)
 
+    def put(self, path: FieldPath, value: object, said: str = "") -> None:
+        """Set a value, and say where it comes from if that is not known yet."""
+        self.tables = set_value(self.tables, path, value)
+        if said:
+            self.provenance[spell(path)] = said
+
+    def put_read(self, place: FieldPath, parts: Mapping[str, Any], file: str) -> None:
+        """Set the parts of a table that were read from a file."""
+        self.put(place, parts)
+        said = f"file {shown(file)[1:-1]}"
+        self.provenance |= {spell((*place, part)): said for part in parts}
+
+    def naming(self, path: FieldPath, file: str) -> str:
+        """Return the beginning of messages on a file: source, field, and name of the file."""
+        return f"{whose(self.origin, self.provenance, path)}: {spell(path)} = {shown(file)}"
+
+    def on_earth(self) -> GeodeticOrigin | None:
+        """Return the position of x = y = z = 0 on earth; None if the mission gives no origin."""
+        return origin_of_mission(self.tables, self.origin.source)
+
+    def add_footprints(self) -> None:
+        """Add the keep-out zones of a GeoJSON file, and divide concave polygons into parts."""
+        airspace = self.tables.get("airspace")
+        if not isinstance(airspace, Mapping):
+            return
+        zones, file = airspace.get("keep_out", ()), airspace.get("file")
+        is_listed = isinstance(zones, list | tuple)
+        if isinstance(file, str) and is_listed and not self.origin.is_resolved:
+            where = self.naming(("airspace", "file"), file)
+            read = read_footprints(self.origin.folder / file, where, self.on_earth())
+            airspace = {**airspace, "keep_out": [*zones, *read]}
+            self.provenance["airspace.keep_out"] = f"file {shown(file)[1:-1]}"
+        self.put(("airspace",), in_convex_parts(airspace))
+
+    def add_terrain(self) -> None:
+        """Add the heights of the ground from a file; without a floor, set it to the clearance."""
+        airspace, path = table_at(self.tables, "airspace"), ("airspace", "terrain")
+        file, clearance = airspace.get("terrain"), airspace.get("clearance", 0.0)
+        if not isinstance(file, str):
+            return
+        if "floor" not in airspace and is_number(clearance):
+            said = "airspace.clearance over airspace.terrain"
+            self.put(("airspace", "floor"), clearance, said)
+        if self.origin.is_resolved and path not in self.origin.assignments:
+            return
+        # This module imports pandas, which scenarios without terrain do not need.
+        from pyomo_quad.scenario.terrain_file import read_terrain  # noqa: PLC0415
+
+        where = self.naming(path, file)
+        ground = read_terrain(self.origin.folder / file, where, self.on_earth())
+        self.put_read(("airspace", "ground"), ground, file)
+
+    def winds(self, named: str) -> Iterator[tuple[tuple[str, ...], Mapping[str, Any]]]:
+        """Yield path and table of the wind and of its forecast, if a table names a file."""
+        for place in (("wind",), ("wind", "forecast")):
+            wind = table_at(self.tables, *place)
+            if isinstance(wind.get(named), str):
+                yield place, wind
+
+    def add_wind_fields(self) -> None:
+        """Add the wind over places from files."""
+        for place, wind in self.winds("field"):
+            # This module imports pandas, which scenarios without a wind field do not need.
+            from pyomo_quad.scenario.wind_field import read_wind_field  # noqa: PLC0415
+
+            where = self.naming((*place, "field"), wind["field"])
+            grid = read_wind_field(self.origin.folder / wind["field"], where, self.on_earth())
+            self.put_read((*place, "grid"), grid, wind["field"])
+
+    def add_wind_series(self) -> None:
+        """Add the measured wind from files, and the end of a free duration where the wind ends."""
+        field, longest = _longest(self.tables)
+        known: list[tuple[float, str]] = []
+        for place, wind in self.winds("file"):
+            path, offset = (*place, "file"), wind.get("time_offset", 0.0)
+            where = f"{whose(self.origin, self.provenance, path)}: {spell(path)}"
+            told = (spell(field), _SHORTEST_S if longest is None else longest)
+            series = read_wind_file(self.origin.folder / wind["file"], where, told, offset)
+            self.put_read((*place, "series"), series, wind["file"])
+            if series["times"] and isinstance(offset, int | float):
+                known.append((series["times"][-1] - offset, f"file {shown(wind['file'])[1:-1]}"))
+        if field == _LONGEST and longest is None and known:
+            self.put(field, *min(known))
+
+    def add_motor_constants(self) -> None:
+        """Derive a missing torque or voltage constant from the other one: k_t k_v = 1."""
+        vehicle = table_at(self.tables, "vehicle")
+        names = ("torque_constant", "voltage_constant")
+        for missing, given in (names, names[::-1]):
+            number = vehicle.get(given)
+            if vehicle.get(missing) is None and is_number(number) and number > 0:
+                self.put(("vehicle", missing), 1 / number, f"1 / {given}")
+
 
 def _beside(file: str, pack: str) -> str:
-    """Return a battery file's path relative to the scenario, if a vehicle file names one."""
+    """Return the name of a vehicle's battery pack, with a file's path relative to the scenario."""
     return (FilePath(file).parent / pack).as_posix() if pack.endswith(_SUFFIX) else pack
 
 
-def _inherit_by_forecast(tables: dict[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
-    for name in _INHERITED_BY_FORECAST:
-        if name in own["wind"]:
-            tables = set_value(tables, ("wind", "forecast", name), own["wind"][name])
-    return tables
-
-
-def _add_footprints(
-    origin: ScenarioSource, tables: dict[str, Any], provenance: dict[str, str]
-) -> dict[str, Any]:
-    """Add the zones of a file, and divide polygons that are not convex."""
-    airspace = tables.get("airspace")
-    if not isinstance(airspace, Mapping):
-        return tables
-    zones = airspace.get("keep_out", ())
-    file = airspace.get("file")
-    if isinstance(file, str) and isinstance(zones, list | tuple) and not origin.is_resolved:
-        where = f"{whose(origin, provenance, ('airspace', 'file'))}: airspace.file = {shown(file)}"
-        read = read_footprints(
-            origin.folder / file, where, origin_of_mission(tables, origin.source)
-        )
-        airspace = {**airspace, "keep_out": [*zones, *read]}
-        provenance["airspace.keep_out"] = f"file {shown(file)[1:-1]}"
-    return {**tables, "airspace": in_convex_parts(airspace)}
-
-
-def _add_terrain(
-    origin: ScenarioSource, tables: dict[str, Any], provenance: dict[str, str]
-) -> dict[str, Any]:
-    """Add the heights of the ground, and the floor above it where none is given."""
-    airspace = table_at(tables, "airspace")
-    file = airspace.get("terrain")
-    if not isinstance(file, str):
-        return tables
-    if "floor" not in airspace and is_number(airspace.get("clearance", 0.0)):
-        tables = set_value(tables, ("airspace", "floor"), airspace.get("clearance", 0.0))
-        provenance["airspace.floor"] = "airspace.clearance over airspace.terrain"
-    if origin.is_resolved and "airspace.terrain" not in map(spell, origin.assignments):
-        return tables
-    # Imports pandas, which scenarios without terrain do without.
-    from pyomo_quad.scenario.terrain_file import read_terrain  # noqa: PLC0415
-
-    where = f"{whose(origin, provenance, ('airspace', 'terrain'))}: airspace.terrain = "
-    on_earth = origin_of_mission(tables, origin.source)
-    ground = read_terrain(origin.folder / file, where + shown(file), on_earth)
-    for part in ground:
-        provenance[f"airspace.ground.{part}"] = f"file {shown(file)[1:-1]}"
-    return set_value(tables, ("airspace", "ground"), ground)
-
-
-def _winds(
-    tables: Mapping[str, Any], named: str
-) -> Iterator[tuple[tuple[str, ...], Mapping[str, Any]]]:
-    """Yield the wind and its forecast where they name a file in a field."""
-    for place in (("wind",), ("wind", "forecast")):
-        wind = table_at(tables, *place)
-        if isinstance(wind.get(named), str):
-            yield place, wind
-
-
-def _add_wind_fields(
-    origin: ScenarioSource, tables: dict[str, Any], provenance: dict[str, str]
-) -> dict[str, Any]:
-    for place, wind in _winds(tables, "field"):
-        # Imports pandas, which scenarios without a field do without.
-        from pyomo_quad.scenario.wind_field import read_wind_field  # noqa: PLC0415
-
-        path = (*place, "field")
-        where = f"{whose(origin, provenance, path)}: {spell(path)} = {shown(wind['field'])}"
-        on_earth = origin_of_mission(tables, origin.source)
-        grid = read_wind_field(origin.folder / wind["field"], where, on_earth)
-        tables = set_value(tables, (*place, "grid"), grid)
-        for part in grid:
-            provenance[spell((*place, "grid", part))] = f"file {shown(wind['field'])[1:-1]}"
-    return tables
-
-
-def _add_wind_series(
-    origin: ScenarioSource, tables: dict[str, Any], provenance: dict[str, str]
-) -> dict[str, Any]:
-    field, longest = _longest(tables)
-    known: list[tuple[float, str]] = []
-    for place, wind in _winds(tables, "file"):
-        where = f"{whose(origin, provenance, (*place, 'file'))}: {spell((*place, 'file'))}"
-        offset = wind.get("time_offset", 0.0)
-        told = (spell(field), _SHORTEST_S if longest is None else longest)
-        series = read_wind_file(origin.folder / wind["file"], where, told, offset)
-        tables = set_value(tables, (*place, "series"), series)
-        said = f"file {shown(wind['file'])[1:-1]}"
-        for column in series:
-            provenance[spell((*place, "series", column))] = said
-        if series["times"] and isinstance(offset, int | float):
-            known.append((series["times"][-1] - offset, said))
-    if field == _LONGEST and longest is None and known:
-        # A free duration ends at the end of the known wind.
-        last, provenance[spell(field)] = min(known)
-        tables = set_value(tables, field, last)
-    return tables
-
-
 def _longest(tables: Mapping[str, Any]) -> tuple[tuple[str, str], object]:
-    """Return the field that limits the duration of a mission, and its value."""
+    """Return the path of the field that limits a mission's duration, and its value [s]."""
     is_free = value_at(tables, "mission", "duration") == FREE
     field = _LONGEST if is_free else ("mission", "duration")
     return field, value_at(tables, *field)
-
-
-def _with_motor_constants(tables: dict[str, Any], provenance: dict[str, str]) -> dict[str, Any]:
-    """Derive a missing torque or voltage constant, which are inverse to each other."""
-    vehicle = table_at(tables, "vehicle")
-    names = ("torque_constant", "voltage_constant")
-    for missing, given in (names, names[::-1]):
-        number = vehicle.get(given)
-        if vehicle.get(missing) is None and is_number(number) and number > 0:
-            tables = set_value(tables, ("vehicle", missing), 1 / number)
-            provenance[f"vehicle.{missing}"] = f"1 / {given}"
-    return tables
 
 
 def _add_derived_limits(tables: dict[str, Any]) -> dict[str, Any]:

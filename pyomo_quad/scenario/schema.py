@@ -53,18 +53,19 @@ from pyomo_quad.scenario.unit_keys import Rewritten, in_declared_units, paths_in
 from pyomo_quad.scenario.vehicle import Attitude, Vehicle
 from pyomo_quad.scenario.wind import Air, Wind, WindCoupling
 
-# Acceleration, as a fraction of gravity, assumed for a vehicle without spare thrust; and ratio of
-# the first guess at a free duration to the duration of the quickest flight.
+# Estimate of a free duration: least acceleration, as a fraction of gravity; ratio of the estimate
+# to the duration of the quickest flight; and least value of distance over acceleration [s²].
 _LEAST_LIFT = 0.1
 _UNHURRIED = 2.0
 _SHORTEST_WAY = 1e-2
-# Names become folder names: no separator, no leading dot, no way out of the output folder.
+# Names become folder names: they have no separator and no leading dot, and so cannot lead out of
+# the output folder.
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
 _MODEL_PATTERN = r"^[^:\x00]+\.py:[A-Za-z_][A-Za-z0-9_]*$"
 
 
 class Scenario(Part):
-    """One mission: vehicle, battery, wind, power model, limits, solver and baseline."""
+    """Mission with vehicle, battery, wind, power model, limits, solver and baseline flights."""
 
     name: Text = quantity(
         "",
@@ -103,7 +104,7 @@ class Scenario(Part):
 
     @classmethod
     def from_origin(cls, origin: ScenarioSource) -> Self:
-        """Resolve, validate and check a scenario as written.
+        """Complete and validate a scenario as a user has written it.
 
         Parameters
         ----------
@@ -120,7 +121,7 @@ class Scenario(Part):
         ScenarioError
             If fields are unknown, missing or out of range; the message has one line for each.
         FeasibilityError
-            If the rotors cannot carry the vehicle.
+            If the rotors cannot lift the vehicle.
         """
         origin, rewritten = _in_declared_units(origin, cls)
         resolution = resolve(origin, cls)
@@ -141,7 +142,7 @@ class Scenario(Part):
         return scenario
 
     def __eq__(self, other: object) -> bool:
-        # Scenarios with equal values are the same mission, whatever the origin of the values.
+        # Only values count, not their origin (file, library, default).
         return isinstance(other, Scenario) and self.__dict__ == other.__dict__
 
     def __hash__(self) -> int:
@@ -149,23 +150,26 @@ class Scenario(Part):
 
     @property
     def provenance(self) -> Mapping[str, str]:
-        """Origin of each field: ``default``, ``library NAME``, ``--set``, ``file NAME`` etc."""
+        """Origin of each field's value, by dotted path.
+
+        Origins are ``default``, ``scenario``, ``library NAME``, ``--set``, ``file NAME`` and so on.
+        """
         everywhere = {spell(path): "default" for path, _ in leaves(self.model_dump())}
         return MappingProxyType(everywhere | dict(self._provenance))
 
     @property
     def folder(self) -> FilePath:
-        """Folder to which relative file names of the scenario refer."""
+        """Folder to which the scenario's relative file names refer."""
         return self._origin.folder if self._origin is not None else FilePath()
 
     def with_values(self, values: Mapping[str, Any]) -> Self:
-        """Return a revalidated copy with some fields changed.
+        """Return a validated copy with some fields changed.
 
         Parameters
         ----------
         values : mapping
-            Dotted field -> new value; ``mission.goal.position[2]`` sets one number of a list.
-            Values derived from a changed field are derived again.
+            New value of each field by dotted path; ``mission.goal.position[2]`` sets one number of
+            a list. Values derived from a changed field are derived again.
 
         Returns
         -------
@@ -177,7 +181,7 @@ class Scenario(Part):
         ScenarioError
             If a path is unknown or a value is not allowed.
         FeasibilityError
-            If the rotors cannot carry the changed vehicle.
+            If the rotors cannot lift the changed vehicle.
         """
         origin = self._origin or ScenarioSource(
             source=self.name,
@@ -195,13 +199,13 @@ class Scenario(Part):
         return self.from_origin(replace(origin, assignments=assignments))
 
     def replace(self, changes: Mapping[str, Any]) -> Self:
-        """Return a revalidated copy with some fields changed.
+        """Return a validated copy with some fields changed.
 
         Parameters
         ----------
         changes : mapping
-            Nested as in a scenario's file, or dotted field -> new value, or both mixed.  A table
-            keeps the fields that the changes do not name; a list is replaced as a whole.
+            Nested as in a scenario file, or dotted path -> new value, or both mixed.  A table keeps
+            the fields that the changes do not name; a list is replaced as a whole.
 
         Returns
         -------
@@ -213,7 +217,7 @@ class Scenario(Part):
         ScenarioError
             If a field is unknown or a value is not allowed.
         FeasibilityError
-            If the rotors cannot carry the changed vehicle.
+            If the rotors cannot lift the changed vehicle.
 
         Examples
         --------
@@ -227,18 +231,20 @@ class Scenario(Part):
         return self.with_values(named)
 
     def lasting(self, duration: float, passing_times: Sequence[float] = ()) -> Self:
-        """Return the scenario with a fixed duration and optional passing times of waypoints.
+        """Return the scenario with a fixed duration and, optionally, passing times of waypoints.
 
         Parameters
         ----------
         duration : float
-            Duration of the flight, s, usually chosen by a plan.
+            Duration of the flight [s], usually chosen by a plan.
+        passing_times : sequence of float, optional
+            Time at which each waypoint is passed [s].
 
         Returns
         -------
         Scenario
-            Scenario without the criteria for a free duration; itself if it has that duration
-            already.
+            Copy without limits on the duration and without a price (value) of time; the same object
+            if nothing changes.
         """
         if duration == self.mission.duration and not passing_times:
             return self
@@ -249,7 +255,13 @@ class Scenario(Part):
         return self.with_mission(**values)
 
     def cruising(self, settings: CruiseSettings) -> Self:
-        """Return the scenario with one set of settings of reference cruise."""
+        """Return the scenario with one setting of the reference flight `cruise`, an autopilot.
+
+        Parameters
+        ----------
+        settings : CruiseSettings
+            Largest speed, acceleration and jerk.
+        """
         values = {
             "cruise_speeds": (settings.speed,),
             "cruise_acceleration": settings.acceleration,
@@ -258,7 +270,7 @@ class Scenario(Part):
         return self.model_copy(update={"baseline": self.baseline.model_copy(update=values)})
 
     def with_mission(self, **values: Any) -> Self:  # noqa: ANN401
-        """Return the scenario with some fields of its mission changed, without validation."""
+        """Return the scenario with fields of the table `mission` changed, without validation."""
         mission = self.mission.model_copy(update=values)
         changed = self.model_copy(update={"mission": mission})
         if self._origin is not None:
@@ -270,12 +282,16 @@ class Scenario(Part):
 
     @property
     def nominal_duration(self) -> float:
-        """The duration, or an initial guess of a free duration, s."""
+        """Prescribed duration, or an estimate of a free duration as initial guess [s]."""
         return self.nominal_times[-1]
 
     @property
     def nominal_times(self) -> tuple[float, ...]:
-        """Passing times of waypoints and end time, prescribed or guessed."""
+        """Times at which waypoints are reached and left, and end time [s], prescribed or estimated.
+
+        The estimate takes twice the time of a flight that accelerates over half of each leg and
+        decelerates over the other half.
+        """
         vehicle, limits = self.vehicle, self.limits
         lift = limits.thrust_max / vehicle.total_mass - self.gravity
         acceleration = min(max(lift, _LEAST_LIFT * self.gravity), self.gravity)
@@ -300,9 +316,9 @@ class Scenario(Part):
     def keeps_yaw(self) -> bool:
         """Whether the heading stays constant throughout the flight.
 
-        If power depends on thrust and airspeed alone, a turn has nearly no cost and the best
-        heading is not unique. Unless a heading is prescribed, such a flight keeps its heading, as
-        autopilots do.
+        If the power depends on thrust and airspeed only, a turn costs nearly nothing and the best
+        heading is not unique. Unless a heading is prescribed, the plan of such a flight keeps its
+        heading, as autopilots do.
         """
         if self.mission.yaw is not None:
             return self.mission.yaw is Yaw.KEPT
@@ -312,41 +328,47 @@ class Scenario(Part):
 
     @property
     def mass_at_goal(self) -> float:
-        """Mass in flight after all releases on the way, kg."""
+        """Mass in flight after all releases of payload at waypoints [kg]."""
         return self.vehicle.total_mass - self.mission.released
 
     def as_forecast(self) -> Self:
-        """Return the scenario with the forecast as its only wind.
+        """Return the scenario with the forecast in place of the actual wind.
 
         Returns
         -------
         Scenario
-            Scenario with the forecast in place of the wind; itself if there is no forecast.
+            Scenario that the planner sees; the same object if there is no forecast.
         """
         if self.wind.forecast is None:
             return self
         return self.model_copy(update={"wind": self.wind.forecast})
 
     def as_it_blows(self) -> Self:
-        """Return the scenario without a forecast, so that plans know the actual wind."""
+        """Return the scenario without forecast, so that the planner knows the actual wind."""
         return self.model_copy(update={"wind": self.wind.model_copy(update={"forecast": None})})
 
     @property
     def contradictions(self) -> tuple[Contradiction, ...]:
-        """Contradictions between the vehicle's numbers; none for a user's own model."""
+        """Physical contradictions between the vehicle's numbers.
+
+        Empty if the scenario names its own Python model builder, which may use other numbers.
+        """
         if self.model is not None:
             return ()
         return tuple(contradictions(self.vehicle, self.power, self.gravity))
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Remarks on numbers at the edge of what is possible; none for a user's own model."""
+        """Remarks on vehicle numbers that are unusually good.
+
+        Empty if the scenario names its own Python model builder, which may use other numbers.
+        """
         if self.model is not None:
             return ()
         return tuple(remarks(self.vehicle, self.power, self.gravity))
 
     def _check(self, source: str) -> None:
-        """Raise one error for all contradictions between fields that are valid separately."""
+        """Raise one error for all contradictions between fields that are each valid alone."""
         lines = [
             *self._power_complaints(),
             *self._airspace_complaints(),
@@ -463,7 +485,7 @@ class Scenario(Part):
 
 
 def _meaning(name: str) -> str:
-    """Return the description of a vehicle's field, without its model and its default."""
+    """Return the short meaning of a vehicle's field, the first part of its description."""
     meaning = (Vehicle.model_fields[name].description or name).rpartition(": ")[2]
     return meaning.partition(",")[0]
 
@@ -471,7 +493,13 @@ def _meaning(name: str) -> str:
 def _in_declared_units(
     origin: ScenarioSource, model: type[BaseModel]
 ) -> tuple[ScenarioSource, Rewritten]:
-    """Return an origin with declared fields only, and the conversions made."""
+    """Convert the keys in other units, such as degrees, of a scenario as written.
+
+    Returns
+    -------
+    tuple of (ScenarioSource, Rewritten)
+        The scenario with declared fields only, and the conversions made.
+    """
     document = in_declared_units(origin.document, model)
     assignments, told = paths_in_declared_units(origin.assignments, model)
     both = Rewritten(

@@ -17,11 +17,11 @@ from pyomo_quad.scenario.earth import GeodeticOrigin, local_place
 from pyomo_quad.scenario.fields import FieldPath, is_number, set_value, spell, value_at
 from pyomo_quad.scenario.messages import ScenarioError, complaints, shown
 
-#: Key of a wind for the direction of its origin.
+#: Key for the direction that a wind comes from.
 FROM = "from"
 _DIRECTION = "direction"
 _ORIGIN = ("mission", "origin")
-#: Fields that hold places, and their number of coordinates; a cylinder's centre has two.
+#: Number of coordinates of each field that holds places; the centre of a cylinder has only two.
 PLACES = {"position": 3, "rally": 3, "centre": 3, "low": 3, "high": 3}
 _CORNERS = "corners"
 _LATITUDE = "latitude"
@@ -37,21 +37,29 @@ def in_plain_terms(
     provenance: dict[str, str],
     source: str,
 ) -> dict[str, Any]:
-    """Convert places to metres and wind directions to the direction that the wind blows to.
+    """Convert places on earth to metres, and wind origins to directions that the wind blows to.
 
     Parameters
     ----------
-    tables, own : mapping
-        The merged tables, and the tables of the scenario and its overrides alone.
+    tables : dict
+        Tables of the scenario with values of the library.
+    own : mapping
+        Tables that the user wrote in the scenario and its overrides.
     provenance : dict
-        Origin of each field; converted fields are added.
+        Origin of each value by dotted path; entries of converted fields are added.
     source : str
         Start of messages.
+
+    Returns
+    -------
+    dict
+        The tables with x, y, z in place of latitude and longitude, and `direction` in place of
+        `from`.
 
     Raises
     ------
     ScenarioError
-        If a field is given twice, or an angle or a place is not valid; one line.
+        If a field is given in both notations, or an angle or a place is not valid; one line.
     """
     found = list(_written_otherwise(tables, ()))
     is_on_earth = any(isinstance(value, Mapping) for _, value in found)
@@ -73,7 +81,7 @@ def in_plain_terms(
 
 
 def _written_otherwise(tree: Any, path: FieldPath) -> Iterator[tuple[FieldPath, Any]]:  # noqa: ANN401
-    """Yield path and value of each field that uses an alternative notation."""
+    """Yield path and value of each field that is written in an alternative notation."""
     items: Any = ()
     if isinstance(tree, Mapping):
         items = tree.items()
@@ -96,7 +104,14 @@ def _written_otherwise(tree: Any, path: FieldPath) -> Iterator[tuple[FieldPath, 
 
 
 def origin_of_mission(tables: Mapping[str, Any], source: str) -> GeodeticOrigin | None:
-    """Return the position of x = y = z = 0 on earth, None if the mission gives none.
+    """Return the position of x = y = z = 0 on earth; None if the mission gives none.
+
+    Parameters
+    ----------
+    tables : mapping
+        Tables of the scenario.
+    source : str
+        Start of messages.
 
     Raises
     ------
@@ -114,7 +129,7 @@ def origin_of_mission(tables: Mapping[str, Any], source: str) -> GeodeticOrigin 
 
 
 def _count(tables: Any, path: FieldPath) -> int:  # noqa: ANN401  tables of TOML
-    """Return the number of coordinates of a place."""
+    """Return the number of coordinates of the place at a path: 2 or 3."""
     if _CORNERS in path:
         return 2
     table = tables
@@ -140,7 +155,7 @@ def _refuse_both(own: Any, path: FieldPath, target: FieldPath, source: str) -> N
 
 
 def _towards(value: object, where: str) -> float:
-    """Convert a direction that a wind comes from [deg] to one that it blows to [rad]."""
+    """Convert a direction that a wind comes from [deg] to the direction it blows to [rad]."""
     if not is_number(value) or not abs(value) <= _MOST_TURN:
         raise ScenarioError(
             f"{where} = {shown(value)}; must be a number from {-_MOST_TURN:g} to {_MOST_TURN:g} "

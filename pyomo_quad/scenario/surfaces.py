@@ -1,10 +1,11 @@
-"""Smooth surfaces above and below the ground, which is bilinear between the points of a grid.
+"""Smooth surfaces above and below terrain that is given on a grid.
 
-A `Surface` is a cubic spline that is nowhere below the ground, or nowhere above it.  It begins as
-the spline through the heights.  Spline and ground are polynomials in each cell, and their
-difference is at least the least of its Bernstein coefficients there.  Where that is negative, all
-B-spline coefficients that have a part in the cell are raised by as much: the Bernstein coefficients
-are averages of them, so that none stays negative.
+Between the points of the grid the ground is bilinear. A `Surface` is a cubic spline that is nowhere
+below the ground, or nowhere above it.  It begins as the spline through the heights.  Spline and
+ground are polynomials in each cell, and their difference is at least the least of its Bernstein
+coefficients there.  Where that coefficient is negative, all B-spline coefficients that influence
+the cell are raised by as much: the Bernstein coefficients are averages of the B-spline
+coefficients, so that none stays negative.
 """
 
 from dataclasses import dataclass
@@ -18,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pyomo_quad.arrays import FloatArray
 
-# Height by which surfaces keep off the ground because of rounding errors [m].
+# Height by which surfaces are moved away from the ground because of rounding errors [m].
 _ROUNDING_M = 1e-6
 _CUBIC = 3
 _FEWEST_POINTS = 4
@@ -27,24 +28,24 @@ _THIRDS = np.linspace(0.0, 1.0, _CUBIC + 1)
 _TO_BERNSTEIN = np.linalg.inv(
     [[comb(_CUBIC, k) * s**k * (1 - s) ** (_CUBIC - k) for k in range(_CUBIC + 1)] for s in _THIRDS]
 )
-# Shares of what is lacking by which coefficients are raised in turn: what neighbours are raised by
-# often makes up for a part of it.
+# Shares of the missing height by which coefficients are raised, iteration by iteration. Raising a
+# neighbour often supplies a part of the missing height, so that small steps raise less in total.
 _SHARES = (*(0.3,) * 10, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Surface:
-    """A cubic spline of x and y that does not cross the ground.
+    """Cubic spline of x and y that does not cross the ground; stands for terrain in height limits.
 
     Attributes
     ----------
     x, y : ndarray
         Points of the grid [m], at least four each.
     heights : ndarray, shape (len(x), len(y))
-        Of the surface at the points of the grid [m]; the surface is the not-a-knot spline through
-        them.
+        Heights of the surface at the points of the grid [m]; the surface is the not-a-knot spline
+        through them.
     excess : float
-        Bound of its distance from the ground [m].
+        Upper bound on the distance between surface and ground [m].
     """
 
     x: FloatArray
@@ -53,9 +54,20 @@ class Surface:
     excess: float
 
     def at(self, places: ArrayLike) -> FloatArray:
-        """Return the height of the surface at places (..., 2 or 3) [m], outside that of the border.
+        """Return the height of the surface at places [m].
 
-        Outside of the grid the ground is not known; figures draw it as far as they reach.
+        Outside the grid, where the ground is not known, the height is that at the grid's border;
+        figures need it.
+
+        Parameters
+        ----------
+        places : array_like, shape (..., 2) or (..., 3)
+            Positions x, y and perhaps z, which is ignored [m].
+
+        Returns
+        -------
+        ndarray, shape (...)
+            Heights.
         """
         from scipy.interpolate import NdBSpline  # noqa: PLC0415  see `_through`
 
@@ -69,14 +81,34 @@ class Surface:
 
 
 def surface_of(x: ArrayLike, y: ArrayLike, heights: FloatArray, side: int) -> Surface:
-    """Return a surface that is nowhere below the ground (side 1) or nowhere above it (side -1)."""
+    """Construct a smooth surface that is nowhere below the ground, or nowhere above it.
+
+    The method is described at the head of this file.
+
+    Parameters
+    ----------
+    x, y : array_like
+        Points of the grid [m], ascending.
+    heights : ndarray, shape (len(x), len(y))
+        Heights of the ground at the points [m].
+    side : int
+        1 for nowhere below the ground, -1 for nowhere above.
+
+    Returns
+    -------
+    Surface
+        A cubic spline, with a bound on its distance from the ground.
+    """
     x, y, ground = _with_enough_points(np.array(x), np.array(y), heights)
     knots, coefficients = _through(x, y, side * ground)
     along_x, along_y = (_Axis.of(*pair) for pair in zip((x, y), knots, strict=True))
     of_ground = along_y.line @ (along_x.line @ (side * ground)).T
 
     def above(held: FloatArray) -> FloatArray:
-        """Return the Bernstein coefficients of spline less ground, first two axes of cells."""
+        """Return the Bernstein coefficients of spline minus ground, cell by cell.
+
+        The shape is (cells along x, cells along y, 4, 4).
+        """
         found = (along_y.cubic @ (along_x.cubic @ held).T - of_ground).T
         return found.reshape(x.size - 1, 4, y.size - 1, 4).swapaxes(1, 2)
 
@@ -92,7 +124,10 @@ def surface_of(x: ArrayLike, y: ArrayLike, heights: FloatArray, side: int) -> Su
 def _with_enough_points(
     x: FloatArray, y: FloatArray, ground: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the grid with points added on the same ground until a cubic spline has enough."""
+    """Refine a grid with fewer than four points on an axis, without changing the ground.
+
+    A cubic spline needs four points.
+    """
     axes = [x, y]
     for number, axis in enumerate(axes):
         if axis.size < _FEWEST_POINTS:
@@ -107,7 +142,7 @@ def _with_enough_points(
 def _through(
     x: FloatArray, y: FloatArray, heights: FloatArray
 ) -> tuple[tuple[FloatArray, FloatArray], FloatArray]:
-    """Return knots and coefficients of the not-a-knot spline through heights."""
+    """Return knots and coefficients of the not-a-knot cubic spline through heights on a grid."""
     from scipy.interpolate import make_interp_spline  # noqa: PLC0415  for terrain alone
 
     first = make_interp_spline(x, heights, _CUBIC)
@@ -118,16 +153,17 @@ def _through(
 
 @dataclass(frozen=True, kw_only=True)
 class _Axis:
-    """Spline basis functions along one axis of a grid with n points.
+    """Matrices that evaluate spline and ground along one axis of a grid with n points.
 
     Attributes
     ----------
     cubic, line : sparse matrix, shape (4 n - 4, n)
-        To the Bernstein coefficients in each cell, from those of the spline, and from the ground.
+        Bernstein coefficients in each cell, from the coefficients of the spline, and from the
+        heights of the ground.
     at_points : sparse matrix, shape (n, n)
-        To the values at the points, from the coefficients of the spline.
+        Values of the spline at the points, from its coefficients.
     first : ndarray of int, shape (n - 1,)
-        The first of the four coefficients that have a part in each cell.
+        Index of the first of the four spline coefficients that influence each cell.
     """
 
     cubic: Any
@@ -151,7 +187,18 @@ class _Axis:
         )
 
     def greatest(self, of_cells: FloatArray) -> FloatArray:
-        """Return, for each spline coefficient, the greatest value of the cells that it affects."""
+        """Return, for each spline coefficient, the greatest value of the cells that it influences.
+
+        Parameters
+        ----------
+        of_cells : ndarray, shape (n - 1, ...)
+            Value of each cell.
+
+        Returns
+        -------
+        ndarray, shape (n, ...)
+            Value for each coefficient.
+        """
         found = np.zeros((of_cells.shape[0] + 1, *of_cells.shape[1:]))
         for k in range(_CUBIC + 1):
             np.maximum.at(found, self.first + k, of_cells)

@@ -1,4 +1,4 @@
-"""Tables of a scenario: baselines and their gains, battery, power, solver and limits."""
+"""Tables `baseline`, `power`, `solver` and `limits` of a scenario, and the controller's gains."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -33,7 +33,12 @@ _MOST_SPEEDS = 20
 
 
 class Reference(StrEnum):
-    """Kind of trajectory for the controller to follow."""
+    """Reference trajectory that the controller follows in a baseline flight.
+
+    `STEP` commands the goal at once, `QUINTIC` and `MINIMUM_SNAP` are polynomials of time, `PLAN`
+    is the minimum-energy plan, and `CRUISE` flies like an autopilot with limited speed,
+    acceleration and jerk.
+    """
 
     STEP = "step"
     QUINTIC = "quintic"
@@ -42,12 +47,12 @@ class Reference(StrEnum):
     CRUISE = "cruise"
 
 
-#: References that last as long as the mission; cruise has its own duration.
+#: References whose flights last as long as the mission; cruise has a duration of its own.
 MISSION_TIMED = tuple(reference for reference in Reference if reference is not Reference.CRUISE)
 
 
 class Gains(Part):
-    """Gains of the adaptive backstepping law, per unit of mass and of inertia.
+    """Gains of the adaptive backstepping controller, per unit of mass and of inertia.
 
     Because of the division by mass and inertia, the defaults suit vehicles of any size. They place
     the poles of the position error at 1.5 and 3 rad/s, of the tilt command at 12 rad/s, of the
@@ -100,7 +105,7 @@ class Gains(Part):
 
 
 class Knowledge(StrEnum):
-    """Knowledge of the wind in re-planning: actual, estimated, or none."""
+    """Knowledge of the wind when a mission is planned again in flight: true, estimated or none."""
 
     TOLD = "told"
     ESTIMATED = "estimated"
@@ -108,14 +113,14 @@ class Knowledge(StrEnum):
 
 
 class SolveTiming(StrEnum):
-    """Model of the solve time in the simulated flight."""
+    """Time that a solve takes in a simulated flight: as the scenario states, or as measured."""
 
     STATED = "stated"
     MEASURED = "measured"
 
 
 class Replanning(Part):
-    """Re-planning in flight: the remaining mission is solved repeatedly."""
+    """Re-planning in flight (model-predictive control): the rest of the mission is solved again."""
 
     interval: Number = quantity(
         "s",
@@ -145,7 +150,10 @@ class Replanning(Part):
 
 @dataclass(frozen=True, kw_only=True)
 class CruiseSettings:
-    """Settings of an autopilot's cruise: largest speed, acceleration and jerk, in SI units."""
+    """Settings of the baseline flight `cruise`, which flies like an autopilot.
+
+    They are the largest speed [m/s], acceleration [m/s²] and jerk [m/s³].
+    """
 
     speed: float
     acceleration: float
@@ -153,12 +161,12 @@ class CruiseSettings:
 
     @property
     def words(self) -> str:
-        """The settings in words, such as "9.2 m/s, 4.1 m/s² and 31 m/s³"."""
+        """Largest speed, acceleration and jerk in words: "9.2 m/s, 4.1 m/s² and 31 m/s³"."""
         return f"{self.speed:.3g} m/s, {self.acceleration:.3g} m/s² and {self.jerk:.3g} m/s³"
 
 
 class Baseline(Part):
-    """Flights for comparison, and settings of the controller."""
+    """Flights that a plan is compared with, and settings of their controller."""
 
     references: tuple[Reference, ...] = quantity(
         "",
@@ -192,7 +200,7 @@ class Baseline(Part):
     mpc: Replanning | None = late_quantity("", "re-planning in flight, not flown when absent", None)
 
     def cruise_settings(self, speed: float) -> CruiseSettings:
-        """Return the settings of the cruise at a speed [m/s]."""
+        """Return the settings of the baseline flight `cruise` at a largest speed [m/s]."""
         return CruiseSettings(
             speed=speed, acceleration=self.cruise_acceleration, jerk=self.cruise_jerk
         )
@@ -220,7 +228,7 @@ class PowerModel(StrEnum):
 
 
 _ELECTRICS = ("torque_constant", "voltage_constant", "motor_resistance")
-#: Power model -> the numbers of the vehicle that it uses and that other models do without.
+#: Numbers of the vehicle that each power model needs and that some other models do not.
 USED_BY: Mapping[PowerModel, tuple[str, ...]] = {
     PowerModel.MOTOR: _ELECTRICS,
     PowerModel.MOTOR_WITH_FRICTION: _ELECTRICS,
@@ -230,7 +238,7 @@ USED_BY: Mapping[PowerModel, tuple[str, ...]] = {
     PowerModel.MOMENTUM: ("rotor_radius", "torque_constant", "motor_resistance"),
 }
 
-# Models whose power balance holds for either direction of the energy flow. In the other models, a
+# Power models that are valid for braking, too, when energy flows back. In the other models, a
 # braking power divided by an efficiency would return more energy than braking absorbs.
 _REGENERATING = (
     PowerModel.MOTOR,
@@ -241,7 +249,7 @@ _REGENERATING = (
 
 
 class Power(Part):
-    """Choice of the power model and the regularisation of the `efficiency` model."""
+    """Choice and parameters of the power model."""
 
     model: PowerModel = quantity("", "power model", PowerModel.MOTOR)
     efficiency: Number = quantity("1", "drive efficiency of constant_efficiency", 0.75, gt=0, le=1)
@@ -291,12 +299,13 @@ class Power(Part):
         return {**given, "regeneration": given.get("model", PowerModel.MOTOR) in _REGENERATING}
 
 
-# Points of the first mesh that fit into 8 GB of memory; a thousand points take about 0.1 GB.
+# Largest number of collocation points of the first mesh: a thousand points take about 0.1 GB of
+# memory, so that these fit into 8 GB.
 _MOST_POINTS = 50_000
 
 
 class Solver(Part):
-    """Accuracy, first mesh and limits on the effort of the solver."""
+    """Required accuracy, first mesh, and limits on the effort of the solver."""
 
     accuracy: Accuracy = late_quantity(
         "",
@@ -347,18 +356,18 @@ class Solver(Part):
         return self
 
 
-#: rad/s.
+#: Largest rotor speed that a scenario may have [rad/s].
 FASTEST_ROTOR = 1e5
 _ANGLE = positive(1e-4, 2, "angles are in radians")
 _MOMENT = positive(0, 1e8, "the weight of 10 t on an arm of 1 km is 1e8 N m")
 
 
-# Fraction of the charge that packs usually keep, and above which the battery's equations are exact.
+# Fraction of the charge that is usually left in a pack. Above it the battery's equations are exact.
 _LEAST_CHARGE = 0.2
 
 
 class Limits(Part):
-    """Limits on the plan, which the controller keeps too."""
+    """Limits on vehicle and battery that both the plan and the controller keep."""
 
     roll_max: Number = quantity(
         "rad", "largest roll angle, eq. (10)", pi / 2, le=pi / 2, sound=_ANGLE
@@ -441,32 +450,34 @@ class Limits(Part):
 
     @property
     def least_charge(self) -> float:
-        """Fraction of the charge that must remain, one fifth by default."""
+        """Fraction of the battery charge that must remain, one fifth by default."""
         least = self.state_of_charge_min
         return _LEAST_CHARGE if least is None else least / 100.0
 
     @property
     def largest_tilt(self) -> float:
-        """Tilt of the thrust with roll and pitch both at their limits [rad]."""
+        """Tilt of the thrust from the vertical if roll and pitch are both at their limits [rad]."""
         return acos(cos(self.roll_max) * cos(self.pitch_max))
 
 
-#: Limits that follow from the rotors' greatest speed.
+#: Limits that are derived from the rotors' greatest speed unless the scenario gives them.
 DERIVED_LIMITS = ("thrust_max", "roll_moment_max", "pitch_moment_max", "yaw_moment_max")
 
 
 def derived_limits(vehicle: Vehicle, rotor_speed_max: float) -> dict[str, float]:
-    """Return the thrust and moment limits that the rotor speed limit implies.
+    """Return the thrust and moment limits that follow from the rotors' largest speed.
 
     Parameters
     ----------
+    vehicle : Vehicle
+        Number, places and coefficients of the rotors.
     rotor_speed_max : float
-        Largest rotor speed, rad/s.
+        Largest rotor speed [rad/s].
 
     Returns
     -------
     dict
-        Values of `thrust_max` (eq. 10) and of the three moment limits (eq. 7), SI.
+        Values of `thrust_max` (eq. 10) [N] and of the three moment limits (eq. 7) [N m].
     """
     rotor_thrust = vehicle.thrust_coefficient * rotor_speed_max**2
     rotor_drag_torque = vehicle.drag_torque_coefficient * rotor_speed_max**2

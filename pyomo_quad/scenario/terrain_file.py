@@ -1,4 +1,4 @@
-"""Heights of the ground on a grid, from NetCDF, CSV or Parquet."""
+"""Reading of terrain, heights of the ground on a grid, from NetCDF, CSV or Parquet."""
 
 from pathlib import Path
 from typing import Any
@@ -42,22 +42,22 @@ _LOWEST, _HIGHEST, _ = GLOBE["altitude"]
 
 
 def read_terrain(file: Path, place: str, origin: GeodeticOrigin | None = None) -> dict[str, Any]:
-    """Read and check the heights of the ground.
+    """Read and check the heights of the ground on a grid.
 
     Parameters
     ----------
     file : Path
-        NetCDF with CF names and units, or a table with one row for each place.
+        NetCDF with names and units of the CF conventions, or a table with one row for each place.
     place : str
         Start of messages: the field that names the file.
     origin : GeodeticOrigin, optional
-        Position of x = y = z = 0; with it heights are altitudes above the sea, without it heights
-        above z = 0.
+        Position of x = y = z = 0 on earth. If given, the file's heights are altitudes above the
+        sea, otherwise heights above z = 0.
 
     Returns
     -------
     dict
-        The fields of a `TerrainGrid`.
+        The fields of a `TerrainGrid`, in metres from the origin.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def read_terrain(file: Path, place: str, origin: GeodeticOrigin | None = None) -
     if origin is not None:
         heights = heights - origin.altitude
     if origin is not None and read.on_earth:
-        # The earth's surface drops below the tangent plane at the origin.
+        # z counts from the tangent plane at the origin, below which the earth's surface drops.
         east, north = np.meshgrid(*(read.axes[axis] for axis in PLACE_AXES), indexing="ij")
         globe = np.column_stack([north.ravel(), east.ravel(), heights.ravel()])
         heights = origin.local(globe)[:, 2].reshape(heights.shape)

@@ -1,6 +1,6 @@
-"""Conversion of keys that give a field in another unit, such as `roll_max_deg`.
+"""Conversion of keys that give a field in another unit, such as `roll_max_deg`, to SI units.
 
-All later stages know only the declared fields, in SI units.
+Later stages of reading a scenario handle only the declared fields, in SI units.
 """
 
 from collections.abc import Iterator, Mapping
@@ -15,10 +15,18 @@ from pyomo_quad.scenario.messages import shown, table_of
 
 @dataclass(frozen=True, kw_only=True)
 class Rewritten:
-    """Tables that contain declared fields only.
+    """Tables of a scenario after the conversion of keys in other units.
 
-    `spellings` gives the key that a file used, by the field's path; `complaints` has a line for
-    each key that cannot be converted, and `unread` the field that the key stands for.
+    Attributes
+    ----------
+    tables : dict
+        Tables that contain declared fields only, in SI units.
+    spellings : dict
+        Key and value that the file had, by the path of the converted field, for messages.
+    complaints : list of str
+        A message for each key that cannot be converted.
+    unread : list
+        Paths of the fields that such keys stand for.
     """
 
     tables: dict[str, Any]
@@ -28,7 +36,22 @@ class Rewritten:
 
 
 def in_declared_units(tables: Mapping[str, Any], model: type[BaseModel]) -> Rewritten:
-    """Return nested tables, as read from a file, with every key in another unit converted."""
+    """Convert all values that nested tables give in other units, such as degrees, to SI units.
+
+    A key such as `roll_max_deg` stands for the field `roll_max` in degrees.
+
+    Parameters
+    ----------
+    tables : mapping
+        Tables as read from a file.
+    model : type of BaseModel
+        Model that declares the fields, and the keys for other units.
+
+    Returns
+    -------
+    Rewritten
+        Tables with declared fields only, and the conversions made.
+    """
     rewritten = Rewritten(tables={})
     rewritten.tables.update(_table(tables, model, (), rewritten))
     return rewritten
@@ -37,7 +60,20 @@ def in_declared_units(tables: Mapping[str, Any], model: type[BaseModel]) -> Rewr
 def paths_in_declared_units(
     assignments: Mapping[FieldPath, Any], model: type[BaseModel]
 ) -> tuple[dict[FieldPath, Any], Rewritten]:
-    """Return assignments, path to value, with every key in another unit converted."""
+    """Convert all overrides of fields that are given in other units, such as degrees, to SI units.
+
+    Parameters
+    ----------
+    assignments : mapping
+        New value of each field, by path.
+    model : type of BaseModel
+        Model that declares the fields, and the keys for other units.
+
+    Returns
+    -------
+    tuple of (dict, Rewritten)
+        The overrides by the path of the declared field, and the conversions made.
+    """
     rewritten, found = Rewritten(tables={}), {}
     for path, value in assignments.items():
         names = [step for step in path if isinstance(step, str)]
@@ -47,7 +83,7 @@ def paths_in_declared_units(
         rewritten.unread.extend(one.unread)
         if one.complaints:
             continue
-        # A converted path differs from the written path in its keys, never in its list indices.
+        # Conversion replaces keys of a path, never list indices, which are put back here.
         (own, held), *more = list(_paths(one.tables, len(names))) or [((), value)]
         if more or len(own) != len(names):
             found[path] = value

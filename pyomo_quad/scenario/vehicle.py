@@ -1,4 +1,4 @@
-"""The vehicle's table of a scenario."""
+"""Table `vehicle` of a scenario: masses, inertias, rotors, motors and drag."""
 
 from collections.abc import Sequence
 from enum import StrEnum
@@ -35,20 +35,22 @@ _ROTOR_DRAG = not_negative(1e2, "from about 1e-8 for a 1 cm rotor to about 1 for
 _FITTED = Sound(-1e9, 1e9, "coefficients of a fit to f_r, which lies between 0 and 1")
 
 
-# m, from the centre of mass to the farthest rotor.
+# Least and greatest distance from the centre of mass to the farthest rotor [m].
 _LEAST_REACH, _MOST_REACH = 1e-3, 100.0
-# Unbalance of positions typed with a few digits that is tolerated, as a fraction of the reach.
+# Tolerated unbalance of rotor positions that are typed with a few digits, as a fraction of the
+# distance to the farthest rotor.
 _BALANCED = 1e-4
 
 #: rad/s in a revolution per minute.
 RPM = 2 * pi / 60
 
-# Least squared volume of the rotors' effects about the three axes, about 1 for rotors in a ring.
+# Least Gram determinant of the rotors' moments about the three axes, a measure of their linear
+# independence; about 1 for rotors in a ring.
 _LEAST_VOLUME = 1e-6
 
 
 def _volume(*rows: Sequence[float]) -> float:
-    """Return the Gram determinant of three vectors, their squared volume."""
+    """Return the Gram determinant of three vectors: the squared volume that they span."""
     (a, b, c), (_, d, e), (_, _, f) = (
         [sum(map(mul, one, other)) for other in rows] for one in rows
     )
@@ -56,7 +58,11 @@ def _volume(*rows: Sequence[float]) -> float:
 
 
 class EfficiencyMap(Part):
-    """Coefficients of f_r(tau, omega), each row (a, b, c) of a omega^2 + b omega + c."""
+    """Coefficients of the efficiency f_r of motor and rotor, a polynomial of torque and speed.
+
+    f_r(tau, omega) is cubic in the torque tau; each of its coefficients is (a, b, c) for the
+    polynomial a omega^2 + b omega + c of the rotor speed omega.
+    """
 
     cubic: Triple = quantity(
         "", "row of tau^3; f_r is a pure number, tau in N m, omega in rad/s", sound=_FITTED
@@ -70,7 +76,7 @@ _SLOW = positive(1e-2, 1e3, "rotorcraft fly below 340 m/s, the speed of sound")
 
 
 class Validated(Part):
-    """Range of airspeed, climb and descent in which measurements confirm power and drag."""
+    """Range of airspeed, climb, descent and payload in which measurements confirm a vehicle."""
 
     airspeed: Number | None = quantity(
         "m/s", "largest airspeed of the flights that confirm the vehicle", None, sound=_SLOW
@@ -85,14 +91,18 @@ class Validated(Part):
 
 
 class Attitude(StrEnum):
-    """Relation between the attitude angles and the body rates."""
+    """Kinematics of the attitude angles: exact, or simplified as by Yacef et al.
+
+    `EULER` relates the rates of the angles to the body rates exactly, and lets rotors that gather
+    speed turn the body. `PAPER` follows eq. (9) and (6) of Yacef et al. as printed.
+    """
 
     EULER = "euler"
     PAPER = "paper"
 
 
 class MotorConstants(NamedTuple):
-    """Torque constant [N m/A], voltage constant [rad/s/V] and winding resistance [ohm]."""
+    """Torque constant [N m/A], voltage constant [rad/s/V], winding resistance [ohm] of a motor."""
 
     torque_constant: float
     voltage_constant: float
@@ -105,7 +115,10 @@ class MotorConstants(NamedTuple):
 
 
 class Vehicle(Part):
-    """Multirotor with equal rotors; by default four on arms along body x and y, as in the paper."""
+    """Multirotor with equal rotors, by default four on arms along body x and y.
+
+    Equations and default arrangement of the rotors follow Yacef et al.
+    """
 
     use: Text = quantity("", "name of the vehicle in the library, or a file of its own, NAME.toml")
     title: Text = title_field("name for people")
@@ -271,7 +284,7 @@ class Vehicle(Part):
 
     @property
     def total_mass(self) -> float:
-        """Mass in flight, kg."""
+        """Mass in flight, payload included [kg]."""
         return self.mass + self.payload
 
     @model_validator(mode="after")
@@ -308,38 +321,41 @@ class Vehicle(Part):
 
     @property
     def rotor_places(self) -> tuple[tuple[float, float], ...]:
-        """Position of each rotor along body x and y, m."""
+        """Position of each rotor along body x and y [m]."""
         if self.rotor_positions is not None:
             return self.rotor_positions
         return tuple((ahead * self.arm_length, aside * self.arm_length) for ahead, aside in _CROSS)
 
     @property
     def rotor_senses(self) -> tuple[int, ...]:
-        """Direction of each rotor's drag moment on the body: 1 for +yaw, -1 for -yaw."""
+        """Direction in which each rotor's drag turns the body: 1 for +yaw, -1 for -yaw."""
         if self.rotor_spins is not None:
             return self.rotor_spins
         return tuple(1 - 2 * (j % 2) for j in range(len(self.rotor_places)))
 
     @property
     def has_own_rotors(self) -> bool:
-        """Whether the rotor layout differs from the paper's cross of four."""
+        """Whether the arrangement of the rotors differs from four in a cross along body x and y."""
         return self.rotor_positions is not None or self.rotor_spins is not None
 
     @property
     def has_rotor_forces(self) -> bool:
-        """Whether aerodynamic forces other than thrust act on the rotors."""
+        """Whether aerodynamic forces on the rotors other than thrust are modelled.
+
+        These are rotor drag and translational lift.
+        """
         return bool(self.rotor_drag_plane or self.rotor_drag_axis or self.translational_lift)
 
     @property
     def motor(self) -> MotorConstants | None:
-        """Electrical constants of the motors, None unless all are known."""
+        """Electrical constants of the motors; None unless all three are known."""
         told = (self.torque_constant, self.voltage_constant, self.motor_resistance)
         if None in told:
             return None
         return MotorConstants(*(number for number in told if number is not None))
 
     def drag_torque(self, speed: float) -> float:
-        """Return the torque [N m] that keeps one rotor at a speed [rad/s]."""
+        """Return the torque [N m] that keeps one rotor at a speed [rad/s] against its air drag."""
         return self.drag_torque_coefficient * speed**2
 
     def hover_speed(self, gravity: float) -> float:
@@ -348,11 +364,11 @@ class Vehicle(Part):
         Parameters
         ----------
         gravity : float
-            Acceleration of gravity, m/s^2.
+            Acceleration of gravity [m/s²].
 
         Returns
         -------
         float
-            Speed of each rotor, rad/s.
+            Speed of each rotor [rad/s].
         """
         return sqrt(self.total_mass * gravity / (len(self.rotor_places) * self.thrust_coefficient))

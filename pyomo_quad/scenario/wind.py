@@ -1,7 +1,7 @@
-"""The tables `wind` and `air`: wind velocity, its effect on the vehicle, and air density.
+"""Tables `wind` and `air` of a scenario: wind velocity, its effect, and air density.
 
-The wind is a formula of time, or a measured series. The air density follows from height and
-temperature, and the aerodynamic coefficients of the vehicle are proportional to it.
+The wind is a formula of time, a measured series, or a field over places. The air density follows
+from height and temperature; the vehicle's aerodynamic coefficients are proportional to it.
 """
 
 from collections.abc import Iterator, Mapping
@@ -38,33 +38,34 @@ if TYPE_CHECKING:
     from pyomo_quad.arrays import FloatArray
 
 
-#: m/s. A third above the strongest gust measured, on Barrow Island in 1996 (WMO).
+#: Largest wind speed of a scenario [m/s]: a third above the strongest gust measured, on Barrow
+#: Island in 1996 (WMO).
 LARGEST_WIND = 150.0
 STRONGEST_GUST = "the strongest gust measured on earth had 113 m/s"
-#: s. Thirty years; in double precision, times of that size still resolve a microsecond.
+#: Latest wind time [s], thirty years; in double precision, times up to it resolve a microsecond.
 LATEST_TIME = 1e9
 _WIND = Sound(-LARGEST_WIND, LARGEST_WIND, STRONGEST_GUST)
-#: m. Standard height of wind measurements over open country; winds are given for this height.
+#: Standard height of wind measurements over open country [m], for which winds are given.
 USUAL_HEIGHT = 10.0
 _FAST = Sound(-1e4, 1e4, "gusts take longer than 1 ms")
 
 
 class WindCoupling(StrEnum):
-    """Coupling of the wind to the momentum balance."""
+    """Effect of the wind: drag on the airspeed, or an acceleration as in Yacef et al., eq. (9)."""
 
     ACCELERATION = "acceleration"
     DRAG = "drag"
 
 
 class FrequencyUnit(StrEnum):
-    """Unit of the harmonic frequencies in Table 2."""
+    """Unit of the frequencies of the wind's harmonics: rad/s as in Yacef et al., or hertz."""
 
     RADIAN_PER_SECOND = "rad/s"
     HERTZ = "hz"
 
 
 class WindAxis(Part):
-    """Wind of eq. (11)-(12) along one axis: mean, three harmonics, gust."""
+    """Wind along one axis by Yacef et al., eq. (11)-(12): mean, three harmonics and a gust."""
 
     mean: Number = quantity("m/s", "mean value (v0)", sound=_WIND)
     amplitudes: Triple = quantity("m/s", "amplitudes of the harmonics (A_k)", sound=_WIND)
@@ -78,7 +79,7 @@ class WindAxis(Part):
 
 
 class WindLaw(StrEnum):
-    """Law of the horizontal wind over height."""
+    """Law by which the horizontal wind grows with height: power law or logarithmic law."""
 
     POWER = "power"
     LOGARITHMIC = "logarithmic"
@@ -127,7 +128,7 @@ class WindProfile(Part):
 
 
 class WindSeries(Part):
-    """Measured wind from `wind.file`, over time, height or both."""
+    """Measured wind over time, height or both, read from the file of `wind.file`."""
 
     times: tuple[Number, ...] = quantity("s", "times from the start of the mission")
     wind_x: tuple[Number, ...] = quantity("m/s", "wind toward +x")
@@ -146,7 +147,7 @@ class Intensity(StrEnum):
 
 
 KNOT = 1852.0 / 3600.0  # m/s
-#: m/s. Wind at 6 m (20 ft) that stands for an intensity, MIL-F-8785C, figure 7.
+#: Wind at 6 m (20 ft) above the ground [m/s] that defines each intensity; MIL-F-8785C, figure 7.
 WIND_AT_6_M = {
     Intensity.LIGHT: 15.0 * KNOT,
     Intensity.MODERATE: 30.0 * KNOT,
@@ -155,7 +156,7 @@ WIND_AT_6_M = {
 
 
 class Turbulence(Part):
-    """Dryden turbulence at low altitude, MIL-F-8785C."""
+    """Dryden turbulence at low altitude, by MIL-F-8785C."""
 
     intensity: Intensity | None = quantity(
         "", "light, moderate or severe: a wind at 6 m of 7.7, 15.4 or 23.2 m/s", None
@@ -180,19 +181,22 @@ class Turbulence(Part):
 
     @property
     def strength(self) -> float:
-        """Wind at 6 m that sets the intensity, m/s."""
+        """Wind at 6 m above the ground [m/s], which determines the intensity of the turbulence."""
         return WIND_AT_6_M[self.intensity] if self.intensity else self.wind_at_6_m or 0.0
 
 
 class Beyond(StrEnum):
-    """Treatment of places outside a wind field and of cells without wind."""
+    """Treatment of places outside a wind field, and of cells without wind.
+
+    `REFUSE` forbids the plan to fly there; `HOLD` uses the nearest known wind.
+    """
 
     REFUSE = "refuse"
     HOLD = "hold"
 
 
 class WindGrid(Part):
-    """Wind on a rectilinear grid, from `wind.field`."""
+    """Wind on a rectilinear grid of places, heights and times, from the file of `wind.field`."""
 
     x: tuple[Number, ...] = quantity("m", "places along world x, rising")
     y: tuple[Number, ...] = quantity("m", "places along world y, rising")
@@ -209,16 +213,32 @@ class WindGrid(Part):
 
     @property
     def axes(self) -> tuple[tuple[float, ...], ...]:
-        """Grid points of each argument of the wind: x, y and, if given, height and time."""
+        """Grid points of x and y and, if the field has them, of height and time."""
         return tuple(axis for axis in (self.x, self.y, self.z, self.times) if axis)
 
     @property
     def components(self) -> "FloatArray":
-        """Wind toward +x, +y and, if known, +z, with an array axis for each argument behind."""
+        """Wind velocity at the grid points [m/s]; NaN where the field has no wind.
+
+        The first array axis is the direction (+x, +y and, if known, +z); the others follow `axes`.
+        """
         return unpacked(self.speeds).reshape((-1, *map(len, self.axes)))
 
     def is_known(self, places: "ArrayLike", times: "ArrayLike") -> "NDArray[bool_]":
-        """Return whether the grid points nearest to places, at given wind times, have a wind."""
+        """Return whether the grid points nearest to places have a wind.
+
+        Parameters
+        ----------
+        places : array_like, shape (n, 3)
+            Positions x, y, z [m].
+        times : array_like, shape (n,) or ()
+            Wind times [s].
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+            False also for places and times outside the grid.
+        """
         import numpy as np  # noqa: PLC0415  see `components`
 
         at, when = np.atleast_2d(places), np.broadcast_to(times, len(np.atleast_2d(places)))
@@ -238,7 +258,7 @@ _GRID_SLACK = 1e-6
 
 
 class Wind(Part):
-    """Wind in world axes."""
+    """Wind velocity in world axes, its effect on the vehicle, and its uncertainty."""
 
     use: Text = quantity("", "name of the wind in the library, or a file of its own, NAME.toml")
     title: Text = title_field("name for people")
@@ -328,12 +348,12 @@ class Wind(Part):
 
     @property
     def is_formula(self) -> bool:
-        """Whether the wind is the formula of eq. (11)-(12), not read from a file."""
+        """Whether the wind is the formula of Yacef et al., eq. (11)-(12), not read from a file."""
         return self.series is None and self.grid is None
 
     @property
     def varies_with_place(self) -> bool:
-        """Whether the wind depends on the place of the vehicle."""
+        """Whether the wind depends on the position or height of the vehicle."""
         has_heights = bool(self.series and self.series.heights)
         return self.profile is not None or has_heights or self.grid is not None
 
@@ -356,7 +376,13 @@ class Wind(Part):
         return self
 
     def complaints(self, place: tuple[float, float, float]) -> Iterator[str]:
-        """Yield a complaint if the wind field has no wind at a place."""
+        """Yield a message if the wind field has no wind at a place.
+
+        Parameters
+        ----------
+        place : tuple of float
+            Position x, y, z [m].
+        """
         if self.grid is None or self.beyond is Beyond.HOLD:
             return
         times = self.grid.times or (0.0,)
@@ -382,9 +408,9 @@ class Wind(Part):
         return tables
 
 
-#: kg/m^3. Standard atmosphere at sea level, for which vehicles' numbers are given.
+#: Air density of the standard atmosphere at sea level [kg/m³], to which vehicles' numbers refer.
 SEA_LEVEL_DENSITY = 1.225
-# The troposphere of ISO 2533:1975.
+# Constants of the troposphere, ISO 2533:1975.
 _SEA_LEVEL_PRESSURE = 101_325.0  # Pa
 _SEA_LEVEL_TEMPERATURE = 288.15  # K
 _LAPSE = 0.0065  # K/m
@@ -392,7 +418,7 @@ _GAS_CONSTANT = 287.05287  # J/(kg K)
 _GRAVITY = 9.80665  # m/s^2
 _EARTH_RADIUS = 6_356_766.0  # m
 _DENSITY: FieldPath = ("power", "air_density")
-# Forces and torques proportional to the air density.
+# Coefficients of forces and torques that are proportional to the air density.
 _OF_AIR = (
     "thrust_coefficient",
     "drag_torque_coefficient",
@@ -406,7 +432,7 @@ _OF_AIR = (
 
 
 class Air(Part):
-    """The air at a height of the standard atmosphere (ISA, ISO 2533:1975)."""
+    """Air at a height above the sea, by the standard atmosphere (ISA, ISO 2533:1975)."""
 
     height: Number = quantity(
         "m",
@@ -423,7 +449,7 @@ class Air(Part):
 
     @property
     def density(self) -> float:
-        """Mass per volume, kg/m^3."""
+        """Density of the air [kg/m³], which follows from height and temperature."""
         geopotential = self.height / (1 + self.height / _EARTH_RADIUS)
         standard = _SEA_LEVEL_TEMPERATURE - _LAPSE * geopotential
         exponent = _GRAVITY / (_GAS_CONSTANT * _LAPSE)
@@ -435,10 +461,22 @@ class Air(Part):
 def in_the_air(
     tables: dict[str, Any], before: Mapping[str, Any] | None, provenance: dict[str, str]
 ) -> dict[str, Any]:
-    """Return a scenario's tables with the vehicle's aerodynamic numbers scaled to its air density.
+    """Scale the vehicle's aerodynamic coefficients to the air density of the scenario.
 
-    The numbers are given for sea level or, in tables that were completed `before`, for the air of
-    those tables.
+    Parameters
+    ----------
+    tables : dict
+        Tables of the scenario.
+    before : mapping or None
+        None if the coefficients in `tables` are given for sea level. If the scenario was completed
+        earlier and then changed: its earlier tables, for whose air density they are given.
+    provenance : dict
+        Origin of each value by dotted path; entries of scaled values are changed.
+
+    Returns
+    -------
+    dict
+        The tables with scaled coefficients and with the density for the power model.
     """
     density, held_at = _density(tables), _density(before or {})
     if density == held_at:
@@ -470,11 +508,26 @@ _DRAG = (
 def with_coupling(
     tables: dict[str, Any], own: Mapping[str, Any], provenance: dict[str, str]
 ) -> dict[str, Any]:
-    """Return a scenario's tables with the default coupling of the wind and of its forecast.
+    """Set the wind's coupling, its effect on the vehicle, where the scenario does not give it.
 
-    The default is drag on the airspeed; for a vehicle without drag, which the wind would not move
-    otherwise, it is eq. (9) as printed. A forecast applies to the same vehicle, and therefore has
-    the coupling of the wind unless the scenario's `own` tables give it another.
+    The default is drag on the airspeed. A vehicle without drag coefficients would not be moved by
+    such a wind; for it the default is the acceleration of eq. (9) of Yacef et al. as printed. A
+    forecast applies to the same vehicle, and therefore has the coupling of the wind unless it gives
+    another.
+
+    Parameters
+    ----------
+    tables : dict
+        Tables of the scenario with values of the library.
+    own : mapping
+        Tables that the user wrote in the scenario and its overrides.
+    provenance : dict
+        Origin of each value by dotted path; entries are added.
+
+    Returns
+    -------
+    dict
+        The tables with the coupling of wind and forecast.
     """
     wind = tables.get("wind")
     if not isinstance(wind, Mapping):
@@ -495,7 +548,7 @@ def with_coupling(
 
 
 def _is_any(number: object) -> bool:
-    """Return whether a number, or any number of a list, is not zero."""
+    """Return whether a number, or any number of a list, is different from zero."""
     return any(number) if isinstance(number, list | tuple) else bool(number)
 
 

@@ -1,4 +1,4 @@
-"""Wind fields: wind over places, heights and times, from NetCDF, CSV or Parquet."""
+"""Reading of wind fields (wind over places, heights and times) from NetCDF, CSV or Parquet."""
 
 from pathlib import Path
 from typing import Any
@@ -42,21 +42,22 @@ _WIND = Quantity(
 
 
 def read_wind_field(file: Path, place: str, origin: GeodeticOrigin | None = None) -> dict[str, Any]:
-    """Read and check a wind field.
+    """Read and check a wind field: wind over places, heights and times.
 
     Parameters
     ----------
     file : Path
-        NetCDF with CF names and units, or a table with one row for each place and time.
+        NetCDF with names and units of the CF conventions, or a table with one row for each place
+        and time.
     place : str
         Start of messages: the field that names the file.
     origin : GeodeticOrigin, optional
-        Position of x = y = z = 0, for a grid by latitude and longitude, or with altitudes.
+        Position of x = y = z = 0 on earth, for a grid by latitude and longitude or with altitudes.
 
     Returns
     -------
     dict
-        The fields of a `WindGrid`.
+        The fields of a `WindGrid`, in metres from the origin and seconds.
 
     Raises
     ------

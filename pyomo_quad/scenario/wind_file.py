@@ -1,4 +1,4 @@
-"""Reading of measured winds over time, over height, or over both, from CSV files."""
+"""Reading of measured winds over time, height or both from CSV files."""
 
 import csv
 from collections.abc import Mapping
@@ -13,7 +13,7 @@ from pyomo_quad.scenario.wind import LARGEST_WIND, LATEST_TIME, STRONGEST_GUST
 WIND_COLUMNS = ("time_s", "wind_x_m_per_s", "wind_y_m_per_s")
 HEIGHT_COLUMN = "height_m"
 _TIME_COLUMN, *_WIND_SPEEDS = WIND_COLUMNS
-# Columns of a row besides the wind: time, height, or both.
+# Possible columns before those of the wind: time, height, or both.
 _KEYS = ((_TIME_COLUMN,), (HEIGHT_COLUMN,), (_TIME_COLUMN, HEIGHT_COLUMN))
 
 _LARGEST_FILE_BYTES = 20_000_000
@@ -21,7 +21,8 @@ _MOST_ROWS = 200_000
 _FEWEST_ROWS = 4  # a cubic spline needs as many
 _FEWEST_HEIGHTS, _MOST_HEIGHTS = 2, 40
 _FARTHEST_HEIGHT = 1e5
-# A step longer than the usual step by this factor is a gap, in which a spline would invent wind.
+# A time step longer than the median step by this factor is refused as a gap, in which the spline
+# would invent wind.
 _GAP_STEPS = 5.0
 _Rows = list[tuple[float, ...]]
 
@@ -29,29 +30,31 @@ _Rows = list[tuple[float, ...]]
 def read_wind_file(
     file: Path, where: str, longest: tuple[str, object], time_offset: object
 ) -> dict[str, tuple[float, ...]]:
-    """Read and check a wind over time, over height, or over both.
+    """Read and check a measured wind over time, height or both.
 
     Parameters
     ----------
     file : Path
-        CSV file with the columns `WIND_COLUMNS`, with `HEIGHT_COLUMN` in place of or after the
-        first; with both, every time has the same heights.
+        CSV file with the columns `WIND_COLUMNS`, and with `HEIGHT_COLUMN` in place of or after the
+        time; with both, every time has the same heights.
+    where : str
+        Start of messages: the field that names the file.
     longest : tuple of str and object
-        The field that says how long the mission may take, and its value, s.
+        Path of the field that limits the mission's duration, and its value [s].
     time_offset : object
-        Wind time at the start of the mission, s. A value that is not a number, here or in
-        `longest`, is left to the schema to refuse.
+        Wind time at the start of the mission [s]. A value that is not a number, here or in
+        `longest`, is refused later by the validation of the scenario.
 
     Returns
     -------
     dict
-        `times` where the file has them, `wind_x` and `wind_y`, and `heights` where it has them:
-        the heights are then the inner index of the winds.
+        `times` [s], `wind_x` and `wind_y` [m/s] and, if the file has heights, `heights` [m], which
+        are then the inner index of the winds. Without times in the file, `times` is empty.
 
     Raises
     ------
     ScenarioError
-        If the file cannot be read, or has gaps, unsorted times or heights, missing or non-finite
+        If the file cannot be read, has gaps, unsorted times or heights, missing or non-finite
         numbers, or does not cover the mission.
     """
     place = f"{where} = {shown(file.name)}"
@@ -71,7 +74,7 @@ def read_wind_file(
 
 
 def _heights(columns: Mapping[str, tuple[float, ...]], place: str) -> tuple[float, ...]:
-    """Return the heights of a wind, rising and the same at every time."""
+    """Return the heights of a wind, after checking that they rise and are equal at every time."""
     every = columns[HEIGHT_COLUMN]
     times = columns.get(_TIME_COLUMN, (0.0,) * len(every))
     heights = every[: times.count(times[0])]
@@ -120,7 +123,7 @@ def _check_cover(
 
 
 def _read_rows(file: Path, place: str) -> tuple[tuple[str, ...], _Rows]:
-    """Return the key columns (time, height or both), and the rows of numbers."""
+    """Read the key columns' names (time, height or both) and the rows of numbers of a wind file."""
     try:
         if file.stat().st_size > _LARGEST_FILE_BYTES:
             refuse(place, f"larger than {_LARGEST_FILE_BYTES} bytes; thin the series out")

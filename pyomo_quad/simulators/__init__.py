@@ -1,1 +1,1 @@
-"""Plans and controllers flown in RotorPy, and RotorPy's vehicles as vehicle files."""
+"""Comparison with RotorPy, a simulator by other authors, and vehicle files made from it."""

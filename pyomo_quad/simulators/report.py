@@ -1,4 +1,4 @@
-"""The report of missions flown in RotorPy: table, figure and text."""
+"""Report of missions flown in the simulator RotorPy: table, figure and text."""
 
 from importlib.metadata import version
 from math import ceil
@@ -33,14 +33,19 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TABLE_NAME = "flights.csv"
-# Least distances drawn, m: the integrators' rounding without feedback, 0.1 mm with feedback.
+# Least distances on the logarithmic axes [m]: rounding errors of the integrators for flights
+# without feedback, 0.1 mm for flights with feedback.
 _LEAST_SHOWN, _LEAST_LED = 1e-9, 1e-4
 # Number of columns of the legend, whose labels are long.
 _CAUSES_ABREAST = 3
 
 
 def draw_causes(study: OutsideStudy) -> "Figure":
-    """Draw the distances of flights from their plan over time, one line per cause."""
+    """Draw the distance of flights from their plan over time.
+
+    Each line is a flight with one cause of a difference between RotorPy and the package's own
+    model.
+    """
     lines = ceil(len(CAUSES) / _CAUSES_ABREAST)
     figure, (panels,) = panel_grid(1, 2, panel_height=2.6, legend_entries=lines * LEGEND_COLUMNS)
     for axes, pilot, title, least in (
@@ -61,7 +66,17 @@ def draw_causes(study: OutsideStudy) -> "Figure":
 
 
 def write_outside_report(folder: Path, study: OutsideStudy, figures: Figures = Figures.SVG) -> None:
-    """Write the table, the figure and `report.md` into an existing folder."""
+    """Write the report of missions flown in RotorPy: table, figure and `report.md`.
+
+    Parameters
+    ----------
+    folder : Path
+        Existing folder that receives the files.
+    study : OutsideStudy
+        Results of the flights.
+    figures : Figures, optional
+        Which figures to draw, and in which file formats.
+    """
     drawing = Drawing(
         name="causes",
         title="Over time",

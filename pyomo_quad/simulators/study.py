@@ -1,4 +1,10 @@
-"""Missions flown by the declared vehicle and by RotorPy's, with the causes of differences."""
+"""Study of missions flown in the simulator RotorPy, and of the causes of differences.
+
+The same plans are flown by the package's own vehicle model (the "declared" vehicle) and by
+RotorPy's vehicle, with the package's controller, with RotorPy's controller SE3, and without
+feedback. Details of RotorPy's model that differ are switched on and off one at a time, to find what
+each contributes.
+"""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -42,7 +48,7 @@ _IN_AIR = _EXACT | _DRAG | _BREEZE
 
 PRINTED, EXACT, BREEZE = "printed", "exact", "breeze"
 LONGER, WINDIER = "breeze_longer", "breeze_windier"
-#: Name of a case -> its description, and its changes to the paper's first mission.
+#: Missions of the study: for each name the description, and the changes to the paper's mission.
 CASES: Mapping[str, tuple[str, Mapping[str, Any]]] = MappingProxyType(
     {
         PRINTED: ("Euler rates equal to body rates, as the paper prints", {}),
@@ -55,24 +61,26 @@ CASES: Mapping[str, tuple[str, Mapping[str, Any]]] = MappingProxyType(
         WINDIER: ("as breeze, in 6 m/s of wind", _IN_AIR | {"wind.speed": 6.0}),
     }
 )
-#: Cases that show how the difference due to the drag's place depends on time and wind.
+#: Cases that show how the difference between drag at the rotors (RotorPy) and drag at the centre of
+#: mass (the package) depends on duration and wind.
 DRAG_CASES = (BREEZE, LONGER, WINDIER)
-# Shaft power hardly penalises the acceleration of light rotors: a tighter tolerance takes minutes,
-# and with this one the flight ends within 0.1 mm of its plan.
+# Settings for RotorPy's small vehicles. Shaft power hardly penalises the acceleration of light
+# rotors: a tighter tolerance takes minutes, and with this one the flight ends within 0.1 mm of its
+# plan.
 _PRICED = {"power.model": "shaft", "solver.tolerance": 1e-3}
-# Mission of RotorPy's small vehicles, m and s.
+# Goal [m] and duration [s] of the mission of RotorPy's small vehicles.
 _GOAL, _DURATION = [3.0, 2.0, 1.5], 6.0
-# Larger than any commanded acceleration, rad/s².
+# Limit of rotor acceleration that is larger than any commanded acceleration [rad/s²].
 _NO_SLEW_LIMIT = {"limits.rotor_acceleration_max": 1e7}
 # Samples of a flight in the figure.
 _MOST_SAMPLES = 250
 
 Track = tuple[np.ndarray, np.ndarray]
-"""Times [s] and distances [m], shape (n,) each."""
+"""Distance of a flight from its plan over time: times [s] and distances [m], shape (n,) each."""
 
 
 class Plant(StrEnum):
-    """Simulated vehicles: the declared vehicle, and variants of RotorPy's."""
+    """Simulated vehicle: the package's own (declared) model, or a variant of RotorPy's model."""
 
     DECLARED = "declared"
     ROTORPY = "rotorpy"
@@ -87,7 +95,7 @@ class Plant(StrEnum):
     WITHOUT_SLEW_LIMIT = "rotorpy, rotors as fast as asked"
 
 
-#: Variants of RotorPy's vehicle: each of its habits alone, and all at once.
+#: Settings of each variant of RotorPy's vehicle: each of its peculiarities alone, and all at once.
 HABITS: Mapping[Plant, Habits] = MappingProxyType(
     {
         Plant.ROTORPY: Habits(),
@@ -102,7 +110,7 @@ HABITS: Mapping[Plant, Habits] = MappingProxyType(
     }
 )
 
-#: Reason for a difference between flights -> the case and the plant that show it.
+#: Causes of differences between flights, each with the mission and the vehicle that show it.
 CAUSES: Mapping[str, tuple[str, Plant]] = MappingProxyType(
     {
         "nothing: attitude and rotors agree": (EXACT, Plant.ROTORPY),
@@ -120,14 +128,14 @@ CAUSES: Mapping[str, tuple[str, Plant]] = MappingProxyType(
     }
 )
 
-#: Variants of the controller SE3 that show why it misses the goal or spends energy.
+#: Names of variants of RotorPy's controller SE3, which show why it misses the goal or uses energy.
 TOLD, STIFF, OUR_HEADING = "se3, told the air's force", "se3, stiffer", "se3, told our heading"
 #: Factor on the gains of the stiffer variant.
 STIFFNESS = 4.0
 
 
 class OutsideColumn(TableColumn):
-    """Columns of the table of flights, in order."""
+    """Columns of the table of flights in RotorPy and in the package's own model."""
 
     CASE = "case"
     PLANT = "plant"
@@ -147,23 +155,55 @@ _IDENTITY = list(OutsideColumn)[:4]
 
 @dataclass(frozen=True, kw_only=True)
 class OutsideStudy:
-    """Results of missions in RotorPy and in the declared model, with distances between tracks."""
+    """Results of the comparison with the simulator RotorPy.
+
+    Attributes
+    ----------
+    flights : DataFrame
+        One row for each flight, in RotorPy or in the package's own model, with the columns of
+        `OutsideColumn`.
+    tracks : mapping
+        Distance from the plan over time of each flight that follows a plan, by mission, vehicle and
+        controller.
+    lag_s : float
+        Time constant of the motors in RotorPy, for the vehicle of Yacef et al. [s].
+    """
 
     flights: pd.DataFrame
     tracks: Mapping[tuple[str, Plant, str], Track]
     lag_s: float
-    """Lag of the motors of the paper's vehicle in RotorPy."""
 
     def row(
         self, case: str, plant: Plant, controller: str, followed: Reference = Reference.PLAN
     ) -> dict[str, Any]:
-        """Return the row of a flight, without numbers for a flight out of control."""
+        """Return the table row of one flight; it has no energy if the flight went out of control.
+
+        Parameters
+        ----------
+        case : str
+            Mission, a key of `CASES`.
+        plant : Plant
+            Simulated vehicle.
+        controller : str
+            Controller.
+        followed : Reference, optional
+            Reference trajectory; by default the plan.
+
+        Returns
+        -------
+        dict
+            Values by column name.
+        """
         is_it = (self.flights[_IDENTITY] == [case, plant, controller, followed]).all(axis=1)
         return {str(name): value for name, value in self.flights[is_it].iloc[0].items()}
 
 
 class Arrivals(NamedTuple):
-    """Numbers of flights that arrived, were confirmed, and were not confirmed."""
+    """Counts of a controller's flights in RotorPy.
+
+    `confirmed` flights agree with a second integration, `unconfirmed` flights do not; `arrived`
+    counts the confirmed flights that reached the goal.
+    """
 
     arrived: int
     confirmed: int
@@ -171,7 +211,15 @@ class Arrivals(NamedTuple):
 
 
 def arrivals(flights: pd.DataFrame, controller: str) -> Arrivals:
-    """Count the flights of a controller on all plants of RotorPy, in `flights.csv`."""
+    """Count a controller's flights in RotorPy: how many arrived, and how many were confirmed.
+
+    Parameters
+    ----------
+    flights : DataFrame
+        Table of the study, `OutsideStudy.flights`.
+    controller : str
+        Name of the controller.
+    """
     is_own = flights[OutsideColumn.CONTROLLER] == controller
     outside = flights[is_own & (flights[OutsideColumn.PLANT] != Plant.DECLARED)]
     is_confirmed = outside[OutsideColumn.VERIFIED].astype(bool)
@@ -183,7 +231,19 @@ def arrivals(flights: pd.DataFrame, controller: str) -> Arrivals:
 
 
 class Flown(NamedTuple):
-    """Flight of the study: plant, controller, reference, and function that simulates it."""
+    """Flight of the study before its simulation.
+
+    Attributes
+    ----------
+    plant : Plant
+        Simulated vehicle.
+    controller : str
+        Controller.
+    followed : Reference
+        Reference trajectory.
+    fly : callable
+        Function without arguments that simulates and returns the flight.
+    """
 
     plant: Plant
     controller: str
@@ -193,7 +253,7 @@ class Flown(NamedTuple):
 
 @dataclass(frozen=True)
 class _Mission:
-    """Planned mission, with its possible flights."""
+    """Planned mission of the comparison with RotorPy, with methods that make its flights."""
 
     case: str
     scenario: Scenario
@@ -205,7 +265,7 @@ class _Mission:
         return self.planner.dynamics(self.scenario)
 
     def declared(self, pilot: Pilot, followed: Reference = Reference.PLAN) -> Flown:
-        """Return a flight of the declared vehicle."""
+        """Return a flight of the package's own ("declared") vehicle model, not simulated yet."""
         fly: Callable[[], Flight] = partial(
             fly_baseline, self.scenario, followed, dynamics=self.dynamics, plan=self.plan
         )
@@ -220,7 +280,7 @@ class _Mission:
         pilot: Pilot,
         followed: Reference = Reference.PLAN,
     ) -> Flown:
-        """Return a flight in RotorPy."""
+        """Return a flight in RotorPy under a given controller, not simulated yet."""
         return Flown(at, pilot, followed, partial(fly_outside, plant, pilot, followed, self.plan))
 
     def under(
@@ -232,17 +292,25 @@ class _Mission:
         followed: Reference,
         stiffness: float = 1.0,
     ) -> Flown:
-        """Return a flight in RotorPy under a variant of SE3."""
+        """Return a flight in RotorPy under a variant of the controller SE3, not simulated yet."""
         law = se3_law(plant, path, stiffness=stiffness)
         return Flown(at, name, followed, partial(fly_under, plant, name, law, self.plan))
 
     def path(self, followed: Reference) -> ReferencePath:
-        """Return a reference of the mission."""
+        """Return the path of one of the mission's reference trajectories."""
         return reference_path(self.scenario, followed, self.plan)
 
 
 def run_outside_study(planner: Planner | None = None) -> OutsideStudy:
-    """Simulate every case; a flight out of control gets a row without numbers."""
+    """Simulate all flights of the comparison with RotorPy.
+
+    A flight that goes out of control has a row without numbers.
+
+    Parameters
+    ----------
+    planner : Planner, optional
+        Planner of the missions; by default a new one.
+    """
     planner = planner or Planner()
     paper = load_scenario(shipped_scenarios()["paper"])
     cases = {case: paper.with_values(settings) for case, (_, settings) in CASES.items()}
@@ -264,7 +332,7 @@ def run_outside_study(planner: Planner | None = None) -> OutsideStudy:
 
 
 def _track(flight: Flight, plan: Plan) -> Track:
-    """Return the distance of a flight from its plan over time."""
+    """Return the distance of a flight from its plan over time, at no more than 500 samples."""
     step = max(1, len(flight.frame) // _MOST_SAMPLES)
     shown = flight.frame.iloc[::step]
     t = shown[TIME].to_numpy()
@@ -275,7 +343,7 @@ def _track(flight: Flight, plan: Plan) -> Track:
 
 
 def _small(paper: Scenario, name: str) -> Scenario:
-    """Return a short mission of a small vehicle of RotorPy, for least shaft energy."""
+    """Return a short mission of one of RotorPy's small vehicles, planned for least shaft energy."""
     said = {
         path.replace("fields.", "vehicle.", 1): value
         for path, (value, _) in vehicle_fields(name).items()
@@ -304,7 +372,7 @@ def _flights(mission: _Mission) -> Iterator[Flown]:
 
 
 def _leaps(mission: _Mission, limited: OutsidePlant) -> Iterator[Flown]:
-    """Yield flights to a step goal, with and without the limits of the rotors."""
+    """Yield flights to a goal that is commanded as a step, with and without rotor limits."""
     unlimited = OutsidePlant(mission.scenario.with_values(_NO_SLEW_LIMIT), mission.dynamics)
     yield mission.declared(Pilot.ADAPTIVE, Reference.STEP)
     for pilot in (Pilot.ADAPTIVE, Pilot.SE3):
@@ -313,7 +381,10 @@ def _leaps(mission: _Mission, limited: OutsidePlant) -> Iterator[Flown]:
 
 
 def _why_se3_misses(mission: _Mission, plant: OutsidePlant) -> Iterator[Flown]:
-    """Yield flights under SE3 with larger gains, and with feedforward of the air force."""
+    """Yield flights under SE3 with larger gains, and with feedforward of the air's force.
+
+    They show why SE3 misses the goal.
+    """
     for followed in (Reference.QUINTIC, Reference.PLAN):
         path = mission.path(followed)
         yield mission.under(Plant.ROTORPY, plant, STIFF, path, followed, STIFFNESS)
@@ -323,7 +394,7 @@ def _why_se3_misses(mission: _Mission, plant: OutsidePlant) -> Iterator[Flown]:
 
 
 def _against_the_air(path: ReferencePath, plant: OutsidePlant) -> ReferencePath:
-    """Return a reference with an acceleration that compensates the air force."""
+    """Return a reference path whose acceleration compensates the force of the air."""
     dynamics, mass = plant.dynamics, plant.scenario.vehicle.total_mass
     moving = [dynamics.state_names.index(name) for name in (*POSITION_STATES, *VELOCITY_STATES)]
     forces = tuple((name, None) for name in AIR_FORCE)
@@ -340,7 +411,7 @@ def _against_the_air(path: ReferencePath, plant: OutsidePlant) -> ReferencePath:
 
 
 def _flights_of_set(mission: _Mission) -> Iterator[Flown]:
-    """Yield flights of an unchanged vehicle of RotorPy, and of its declared counterpart."""
+    """Yield flights of one of RotorPy's own vehicles, and of the same vehicle in this package."""
     theirs = OutsidePlant(
         mission.scenario,
         mission.dynamics,
@@ -362,7 +433,10 @@ def _flights_of_set(mission: _Mission) -> Iterator[Flown]:
 
 
 def _flights_by_drag(mission: _Mission) -> Iterator[Flown]:
-    """Yield flights along a plan that separate RotorPy's drag from the declared drag."""
+    """Yield flights along a plan that show the effect of the place where the drag acts.
+
+    RotorPy's drag acts at the rotors, the package's at the centre of mass.
+    """
     plant = OutsidePlant(mission.scenario, mission.dynamics)
     for pilot in (Pilot.OPEN_LOOP, Pilot.ADAPTIVE):
         yield mission.declared(pilot)
@@ -377,7 +451,7 @@ _FLIGHTS_OF = dict.fromkeys((LONGER, WINDIER), _flights_by_drag) | dict.fromkeys
 def _rows(
     case: str, flights: Iterator[Flown]
 ) -> Iterator[tuple[dict[str, Any], Flown, Flight | None]]:
-    """Yield the table row of each flight, compared with the declared vehicle's flight."""
+    """Simulate flights, and yield the table row of each, compared with the package's own model."""
     declared: dict[tuple[str, Reference], Flight] = {}
     for flown in flights:
         identity = case, flown.plant.value, str(flown.controller), flown.followed.value

@@ -1,8 +1,8 @@
-"""Vehicle files from RotorPy's parameter sets.
+"""Vehicle files made from parameter sets of the simulator RotorPy.
 
-RotorPy's rotors are placed diagonally, two ahead and two behind; declared rotors are on body x and
-y. The vehicle is therefore turned by 45 degrees: its first rotor is ahead, its fourth to the left.
-If Ixx and Iyy differ, the turn creates a product of inertia, half their difference, which is
+RotorPy's rotors are placed diagonally, two ahead and two behind; the package's rotors are on body x
+and y. The vehicle is therefore turned by 45 degrees: its first rotor is ahead, its fourth to the
+left. If Ixx and Iyy differ, the turn creates a product of inertia, half their difference, which is
 neglected.
 """
 
@@ -15,25 +15,31 @@ from pyomo_quad.scenario import ScenarioError
 from pyomo_quad.scenario.messages import shown
 from pyomo_quad.scenario.toml_text import with_source
 
-#: Sets of RotorPy with four rotors in a cross, with the mass [kg] and the length [m] of a rotor.
+#: Parameter sets of RotorPy with four rotors in a cross, each with the mass [kg] and length [m] of
+#: a rotor.
 _ROTORS = {"hummingbird": (6e-3, 0.2), "crazyflie": (2e-4, 0.046)}
 NAMES = tuple(_ROTORS)
 
 
 class Said(NamedTuple):
-    """Value of a field with its source."""
+    """Value of a vehicle's field, with its source."""
 
     value: float | str | list[float]
     source: str
 
 
 def rotorpy_parameters(name: str) -> dict[str, Any]:
-    """Return a parameter set of RotorPy by name.
+    """Return a parameter set of RotorPy by name, in RotorPy's own keys and units.
+
+    Parameters
+    ----------
+    name : str
+        Name of the set, from `NAMES`.
 
     Raises
     ------
     ScenarioError
-        If RotorPy has no such set or is not installed.
+        If RotorPy is not installed or has no set of this name.
     """
     if name not in NAMES:
         raise ScenarioError(f"NAME = {shown(name)}; must be one of {', '.join(NAMES)}.")
@@ -41,7 +47,18 @@ def rotorpy_parameters(name: str) -> dict[str, Any]:
 
 
 def vehicle_fields(name: str) -> dict[str, Said]:
-    """Return the fields of a vehicle file, by dotted path below `fields` or `limits`."""
+    """Convert a parameter set of RotorPy to the fields of a vehicle file.
+
+    Parameters
+    ----------
+    name : str
+        Name of the parameter set, from `NAMES`.
+
+    Returns
+    -------
+    dict
+        Value and source of each field, by dotted path below `fields` or `limits`.
+    """
     held = rotorpy_parameters(name)
     x, y, _ = held["rotor_pos"]["r1"]
     across = (held["Ixx"] + held["Iyy"]) / 2
@@ -78,7 +95,13 @@ def vehicle_fields(name: str) -> dict[str, Said]:
 
 
 def vehicle_file(name: str) -> str:
-    """Return a vehicle file of a RotorPy parameter set, each number with its source."""
+    """Return the text of a vehicle file for a parameter set of RotorPy, numbers with sources.
+
+    Parameters
+    ----------
+    name : str
+        Name of the set, from `NAMES`.
+    """
     lines = [
         f"# {MARK}: the {name} of RotorPy. RotorPy has no motor constants and no",
         "# pack: the estimates of the library's vehicle of that name are used here.",

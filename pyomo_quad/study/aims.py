@@ -1,4 +1,9 @@
-"""Least energy against least charge: solves of the same mission for each aim, on one mesh."""
+"""Least energy compared with least charge: the same mission solved for each of the two objectives.
+
+The energy that leaves the battery is not all that the battery loses: swings of power heat its
+resistance. `mission.aim` selects the objective; this module solves for the other one on the same
+mesh and tabulates both.
+"""
 
 from typing import TYPE_CHECKING
 
@@ -15,14 +20,14 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _AIMS = (Aim.ENERGY, Aim.CHARGE)
-# Share of the charge by which the two optima may differ without a warning.
+# Relative difference in charge of the two optima above which a run warns.
 DISAGREEMENT = 0.005
-# Processor time after which the other aim is given up [s].
+# Processor time after which the solve for the other aim is stopped [s].
 _LONGEST_S = 10.0
 
 
 class AimColumn(TableColumn):
-    """Columns of `energy_and_charge`, in order."""
+    """Columns of the table that compares the plans of least energy and least charge, in order."""
 
     AIM = "aim"
     ENERGY = "energy_J"
@@ -36,7 +41,7 @@ def charge_drawn(plan: Plan) -> float:
     Raises
     ------
     ValueError
-        If the plan's model has no pack.
+        If the plan's model has no battery.
     """
     held = plan.trajectories
     charge = held.states[:, held.state_names.index(CHARGE_STATE)]
@@ -46,16 +51,27 @@ def charge_drawn(plan: Plan) -> float:
 def energy_and_charge(
     plan: Plan, *, planner: Planner, progress: Progress | None = None
 ) -> "pd.DataFrame":
-    """Return energy and charge of the plan and of a plan for the other aim.
+    """Return energy and charge of a plan and of the plan for the other objective.
 
-    The other is solved from the plan on its mesh, without refinement, and flown like it; a search
-    that takes long is given up.
+    The objectives are least energy and least charge (`mission.aim`). The other plan is solved with
+    a warm start from the given one on its mesh, without refinement, and verified like it; the solve
+    is stopped after ten seconds of processor time.
+
+    Parameters
+    ----------
+    plan : Plan
+        Plan of a scenario, for either objective.
+    planner : Planner
+        Solves the scenario with the other objective.
+    progress : callable, optional
+        Called at each Ipopt iteration; returning False stops the solve.
 
     Returns
     -------
     DataFrame
-        Columns of `AimColumn`, least energy first; empty if the plan is not verified, for the least
-        time, of the paper's own equations or of a user's own model, and if the other fails.
+        Columns of `AimColumn`, the plan of least energy first. Empty if the plan is not verified,
+        if its objective is the least time, for the paper's own equations, for a user's own model,
+        and if the other solve fails.
     """
     scenario = plan.scenario
     is_of_paper = scenario.vehicle.attitude is Attitude.PAPER
@@ -76,13 +92,23 @@ def energy_and_charge(
 
 
 def charge_beyond_least(aims: "pd.DataFrame") -> float:
-    """Return the relative excess of charge of the plan of least energy."""
+    """Return the relative excess charge of the plan of least energy over that of least charge.
+
+    `aims` is a table of `energy_and_charge` that is not empty.
+    """
     of_energy, of_charge = aims[AimColumn.CHARGE]
     return float(of_energy / of_charge - 1.0)
 
 
 def disagreement(aims: "pd.DataFrame") -> tuple[str, ...]:
-    """Return a warning if least energy and least charge differ much, or an empty text."""
+    """Return a warning if the plans of least energy and least charge differ in charge.
+
+    Returns
+    -------
+    tuple of str
+        The warning, if the plan of least energy draws more than `DISAGREEMENT` (relative) above the
+        least charge; otherwise empty.
+    """
     if aims.empty or charge_beyond_least(aims) <= DISAGREEMENT:
         return ()
     energy, least = aims[AimColumn.ENERGY]

@@ -1,10 +1,14 @@
-"""Autopilot on straight legs: its flight at given settings, and settings tuned for least energy.
+"""Autopilot baseline on straight legs: its simulated flight, and tuning of its settings.
 
-An autopilot flies straight legs at one speed, with one limit on acceleration and one on jerk
-(`routes`).  A saving over it says little unless these three settings are good ones.  So Nelder and
-Mead's method searches for the settings of least energy, over flights under the controller; a flight
-that breaks a limit of the vehicle or misses the goal costs more.  One triple serves the whole
-mission.
+A leg is the straight line between two waypoints. An autopilot flies the legs at one speed, with one
+limit on acceleration and one on jerk (`flight.routes`).  A saving over it says little unless these
+three settings are good ones.  Nelder and Mead's method therefore searches for the settings of least
+energy, over simulated flights under the controller; a flight that breaks a limit of the vehicle or
+misses the goal is penalised.  One triple of settings serves the whole mission.
+
+Where all legs are long compared with the way in which a flight reaches its speed, the energy is
+nearly that of steady flight: the search begins at the speed of its least energy per metre, and
+tries speeds near it.
 """
 
 from dataclasses import dataclass, replace
@@ -19,6 +23,7 @@ from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import Dynamics, EngineError
 from pyomo_quad.flight import Flight, Plan, Planner
 from pyomo_quad.flight.baselines import (
+    RATE_HZ,
     Integrator,
     baseline_name,
     broken_under_control,
@@ -32,7 +37,9 @@ from pyomo_quad.flight.flight import (
     VELOCITY_STATES,
     Flown,
 )
+from pyomo_quad.flight.long_flight import best_speed
 from pyomo_quad.flight.routes import SETTLINGS_S, cruise_at, reached
+from pyomo_quad.flight.steady import SteadyFlight
 from pyomo_quad.flight.weather import vehicle_flown
 from pyomo_quad.scenario import Reference, Scenario, ScenarioError
 from pyomo_quad.scenario.tables import CruiseSettings
@@ -49,47 +56,69 @@ TUNED_CRUISE = f"{baseline_name(Reference.CRUISE)} tuned"
 # Ranges of speed, acceleration and jerk: those of MPC_XY_CRUISE, MPC_ACC_HOR and MPC_JERK_AUTO of
 # PX4, extended to slower flight for small vehicles.
 _RANGES = ((0.3, 20.0), (0.3, 15.0), (0.1, 80.0))
-# The search starts at the largest of these speeds that is allowed, with PX4's default acceleration
-# and jerk, and at factors on each of them.
+# Speed, acceleration and jerk at which the search starts (the last two are PX4's defaults), and
+# factors on each that give the other corners of its first simplex.
 _FIRST = (6.0, 3.0, 4.0)
 _FACTORS = (1.5, 1.5, 2.0)
+# Where legs are longer than this multiple of the way to reach the speed of steady flight, the
+# search starts there, with this factor on it: a larger one would only be taken back.
+_LONG, _FACTOR_ON_STEADY = 20.0, 1.15
 _FLIGHTS = 30
+# Most samples of a flight of the search: limits change slowly in long flights.
+_MOST_SAMPLES = 5000
 # The search ends when the costs of its simplex differ by this share.
 _COST_TOLERANCE = 2e-4
-# Cost of settings that cannot be flown: finite, because the search subtracts costs [J].
+# Cost of settings whose flight fails: finite, because the search subtracts costs [J].
 _FAILED_J = 1e12
-# What a broken limit or a missed goal adds to the energy: a share of it, and that times the breach.
+# Penalty of a flight that breaks a limit or misses the goal, relative to its energy; and penalty
+# per relative violation of the limit.
 _PENALTY, _PENALTY_OF_BREACH = 0.5, 10.0
-# Tolerance of the integrator in the search: energies to 2e-4, and a third of the work.
+# Tolerance of the integrator in the search: energies accurate to 2e-4, at a third of the work.
 _TOLERANCE = 1e-3
-# Share of the distance and speed of arrival within which a flight ends, so that rounding cannot
-# undo its arrival.
+# Fraction of the distance and speed of arrival below which a flight is ended, so that rounding
+# cannot undo its arrival.
 _WITHIN = 0.999
-# Best settings of the search that are flown until one keeps the limits to full accuracy.
+# Largest number of settings, best first, that are flown to full accuracy until one is valid.
 _CONFIRMED = 4
 
 
 @dataclass(frozen=True, kw_only=True)
 class TriedCruise:
-    """Settings that the tuning tried, with their flight at reduced accuracy."""
+    """Speed, acceleration and jerk that the tuning of an autopilot tried, and the resulting flight.
+
+    The flight is simulated at reduced accuracy.
+    """
 
     settings: CruiseSettings
-    """Settings asked for."""
+    """Limits on speed, acceleration and jerk given to the autopilot."""
     reached: CruiseSettings
     """Largest speed and acceleration of the flight: legs may be too short for the settings."""
     duration_s: float
+    """Duration until arrival at the goal."""
     energy_J: float
-    """With the energy that the end state owes; infinite if the flight is out of control."""
+    """Energy until arrival, plus the energy to complete the flight from its end state to the exact
+    goal state; infinite if the vehicle gets out of control."""
     arrived: bool
+    """Whether the flight ends near the goal and slowly enough."""
     broken: tuple[str, ...]
     """Limits that the flight breaks, in words."""
     cost_J: float
-    """The energy, plus the penalty of a broken limit or a missed goal."""
+    """Objective of the search: the energy, plus the penalty of a broken limit or a missed goal."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Tuning:
-    """Result of the tuning: best flight, settings that it reaches, and all settings tried."""
+    """Result of tuning an autopilot for least energy.
+
+    Attributes
+    ----------
+    flight : Flight
+        Flight with the best settings, to full accuracy.
+    settings : CruiseSettings
+        Largest speed and acceleration that this flight reaches.
+    tried : tuple of TriedCruise
+        All settings that the search tried, in order.
+    """
 
     flight: Flight
     settings: CruiseSettings
@@ -99,10 +128,26 @@ class Tuning:
 def fly_cruise(
     scenario: Scenario, settings: CruiseSettings, plan: Plan | None, planner: Planner
 ) -> Flight:
-    """Simulate the mission as an autopilot flies it with given settings.
+    """Simulate a mission as an autopilot flies it, straight between waypoints.
 
-    The flight waits at the goal until it has arrived, at most the last of `SETTLINGS_S`, and to the
-    end of a mission of fixed duration.
+    The autopilot waits at the goal until the vehicle has arrived, at most the last of
+    `SETTLINGS_S`, and to the end of a mission of fixed duration.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission, in its actual wind.
+    settings : CruiseSettings
+        Limits on speed, acceleration and jerk.
+    plan : Plan or None
+        Plan whose costates give the energy to complete the flight from its end state.
+    planner : Planner
+        Holds the compiled equations of the vehicle.
+
+    Returns
+    -------
+    Flight
+        The simulated flight under the controller.
     """
     longest, dynamics = _longest(scenario, settings, planner)
     flown = fly_reference(longest, Reference.CRUISE, dynamics=dynamics).flown
@@ -114,7 +159,10 @@ def fly_cruise(
 def _longest(
     scenario: Scenario, settings: CruiseSettings, planner: Planner
 ) -> tuple[Scenario, Dynamics]:
-    """Return the scenario of a cruise with the longest wait at the goal, and its vehicle."""
+    """Return the scenario of an autopilot's flight with the longest wait at the goal.
+
+    The second value is the dynamics of the vehicle in this scenario.
+    """
     told = cruise_at(
         scenario.cruising(settings), settling_s=SETTLINGS_S[-1], least_s=_least(scenario)
     )
@@ -128,7 +176,7 @@ def _least(scenario: Scenario) -> float:
 def _end(scenario: Scenario, settings: CruiseSettings, flown: Flown, dynamics: Dynamics) -> float:
     """Return the time at which a flight has arrived, not before the mission's own time [s].
 
-    Without an arrival that is the end of the flight.
+    It is the end of the flight if the vehicle does not arrive.
     """
     moving = cruise_at(scenario.cruising(settings)).mission.fixed_duration
     places, velocities = (
@@ -149,10 +197,25 @@ def _end(scenario: Scenario, settings: CruiseSettings, flown: Flown, dynamics: D
 def tune_cruise(scenario: Scenario, plan: Plan | None, planner: Planner) -> Tuning:
     """Tune speed, acceleration and jerk of an autopilot for least energy, and fly the result.
 
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission, in its actual wind.
+    plan : Plan or None
+        Plan whose costates give the energy to complete each flight from its end state.
+    planner : Planner
+        Holds the compiled equations of the vehicle.
+
+    Returns
+    -------
+    Tuning
+        Best flight, its settings, and all settings tried.
+
     Raises
     ------
     ScenarioError
-        If zones block a leg, or no settings that were tried arrive within the limits.
+        If zones block the way to a waypoint, or no settings that were tried arrive within the
+        limits.
     """
     tried = _search(scenario, plan, planner)
     for one in sorted(tried, key=lambda one: one.cost_J)[:_CONFIRMED]:
@@ -170,19 +233,22 @@ def tune_cruise(scenario: Scenario, plan: Plan | None, planner: Planner) -> Tuni
 
 
 def _search(scenario: Scenario, plan: Plan | None, planner: Planner) -> tuple[TriedCruise, ...]:
-    """Return the settings tried by Nelder and Mead's method."""
+    """Return the settings that Nelder and Mead's method tries, in order, each with its flight."""
     fly = partial(_tried, scenario, plan=plan, planner=planner)
-    tried: list[TriedCruise] = []
+    tried: dict[tuple[float, ...], TriedCruise] = {}
     bounds = np.log(_RANGES)
     bounds[0, 1] = min(bounds[0, 1], log(scenario.limits.speed_max or inf))
 
     def cost(x: FloatArray) -> float:
-        speed, acceleration, jerk = np.exp(x).tolist()
-        tried.append(fly(CruiseSettings(speed=speed, acceleration=acceleration, jerk=jerk)))
-        return min(tried[-1].cost_J, _FAILED_J)
+        speed, acceleration, jerk = settings = tuple(np.exp(x).tolist())
+        if settings not in tried:
+            told = CruiseSettings(speed=speed, acceleration=acceleration, jerk=jerk)
+            tried[settings] = fly(told)
+        return min(tried[settings].cost_J, _FAILED_J)
 
-    first = np.clip(np.log(_FIRST), *bounds.T)
-    simplex = np.vstack([first, first + np.diag(np.log(_FACTORS))])
+    settings, factors = _start_of_search(scenario, planner)
+    first = np.clip(np.log(settings), *bounds.T)
+    simplex = np.vstack([first, first + np.diag(np.log(factors))])
     scale = cost(first)
     minimize(
         cost,
@@ -196,7 +262,24 @@ def _search(scenario: Scenario, plan: Plan | None, planner: Planner) -> tuple[Tr
             "fatol": _COST_TOLERANCE * scale,
         },
     )
-    return tuple(tried[1:])
+    return tuple(tried.values())
+
+
+def _start_of_search(
+    scenario: Scenario, planner: Planner
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return the settings at which the search starts, and the factors of its other first ones."""
+    places = np.array(scenario.mission.positions)
+    lengths = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    _, acceleration, jerk = _FIRST
+    if min(lengths) < _LONG * _FIRST[0] ** 2 / acceleration:
+        return _FIRST, _FACTORS
+    steady = SteadyFlight(scenario, planner.dynamics(scenario))
+    course = (places[-1] - places[-2]) / lengths[-1]
+    speed = min(best_speed(steady, course, 0.0), scenario.limits.speed_max or inf)
+    if min(lengths) < _LONG * speed**2 / acceleration:
+        return _FIRST, _FACTORS
+    return (speed, acceleration, jerk), (_FACTOR_ON_STEADY, *_FACTORS[1:])
 
 
 def _tried(
@@ -210,6 +293,7 @@ def _tried(
             Reference.CRUISE,
             dynamics=dynamics,
             integrator=Integrator.MULTISTEP,
+            rate_hz=min(RATE_HZ, _MOST_SAMPLES / longest.mission.fixed_duration),
             tolerance=_TOLERANCE,
         ).flown
     except EngineError:
@@ -251,7 +335,7 @@ def _tried(
 
 
 class TuningColumn(TableColumn):
-    """Columns of the table of tried settings, in order."""
+    """Columns of the table of settings that the tuning of an autopilot tried, in order."""
 
     SPEED = "speed_asked_m_per_s", lambda one: one.settings.speed
     SPEED_REACHED = "speed_reached_m_per_s", lambda one: one.reached.speed
@@ -265,8 +349,9 @@ class TuningColumn(TableColumn):
 
 
 def tuning_table(tuning: Tuning | None) -> "pd.DataFrame":
-    """Return the tried settings as a table in order, empty without a tuning.
+    """Return the settings that the tuning of an autopilot tried, as a table in order.
 
-    Their energies are those of the search; `Tuning.flight` has the energy to full accuracy.
+    Empty without a tuning. The energies are those of the search, at reduced accuracy;
+    `Tuning.flight` has the energy of the best settings to full accuracy.
     """
     return TuningColumn.of_objects(() if tuning is None else tuning.tried)

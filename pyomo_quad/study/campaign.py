@@ -1,9 +1,9 @@
-"""Campaign: repeated missions on one battery charge until it is at its limit.
+"""Campaign: repeated missions on one battery charge until no further flight is possible.
 
-Each flight is planned with the state of charge, the slow voltage drop and the temperature at which
-the flight before it ended, from the plan that its mission had last.  A charge ends before the first
-flight that has no plan: it would leave less charge than the pack must keep, or the voltage would
-fall below its limit.  No pack rests between two flights, or ages.
+Each flight is planned with the state of charge, the relaxation voltage and the temperature at which
+the flight before it ended, with a warm start from the last plan of the same mission.  A charge ends
+before the first flight that has no plan: the flight would leave less charge than the reserve, or
+the voltage would fall below its limit.  The battery neither rests between two flights nor ages.
 """
 
 from collections.abc import Iterator, Sequence
@@ -27,18 +27,21 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _CHARGE, _VOLTAGE = (column_of(f"battery.{name}").name for name in ("state_of_charge", "voltage"))
-# Samples of a plan in which its lowest voltage is looked for.
+# Samples of a plan from which its lowest voltage is taken.
 _SAMPLES = 400
-#: Flights of a charge after which a campaign ends: a mission that uses so little is no mission.
+#: Largest number of flights on one charge: a mission that uses less charge is not meant seriously.
 MOST_FLIGHTS = 1000
 _FULL = 100.0
 
 CHARGE_RESERVE = "charge reserve"
-"""What ends a charge whose next flight would leave less than the pack must keep."""
+"""Ending of a charge on which the next flight would leave less charge than the reserve."""
 
 
 class CampaignColumn(TableColumn):
-    """Columns of a campaign, one row for each flight, in order."""
+    """Columns of the table of a campaign, one row for each flight, in order.
+
+    A campaign is a series of missions repeated on one or more battery charges.
+    """
 
     CHARGE = "charge", lambda flight: flight.charge
     FLIGHT = "flight", lambda flight: flight.number
@@ -52,29 +55,42 @@ class CampaignColumn(TableColumn):
 
 @dataclass(frozen=True, kw_only=True)
 class CampaignFlight:
-    """Flight of a campaign: number of charge, number on the charge, and plan."""
+    """One flight of a campaign, a series of missions repeated on one or more battery charges.
+
+    Attributes
+    ----------
+    charge, number : int
+        Number of the battery charge, and of the flight on this charge, from 1.
+    plan : Plan
+        Plan of the flight.
+    charge_at_start, charge_at_end : float
+        State of charge in per cent of the capacity.
+    lowest_voltage_V : float
+        Lowest voltage of the battery during the flight.
+    """
 
     charge: int
     number: int
     plan: Plan
     charge_at_start: float
-    """Per cent of the capacity, as below."""
     charge_at_end: float
     lowest_voltage_V: float
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Campaign(Summarised):
-    """Flights of a campaign on one or more battery charges.
+    """Flights of a campaign, that is of missions repeated on one or more battery charges.
 
     Attributes
     ----------
     missions : tuple of Scenario
-        Flown in this order, again and again.
+        Missions, flown in this order, again and again.
     charges : int
+        Number of battery charges.
     flights : tuple of CampaignFlight
+        All flights, in order.
     endings : tuple of str
-        What ended each charge.
+        Reason for which each charge ended, in words.
     """
 
     missions: tuple[Scenario, ...]
@@ -84,18 +100,18 @@ class Campaign(Summarised):
 
     @property
     def counts(self) -> tuple[int, ...]:
-        """Flights of each charge."""
+        """Number of flights on each battery charge."""
         numbers = [flight.charge for flight in self.flights]
         return tuple(numbers.count(charge) for charge in range(1, self.charges + 1))
 
     @property
     def name(self) -> str:
-        """The names of the missions."""
+        """Names of the missions, joined by "+"."""
         return "+".join(mission.name for mission in self.missions)
 
     @property
     def summary(self) -> dict[str, str]:
-        """Missions, flights of each charge, what ended them, and their time and energy."""
+        """Missions, flights on each charge, reasons for their ends, total time and energy."""
         plans = [flight.plan for flight in self.flights]
         return {
             "missions": self.name,
@@ -106,26 +122,34 @@ class Campaign(Summarised):
         }
 
     def table(self) -> "pd.DataFrame":
-        """Return one row per flight, with the columns of `CampaignColumn`."""
+        """Return the flights as a table: one row per flight, columns `CampaignColumn`."""
         return CampaignColumn.of_objects(self.flights)
 
 
 def fly_campaign(
     missions: Sequence[Scenario], planners: Sequence[Planner], *, charges: int = 1
 ) -> Campaign:
-    """Plan missions in a row until the pack is at its limit, on so many charges.
+    """Plan missions one after the other until the battery allows no further flight.
 
     Parameters
     ----------
     missions : sequence of Scenario
-        With one and the same battery and vehicle; each charge begins with that of the first.
+        Missions with the same battery and vehicle, repeated in this order; each charge begins with
+        the state of charge of the first.
     planners : sequence of Planner
         One for each mission.
+    charges : int, default 1
+        Number of battery charges to use up.
+
+    Returns
+    -------
+    Campaign
+        All flights, and the reason for which each charge ended.
 
     Raises
     ------
     ScenarioError
-        If the missions have different packs, or a model has no battery.
+        If the missions have different batteries, or a model has no battery.
     """
     _refuse_other_packs(missions)
     turns = cycle(range(len(missions)))
@@ -133,7 +157,8 @@ def fly_campaign(
     flights: list[CampaignFlight] = []
     endings: list[str] = []
     for charge in range(1, charges + 1):
-        # A pack that was charged has rested: its circuit starts as the scenario says.
+        # A recharged battery has rested: relaxation voltage and temperature start as in the
+        # scenario.
         left = {"battery.initial_state_of_charge": missions[0].battery.initial_state_of_charge}
         for number in range(1, MOST_FLIGHTS + 1):
             told = missions[turn].with_values(left)
@@ -170,7 +195,10 @@ def _refuse_other_packs(missions: Sequence[Scenario]) -> None:
 
 
 def _planned(told: Scenario, last: Plan | None, planner: Planner) -> Plan | str:
-    """Return the plan of a flight, or what keeps the pack from it."""
+    """Return the plan of the next flight, or the reason in words why the battery prevents it.
+
+    `last` is the last plan of the same mission, the start of the solve.
+    """
     if last is not None:
         before = last.scenario.battery.initial_state_of_charge
         used = before - _flight(1, 1, last).charge_at_end
@@ -185,7 +213,7 @@ def _planned(told: Scenario, last: Plan | None, planner: Planner) -> Plan | str:
 
 
 def _ended(plan: Plan) -> dict[str, float]:
-    """Return the state of a vehicle at the end of a plan, by state name."""
+    """Return the states at the end of a plan, by state name."""
     held = plan.trajectories
     return dict(zip(held.state_names, held.states[-1].tolist(), strict=True))
 
@@ -203,7 +231,11 @@ def _flight(charge: int, number: int, plan: Plan) -> CampaignFlight:
 
 
 def _obstacle(told: Scenario, last: Plan | None, planner: Planner) -> str:
-    """Return the limits that the last plan breaks on the charge that is left; "" if none."""
+    """Return the limits that repeating the last plan would break on the charge that is left.
+
+    The limits are in words, separated by commas; the text is empty if none is broken or there is no
+    last plan.
+    """
     return "" if last is None else ", ".join(_broken(told, last, planner))
 
 

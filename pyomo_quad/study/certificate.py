@@ -28,20 +28,25 @@ if TYPE_CHECKING:
     from pyomo_quad.arrays import FloatArray
 
 
-_GAUSS_NODES = 6  # of each panel
+_GAUSS_NODES = 6  # of each panel of the quadrature
 _PANELS = 16  # for integrals of the conjugate over the flight, which is piecewise smooth
-# Panels for integrals of the wind: doubled until two results agree to this, relative.
+# Numbers of panels for integrals of the wind: doubled until two results agree to the relative
+# tolerance below.
 _PANEL_COUNTS = [2**doubling for doubling in range(1, 13)]
 _QUADRATURE_ERROR = 1e-10
 
 
 class ThrustMoments:
-    """Integrals of the thrust over a flight, fixed by its boundary conditions.
+    """Weighted integrals of the thrust over a flight that its boundary conditions fix.
+
+    Every flight from rest to rest over a displacement in a given time has the same integrals, of
+    which momentum balance and displacement are the two causes. The lower bound on energy and the
+    least thrust that a mission needs follow from them.
 
     Parameters
     ----------
     demand : MomentumDemand
-        Linear in the velocity.
+        Thrust that the momentum balance demands, linear in the velocity.
     displacement : ndarray, shape (3,)
         From start to goal, m.
     duration : float
@@ -75,17 +80,48 @@ class ThrustMoments:
         self.mean_thrust = total / duration
 
     def price(self, multipliers: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return length, shape (n,), and direction, shape (n, 3), of the thrust's price vector."""
+        """Return the multiplier of the thrust vector (its price) at each node of the quadrature.
+
+        Parameters
+        ----------
+        multipliers : ndarray, shape (2, 3)
+            Multipliers of the two weighted integrals of the thrust along each axis.
+
+        Returns
+        -------
+        length : ndarray, shape (n,)
+            Length of the price vector, W/N.
+        direction : ndarray, shape (n, 3)
+            Unit vector of the price.
+        """
         vector = np.einsum("ki,kti->ti", multipliers, self.weights)
         size = np.linalg.norm(vector, axis=1)
         return size, vector / np.maximum(size, np.finfo(float).tiny)[:, None]
 
     def supplied(self, thrust: FloatArray) -> FloatArray:
-        """Return the weighted integrals, shape (2, 3), of thrust vectors of shape (n, 3)."""
+        """Return the two weighted integrals of a given thrust over the flight.
+
+        A flight of the mission has the integrals `demanded`.
+
+        Parameters
+        ----------
+        thrust : ndarray, shape (n, 3)
+            Thrust vectors at the nodes of the quadrature, N.
+
+        Returns
+        -------
+        ndarray, shape (2, 3)
+            Integrals with the two `weights`, N s.
+        """
         return np.einsum("kti,ti->ki", self.weights, self.widths[:, None] * thrust)
 
     def least_peak(self, axes: tuple[int, ...] = (0, 1, 2)) -> float:
         """Return a lower bound on the peak thrust of every flight of the mission.
+
+        Parameters
+        ----------
+        axes : tuple of int, default (0, 1, 2)
+            Axes whose thrust counts; (0, 1) is the horizontal thrust.
 
         Returns
         -------
@@ -94,10 +130,11 @@ class ThrustMoments:
 
         Notes
         -----
-        With thrust never above u, multipliers x give x.demanded <= u integral |price(x)|; of the
-        multipliers with x.demanded = 1 those of least integral give the largest bound on u.
-        Where full thrust reverses, |price| has a corner: the quadrature errs by some 1e-4 of the
-        result.
+        The mission fixes two weighted integrals of the thrust, `demanded`, and multipliers x of
+        them give the thrust the multiplier price(x) at each time.  With thrust never above u,
+        x.demanded <= u integral |price(x)|; of the multipliers with x.demanded = 1 those of least
+        integral give the largest bound on u.  Where full thrust reverses, |price| has a corner: the
+        quadrature errs by some 1e-4 of the result.
         """
         counted = np.zeros((2, 3), dtype=bool)
         counted[:, axes] = True
@@ -118,7 +155,7 @@ class ThrustMoments:
 
 
 def _gauss(duration: float, panels: int) -> tuple[FloatArray, FloatArray]:
-    """Return nodes and widths of Gauss-Legendre quadrature on equal panels."""
+    """Return nodes [s] and widths [s] of Gauss-Legendre quadrature on equal panels of a flight."""
     nodes, widths = np.polynomial.legendre.leggauss(_GAUSS_NODES)
     panel = duration / panels
     starts = panel * np.arange(panels)
@@ -127,7 +164,10 @@ def _gauss(duration: float, panels: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _weights(times: FloatArray, rate: FloatArray, duration: float) -> tuple[FloatArray, FloatArray]:
-    """Return the weights of docs/theory/bound.md, eqs. (2) and (4), each of shape (n, 3)."""
+    """Return the weights of docs/theory/bound.md, eqs. (2) and (4), at given times, each (n, 3).
+
+    `rate` is drag over mass [1/s] along each axis, `duration` that of the flight [s].
+    """
     left = (duration - times)[:, None] * np.ones_like(rate)
     has_drag = rate > 0.0
     divisor = np.where(has_drag, rate, 1.0)
@@ -137,7 +177,11 @@ def _weights(times: FloatArray, rate: FloatArray, duration: float) -> tuple[Floa
 def _standing_moments(
     demand: MomentumDemand, rate: FloatArray, duration: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the integrals of the force at rest over the flight, plain and weighted by time."""
+    """Return the weighted integrals of the thrust that keeps the vehicle at rest during a flight.
+
+    This thrust balances weight and wind at zero velocity. The integrals have the weights of
+    docs/theory/bound.md, eqs. (2) and (4), as `_weights` gives them, each of shape (3,).
+    """
     previous = np.full((2, 3), np.nan)
     for panels in _PANEL_COUNTS:
         times, widths = _gauss(duration, panels)
@@ -155,12 +199,14 @@ def _standing_moments(
 _ROUNDING = 1e-10  # relative
 # Times at which the standing force and the wind are sampled to see whether they are constant.
 _STANDING_SAMPLES = 101
-# Degree of the fit of thrust and power by the rotor speed, and Chebyshev nodes for it: declared
-# powers are polynomials of degree four at most in steady flight; others fail the fit's tolerance.
+# Degree of the polynomials fitted to thrust and power over the rotor speed, and number of Chebyshev
+# nodes: declared powers are polynomials of degree four at most in steady flight; any other power
+# exceeds the tolerance of the fit.
 _DEGREE = 8
 _READINGS = 24
-_FIT_ERROR = 1e-10  # relative to the largest reading
-# Samples of the fit up to twice the speed of hover, the range of usual flights, and beyond.
+_FIT_ERROR = 1e-10  # relative to the largest value at the nodes
+# Number of samples of the fit up to twice the speed of hover, the range of usual flights, and of
+# those beyond.
 _SAMPLES = 3001
 _USUAL_SPEED = 2.0
 _ITERATIONS = 200  # of L-BFGS
@@ -177,12 +223,12 @@ SAME_TIME = 1e-9
 
 @dataclass(frozen=True, kw_only=True)
 class Certificate:
-    """Lower bound on the energy of a mission, or the reason why there is none.
+    """Lower bound on the energy of every flight of a mission, or the reason why none is known.
 
     Attributes
     ----------
     lower_bound_J : float or None
-        Least energy that a flight of the mission can spend; None if no bound is known.
+        Energy below which no flight of the mission exists; None if no bound is known.
     hover_energy_J : float
         Energy of hovering in still air for the same time.
     applies : bool
@@ -200,17 +246,17 @@ class Certificate:
     durations_s: tuple[float, float] = (0.0, inf)
 
     def is_of(self, duration_s: float) -> bool:
-        """Return whether the bound covers flights of a duration."""
+        """Return whether the lower bound covers flights of a duration [s]."""
         least, greatest = self.durations_s
         return least * (1 - SAME_TIME) <= duration_s <= greatest * (1 + SAME_TIME)
 
     def gap_percent(self, energy_J: float) -> float | None:
-        """Return the largest possible saving over an energy, in per cent of that energy.
+        """Return the largest possible saving over a flight, in per cent of the flight's energy.
 
         Returns
         -------
         float or None
-            None if no bound is known.
+            100 (energy - lower bound) / energy; None if no bound is known.
         """
         if self.lower_bound_J is None:
             return None
@@ -218,7 +264,20 @@ class Certificate:
 
 
 def certify(scenario: Scenario, *, planner: Planner | None = None) -> Certificate:
-    """Return a lower bound on the energy of every flight of a mission in the actual wind."""
+    """Return a lower bound on the energy of every flight of a mission in the actual wind.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission.
+    planner : Planner, optional
+        Holds the compiled equations; a new one without it.
+
+    Returns
+    -------
+    Certificate
+        The bound, or the reason why none is known.
+    """
     planner = planner or Planner()
     hover_energy = planner.steady_flight(scenario).hover_power * scenario.nominal_duration
     bound, reason = _bound(scenario, planner)
@@ -232,6 +291,10 @@ def certify(scenario: Scenario, *, planner: Planner | None = None) -> Certificat
 
 
 def _bound(scenario: Scenario, planner: Planner) -> _Found:
+    """Return the best lower bound that one of the methods gives [J], and its basis in words.
+
+    The bound is None if no method applies; the text is then the reason.
+    """
     reason = next(_obstacles(scenario), "")
     if reason:
         return None, reason
@@ -252,7 +315,10 @@ def _bound(scenario: Scenario, planner: Planner) -> _Found:
 
 
 def _uncounted(scenario: Scenario, demand: MomentumDemand) -> str:
-    """Return why waypoints and a free duration cannot enter the bound, empty if they can."""
+    """Return why waypoints and a free duration cannot enter the lower bound; "" if they can.
+
+    The text completes the sentence "no bound is known that counts waypoints ...".
+    """
     times = np.linspace(0.0, scenario.nominal_duration, _STANDING_SAMPLES)
     standing = np.array([demand.thrust(float(t)) for t in times])
     if np.ptp(standing, axis=0).max() > _ROUNDING * np.abs(standing).max():
@@ -267,7 +333,15 @@ def _uncounted(scenario: Scenario, demand: MomentumDemand) -> str:
 def _bound_as_a_whole(
     scenario: Scenario, demand: MomentumDemand, power: _SteadyPower, uncounted: str
 ) -> _Found:
-    """Bound all flights of fixed duration from start to goal, ignoring waypoints."""
+    """Bound the energy of flights of fixed duration from below, ignoring waypoints.
+
+    Returns
+    -------
+    float or None
+        Lower bound [J]; None if it is unknown.
+    str
+        Basis of the bound, or the reason why there is none.
+    """
     mission = scenario.mission
     if mission.released > 0.0:
         return None, f"no bound is known for a mass that changes in flight {uncounted}."
@@ -293,7 +367,17 @@ def _bound_as_a_whole(
 def _bound_by_legs(
     scenario: Scenario, planner: Planner, demand: MomentumDemand, power: _SteadyPower
 ) -> _Found:
-    """Bound all flights through the waypoints, over all passing times and durations."""
+    """Bound the energy of flights through the waypoints from below, for all passing times.
+
+    Valid for power and drag that do not depend on the airspeed; a free duration may take any value.
+
+    Returns
+    -------
+    float or None
+        Lower bound [J]; None if it is unknown.
+    str
+        Basis of the bound, or the reason why there is none.
+    """
     mission = scenario.mission
     standing = demand.thrust(0.0)
     thrust = float(np.linalg.norm(standing))
@@ -321,9 +405,10 @@ def _bound_by_legs(
 
 
 def _energy_returned(scenario: Scenario, planner: Planner) -> float:
-    """Return the energy that slowing rotors give back at the goal, after releases [J].
+    """Return the energy that slowing rotors can give back at the goal after a payload release [J].
 
-    They hover slower there after the release of parcels.
+    The vehicle is lighter at the goal than at the start, so that its rotors hover more slowly
+    there.
     """
     if not scenario.mission.released:
         return 0.0
@@ -336,7 +421,17 @@ def _energy_returned(scenario: Scenario, planner: Planner) -> float:
 
 
 def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand) -> _Found:
-    """Bound flights whose power or drag depends on airspeed, by `pairs.bound_of_pairs`."""
+    """Bound the energy of flights from below if power or drag depends on the airspeed.
+
+    The bound is that of the module `pairs`, over all pairs of thrust and airspeed.
+
+    Returns
+    -------
+    float or None
+        Lower bound [J]; None if it is unknown.
+    str
+        Basis of the bound, or the reason why there is none.
+    """
     mission, dynamics = scenario.mission, planner.dynamics(scenario)
     if scenario.power.model is PowerModel.MOTOR_WITH_FRICTION:
         return (
@@ -380,7 +475,7 @@ def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand
 
 
 def _airspace_clause(scenario: Scenario) -> str:
-    """Return a clause that extends a bound to flights inside an airspace, or an empty text."""
+    """Return the clause that extends the statement of a bound to flights in an airspace, or ""."""
     airspace = scenario.airspace
     if not airspace.keep_out and airspace.floor is None and airspace.ceiling is None:
         return ""
@@ -388,7 +483,7 @@ def _airspace_clause(scenario: Scenario) -> str:
 
 
 def _obstacles(scenario: Scenario) -> Iterator[str]:
-    """Yield the reasons why no bound is known, the simplest first."""
+    """Yield the reasons why no lower bound on the energy is known, the simplest first."""
     if scenario.model is not None:
         yield f"no bound is known for a user's own model ({scenario.model})."
     if scenario.power.model is PowerModel.EFFICIENCY:
@@ -409,9 +504,10 @@ def _obstacles(scenario: Scenario) -> Iterator[str]:
 
 
 def _best_bound(moments: ThrustMoments, power: _SteadyPower, ceiling: float) -> float:
-    """Return the largest bound that the search finds, at least the bound of Jensen's inequality.
+    """Return the largest lower bound that maximising the dual function finds [J].
 
-    The search stops above ``ceiling`` [J], the energy of full power throughout.
+    It is at least the bound of Jensen's inequality, from which the search starts. The search stops
+    above ``ceiling`` [J], the energy of full power throughout, since no flight exists then.
     """
 
     def negative(multipliers: FloatArray) -> tuple[float, FloatArray]:
@@ -441,16 +537,17 @@ def _best_bound(moments: ThrustMoments, power: _SteadyPower, ceiling: float) -> 
 
 
 class _SteadyPower:
-    """Thrust and power at equal, constant rotor speeds over their allowed range.
+    """Total thrust and power at equal, constant rotor speeds over their allowed range.
 
-    Power is taken without credit for braking, which makes it larger.
+    The power is the declared one before its smooth lower limit of zero, which can only increase it:
+    a lower bound on energy stays valid.
 
     Attributes
     ----------
     thrust, power : ndarray, shape (n,)
-        Total thrust [N], rising, and total power [W] at equal steps of the rotor speed.
+        Total thrust [N], increasing, and total power [W], at samples of the rotor speed.
     is_polynomial : bool
-        Whether the fit meets the readings of the declared model to rounding.
+        Whether the fitted polynomials equal the declared model to rounding.
     """
 
     def __init__(self, scenario: Scenario, steady: SteadyFlight) -> None:
@@ -471,21 +568,21 @@ class _SteadyPower:
         self._chords = np.diff(self._floor) / np.diff(self._thrust)
 
     def slope(self, thrust: float) -> float:
-        """Return the derivative of power with respect to thrust [W/N]."""
+        """Return the derivative of power with respect to thrust at a thrust [W/N]."""
         return float(np.interp(thrust, self.thrust[1:], self._slope))
 
     def conjugate(self, price: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the maximum of price * thrust - power over the allowed thrusts.
+        """Return the convex conjugate of the power: the maximum of price * thrust - power.
 
         Parameters
         ----------
         price : ndarray, shape (n,)
-            Price of thrust, not negative, W/N.
+            Multiplier of the thrust (its price), not negative, W/N.
 
         Returns
         -------
         value : ndarray, shape (n,)
-            Upper bound on the maximum, W.
+            Upper bound on the maximum over the allowed thrusts, W.
         thrust : ndarray, shape (n,)
             Thrust of the maximum, to the spacing of the samples, N.
 
@@ -502,7 +599,17 @@ class _SteadyPower:
 def _fit(
     readings: FloatArray, speeds: FloatArray, samples: FloatArray
 ) -> tuple[Chebyshev, FloatArray, bool]:
-    """Fit a polynomial of the rotor speed to readings; return it with samples and success."""
+    """Fit a polynomial of the rotor speed to values of the declared model.
+
+    Returns
+    -------
+    polynomial : Chebyshev
+        The fit.
+    values : ndarray
+        The fit at the speeds ``samples``.
+    is_exact : bool
+        Whether the fit meets the ``readings`` (values at ``speeds``) to rounding.
+    """
     domain = [speeds[0], speeds[-1]]
     polynomial = Chebyshev.fit(speeds, readings, _DEGREE, domain=domain)
     error = float(np.max(np.abs(polynomial(speeds) - readings)))
@@ -510,7 +617,10 @@ def _fit(
 
 
 def _below(thrust: FloatArray, power: FloatArray) -> FloatArray:
-    """Lower samples of the power so that the polygon through them is nowhere above the power."""
+    """Lower samples of the power so that the polygon through them is nowhere above the power.
+
+    A lower bound on the energy that the samples give is thus valid for the whole curve.
+    """
     chords = np.diff(power) / np.diff(thrust)
     # The power rises with thrust, so the first step extends a level line.
     extended = power[:-1] + np.concatenate([[0.0], chords[:-1]]) * np.diff(thrust)
@@ -518,7 +628,7 @@ def _below(thrust: FloatArray, power: FloatArray) -> FloatArray:
 
 
 def _corners(thrust: FloatArray, power: FloatArray) -> FloatArray:
-    """Return the vertices of the lower convex hull of thrust and power, shape (2, n)."""
+    """Return the vertices of the lower convex hull of power over thrust, shape (2, n)."""
     kept: list[tuple[float, float]] = []
     for x, y in zip(thrust.tolist(), power.tolist(), strict=True):
         while len(kept) > 1:

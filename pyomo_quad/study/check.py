@@ -1,4 +1,4 @@
-"""Checks of a mission before the solve, and cautions about a plan after it."""
+"""Checks of a mission before the solve, and cautions about a plan after the solve."""
 
 from collections.abc import Iterator
 from math import atan2, hypot, inf, pi, radians, sin
@@ -35,12 +35,19 @@ def _caution(subject: str, message: str) -> Finding:
 
 
 def pack_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
-    """Yield demands beyond the battery's capacity, and limits that no flight can keep.
+    """Yield findings on the battery: too little charge or power, limits that no flight can keep.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        A mission of fixed duration.
+    planner : Planner
+        Holds the compiled equations.
 
     Yields
     ------
     Finding
-        A caution if the pack is too small, because its equations stay finite beyond empty;
+        A caution if the battery is too small, because its equations stay finite beyond empty;
         impossible if a limit must be exceeded.
     """
     steady, limits = planner.steady_flight(scenario), scenario.limits
@@ -66,7 +73,10 @@ def pack_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
 
 
 def _limits_broken(scenario: Scenario, steady: SteadyFlight, bound: float) -> Iterator[Finding]:
-    """Yield the battery limits that the mean power of the lower bound exceeds."""
+    """Yield the battery limits that even the mean power of the lower energy bound exceeds.
+
+    `bound` is a lower bound on the energy of every flight of the mission [J].
+    """
     limits, duration = scenario.limits, scenario.mission.fixed_duration
     current, voltage, charge_rate = steady.pack_under(bound / duration)
     taken, initial = charge_rate * duration, scenario.battery.initial_state_of_charge
@@ -100,16 +110,20 @@ def _limits_broken(scenario: Scenario, steady: SteadyFlight, bound: float) -> It
         )
 
 
-# Rotor speeds of usual flights, relative to hover: the range searched.
+# Range of rotor speeds, relative to hover, in which chattering is looked for: that of usual
+# flights.
 _SLOWEST, _FASTEST = 0.6, 1.1
 _SPEEDS = 11  # samples of that range: 5 % of the hover speed apart
-_ACCELERATIONS = 16  # samples from rest to the limit, for each sign
-# A relative saving below this is within the smoothing of the floors of f_r.
+_ACCELERATIONS = 16  # samples of the rotor acceleration from zero to its limit, for each sign
+# A relative saving below this is within the smoothing of the lower limits of torque and f_r.
 _SAVING = 1e-3
 
 
 def power_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[Finding]:
-    """Yield cautions if the power model leaves its valid range near the mission's hover."""
+    """Yield cautions if the power model is outside its valid range near the mission's hover.
+
+    For instance, the motors may need more voltage in hover than the battery has.
+    """
     if scenario.power.model is PowerModel.EFFICIENCY:
         yield from _efficiency_findings(scenario, steady)
     yield from _voltage_findings(scenario, steady)
@@ -149,9 +163,10 @@ def _efficiency_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[F
 
 
 def _fastest_chattering(steady: SteadyFlight, limit: float) -> float | None:
-    """Return the highest rotor speed at which alternating speeds take less power.
+    """Return the highest rotor speed at which chattering takes less power than steady speed.
 
-    None if there is no such speed in the range searched.
+    Chattering is alternating acceleration and braking, within ``limit`` [rad/s^2]. The result is in
+    rad/s, or None if there is no such speed in the range searched.
     """
     hover = steady.hover_speed
     for speed in np.linspace(_FASTEST * hover, _SLOWEST * hover, _SPEEDS):
@@ -195,7 +210,20 @@ _MARGIN = 1e-3
 
 
 def reach_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
-    """Yield demands for thrust, tilt, rotor speed or yaw moment that exceed the limits."""
+    """Yield findings on thrust, tilt, rotor speed or yaw moment needed beyond the limits.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        A mission of fixed duration.
+    planner : Planner
+        Holds the compiled equations.
+
+    Yields
+    ------
+    Finding
+        Each proves that no flight of the mission exists.
+    """
     steady = planner.steady_flight(scenario)
     if scenario.limits.rotor_speed_min > steady.hover_speed:
         yield _impossible(
@@ -206,14 +234,14 @@ def reach_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
         return
     yield from _yaw_findings(scenario, steady)
     if scenario.wind.varies_with_place:
-        return  # the thrust needed depends on the way that the plan chooses
+        return  # the thrust needed depends on the route that the plan chooses
     demand = MomentumDemand(planner.dynamics(scenario))
     if demand.is_linear:
         yield from _thrust_findings(scenario, steady, demand)
 
 
 def _available_thrust(scenario: Scenario, steady: SteadyFlight) -> tuple[str, float]:
-    """Return the limit that allows the least thrust ("field = value") and that thrust [N]."""
+    """Return the limit that restricts the thrust most, as "field = value", and that thrust [N]."""
     limits = scenario.limits
     # Rotors start and end at hover speed, so they can be fastest half way through the flight.
     gain = limits.rotor_acceleration_max * scenario.mission.fixed_duration / 2
@@ -276,9 +304,10 @@ def _too_short(
 
 
 def _least_duration(scenario: Scenario, demand: MomentumDemand, available: float) -> float:
-    """Return the longest duration for which the thrust is known to be insufficient [s].
+    """Return a duration below which the thrust is insufficient for the mission [s].
 
-    Infinite if no duration suffices, or the wind after the mission is unknown.
+    It is found by doubling and bisection from the mission's own duration. Infinite if no duration
+    suffices, or if the wind after the mission is unknown.
     """
     if scenario.wind.series is not None:
         return inf
@@ -346,20 +375,24 @@ def _yaw_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[Finding]
         )
 
 
-# Relative excess over a derived limit that is rounding.
+# Relative excess over a derived limit that counts as rounding.
 _ROUNDING = 1e-9
 
 
 def check_mission(
     scenario: Scenario, *, builder: Builder = build_model, planner: Planner | None = None
 ) -> tuple[Finding, ...]:
-    """List impossible demands and doubtful values of a mission.
+    """Return impossible demands and doubtful values of a mission, without solving it.
 
     Parameters
     ----------
+    scenario : Scenario
+        The mission.
     builder : callable, optional
         Builds the Pyomo model. Of a user's model only the declarations are screened, because the
         limits of its vehicle are unknown.
+    planner : Planner, optional
+        Holds the compiled equations; a new one without it.
 
     Returns
     -------
@@ -382,7 +415,7 @@ def check_mission(
 
 
 def _contradictions(scenario: Scenario) -> Iterator[Finding]:
-    """Yield contradictions between the vehicle's numbers."""
+    """Yield contradictions between the numbers of a vehicle, such as its moments of inertia."""
     for found in scenario.contradictions:
         yield Finding(severity=Severity.UNPHYSICAL, subject=found.field, message=found.message)
 
@@ -427,7 +460,7 @@ def _idle_limits(scenario: Scenario) -> Iterator[Finding]:
 
 
 def _tilt_left_to_plans(scenario: Scenario) -> Iterator[Finding]:
-    """Yield a caution if plans may tilt further than the controller can follow."""
+    """Yield a caution if plans of a scenario may tilt further than its controller can follow."""
     given, without = scenario.baseline.gains.tilt_max, {"baseline.gains.tilt_max": None}
     allowed = followed_tilt(scenario.with_values(without)) if given is not None else 0.0
     if given is not None and given < allowed * (1 - _ROUNDING):
@@ -440,7 +473,7 @@ def _tilt_left_to_plans(scenario: Scenario) -> Iterator[Finding]:
 
 
 def _untracked_tilt(plan: "Plan") -> Iterator[str]:
-    """Yield a caution if a plan tilts further than the controller can follow."""
+    """Yield a caution if a plan tilts further than the controller of its scenario can follow."""
     held = plan.trajectories
     if plan.verification is None or not set(_ANGLES) <= set(held.state_names):
         return
@@ -456,7 +489,7 @@ def _untracked_tilt(plan: "Plan") -> Iterator[str]:
 
 
 _ANGLES = "rigid_body.phi", "rigid_body.theta"
-# rad, by which a plan may tilt further for moments without a flight falling behind.
+# Tilt [rad] by which a plan may briefly exceed the controller's limit without a flight lagging.
 _SAME_TILT = 0.02
 
 _TORQUE = "rotors.motor_torque"
@@ -464,7 +497,20 @@ _EFFICIENCY = "power.efficiency_polynomial"
 
 
 def plan_cautions(plan: "Plan", *, planner: "Planner | None" = None) -> tuple[str, ...]:
-    """Return cautions about a plan: mission, solve and validity of the models."""
+    """Return cautions about a plan: on its mission, its solve and the validity of its models.
+
+    Parameters
+    ----------
+    plan : Plan
+        Plan of any status.
+    planner : Planner, optional
+        Holds the compiled equations; a new one without it.
+
+    Returns
+    -------
+    tuple of str
+        One line each.
+    """
     has_flown = plan.verification is not None
     findings = check_mission(plan.mission_flown if has_flown else plan.scenario, planner=planner)
     return (
@@ -477,9 +523,10 @@ def plan_cautions(plan: "Plan", *, planner: "Planner | None" = None) -> tuple[st
 
 
 def _attitude_cautions(plan: "Plan", planner: "Planner | None") -> Iterator[str]:
-    """Yield a caution if a plan with the paper's attitude misses the goal with exact attitude.
+    """Yield a caution if a plan with the paper's attitude equations fails with exact ones.
 
-    The paper sets the Euler rates equal to the body rates.
+    The paper sets the Euler rates equal to the body rates. The plan's controls are simulated with
+    exact Euler rates, and fail if they miss the goal.
     """
     told = plan.scenario.as_forecast()
     is_printed = told.vehicle.attitude is Attitude.PAPER
@@ -507,7 +554,10 @@ def _attitude_cautions(plan: "Plan", planner: "Planner | None") -> Iterator[str]
 
 
 def _efficiency_map_cautions(plan: "Plan") -> Iterator[str]:
-    """Yield a caution on the share of a plan outside the valid range of f_r."""
+    """Yield a caution on the share of a plan outside the valid range of the polynomial f_r.
+
+    f_r is the efficiency of the drive in `power.model` "efficiency".
+    """
     floors = plan.scenario.power
     if floors.model is not PowerModel.EFFICIENCY or not plan.dynamics.has(_EFFICIENCY):
         return

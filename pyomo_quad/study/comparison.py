@@ -1,4 +1,7 @@
-"""Comparison of the flights of a mission in one table, and the effect of adaptation."""
+"""Comparison of the flights of a mission in one table, and the effect of adaptation.
+
+Adaptation is the controller's estimate of the disturbance acceleration, which it compensates.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from math import isclose, isfinite, nan
@@ -43,7 +46,23 @@ _ESTIMATES = tuple(f"disturbance_{axis}_m_per_s2" for axis in "xyz")
 
 
 def adaptation_study(scenario: Scenario, *, dynamics: Dynamics) -> "pd.DataFrame":
-    """Simulate a mission under the adaptive controller, with adaptation and without."""
+    """Simulate a mission under the adaptive controller, with adaptation and without.
+
+    Both flights follow the smooth path (quintic polynomial) from start to goal in the actual wind.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission with fixed times.
+    dynamics : Dynamics
+        Dynamics of the vehicle in the actual wind.
+
+    Returns
+    -------
+    DataFrame
+        Over time: position errors of both flights (`ERROR_WITH`, `ERROR_WITHOUT`), and disturbance
+        acceleration, as estimated (`ESTIMATED`) and true (`TRUE`), in the flight with adaptation.
+    """
     import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
     told = (scenario.with_values({"baseline.adaptation": adapts}) for adapts in (True, False))
@@ -68,15 +87,15 @@ def _error(path: ReferencePath, dynamics: Dynamics, flight: ClosedLoopFlight) ->
 
 OPTIMAL = "optimal"
 FAIR_BASELINE = baseline_name(Reference.QUINTIC)
-"""The baseline for savings: a smooth reference for the same mission, made without a plan."""
+"""Name of the baseline for savings: a smooth path for the same mission, made without a plan."""
 INSIDE_DISTANCE_M = 0.1
-"""Distance from the goal below which `time_inside_0p1_m_s` counts."""
+"""Distance from the goal within which the column `time_inside_0p1_m_s` counts time [m]."""
 
 _PLACE = tuple(column_of(state).name for state in POSITION_STATES)
 
 
 class ComparisonColumn(TableColumn):
-    """Columns of a comparison, in order."""
+    """Columns of the table that compares the flights of a mission, in order."""
 
     SCENARIO = "scenario"
     FLIGHT = "flight"
@@ -102,12 +121,12 @@ class ComparisonColumn(TableColumn):
 
 
 RESERVE = "reserve_percent"
-"""Unused share of the limits of rotor speed and thrust, the lesser, at its least over the flight; a
-column only if the scenario sets `limits.reserve`."""
+"""Column for the unused share of the limits of rotor speed and thrust: the smaller of the two, at
+its least over the flight; only if the scenario sets `limits.reserve`."""
 
 
 def has_arrived(flight: Flight) -> bool:
-    """Return whether a flight ends at the goal and at rest."""
+    """Return whether a flight ends at the goal and nearly at rest."""
     speed = np.linalg.norm([flight.terminal_miss.get(name, 0.0) for name in VELOCITY_STATES])
     return bool(flight.terminal_miss_m <= ARRIVAL_DISTANCE_M and speed <= ARRIVAL_SPEED_M_PER_S)
 
@@ -118,7 +137,18 @@ def compare_flights(
     certificate: Certificate,
     hover_energy_J: float,
 ) -> "pd.DataFrame":
-    """Compare the flights of one mission.
+    """Compare the flights of one mission in a table of energies, savings, misses and limits.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission with the times of the plan.
+    flights : sequence of Flight
+        Flights of the mission; the plan's is named `OPTIMAL`.
+    certificate : Certificate
+        Lower bound on the energy of the mission.
+    hover_energy_J : float
+        Energy of hovering for the duration of the mission (the hover floor).
 
     Returns
     -------
@@ -132,7 +162,7 @@ def compare_flights(
     and savings refer to the sum.  Saving = (flight - optimum) / flight, in per cent, of the sum and
     of the sum above hover.
 
-    A flight that did not arrive, broke a limit or has no price on its end state has no saving,
+    A flight that did not arrive, broke a limit or whose owed energy is unknown has no saving,
     bound or gap, since the bound covers flights that arrive within the limits.  A scenario with a
     forecast has no savings, and its optimum no bound: it was planned for another wind than the
     others flew in.
@@ -194,7 +224,7 @@ def against_hovering(excess_J: float, digits: int = 2) -> str:
 
 
 def has_own_time(scenario: Scenario, duration_s: float) -> bool:
-    """Return whether a flight lasts longer or shorter than the mission."""
+    """Return whether the duration of a flight differs from the mission's."""
     return not isclose(duration_s, scenario.mission.fixed_duration, rel_tol=SAME_TIME)
 
 
@@ -205,7 +235,7 @@ def _hover_energy(scenario: Scenario, flight: Flight, hover_energy_J: float) -> 
 
 
 class LegColumn(TableColumn):
-    """Columns of the legs of a flight, in order."""
+    """Columns of the table of a flight's legs (from waypoint to waypoint), in order."""
 
     LEG = "leg"
     BEGUN = "begun_s"
@@ -215,14 +245,16 @@ class LegColumn(TableColumn):
 
 
 def leg_table(mission: Scenario, frame: "pd.DataFrame") -> "pd.DataFrame":
-    """Return `leg_rows` as a table with the columns of `LegColumn`."""
+    """Return times, length and energy of each leg of a flight (between waypoints) as a table."""
     return LegColumn.of_rows(leg_rows(mission, frame))
 
 
 def leg_rows(
     mission: Scenario, flown: "Mapping[str, FloatArray] | pd.DataFrame"
 ) -> list[dict[str, str | float]]:
-    """Return times, length and energy of each leg of a flight, and of each hold at a waypoint.
+    """Return times, length and energy of each leg of a flight, and of each hover at a waypoint.
+
+    A leg is the flight from one waypoint to the next.
 
     Parameters
     ----------
@@ -257,7 +289,7 @@ def leg_rows(
 
 
 def _legs(mission: Scenario, duration_s: float) -> Iterator[tuple[str, float, float]]:
-    """Yield name, begin and end [s] of every leg and of every hold between two legs."""
+    """Yield name, begin and end [s] of each leg between waypoints and each hover at them."""
     left, place = 0.0, "start"
     for number, waypoint in enumerate(mission.mission.waypoints, start=1):
         reached = duration_s if waypoint.at is None else waypoint.at
@@ -269,7 +301,7 @@ def _legs(mission: Scenario, duration_s: float) -> Iterator[tuple[str, float, fl
 
 
 def way_flown(flown: "Mapping[str, FloatArray] | pd.DataFrame") -> FloatArray:
-    """Return the path length at each row of a flight's table [m].
+    """Return the length of the path flown until each row of a flight's table [m].
 
     Axes that a user's model does not declare are left out.
     """
@@ -280,7 +312,7 @@ def way_flown(flown: "Mapping[str, FloatArray] | pd.DataFrame") -> FloatArray:
 
 
 class ReplanningColumn(TableColumn):
-    """Columns of the table of re-planned flights, in order."""
+    """Columns of the table of flights that are planned again on the way, in order."""
 
     FLIGHT = "flight"
     SETTLED_ENERGY = "settled_energy_J"
@@ -296,10 +328,17 @@ class ReplanningColumn(TableColumn):
 
 
 def replanning_table(flights: Sequence[Flight], settings: Replanning) -> "pd.DataFrame":
-    """Return results and solve times of all re-planned flights as a table.
+    """Return results and solve times of all flights that are planned again on the way.
 
     A solve is late if it took longer on this machine than ``solve_time``, whatever delay the flight
     simulated; it may also have taken longer than the interval to the next solve.
+
+    Parameters
+    ----------
+    flights : sequence of Flight
+        Flights of a run.
+    settings : Replanning
+        Interval and allowed time of the solves [s].
 
     Returns
     -------
@@ -331,13 +370,19 @@ def replanning_table(flights: Sequence[Flight], settings: Replanning) -> "pd.Dat
 
 
 def is_comparable(flight: Flight) -> bool:
-    """Return whether a flight arrived within all limits and its energy to complete is known."""
+    """Return whether a flight arrived within all limits and its energy to complete is known.
+
+    The energy to complete is that from the flight's end state to the exact goal state.
+    """
     is_priced = isfinite(flight.owed_energy_J)
     return has_arrived(flight) and not flight.broken_limits and is_priced
 
 
 def settled_energy(flight: Flight) -> float:
-    """Return the energy of a flight, plus the energy to complete it if it arrived [J]."""
+    """Return the energy of a flight, plus its energy to complete if it arrived [J].
+
+    The energy to complete is that from the flight's end state to the exact goal state.
+    """
     is_priced = has_arrived(flight) and isfinite(flight.owed_energy_J)
     return flight.energy_J + (flight.owed_energy_J if is_priced else 0.0)
 
@@ -361,7 +406,10 @@ def _percent(part: float, whole: float) -> float:
 
 
 def _measured(scenario: Scenario, frame: "pd.DataFrame") -> dict[ComparisonColumn, float]:
-    """Return a flight's peak power, tilt, rotor acceleration, time near the goal, charge used."""
+    """Return peaks, time near the goal and charge used of a flight, for its row in a comparison.
+
+    The peaks are those of power, tilt and rotor acceleration.
+    """
     alpha = _rotor_values(frame, "rotors.alpha")
     tilt = np.cos(_values(frame, "rigid_body.phi")) * np.cos(_values(frame, "rigid_body.theta"))
     charge = _values(frame, "battery.state_of_charge")
@@ -383,7 +431,7 @@ def _reserve_percent(scenario: Scenario, frame: "pd.DataFrame") -> float:
 
 
 def _time_inside(scenario: Scenario, frame: "pd.DataFrame") -> float:
-    """Return the time spent near the goal [s].
+    """Return the time that a flight spends near the goal [s].
 
     An interval between two rows counts half if only one of its ends is near.
     """
@@ -396,7 +444,10 @@ def _time_inside(scenario: Scenario, frame: "pd.DataFrame") -> float:
 
 
 def _rotor_values(frame: "pd.DataFrame", component: str) -> FloatArray:
-    """Return one column for each rotor, at least four; NaN where a user's model lacks a rotor."""
+    """Return a variable of the rotors from a flight's table, one column for each rotor.
+
+    There are at least four columns, NaN where a user's model lacks a rotor.
+    """
     shown = [one for one in ALL_COLUMNS if one.component == component]
     return np.column_stack(
         [_values(frame, one.variable) for one in shown if one.index in ROTORS or one.name in frame]
@@ -404,7 +455,7 @@ def _rotor_values(frame: "pd.DataFrame", component: str) -> FloatArray:
 
 
 def _values(frame: "pd.DataFrame", variable: str) -> FloatArray:
-    """Return the values of a variable of the model; NaN if the table lacks its column."""
+    """Return the values of a model variable in a flight's table; NaN without such a column."""
     name = column_of(variable).name
     if name not in frame:
         return np.full(len(frame), nan)

@@ -19,14 +19,14 @@ from pyomo_quad.scenario.mission import Order
 if TYPE_CHECKING:
     from pyomo_quad.scenario import Scenario
 
-#: Factor by which the estimate is usually off at most.
+#: Factor by which estimated and measured time usually differ at most.
 ROUGHLY = 3.0
-# Seconds of a processor per unknown and iteration.
+# Processor time per unknown and iteration [s].
 _PER_UNKNOWN_S = 9e-6
-# Seconds to build, compile and fly the plan.
+# Processor time to build and compile the model and to verify the plan [s].
 _BESIDE_S = 0.3
-# Iterations per mesh: of a plain flight; of a flight with free times, waypoints or routes; and in
-# addition for each waypoint.
+# Ipopt iterations per mesh: of a flight of fixed duration from start to goal; of a flight with free
+# times, waypoints or routes; and in addition for each waypoint.
 _PLAIN, _MOVING, _PER_WAYPOINT = 8, 40, 3
 # Average number of points of refined meshes, relative to the first mesh.
 _FINER = 2.5
@@ -38,7 +38,7 @@ _ROUTE_ELEMENTS, _MOST_REFINED = 20, 3
 _LEG_POINTS, _LEG_ITERATIONS = 32, 20
 # Relative increase of the time of an iteration by a wind table.
 _TABLE = 0.5
-# Tolerance of a quick solve, with which the cost of the required accuracy is compared.
+# Tolerance of a quick solve, the reference for the extra time that a finer tolerance takes.
 _QUICK = 1e-3
 
 
@@ -46,8 +46,21 @@ _QUICK = 1e-3
 class Counts:
     """Features of a scenario that determine its planning time.
 
-    `unknowns` is the number per collocation point; `routes` is 0 without zones in the way; `legs`
-    is the number of legs solved to find the order of the waypoints, 0 for a given order.
+    Attributes
+    ----------
+    unknowns : int
+        Functions of time of the model: states and other variables.
+    elements, degree, tolerance
+        First mesh and tolerance of its refinement.
+    waypoints : int
+        Number of waypoints.
+    routes : int
+        Number of routes round keep-out zones; 0 if no zone is in the way.
+    legs : int
+        Number of legs, flights between two waypoints, that are solved to find the order of the
+        waypoints; 0 for a given order.
+    is_free, has_wind_table : bool
+        Whether the duration is free, and whether the wind is a measured table.
     """
 
     unknowns: int
@@ -62,7 +75,7 @@ class Counts:
 
     @property
     def seconds(self) -> float:
-        """Estimated processor time of planning, s."""
+        """Estimated processor time of planning [s]."""
         is_moving = self.is_free or self.waypoints > 0 or self.routes > 0
         iterations = _MOVING + _PER_WAYPOINT * self.waypoints if is_moving else _PLAIN
         elements = max(self.elements, self.waypoints + 1, _ROUTE_ELEMENTS if self.routes > 0 else 0)
@@ -77,10 +90,15 @@ class Counts:
 
 @dataclass(frozen=True, kw_only=True)
 class Effort:
-    """Estimated processor time of planning, and the share of each feature in it.
+    """Estimated processor time of planning a scenario, and the part of each feature in it.
 
-    `features` are named as a user knows them, the dearest first; seconds of several together are
-    less than their sum or more, for they multiply.
+    Attributes
+    ----------
+    seconds : float
+        Estimated processor time of planning.
+    features : tuple of (str, float)
+        Costly features in words and the time that the scenario would take less without each [s],
+        the largest first. These times do not add up to `seconds`, because the features multiply.
     """
 
     seconds: float
@@ -88,7 +106,7 @@ class Effort:
 
     @property
     def line(self) -> str:
-        """Estimate as a line of text."""
+        """The estimate as one line of text."""
         said = (
             f"roughly {_rounded(self.seconds)} s of a processor, a guess from counts that may be "
             f"off by a factor of {ROUGHLY:g}"
@@ -104,13 +122,19 @@ def _rounded(seconds: float) -> str:
 
 
 def estimate_effort(scenario: Scenario, unknowns: int) -> Effort:
-    """Estimate the processor time of planning a scenario, and the share of each feature.
+    """Estimate the processor time of planning a scenario, and the part of each feature in it.
 
     Parameters
     ----------
     scenario : Scenario
+        The mission and the solver's settings.
     unknowns : int
         Functions of time of its model: states and other variables.
+
+    Returns
+    -------
+    Effort
+        Time [s], and costly features.
     """
     counts = counts_of(scenario, unknowns)
     without = {
@@ -133,7 +157,10 @@ def estimate_effort(scenario: Scenario, unknowns: int) -> Effort:
 
 
 def counts_of(scenario: Scenario, unknowns: int) -> Counts:
-    """Count the features of a scenario that determine its planning time."""
+    """Count the features of a scenario that determine its planning time.
+
+    `unknowns` is the number of functions of time of the model.
+    """
     mission, solver = scenario.mission, scenario.solver
     try:
         journeys = find_journeys(scenario.airspace, mission.positions)

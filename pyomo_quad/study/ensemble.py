@@ -1,4 +1,4 @@
-"""Many flights of a mission in random winds: rate of success, spread of energy and charge.
+"""Many simulated flights of a mission in random winds: rate of success, energy, charge.
 
 A seed determines the winds, so that flights along another reference, such as an autopilot's cruise,
 meet the same winds.
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 CONFIDENCE = 0.95
 #: Quantiles of a quantity over flights, in tables and figures.
 BAND = (0.05, 0.5, 0.95)
-# Flights per task: enough for one vectorised map, few enough for a task on every core.
+# Flights that a process simulates together: many for vectorisation, few for use of every core.
 _PIECE = 100
 
 
@@ -56,12 +56,15 @@ class Share:
 
     @property
     def value(self) -> float:
-        """Observed share."""
+        """Observed share: number of flights with the property over number of flights."""
         return self.count / self.of
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Clopper-Pearson interval at level `CONFIDENCE`: docs/theory/flights.md, eq. (2)."""
+        """Confidence interval of the share, Clopper-Pearson at level `CONFIDENCE`.
+
+        Equation: docs/theory/flights.md, eq. (2).
+        """
         from scipy.special import betaincinv  # noqa: PLC0415  not for every run
 
         rest, k, n = 0.5 * (1.0 - CONFIDENCE), self.count, self.of
@@ -77,7 +80,7 @@ class Share:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Ensemble(Summarised):
-    """Flights of a mission along one reference, each with its own random wind.
+    """Simulated flights of a mission along one reference, each in its own random wind.
 
     Attributes
     ----------
@@ -86,10 +89,13 @@ class Ensemble(Summarised):
     name : str
         Name of the flights, as in a comparison: "adaptive/plan".
     seed : int
+        Seed of the winds.
     flown : FlownOften
+        Tracks over time and end of each flight.
     planned : ndarray, shape (n_samples, 3)
         Positions of the reference at the times of `flown` [m].
     wall_s : float
+        Time that the simulation took.
     """
 
     scenario: Scenario
@@ -124,11 +130,17 @@ class Ensemble(Summarised):
         }
 
     def of_flights(self, quantity: str) -> FloatArray:
-        """Return one attribute of `Ending` for every flight, shape (n,)."""
+        """Return one attribute of `Ending`, the result of a flight, for every flight.
+
+        The result has shape (n,).
+        """
         return np.array([getattr(ending, quantity) for ending in self.flown.endings])
 
     def band(self, quantity: str) -> tuple[float, float, float]:
-        """Return the `BAND` quantiles of an attribute over the flights."""
+        """Return the 5, 50 and 95 % quantiles (`BAND`) of an attribute of `Ending` over flights.
+
+        An `Ending` is the result of one flight, such as its energy.
+        """
         low, middle, high = np.quantile(self.of_flights(quantity), BAND).tolist()
         return low, middle, high
 
@@ -146,7 +158,7 @@ class Ensemble(Summarised):
         }
 
     def table(self) -> "pd.DataFrame":
-        """Return one row for each flight."""
+        """Return the results of the flights as a table with one row for each."""
         import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
         endings = self.flown.endings
@@ -161,7 +173,10 @@ class Ensemble(Summarised):
         )
 
     def bands(self) -> "pd.DataFrame":
-        """Return the `BAND` quantiles of every track over time."""
+        """Return the 5, 50 and 95 % quantiles (`BAND`) over the flights of quantities over time.
+
+        The table has a row for each time, and three columns for each quantity of `TRACKS`.
+        """
         import pandas as pd  # noqa: PLC0415  as above
 
         columns = {"time_s": self.flown.t}
@@ -183,6 +198,15 @@ def fly_plan_often(
         The mission with the times of the plan (`Plan.mission_flown`).
     held : Trajectories
         The plan, made for the scenario's forecast.
+    planner : Planner
+        Holds the compiled equations of the vehicle.
+    flights, seed : int
+        Number of flights, and seed of their winds.
+
+    Returns
+    -------
+    Ensemble
+        The flights, named "adaptive/plan".
     """
     told = planner.dynamics(scenario.as_forecast())
     path = path_of(in_order(scenario, held, told), told, scenario.vehicle)
@@ -200,10 +224,31 @@ def fly_cruise_often(
     name: str = "",
     least_s: float = 0.0,
 ) -> Ensemble:
-    """Simulate an autopilot's cruise many times, in the same random winds as the plan.
+    """Simulate an autopilot, straight between waypoints, many times in random winds.
 
-    It waits at the goal until half of the flights have arrived, at most the last of `SETTLINGS_S`,
-    and to the end of `least_s`.  Without a name, the flights are named after the speed.
+    The winds are the same as for the plan of the same seed. The autopilot waits at the goal until
+    half of the flights have arrived, at most the last of `SETTLINGS_S`, and to the end of
+    `least_s`.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission with its times.
+    settings : CruiseSettings
+        Speed, acceleration and jerk of the autopilot.
+    planner : Planner
+        Holds the compiled equations of the vehicle.
+    flights, seed : int
+        Number of flights, and seed of their winds.
+    name : str, optional
+        Name of the flights; without it they are named after the speed.
+    least_s : float, default 0
+        Least duration of the flights.
+
+    Returns
+    -------
+    Ensemble
+        The flights.
     """
     named = name or baseline_name(Reference.CRUISE, settings.speed)
     for settling_s in SETTLINGS_S:
@@ -254,8 +299,10 @@ class Saving:
     Attributes
     ----------
     rival : Ensemble
+        The other flight, in each wind.
     percent : (float, float, float)
-        `BAND` over the winds of (rival - plan) / rival, of the energies in a wind, in per cent.
+        `BAND` quantiles over the winds of (rival - plan) / rival in per cent, of the energies in
+        the same wind.
     both_held : int
         Number of winds in which both arrived and kept every limit; the percentages cover all winds.
     """
@@ -266,7 +313,7 @@ class Saving:
 
     @classmethod
     def of(cls, planned: Ensemble, rival: Ensemble) -> "Saving":
-        """Compare the flights of plan and rival wind by wind."""
+        """Return the saving of a plan over a rival flight, from energies in the same winds."""
         mine, other = (flown.of_flights("energy_J") for flown in (planned, rival))
         low, middle, high = np.quantile(100.0 * (other - mine) / other, BAND).tolist()
         pairs = zip(planned.flown.endings, rival.flown.endings, strict=True)
@@ -281,8 +328,9 @@ class InTurbulence:
     Attributes
     ----------
     flown : Ensemble
+        Flights along the plan.
     saving : Saving or None
-        Against the autopilot, None where none flew.
+        Saving against the autopilot; None where no autopilot flew.
     autopilot : str
         The autopilot and its settings in words.
     """
@@ -293,7 +341,7 @@ class InTurbulence:
 
     @property
     def savings(self) -> tuple[Saving, ...]:
-        """The saving, if an autopilot flew."""
+        """The saving as a tuple of one, empty if no autopilot flew."""
         return () if self.saving is None else (self.saving,)
 
     @property
@@ -316,24 +364,33 @@ class InTurbulence:
         return found
 
 
-# Seconds of flight in all that a run flies under its plan, in less than half a minute, and flights
-# at most.
+# Total simulated time [s] of the flights in turbulence of a run, which takes less than half a
+# minute, and largest number of flights.
 _FLOWN_S, _MOST_FLIGHTS = 10_000.0, 1000
-# Not that of the flights which found the plan's margins.
+# Seed of these flights, other than that of the flights from which the plan's margins were found.
 _SEED = 1
 
 
 def fly_in_turbulence(
     plan: Plan, cruise: CruiseSettings | None, *, is_tuned: bool = False, planner: Planner
 ) -> InTurbulence | None:
-    """Simulate plan and autopilot in many winds; None if the scenario has no turbulence.
+    """Simulate plan and autopilot in many random winds; None if the scenario has no turbulence.
 
     Parameters
     ----------
+    plan : Plan
+        Plan of the run.
     cruise : CruiseSettings or None
-        Settings of the autopilot; None flies none.
+        Settings of the autopilot; with None no autopilot flies.
     is_tuned : bool
-        Whether these are the settings of least energy.
+        Whether these are the settings of least energy, which the wording mentions.
+    planner : Planner
+        Holds the compiled equations of the vehicle.
+
+    Returns
+    -------
+    InTurbulence or None
+        None also for a plan that cannot be flown.
     """
     mission = plan.mission_flown
     if mission.wind.turbulence is None or not plan.is_flyable:
@@ -358,7 +415,10 @@ def fly_in_turbulence(
 
 
 def ensemble_summary(flown: Ensemble, savings: Sequence[Saving] = ()) -> dict[str, Any]:
-    """Return the results of many flights as values for JSON."""
+    """Return the results of many flights in random winds as values for JSON.
+
+    `savings` are those of the plan against other flights in the same winds.
+    """
     worst = flown.worst
     return {
         **_facts(flown),

@@ -1,8 +1,9 @@
-"""Energy-time front: least energy of a mission of free duration, over the price of time.
+"""Energy-time front: least energy of a mission of free duration against its duration.
 
-A flight that minimises energy + price * duration is on the front: no other flight is both shorter
-and cheaper.  Where the least energy is convex in the duration, each price selects one flight, and
-the slope of the front there is minus the price.
+Each point of the front minimises energy + price * duration, where the price of time [W] is a
+weight that the mission sets or this study varies.  No other flight is both shorter and cheaper.
+Where the least energy is convex in the duration, each price selects one flight, and the slope of
+the front there is minus the price.
 """
 
 from math import isclose, isfinite, nan
@@ -16,14 +17,16 @@ from pyomo_quad.study.tables import TableColumn
 if TYPE_CHECKING:
     import pandas as pd
 
-# Prices of time relative to the power of hovering, in addition to the mission's own price.
+# Prices of time (weights of the duration in the objective), relative to the power of hovering, that
+# are solved in addition to the mission's own price.
 _PRICES = (0.0, 0.3, 1.0, 3.0)
-# Relative difference below which two durations are one flight, at a limit of the duration.
+# Relative difference of durations below which two points of the front count as the same flight,
+# such as two at a limit of the duration.
 _SAME_TIME = 1e-4
 
 
 class FrontColumn(TableColumn):
-    """Columns of an energy-time front, in order."""
+    """Columns of the table of an energy-time front, in order."""
 
     PRICE = "price_of_time_W"
     DURATION = "duration_s"
@@ -34,15 +37,19 @@ class FrontColumn(TableColumn):
 def energy_time_front(
     plan: Plan, *, planner: Planner, progress: Progress | None = None
 ) -> "pd.DataFrame":
-    """Return energy and duration of a free-duration mission at several prices of time.
+    """Return energy and duration of a free-duration mission for several prices of time.
 
+    The price of time [W] is the weight of the duration in the objective energy + price * duration.
     Each solve starts from the plan, and therefore passes zones on the same sides as the plan. It
-    keeps the plan's mesh, which is accurate enough for energies; limits between its points are not
-    checked.
+    keeps the plan's mesh, which is accurate enough for energies; limits between the mesh points are
+    not checked.
 
     Parameters
     ----------
     plan : Plan
+        Plan of the mission, one point of the front.
+    planner : Planner
+        Solves the mission for the other prices.
     progress : callable, optional
         Called at each Ipopt iteration; returning False stops the solve.
 
@@ -50,7 +57,7 @@ def energy_time_front(
     -------
     DataFrame
         Columns of `FrontColumn`, the shortest flight first; empty if the plan is not verified or
-        its duration is fixed.  The plan's price is NaN if its aim is the least time.
+        its duration is fixed.  The plan's price is NaN if its objective is the least time.
     """
     if not plan.is_verified or not plan.scenario.mission.is_free:
         return FrontColumn.of_rows(())
@@ -73,7 +80,24 @@ def energy_time_front(
 def planned_alike(
     plan: Plan, planner: Planner, progress: Progress | None, **changed: object
 ) -> Plan:
-    """Solve a mission with some changed fields, warm-started from a plan and on its mesh."""
+    """Solve a plan's mission with some fields changed, warm-started from the plan and on its mesh.
+
+    Parameters
+    ----------
+    plan : Plan
+        Start of the solve.
+    planner : Planner
+        Solves the changed mission, without mesh refinement.
+    progress : callable or None
+        Called at each Ipopt iteration; returning False stops the solve.
+    **changed : object
+        Fields of the scenario's table `mission` and their new values.
+
+    Returns
+    -------
+    Plan
+        Of any status.
+    """
     once = {"solver": plan.scenario.solver.model_copy(update={"max_refinements": 0})}
     told = plan.scenario.with_mission(**changed).model_copy(update=once)
     return planner.solve(told, warm_start=plan, progress=progress)

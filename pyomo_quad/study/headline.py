@@ -1,4 +1,4 @@
-"""The result of a run in plain words: energy, duration, saving, and flights in turbulence.
+"""Headline of a run in words: energy, duration, saving, and flights in turbulence.
 
 The saving is against the autopilot tuned for least energy (`study.autopilot`).  A run without this
 flight compares with the smooth baseline, or else with the cheapest flight that arrived within the
@@ -29,21 +29,21 @@ Row = Mapping[Any, Any]
 
 @dataclass(frozen=True, kw_only=True)
 class Headline:
-    """Main results of a run.
+    """Main results of a run, and their wording.
 
     Attributes
     ----------
     energy_J, duration_s : float
-        Of the plan.
+        Energy and duration of the plan.
     battery_percent : float or None
-        Charge that the plan uses; None without a battery.
+        Charge that the plan uses, in per cent of the capacity; None without a battery.
     rival : mapping or None
-        Row of the flight with which the plan is compared; None if no other flight arrived within
-        the limits.
+        Row of the comparison for the flight with which the plan is compared; None if no other
+        flight arrived within the limits.
     settings : CruiseSettings or None
-        Limits of the tuned autopilot, if it is the rival.
+        Speed, acceleration and jerk of the tuned autopilot, if it is the rival.
     risk : RiskTaken or None
-        Risk that the plan was made for, with its flights in turbulence.
+        Risk of breaking a limit for which the plan was made, with its flights in turbulence.
     often : InTurbulence or None
         Many flights of the run in turbulence; the headline prefers them to those of ``risk``.
     """
@@ -58,7 +58,7 @@ class Headline:
 
     @property
     def words(self) -> str:
-        """The headline: energy and time, saving, flights in turbulence, price of the margins.
+        """The headline: energy and time, saving, flights in turbulence, cost of the margins.
 
         Where an autopilot flew in the same turbulence as the plan, the saving is that of these
         flights: one flight in turbulence does not compare with a plan in the mean wind.
@@ -130,7 +130,7 @@ class Headline:
 
 
 def headline_of(result: "RunResult") -> Headline | None:
-    """Return the headline of a run, None without a plan or with a plan for a forecast."""
+    """Return the headline of a run; None if it has no plan, or if its plan is for a forecast."""
     told_otherwise = result.scenario.wind.forecast is not None
     if result.comparison.empty or told_otherwise or not result.plan.is_flyable:
         return None
@@ -151,7 +151,10 @@ def headline_of(result: "RunResult") -> Headline | None:
 
 
 def rival_of(comparison: "pd.DataFrame") -> Row | None:
-    """Return the row of the flight with which the plan is compared, None if no flight qualifies."""
+    """Return the row of the flight with which the plan is compared; None if no flight qualifies.
+
+    It is the tuned autopilot, or else the smooth baseline, or else the flight of least energy.
+    """
     is_own = comparison[ComparisonColumn.FLIGHT].isin((OPTIMAL, OPEN_LOOP))
     rivals = comparison[comparison[ComparisonColumn.SAVING].notna() & ~is_own]
     by_name = {row[ComparisonColumn.FLIGHT]: row for row in rivals.to_dict("records")}
@@ -160,7 +163,7 @@ def rival_of(comparison: "pd.DataFrame") -> Row | None:
 
 
 def settled_of(row: Row) -> float:
-    """Return the energy of a flight plus its energy to complete, for comparisons [J]."""
+    """Return the energy of a row of a comparison, with the energy to complete the flight [J]."""
     return float(row[ComparisonColumn.HOVER_ENERGY] + row[ComparisonColumn.EXCESS_ENERGY])
 
 
@@ -180,7 +183,7 @@ _CRUISE_WORDS = "an autopilot on straight legs at this speed"
 
 
 def legend_of(rows: Iterable[Row]) -> list[tuple[list[str], str]]:
-    """Return what each kind of flight is in words, with the names of the flights of that kind."""
+    """Return a description of each kind of flight, with the names of the flights of that kind."""
     found: dict[str, list[str]] = {}
     for row in rows:
         name = row[ComparisonColumn.FLIGHT]

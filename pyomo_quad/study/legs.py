@@ -1,6 +1,8 @@
 """Lower bound on a flight in legs, by prices of momentum at the passages and a price of time.
 
-Derivation: see docs/theory/bound.md, eqs. (12) and (13).
+A leg is the flight from one waypoint to the next, a passage the instant at a waypoint, and a price
+the multiplier (dual variable) of a quantity that the mission fixes.  Derivation: see
+docs/theory/bound.md, eqs. (12) and (13).
 
 symbol | meaning
 d_k, T_k, m_k | displacement of leg k, its duration, and the mass on it
@@ -45,30 +47,31 @@ if TYPE_CHECKING:
 
 _NODES = 48  # of the Gauss quadrature over a leg: the conjugate is piecewise linear
 _ITERATIONS = 200  # of L-BFGS in each search
-# Smoothing of the length of a price vector, which has no slope at zero, N s/J.
+# Smoothing of the length of a price vector, which is not differentiable at zero, N s/J.
 _CORNER = 1e-6
-# Starts of the search: falls of the price of momentum along the way, J s / (kg m^2).
+# Starts of the search: decrease of the price of momentum per distance flown, J s / (kg m^2).
 _STIFFNESSES = np.geomspace(1e-3, 1e2, 26)
-_RESTARTS = 3  # L-BFGS discards a curvature that the kinks have spoiled
+_RESTARTS = 3  # a restarted L-BFGS discards the curvature that it has estimated across kinks
 _ROUNDING = 1e-9  # relative
-# Value for prices that give no bound, J: above any energy.
+# Value that the search minimises where prices give no bound, J: above any energy.
 _NONE = 1e12
 
 
 @dataclass(frozen=True, kw_only=True)
 class Leg:
-    """One leg of a flight, or a hold.
+    """One leg of a flight, from waypoint to waypoint, or a hover at a waypoint.
 
     Attributes
     ----------
     way : ndarray, shape (3,)
         Displacement between the nominal places of its ends, m.
     room : float
-        Sum of the distances that its ends may lie from there, m.
+        Sum of the distances of its ends from their nominal places that the mission allows, m.
     mass : float
         Mass, as a fraction of the mass at the start.
     party : int
-        Index of the party, a group of legs that share a time: see `Itinerary`.
+        Index of its party: a group of legs between fixed times, whose durations have a fixed or
+        limited sum.
     end_speed : float
         Largest speed at its end, m/s; infinite without a limit.
     """
@@ -81,13 +84,17 @@ class Leg:
 
 
 def legs_of(scenario: Scenario) -> tuple[list[Leg], list[tuple[float, float]]]:
-    """Return the legs and holds of a mission, and the groups of them that share a duration.
+    """Return the legs and hovers of a mission, and the limits on the durations of groups of them.
+
+    Waypoints at a given time divide the legs into groups (parties); each hover is a party of its
+    own.
 
     Returns
     -------
     legs : list of Leg
+        From start to goal.
     shared : list of tuple of float
-        Least and greatest time of the legs of each party together, s.
+        Least and greatest sum of the durations of the legs of each party, s.
     """
     mission, mass, hovering = scenario.mission, 1.0, HOVERING_M_PER_S
     ways = np.diff(np.array(mission.positions), axis=0)
@@ -120,20 +127,21 @@ def legs_of(scenario: Scenario) -> tuple[list[Leg], list[tuple[float, float]]]:
 
 
 class Itinerary:
-    """Legs of a flight in order, grouped by shared durations, with their lower bound.
+    """Lower bound on the energy of a flight in legs, over all allowed durations of the legs.
 
     Parameters
     ----------
     legs : sequence of Leg
         From start to goal.
     shared : sequence of tuple of float
-        Least and greatest time of the legs of each party together, s.
+        Least and greatest sum of the durations of the legs of each party, s.
     standing : ndarray, shape (3,)
         Thrust that holds the whole mass at the start still, N.
     mass : float
         Mass at the start, kg.
     conjugate : callable
-        Prices of thrust, shape (n,) -> the conjugate of the power, and the thrust of the maximum.
+        Takes prices (multipliers) of thrust, shape (n,), W/N; returns the conjugate of the power
+        [W] and the maximising thrust [N].
     """
 
     def __init__(
@@ -161,9 +169,21 @@ class Itinerary:
         self._size = int(self._last[-1]) + 1
 
     def _terms(self, prices: FloatArray) -> tuple[FloatArray, FloatArray, float, FloatArray]:
-        """Return the terms A_k, G_k and jump price of the bound, with gradients by the prices.
+        """Return the terms of the lower bound for prices of momentum, with their gradients.
 
-        The slopes have shape (2 n_legs + 1, n_prices, 3).
+        Parameters
+        ----------
+        prices : ndarray, shape (n_prices, 3)
+            Prices (multipliers) of momentum at the ends of the legs, J per N s.
+
+        Returns
+        -------
+        gained, spent : ndarray, shape (n_legs,)
+            A_k [J s] and G_k [W] of the docstring of this module.
+        jumped : float
+            What the jumps of the prices subtract from the bound, J, not positive.
+        slopes : ndarray, shape (2 n_legs + 1, n_prices, 3)
+            Gradients of A_k, of G_k and of `jumped`.
         """
         n = len(self._ways)
         legs = np.arange(n)
@@ -192,12 +212,12 @@ class Itinerary:
         return gained, spent, -float(self._jump_price @ jump), slopes
 
     def bound(self, price: FloatArray) -> float:
-        """Return a lower bound for all passing times and durations allowed [J].
+        """Return a lower bound on the energy for all allowed passing times and durations [J].
 
         Parameters
         ----------
         price : ndarray, shape (3,)
-            Price of thrust at which the search begins, W/N.
+            Price (multiplier) of thrust at which the search begins, W/N.
         """
         places = np.zeros((self._size, 3))
         for first, last, way in zip(self._first, self._last, self._ways, strict=True):
@@ -216,7 +236,11 @@ class Itinerary:
         return -self._negative(found)[0]
 
     def _negative(self, flat: FloatArray) -> tuple[float, FloatArray]:
-        """Return the negative bound and its gradient, for a minimiser."""
+        """Return the negative lower bound [J] and its gradient, for a minimiser.
+
+        `flat` holds the prices (multipliers) of momentum at the ends of the legs, one after the
+        other.
+        """
         gained, spent, jumped, slopes = self._terms(flat.reshape(-1, 3))
         bound, times = jumped, np.zeros(len(gained))
         for of, limits in zip(self._by_party(), self._shared, strict=True):
@@ -230,11 +254,12 @@ class Itinerary:
         return -bound, -np.tensordot(weights, slopes, 1).ravel()
 
     def _by_party(self) -> list[NDArray[np.bool_]]:
+        """Return for each party (legs whose durations have a limited sum) a mask of its legs."""
         return [self._parties == k for k in range(len(self._shared))]
 
 
 def _length(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return smoothed lengths of vectors and their gradients."""
+    """Return the lengths of vectors, smoothed at zero, and their gradients."""
     length = np.sqrt(np.sum(vectors**2, axis=1) + _CORNER**2)
     return length, vectors / length[:, None]
 
@@ -242,10 +267,23 @@ def _length(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _least_over_times(
     gained: FloatArray, spent: FloatArray, least: float, greatest: float
 ) -> tuple[float, FloatArray]:
-    """Return the minimum of sum of A_k / T_k + G_k T_k over positive T_k, with the T_k.
+    """Return the minimum over the durations T_k of some legs of the sum of A_k / T_k + G_k T_k.
 
-    The sum of the T_k lies between ``least`` and ``greatest``.  The minimum is minus infinity if
-    an A_k is negative.
+    The legs form a party: the sum of their durations is limited.
+
+    Parameters
+    ----------
+    gained, spent : ndarray, shape (n,)
+        A_k [J s] and G_k [W].
+    least, greatest : float
+        Limits of the sum of the T_k, s.
+
+    Returns
+    -------
+    float
+        The minimum [J]; minus infinity if an A_k is negative.
+    ndarray, shape (n,)
+        The minimising T_k, s.
     """
     if least == greatest and gained.size == 1:
         return float(gained[0] / least + spent[0] * least), np.array([least])

@@ -1,4 +1,7 @@
-"""Limits that each flight of a run breaks, by how much, and whether the plan's risk covers it."""
+"""Sentences on the limits that each flight of a run breaks, and on the plan's risk for them.
+
+The risk of a plan is the share of its flights in turbulence that may break a limit.
+"""
 
 from collections.abc import Iterator, Sequence
 
@@ -9,8 +12,8 @@ from pyomo_quad.flight.replanning import replanned_name
 from pyomo_quad.scenario.tables import Knowledge, Reference
 from pyomo_quad.study.comparison import OPTIMAL
 
-# Flights that a plan's risk is about: under feedback, and told the forecast that the plan was made
-# for.
+# Names of the flights to which a plan's risk applies: those under feedback that use the plan or the
+# forecast for which the plan was made.
 _OF_THE_PLAN = (
     baseline_name(Reference.PLAN),
     replanned_name(Knowledge.TOLD),
@@ -20,13 +23,19 @@ _WITHOUT_RISK = "planned without a risk, which leaves nothing to the controller"
 
 
 def limit_lines(plan: Plan, flights: Sequence[Flight]) -> Iterator[str]:
-    """Yield a line for each flight: the limits that it breaks, and what the plan's risk says.
+    """Yield a sentence for each flight of a run: the limits that it breaks, and the risk of that.
 
     Parameters
     ----------
     plan : Plan
-        That the flights follow or are compared with.
+        Plan that the flights follow or with which they are compared.
     flights : sequence of Flight
+        Flights of the run.
+
+    Yields
+    ------
+    str
+        Sentence for the report.
     """
     for flight in flights:
         if not flight.broken_limits:
@@ -37,7 +46,7 @@ def limit_lines(plan: Plan, flights: Sequence[Flight]) -> Iterator[str]:
 
 
 def _risk_words(risk: RiskTaken | None, flight: Flight) -> str:
-    """Return whether a risk covers the limits that a flight breaks."""
+    """Return in words whether the plan's risk covers the limits that a flight breaks."""
     if flight.name == OPTIMAL:
         return "the plan itself, whose accuracy allows no more"
     if risk is None:

@@ -1,6 +1,7 @@
 """Lower bound on flights with airspeed-dependent power: least power over thrust and airspeed.
 
-Derivation: see docs/theory/bound.md, eqs. (14) to (19).
+A price is the multiplier (dual variable) of a quantity that the mission fixes.  Derivation: see
+docs/theory/bound.md, eqs. (14) to (19).
 
 symbol | meaning
 u, v, W | thrust, airspeed and the steady wind, world axes
@@ -60,8 +61,7 @@ _BALANCE = "power.induced_velocity_balance"
 _PROFILE = "power.profile_power"
 _UNCREDITED = "power.uncredited_power"
 _ROTOR_SPEED = "rotors.omega["
-# Upper limit of searches for an airspeed [m/s] or a rotor speed [rad/s]: above those of any
-# vehicle.
+# Upper limit of searches for an airspeed [m/s] or a rotor speed [rad/s], above any vehicle's.
 _FASTER = 1e4
 # `Pairs.cheapest`: samples along each of the three numbers, number of local minima that are
 # refined, and refinements of each, which halve the spacing (25 / 2^9: to 1e-4 of a range).
@@ -86,7 +86,17 @@ POWER_TOLERANCE = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class MotionPrices:
-    """Prices of momentum per mass [W/N], of displacement [N], and of kinetic energy [1]."""
+    """Multipliers (prices) of the quantities that a mission fixes, on one leg of the flight.
+
+    Attributes
+    ----------
+    momentum : ndarray, shape (3,)
+        Price of momentum per mass, W/N.
+    way : ndarray, shape (3,)
+        Price of displacement, N.
+    motion : float
+        Price of kinetic energy, dimensionless.
+    """
 
     momentum: FloatArray
     way: FloatArray
@@ -94,11 +104,16 @@ class MotionPrices:
 
 
 class Pairs:
-    """Pairs of thrust and airspeed, with the power by the vehicle's compiled equations.
+    """All pairs of thrust and airspeed of a vehicle, with their power by the compiled equations.
+
+    A pair has three coordinates: rotor speed (induced velocity under `momentum`), and airspeed
+    along and across the thrust.  The class finds and proves the least value over all pairs of the
+    function H (docstring of this module), from which a lower bound on the energy follows.
 
     Parameters
     ----------
     scenario : Scenario
+        Its limits bound the pairs.
     dynamics : Dynamics
         Dynamics of the vehicle in the actual steady wind.
     standing : ndarray, shape (3,)
@@ -142,10 +157,10 @@ class Pairs:
         return self._dynamics.expressions(tuple(keys), self._dynamics.start, self._values(*at))
 
     def _of_rotors(self, first: Symbol, along: Symbol, across: Symbol) -> tuple[Any, ...]:
-        """Return rotor speed, thrust, power at equal speeds, its excess, and an error margin.
+        """Return rotor speed, thrust, power, excess of power and error margin as expressions.
 
-        The excess is over the least power of rotors with unequal speeds; it is zero where the
-        margin is positive.
+        The power is that of equal rotor speeds. The excess is over the least power of rotors with
+        unequal speeds and the same total thrust; it is zero where the margin is positive.
         """
         each = range(1, len(self._rotors) + 1)
         powers: list[tuple[str, Any]] = [("power.total", None)]
@@ -168,23 +183,26 @@ class Pairs:
         return speed, thrust, sum(power), excess, cube * squared - multiple
 
     def _forces(self, along: Symbol, across: Symbol) -> tuple[Any, Any]:
-        """Return the force of moving air, level along the airspeed and upwards [N]."""
+        """Return the force of moving air across the thrust and along the thrust [N]."""
         keys = [("aerodynamics.force_x", None), ("aerodynamics.force_z", None)]
         moving = self._read(keys, along, across, 0.0, 0.0)
         still = self._read(keys, 0.0, 0.0, 0.0, 0.0)
         return moving[0] - still[0], moving[1] - still[1]
 
     def _at(self, points: FloatArray, numbers: Sequence[float] = (0.0,) * 4) -> FloatArray:
-        """Return H, thrust, speed, error margin, forces and power at points of the search.
+        """Return H and the quantities of which it is made, at points of the search, shape (8, n).
 
-        H lacks the terms of `_constant`.
+        The rows are H without the terms of `_constant`, thrust, rotor speed, error margin, two
+        components of the force of the air, power, and its excess. `points` has shape (3, n). H is
+        the power of a pair of thrust and airspeed less the terms of the prices (multipliers of
+        momentum, displacement and kinetic energy).
         """
         found = self._enclosure.at(points, (*numbers, 1.0))
         found[[0, 6]] -= np.where(found[3] >= 0.0, 0.0, found[7])
         return found
 
     def _fastest(self, scenario: Scenario) -> float:
-        """Return an airspeed that no flight from rest can exceed [m/s], or infinity."""
+        """Return an airspeed that no flight from rest can exceed [m/s]; infinite if unknown."""
         wind = float(np.linalg.norm(self.wind))
         allowed = inf if scenario.limits.speed_max is None else scenario.limits.speed_max + wind
         most = self._most_thrust + float(np.linalg.norm(self.standing))
@@ -196,7 +214,10 @@ class Pairs:
         return min(allowed, max(terminal, wind))
 
     def _most_of_first(self) -> float:
-        """Return the upper limit of rotor speed or, if the model has it, of induced velocity."""
+        """Return the upper limit of a pair's first coordinate, rotor speed or induced velocity.
+
+        A pair is a thrust and an airspeed; the limit is in rad/s or m/s.
+        """
 
         def excess(first: float) -> float:
             return float(self._at(np.array([[first], [0.0], [0.0]]))[1, 0]) - self._most_thrust
@@ -217,9 +238,25 @@ class Pairs:
         return float(prices.momentum @ self.standing * mass - prices.way @ self.wind)
 
     def cheapest(self, prices: MotionPrices, mass: float) -> tuple[float, list[FloatArray]]:
-        """Sample H; return its least value and the pairs at local minima.
+        """Sample the function H over all pairs; return its least value and its local minima.
 
-        Each pair is an array of shape (8,): power, then the slopes of H by the prices.
+        H is the power of a pair of thrust and airspeed less the terms of the prices, multipliers of
+        momentum, displacement and kinetic energy (docstring of this module).
+
+        Parameters
+        ----------
+        prices : MotionPrices
+            Multipliers in H.
+        mass : float
+            Mass, as a fraction of the mass at the start.
+
+        Returns
+        -------
+        float
+            Least value found [W].
+        list of ndarray, shape (8,)
+            For each pair at a local minimum its power [W], then the gradient of H by the prices of
+            momentum (3), displacement (3) and kinetic energy (1).
         """
         from scipy.ndimage import minimum_filter  # noqa: PLC0415  not for every certificate
 
@@ -251,7 +288,12 @@ class Pairs:
         return np.where(found[1] <= self._most_thrust, found[0], inf)
 
     def _pair(self, at: FloatArray, prices: MotionPrices, mass: float) -> FloatArray:
-        """Return power and gradient of H of a pair in its cheapest orientation."""
+        """Return power and gradient of H by the prices for a pair in its orientation of least H.
+
+        H is the power of a pair of thrust and airspeed less the terms of the prices, multipliers of
+        momentum, displacement and kinetic energy. `at` has the three coordinates of the pair; the
+        result has shape (8,).
+        """
         momentum, way = prices.momentum, prices.way - prices.motion * mass * self.standing
         _, along, across = at
         _, thrust, _, _, forward, upward, power, _ = self._at(at[:, None])[:, 0]
@@ -264,7 +306,8 @@ class Pairs:
     def turned(self, pair: FloatArray) -> list[FloatArray]:
         """Return copies of a pair rotated about the vertical, which have the same power.
 
-        If the standing thrust is not vertical, only the pair itself is returned.
+        A pair is a thrust and an airspeed, given as a result of `cheapest`. If the standing thrust
+        is not vertical, only the pair itself is returned.
         """
         if np.any(self.standing[:2]):
             return [pair]
@@ -277,7 +320,12 @@ class Pairs:
         return found
 
     def least(self, prices: MotionPrices, mass: float, tolerance: float) -> float:
-        """Return a proven lower bound on H by branch and bound, to a tolerance [W]."""
+        """Return a proven lower bound on H over all pairs, by branch and bound [W].
+
+        H is the power of a pair of thrust and airspeed less the terms of the prices, multipliers of
+        momentum, displacement and kinetic energy (docstring of this module). The bound is within
+        ``tolerance`` [W] of the least value.
+        """
         numbers = self._numbers(prices, mass)
         best = self.cheapest(prices, mass)[0] - self._constant(prices, mass)
         cuts = [np.linspace(edge[0], edge[1], _FIRST_BOXES + 1) for edge in self._edges()]
@@ -299,9 +347,16 @@ class Pairs:
     def _box(
         self, low: FloatArray, high: FloatArray, numbers: Sequence[float]
     ) -> tuple[FloatArray, float, NDArray[np.int_]]:
-        """Return lower bounds of H in boxes, the least H found in them, and the axis to halve.
+        """Bound the function H from below in boxes of the search.
 
-        The bound is infinite if no flight reaches a box.
+        Returns
+        -------
+        under : ndarray, shape (n,)
+            Lower bound of H in each box; infinite if no flight reaches the box.
+        reached : float
+            Least H found at a point of the boxes.
+        split : ndarray of int, shape (n,)
+            Axis along which to halve each box.
         """
         given = np.repeat(np.array([*numbers, 1.0])[:, None], low.shape[1], axis=1)
         (under, over), _ = self._enclosure.over(low, high, given)
@@ -340,7 +395,10 @@ def _halved(
 
 
 def wind_of(dynamics: Dynamics, times: FloatArray) -> FloatArray:
-    """Return the wind at given times in world axes [m/s], shape (n, 3)."""
+    """Return the wind at given times in world axes [m/s], shape (n, 3).
+
+    The times are in seconds; a component that the model lacks is zero.
+    """
     names = ("velocity_x", "velocity_y", "velocity_z")
     keys = tuple((f"wind.{n}", None) for n in names if dynamics.has(f"wind.{n}"))
     states = np.zeros((len(times), len(dynamics.state_names)))
@@ -353,15 +411,20 @@ def wind_of(dynamics: Dynamics, times: FloatArray) -> FloatArray:
 def bound_of_pairs(
     pairs: Pairs, legs: Sequence[Leg], shared: Sequence[tuple[float, float]], power: float
 ) -> float:
-    """Return a lower bound on the energy of a flight in legs, for all passing times allowed [J].
+    """Return a lower bound on the energy of a flight in legs, for all allowed passing times [J].
 
-    The prices solve a linear program over the pairs of least power at the previous prices
-    (Kelley, 1960); the bound is then proven for the best prices found.
+    The prices (multipliers) solve a linear program over the pairs of thrust and airspeed that have
+    the least power at the previous prices (cutting planes, Kelley, 1960); the bound is then proven
+    for the best prices found.
 
     Parameters
     ----------
-    legs, shared
-        The results of `legs.legs_of`.
+    pairs : Pairs
+        Pairs of thrust and airspeed of the vehicle.
+    legs : sequence of Leg
+        Legs of the flight, from `legs.legs_of`.
+    shared : sequence of tuple of float
+        Least and greatest duration of each group of legs, from `legs.legs_of`, s.
     power : float
         Power of hover, the scale of powers, W.
     """
@@ -393,7 +456,20 @@ def bound_of_pairs(
 
 
 class _Program:
-    """Linear program for the prices that maximise the bound over the pairs found so far."""
+    """Linear program for the prices that maximise the lower bound over the known pairs.
+
+    The prices are multipliers of momentum, displacement and kinetic energy; a pair is a thrust and
+    an airspeed of the vehicle, each of which gives one linear constraint.
+
+    Parameters
+    ----------
+    legs, shared
+        Legs of the flight and limits on their durations, from `legs.legs_of`.
+    power : float
+        Power of hover, the scale of powers, W.
+    standing : ndarray, shape (3,)
+        Thrust that holds the vehicle still at zero airspeed, N.
+    """
 
     def __init__(
         self,
@@ -443,7 +519,11 @@ class _Program:
         self._limits.append(limit)
 
     def add(self, k: int, pair: FloatArray) -> None:
-        """Add the constraint that H of leg ``k`` is at most its value at a pair."""
+        """Add the constraint that H of leg ``k`` is at most its value at a pair.
+
+        H is the power of a pair of thrust and airspeed less the terms of the prices (multipliers),
+        `pair` a result of `Pairs.cheapest`.
+        """
         mass, line = self._legs[k].mass, np.zeros(self.size)
         line[:3], line[self._of(self._way, k)] = -pair[1:4] / mass, -pair[4:7]
         line[3], line[self._least + k] = -pair[7] / mass, 1.0
@@ -451,7 +531,11 @@ class _Program:
         self._limits.append(float(pair[0]))
 
     def solve(self) -> tuple[FloatArray, float]:
-        """Return the optimal prices and their bound for the known pairs."""
+        """Return the unknowns at the optimum of the program, and the optimal value [J].
+
+        The value is an upper limit of the lower bounds that any multipliers can give, since the
+        program holds only the known pairs of thrust and airspeed.
+        """
         limits = np.full((self.size, 2), [-inf, inf])
         limits[: self._least] = np.stack([-self._dearest, self._dearest], axis=1)
         limits[3, 0] = 0.0
@@ -461,7 +545,7 @@ class _Program:
         return found.x, -float(found.fun)
 
     def prices(self, solution: FloatArray) -> list[MotionPrices]:
-        """Return the prices on each leg from the unknowns of the program."""
+        """Return the prices (multipliers) on each leg from the unknowns of the program."""
         return [
             MotionPrices(
                 momentum=solution[:3] / leg.mass,
@@ -472,7 +556,11 @@ class _Program:
         ]
 
     def bound(self, prices: Sequence[MotionPrices], least: FloatArray) -> float:
-        """Return the lower bound [J] for prices and the least H of each leg [W]."""
+        """Return the lower bound on the energy for the multipliers (prices) on each leg [J].
+
+        `least` holds for each leg the least H, the power of a pair of thrust and airspeed less the
+        terms of the prices, shape (n_legs,), W.
+        """
         found = sum(
             float(p.way @ leg.way) - leg.room * float(np.linalg.norm(p.way))
             for p, leg in zip(prices, self._legs, strict=True)

@@ -13,7 +13,7 @@ from multiprocessing.reduction import ForkingPickler
 from time import monotonic
 from typing import Any
 
-# Numerical libraries and Python read these variables when a worker starts. Python's resource
+# Environment of a worker, which numerical libraries and Python read at its start. Python's resource
 # tracker outlives a killed sweep and would print warnings on the terminal.
 _WARNINGS = "PYTHONWARNINGS"
 _ENVIRONMENT = {
@@ -25,9 +25,10 @@ _ENVIRONMENT = {
 }
 
 
-# Time limit of the copies: a minute plus this multiple of this process's seconds on the job.
+# Time limit for the forked copies: a minute plus this multiple of the time that this process has
+# spent on the tasks.
 _PATIENCE = 10.0
-_PLACES = 256  # a place in the queue is one byte
+_PLACES = 256  # the place of a task in the queue is one byte
 _SIGNALS = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
 
 
@@ -35,11 +36,18 @@ _SIGNALS = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
 def side_by_side(
     tasks: Sequence[Callable[[], Any]], *, use_blas: bool = True
 ) -> Iterator[Callable[[], tuple[Any, ...]]]:
-    """Run tasks in forked copies of this process, one per core, and in this process.
+    """Run tasks in parallel, in forked copies of this process (one per core) and in this process.
 
     A copy already has all libraries and data, and ends with this process. A task that fails in a
     copy, or whose result the copy cannot send back, is repeated here, where its error is raised. If
     copies are not safe, for example because tasks would wait for BLAS threads, all tasks run here.
+
+    Parameters
+    ----------
+    tasks : sequence of callable
+        Functions without arguments.
+    use_blas : bool, default True
+        Whether the tasks call BLAS, whose threads a forked copy lacks.
 
     Yields
     ------
@@ -86,9 +94,10 @@ def side_by_side(
 
 
 def _cores(most: int, *, use_blas: bool) -> int:
-    """Return the number of processes to use: 1 where forking is unsafe or forbidden.
+    """Return the number of processes to use, 1 where forking is unsafe or forbidden.
 
-    A copy lacks the threads that BLAS or OpenMP wait for; a worker already shares the cores.
+    It is at most ``most``. A copy lacks the threads that BLAS or OpenMP wait for; a worker already
+    shares the cores.
     """
     is_safe = not use_blas or os.environ.get("OMP_NUM_THREADS") == "1"
     is_own = multiprocessing.parent_process() is None
@@ -99,7 +108,7 @@ def _cores(most: int, *, use_blas: bool) -> int:
 
 @contextmanager
 def process_pool(count: int) -> Iterator[Executor]:
-    """Yield a pool of processes, and end them all after the block."""
+    """Context with a pool of ``count`` spawned processes, which are all ended after the block."""
     with environment_of_workers():
         pool = pool_of(count)
         try:
@@ -109,7 +118,7 @@ def process_pool(count: int) -> Iterator[Executor]:
 
 
 class _QuietPool(ProcessPoolExecutor):
-    """Pool of processes that ignore terminal signals, which the parent handles."""
+    """Pool of processes that ignore terminal signals (Ctrl-C), which the parent handles."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:  # noqa: ANN401
         # A process inherits the signal mask with which it starts, so it neither ends during its
@@ -134,7 +143,7 @@ _work: Callable[[], Any] | None = None
 
 
 def _begin(work: Callable[[], Any] | None) -> None:
-    """Initialise a process of a pool."""
+    """Initialise a process of a pool: its task, its signals, its termination with the parent."""
     global _work  # noqa: PLW0603  a copy inherits its work, which cannot be pickled
     _work = work
     signal.signal(signal.SIGTERM, signal.SIG_DFL)

@@ -1,4 +1,4 @@
-"""Run of a scenario: plan, baselines, comparison and lower bound."""
+"""Run of a scenario: plan, simulated baselines, comparison and lower bound."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -46,10 +46,11 @@ class RunResult(Summarised):
     Attributes
     ----------
     scenario : Scenario
+        Scenario that was run.
     plan : Plan
         The optimum, of any status.
     flights : tuple of Flight
-        The optimum first; empty if the solve failed.
+        The plan's flight first, then the simulated ones; empty if the solve failed.
     comparison : DataFrame
         One row per flight, see `study.comparison`.
     certificate : Certificate
@@ -66,7 +67,7 @@ class RunResult(Summarised):
     warnings : tuple of str
         Cautions about the results, one line each.
     tuning : Tuning or None
-        The settings of the autopilot tuned for least energy, and what was tried; None without
+        Settings of the autopilot tuned for least energy, and all settings tried; None without
         reference cruise.
     often : InTurbulence or None
         Many flights of the plan, and of an autopilot, in winds with turbulence; None without it.
@@ -87,7 +88,7 @@ class RunResult(Summarised):
 
     @property
     def summary(self) -> dict[str, str]:
-        """Scenario, status, energies of the flights and lower bound."""
+        """Scenario, status, energies of the flights and lower bound, as text."""
         bound = self.certificate.lower_bound_J
         return {
             "scenario": self.scenario.name,
@@ -237,11 +238,22 @@ def run_scenario(
 
     Parameters
     ----------
+    scenario : Scenario
+        Mission, vehicle, wind and settings.
+    planner : Planner, optional
+        Planner whose compiled models the run uses; a new one without it.
+    baselines : sequence of Reference, optional
+        References that the controller flies for comparison; those of the scenario without it.
     progress : callable, optional
         Called at each Ipopt iteration; returning False stops the solve. The run ends after
         `solver.time_limit`; flights that are missing by then become warnings.
     meanwhile : callable, optional
         Called once during the flights, for instance to import modules of the report.
+
+    Returns
+    -------
+    RunResult
+        Plan, flights, comparison and lower bound.
 
     Examples
     --------
@@ -317,7 +329,7 @@ def _run(
 
 
 def _failures(flown: Sequence[object], flights: Sequence[Flight]) -> Iterator[str]:
-    """Yield a warning for each simulated flight that failed or was not confirmed."""
+    """Yield a warning for each simulated flight that failed or is in doubt (`Flight.doubt`)."""
     yield from (why for why in flown if isinstance(why, str))
     yield from (f"{f.name}: not confirmed: {f.doubt}." for f in flights if f.doubt)
 
@@ -325,7 +337,15 @@ def _failures(flown: Sequence[object], flights: Sequence[Flight]) -> Iterator[st
 def _often(
     plan: Plan, planner: Planner, tuning: Tuning | None, references: Sequence[Reference]
 ) -> tuple[InTurbulence | None, tuple[str, ...]]:
-    """Simulate many flights in turbulence; return their results, or the reason of a failure."""
+    """Simulate many flights in turbulence; return their results, or the reason of a failure.
+
+    Returns
+    -------
+    InTurbulence or None
+        None without turbulence, and if a flight fails.
+    tuple of str
+        The warning about a failure; empty without failure.
+    """
     baseline = plan.scenario.baseline
     cruise = None if tuning is None else tuning.settings
     if tuning is None and baseline.cruise_speeds and Reference.CRUISE in references:
@@ -339,10 +359,11 @@ def _often(
 def _priced(
     flights: tuple[Flight, ...], scenario: Scenario, planner: Planner, progress: Progress | None
 ) -> tuple[Flight, ...]:
-    """Return the flights with their energy to complete in the actual wind.
+    """Return the flights with their energy to complete, priced in the actual wind.
 
-    A plan for a forecast prices end states in that forecast; the other flights need the end prices
-    of a plan for the actual wind.
+    The energy to complete a flight from its end state to the goal state follows from the costates
+    of a plan. The costates of a plan for a forecast are valid in the forecast wind; the other
+    flights need those of a plan for the actual wind, which is solved here.
     """
     if scenario.wind.forecast is None or not flights:
         return flights
@@ -355,7 +376,10 @@ def _priced(
 def _adaptation(
     scenario: Scenario, optimum: Flight | None, dynamics: Dynamics
 ) -> pd.DataFrame | None:
-    """Return the flights with and without adaptation; None in calm air or if one fails."""
+    """Return the study of flights with and without adaptation of the controller.
+
+    None in calm air and on failure.
+    """
     if optimum is None or not set(WIND) <= set(optimum.frame):
         return None
     if not optimum.frame[list(WIND)].to_numpy().any():

@@ -9,16 +9,16 @@ if TYPE_CHECKING:
 
 
 class TableColumn(StrEnum):
-    """Base class of the columns of a table, an enumeration of their names in order.
+    """Base class of the columns of a table: an enumeration of their names, in order.
 
-    A table with one row for each of some objects also gives each column a function that reads its
-    value from an object.
+    For a table with one row per object, each column also has a function that reads its value from
+    an object.
     """
 
     read: Callable[[Any], object]
 
     def __new__(cls, name: str, read: Callable[[Any], object] = str) -> Self:
-        """Make a column; ``read`` takes the value from the object of a row."""
+        """Make a column of a table; ``read`` takes its value from the object of a row."""
         column = str.__new__(cls, name)
         column._value_ = name
         column.read = read
@@ -26,12 +26,12 @@ class TableColumn(StrEnum):
 
     @classmethod
     def of_rows(cls, rows: Sequence[Any]) -> "pd.DataFrame":
-        """Return a table of rows: values in order, or by column."""
+        """Return a table from its rows, each a sequence of values in order or a dict by column."""
         import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
         return pd.DataFrame(rows, columns=[column.value for column in cls])
 
     @classmethod
     def of_objects(cls, objects: Iterable[object]) -> "pd.DataFrame":
-        """Return a table with a row for each object."""
+        """Return a table with a row for each object, by the `read` function of each column."""
         return cls.of_rows([[column.read(one) for column in cls] for one in objects])

@@ -1,4 +1,9 @@
-"""Sweeps: many cases of one scenario, solved by parallel workers, with results in a store."""
+"""Parameter sweeps: solve many variants (cases) of one scenario and report the results.
+
+A study file lists the scenario fields that vary and their values. Parallel workers, in processes
+of this machine or on a Dask cluster, solve the cases. Each result is committed to an SQLite file
+(the result store), so that an interrupted sweep can be resumed.
+"""
 
 from pyomo_quad.sweep.cluster import cluster_workers
 from pyomo_quad.sweep.design import SweepDesign

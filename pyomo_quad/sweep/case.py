@@ -1,4 +1,9 @@
-"""A case of a sweep: its task for a worker, its solution, and the outputs of its flights."""
+"""Solution of one case of a sweep: the worker's input, the solve, and the output columns.
+
+A case is one variant of the sweep's base scenario, with its own values of the fields that vary. A
+worker receives a `CaseTask`, plans the case's flight or flies an existing plan in the case's
+scenario, and returns a `CaseOutcome`: the row of the sweep's result table.
+"""
 
 import importlib
 import math
@@ -23,20 +28,28 @@ from pyomo_quad.scenario.tables import Reference
 from pyomo_quad.study.comparison import is_comparable, settled_energy
 from pyomo_quad.version import __version__
 
-_LONGEST_REASON = 500  # characters of a stored reason: one line of a report
+_LONGEST_REASON = 500  # largest length of a stored failure reason [characters]: a report's line
 # Largest output of any column, in SI units, so that sums and squares of outputs do not overflow.
 LARGEST_OUTPUT = 1e15
 
 
 class StudyTask(StrEnum):
-    """Kind of case: solve a plan, or fly the plan of the base case."""
+    """What a sweep does for each case: plan its flight, or fly another plan in its scenario.
+
+    `OPTIMISE` plans the minimum-energy flight of each case. `FLY_PLAN` plans the base case only,
+    and the controller tracks this plan under the changed conditions of each case.
+    """
 
     OPTIMISE = "optimise"
     FLY_PLAN = "fly_plan"
 
 
 class CaseStatus(StrEnum):
-    """Outcome of a case: finished, failed, or lost with its worker."""
+    """Outcome of a case of a sweep.
+
+    `FINISHED`: solved and verified. `FAILED`: the solve or its verification failed. `LOST`: the
+    worker process died while it solved the case; a resumed sweep solves the case again.
+    """
 
     FINISHED = "finished"
     FAILED = "failed"
@@ -45,26 +58,29 @@ class CaseStatus(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class CaseTask:
-    """Input of a worker for one case.
+    """Input that a worker of a sweep receives to solve one case.
 
     Attributes
     ----------
     position : int
-        Row number of the case.
+        Row number of the case, from 0.
     key : str
-        The case's key.
+        Identifier of the case: hash of its field values.
     solver : str
-        Case solver as ``module:function``; the program chooses it, never an input file.
+        Case solver as ``module:function``. The program chooses it, never an input file, so that
+        no study file can run code of its own.
     scenario : str
-        The complete scenario, JSON.
+        The case's complete scenario as JSON text.
     base : str
-        The complete base scenario, JSON.
+        The complete base scenario of the sweep as JSON text.
     task : StudyTask
-        Task of the study.
+        Whether to plan the case's flight or to fly the base case's plan.
     baselines : tuple of Reference
-        References that the controller flies.
+        Reference trajectories that the controller tracks in each case, for comparison with the
+        plan.
     warm_start : bytes or None
-        Packed warm start from the parent case.
+        Packed initial guess from the solution of the parent, a neighbouring case that was solved
+        before.
     """
 
     position: int
@@ -79,16 +95,17 @@ class CaseTask:
 
 @dataclass(frozen=True, kw_only=True)
 class CaseResult:
-    """Output of a case solver.
+    """Result that a case solver returns for one case of a sweep.
 
     Attributes
     ----------
     values : mapping
-        Column -> number.
+        Number of each output column, by column name.
     warm_start : bytes or None
-        Packed warm start for the children of this case.
+        Packed solution, the initial guess of the children: neighbouring cases that are solved
+        after this case.
     reason : str
-        Reason of the failure, empty for a success; the values are kept in both cases.
+        Reason of the failure; empty for a success. The values are kept in both cases.
     """
 
     values: Mapping[str, float]
@@ -101,24 +118,25 @@ CaseSolver = Callable[[CaseTask], CaseResult]
 
 @dataclass(frozen=True, kw_only=True)
 class CaseOutcome:
-    """Row of a sweep for a case that ended.
+    """Row of a sweep's result table: status, output values and solve time of one case.
 
     Attributes
     ----------
     position, key : int, str
-        Row number and key of the case.
+        Row number of the case, from 0, and hash of its field values.
     status : CaseStatus
-        Finished, failed by its numbers, or lost with its worker.
+        Whether the case finished, failed numerically, or was lost because its worker died.
     reason : str
-        Why the case did not finish.
+        Reason why the case did not finish; empty if it finished.
     values : mapping
-        Column -> number.
+        Number of each output column, by column name.
     warm_start : bytes or None
-        Packed warm start for the children of this case.
+        Packed solution, the initial guess of the children: neighbouring cases that are solved
+        after this case.
     seconds : float
-        Wall time of the solve.
+        Wall time of the solve, in s.
     worker : str
-        Host and process that solved it.
+        Host name and process number of the worker.
     """
 
     position: int
@@ -132,13 +150,17 @@ class CaseOutcome:
 
     @property
     def is_finished(self) -> bool:
-        """Whether the case has results."""
+        """Whether the case was solved and verified."""
         return self.status is CaseStatus.FINISHED
 
     @classmethod
     def of(cls, task: CaseTask, result: CaseResult) -> "CaseOutcome":
-        """Make a row from the result of a case solver."""
-        # A column without a number is left empty, because JSON has no NaN.
+        """Make the row of a sweep's case from the result that the case solver returned.
+
+        Values that are not finite or exceed `LARGEST_OUTPUT` are dropped, because JSON has no NaN.
+        If the result holds no warm start, the row passes on the warm start that the case received.
+        """
+        # Columns whose value is NaN or infinite are left out, because JSON has no NaN.
         finite = {n: float(v) for n, v in result.values.items() if abs(v) <= LARGEST_OUTPUT}
         return cls(
             position=task.position,
@@ -151,18 +173,35 @@ class CaseOutcome:
 
     @classmethod
     def failure(cls, task: CaseTask, reason: str) -> "CaseOutcome":
-        """Make a row for a case that failed."""
+        """Make the row of a sweep's case whose solve failed, without output values."""
         return cls.of(task, CaseResult(values={}, reason=reason))
 
     @classmethod
     def loss(cls, task: CaseTask) -> "CaseOutcome":
-        """Make a row for a case whose workers died; a resumed sweep retries it."""
+        """Make the row of a sweep's case that was lost because its worker process died.
+
+        A resumed sweep solves a lost case again.
+        """
         reason = "its worker died, also when it was tried alone; run the same command to try again"
         return replace(cls.failure(task, reason), status=CaseStatus.LOST)
 
 
 def perform(task: CaseTask) -> CaseOutcome:
-    """Solve one case in the present process; an exception becomes a failed row."""
+    """Solve one case of a sweep in this process.
+
+    An exception in the case solver becomes a row with the status `FAILED`, so that a fault in one
+    case does not end the sweep.
+
+    Parameters
+    ----------
+    task : CaseTask
+        The case's scenario, what to do, and the initial guess.
+
+    Returns
+    -------
+    CaseOutcome
+        Row of the case, with the wall time and the name of this process.
+    """
     started = time.perf_counter()
     module, _, function = task.solver.partition(":")
     try:
@@ -178,7 +217,11 @@ def perform(task: CaseTask) -> CaseOutcome:
 
 
 def worker_version() -> str:
-    """Return the pyomo_quad version that this process runs."""
+    """Return the version of pyomo_quad in this process.
+
+    A sweep calls the function on each worker of a cluster, and rejects workers with another
+    version.
+    """
     return __version__
 
 
@@ -186,14 +229,16 @@ ENERGY = "energy_J"
 HOVER_ENERGY = "hover_energy_J"
 EXCESS_ENERGY = "excess_energy_J"
 MEAN_POWER = "mean_power_W"
-# Column of the case's own flight; columns of controlled flights end in this name.
+# Column with the distance between goal and end of the case's own flight; the columns for flights of
+# the baselines end in the same name.
 TERMINAL_MISS = "terminal_miss_m"
 # Scenario field for which figures over duration are drawn.
 DURATION_FIELD = "mission.duration"
 
-_SAMPLES = 501  # rows of a plan's flight, from which its peaks and lowest voltage are taken
+_SAMPLES = 501  # rows of a plan's table, from which peak power, tilt and lowest voltage are taken
 # Stored outputs have nine digits: a solve is accurate to six, and further digits differ between
-# machines by rounding.
+# machines by rounding. Limit violation and terminal miss are rounded to multiples of the smallest
+# residual, and the error estimate to two digits, because they are rounding noise themselves.
 _DIGITS = 9
 _SMALLEST_RESIDUAL = 1e-7
 _RESIDUALS = ("max_violation", TERMINAL_MISS)
@@ -203,7 +248,7 @@ _ERROR_DIGITS = 2
 
 @dataclass(frozen=True, kw_only=True)
 class _Flown:
-    """Flight of a case with its plan and scenario, from which the output columns are read."""
+    """Flight of a sweep's case with plan and scenario, from which output columns are computed."""
 
     flight: Flight
     plan: Plan
@@ -211,16 +256,17 @@ class _Flown:
 
     @property
     def charge_used(self) -> float:
-        """Charge used by the flight, in percent."""
+        """Battery charge that the flight uses, in percent of the capacity."""
         charge = self.flight.frame["state_of_charge_percent"]
         return float(charge.iloc[0] - charge.iloc[-1])
 
     @property
     def repeats(self) -> float:
-        """Number of missions on one battery charge.
+        """Number of such flights that one battery charge permits.
 
-        At the voltage of the first flight; the falling voltage makes the true number slightly
-        lower.
+        The charge between the initial and the lowest permitted state of charge counts. Each flight
+        is taken to use as much charge as the first; in truth the falling battery voltage makes the
+        number slightly smaller.
         """
         least = self.scenario.limits.state_of_charge_min or 0.0
         usable = self.scenario.battery.initial_state_of_charge - least
@@ -228,25 +274,30 @@ class _Flown:
 
     @property
     def peak_tilt(self) -> float:
-        """Greatest angle between thrust and vertical, in rad."""
+        """Largest angle between the thrust and the vertical during the flight, in rad."""
         frame = self.flight.frame
         return float(np.arccos(np.cos(frame["phi_rad"]) * np.cos(frame["theta_rad"])).max())
 
     @property
     def saved(self) -> float:
-        """Relative saving of the plan over the flight, NaN if they are not comparable."""
+        """Energy saving of the plan, as a fraction of the energy of a controlled flight.
+
+        The flight's energy includes the estimated energy that the flight still needs to reach the
+        goal state. NaN if plan and flight are not comparable, for example if the flight did not
+        arrive.
+        """
         if not is_comparable(self.flight):
             return np.nan
         return 1.0 - self.plan.energy / settled_energy(self.flight)
 
     @property
     def distance(self) -> float:
-        """Distance from start to goal, in m."""
+        """Straight-line distance from start to goal, in m."""
         mission = self.scenario.mission
         return math.dist(mission.start.position, mission.goal.position)
 
 
-# Unit and reading of a column, by its name.
+# For each output column: its unit, and the function that computes its value.
 _Columns = Mapping[str, tuple[str, Callable[[_Flown], float]]]
 
 _OF_A_FLIGHT: _Columns = {
@@ -286,13 +337,32 @@ def _of_a_baseline(reference: Reference) -> _Columns:
 
 
 def unit_of_column(name: str) -> str:
-    """Return the unit of an output column, as in its name; "" without a unit."""
+    """Return the unit of an output column of a sweep, spelled as in the column's name.
+
+    Parameters
+    ----------
+    name : str
+        Name of the column.
+
+    Returns
+    -------
+    str
+        For example "J" for ``energy_J``; empty for a column without unit.
+    """
     tables = (_OF_A_PLAN, _OF_A_PLAN_FLOWN, *map(_of_a_baseline, Reference))
     return next((table[name][0] for table in tables if name in table), "")
 
 
 def output_columns(task: StudyTask, baselines: Iterable[Reference]) -> tuple[str, ...]:
-    """Return the columns of a case's row, in their order, before any case is solved."""
+    """Return the names of all output columns that a sweep can have, in the order of its table.
+
+    Parameters
+    ----------
+    task : StudyTask
+        Whether each case is planned, or flies the base case's plan.
+    baselines : iterable of Reference
+        Reference trajectories that the controller also flies; each adds its own columns.
+    """
     if task is StudyTask.FLY_PLAN:
         return tuple(_OF_A_PLAN_FLOWN)
     flown = [name for reference in baselines for name in _of_a_baseline(reference)]
@@ -302,7 +372,22 @@ def output_columns(task: StudyTask, baselines: Iterable[Reference]) -> tuple[str
 def unknown_column(
     names: Iterable[str], task: StudyTask, baselines: Iterable[Reference]
 ) -> str | None:
-    """Return the first name that is no output column of a study, or None."""
+    """Return the first of the given names that is not an output column of the sweep.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Column names that a study file asks for.
+    task : StudyTask
+        Whether each case is planned, or flies the base case's plan.
+    baselines : iterable of Reference
+        Reference trajectories that the controller also flies.
+
+    Returns
+    -------
+    str or None
+        None if all names are output columns.
+    """
     known = output_columns(task, baselines)
     return next((name for name in names if name not in known), None)
 
@@ -310,7 +395,13 @@ def unknown_column(
 def _read(
     columns: _Columns, flight: Flight, plan: Plan, scenario: Scenario | None = None
 ) -> dict[str, float]:
-    """Return the output columns of a case's flight, by name; NaN where undefined."""
+    """Compute the output columns of a sweep from the flight of a case.
+
+    Returns
+    -------
+    dict
+        Value of each column, by name; NaN if it is undefined for the flight.
+    """
     flown = _Flown(flight=flight, plan=plan, scenario=scenario or plan.scenario)
     return {name: _meaningful(name, read(flown)) for name, (_, read) in columns.items()}
 
@@ -323,19 +414,22 @@ def _meaningful(name: str, value: float) -> float:
 
 
 def pack(start: WarmStart) -> bytes:
-    """Pack a warm start into bytes."""
+    """Pack a warm start into the bytes of an .npz file.
+
+    A warm start is an initial guess for a neighbouring case, made from a solution.
+    """
     target = BytesIO()
     np.savez(target, allow_pickle=False, **start.arrays())
     return target.getvalue()
 
 
 def unpack(packed: bytes) -> WarmStart | None:
-    """Unpack a warm start.
+    """Unpack a warm start that `pack` wrote.
 
     Returns
     -------
     WarmStart or None
-        For `Planner.solve`; None when the bytes are damaged.
+        Initial guess for `Planner.solve`; None if the bytes are damaged.
     """
     try:
         with np.load(BytesIO(packed), allow_pickle=False) as file:
@@ -345,7 +439,21 @@ def unpack(packed: bytes) -> WarmStart | None:
 
 
 def solve_case(task: CaseTask) -> CaseResult:
-    """Solve one case."""
+    """Solve one case of a sweep: plan its flight, or fly the base case's plan in its scenario.
+
+    The case solver of all shipped sweeps. The planner is kept from case to case, so that the
+    compiled model is used again.
+
+    Parameters
+    ----------
+    task : CaseTask
+        The case's scenario, what to do, and the initial guess.
+
+    Returns
+    -------
+    CaseResult
+        Output columns, the warm start for neighbouring cases, and the reason if the case failed.
+    """
     with _BENCH.lock:
         scenario = Scenario.model_validate_json(task.scenario)
         if task.task == StudyTask.FLY_PLAN:
@@ -373,7 +481,7 @@ def _optimise(task: CaseTask, scenario: Scenario) -> CaseResult:
 
 
 def _fly_base_plan(task: CaseTask, scenario: Scenario) -> CaseResult:
-    """Simulate the base case's plan and controller in another case's scenario."""
+    """Simulate a controller that tracks the base case's plan in the scenario of another case."""
     base = Scenario.model_validate_json(task.base)
     plan = _BENCH.base_plan(base, task.base)
     if not plan.is_verified:
@@ -389,14 +497,21 @@ def _fly_base_plan(task: CaseTask, scenario: Scenario) -> CaseResult:
 
 @dataclass
 class _Bench:
-    """A worker's planner and base plan, kept between cases; used by one thread at a time."""
+    """Planner, and plan of the sweep's base case, that one worker keeps from case to case.
+
+    The lock admits one thread at a time.
+    """
 
     lock: threading.Lock = field(default_factory=threading.Lock)
     planner: Planner = field(default_factory=Planner)
     _base_plans: dict[str, Plan] = field(default_factory=dict)
 
     def plan(self, scenario: Scenario, warm_start: bytes | None) -> Plan:
-        """Solve from the parent's warm start; retry without if the plan is not verified."""
+        """Plan a case's flight, starting from the solution of its parent case.
+
+        If the plan from this warm start is not verified, or there is no warm start, the case is
+        solved again from the planner's own initial guess.
+        """
         parent = unpack(warm_start) if warm_start is not None else None
         if parent is not None:
             plan = self.planner.solve(scenario, warm_start=parent)
@@ -406,7 +521,15 @@ class _Bench:
         return self.planner.solve(scenario)
 
     def base_plan(self, base: Scenario, text: str) -> Plan:
-        """Return the cached plan of a study's base case."""
+        """Return the plan of the sweep's base case, solved at the first call and cached.
+
+        Parameters
+        ----------
+        base : Scenario
+            Base scenario of the sweep.
+        text : str
+            The base scenario as JSON text, the key of the cache.
+        """
         if text not in self._base_plans:
             self._base_plans = {text: self.plan(base, None)}
         return self._base_plans[text]

@@ -1,4 +1,8 @@
-"""Charts of a sweep: curves, fronts, maps, roses, tornadoes and distributions."""
+"""Charts of a parameter sweep: curves, Pareto fronts, heat maps, wind roses, tornadoes, histograms.
+
+A quantity is an output column of the sweep with name and printed unit. A curve holds the cases
+that differ in one scenario field only; all other fields are constant along the curve.
+"""
 
 from collections.abc import Sequence
 from itertools import cycle
@@ -29,14 +33,32 @@ from pyomo_quad.sweep.statistics import Curve, Sensitivity, Spread, best_along, 
 
 _PANEL_HEIGHT = 2.7  # inches
 _STAR_SIZE = 11
-# The panel of the front shows durations up to this multiple of the best duration.
+# The panel with the Pareto front shows durations up to this multiple of the best duration.
 FRONT_ZOOM = 1.6
-_LINE_POINTS = 11
+_LINE_POINTS = 11  # distance between the lines of text in a panel
 _BAR: dict[str, Any] = {"edgecolor": "white", "linewidth": 0.0}
 
 
 def draw_front(curves: Sequence[Curve], quantity: Quantity, tried: Sequence[float]) -> Figure:
-    """Draw a quantity against duration, and mark the Pareto front and the best duration."""
+    """Draw an output quantity against the mission's duration, and its Pareto front.
+
+    A point lies on the Pareto front if no other case is both shorter and better. The best duration
+    of each curve is marked by a star.
+
+    Parameters
+    ----------
+    curves : sequence of Curve
+        Finished cases, one curve for each combination of the other fields.
+    quantity : Quantity
+        Output column to draw; smaller is better.
+    tried : sequence of float
+        All durations of the sweep, in s, including those of failed cases.
+
+    Returns
+    -------
+    Figure
+        Left panel: all durations; right panel: the front near the best duration.
+    """
     figure, panels = panel_grid(
         1,
         2,
@@ -60,7 +82,16 @@ def draw_front(curves: Sequence[Curve], quantity: Quantity, tried: Sequence[floa
 
 
 def draw_curves(curves: Sequence[Curve], field: str, quantities: Sequence[Quantity]) -> Figure:
-    """Draw quantities against one field, one panel each.
+    """Draw several output quantities against one scenario field, one panel for each quantity.
+
+    Parameters
+    ----------
+    curves : sequence of Curve
+        Finished cases, one curve for each combination of the other fields.
+    field : str
+        Dotted path of the scenario field on the horizontal axes.
+    quantities : sequence of Quantity
+        Output columns to draw.
 
     Returns
     -------
@@ -87,7 +118,7 @@ def draw_curves(curves: Sequence[Curve], field: str, quantities: Sequence[Quanti
 
 
 def _pairs(count: int, **layout: Any) -> tuple[Figure, np.ndarray]:  # noqa: ANN401
-    """Return a figure with panels in two columns; an unused last panel is hidden."""
+    """Make a figure with `count` panels in two columns; hide an unused last panel."""
     columns = min(2, count)
     figure, panels = panel_grid(ceil(count / columns), columns, **layout)
     for axes in panels.flat[count:]:
@@ -98,7 +129,7 @@ def _pairs(count: int, **layout: Any) -> tuple[Figure, np.ndarray]:  # noqa: ANN
 def _plot(
     axes: Axes, rows: pd.DataFrame, of: tuple[Quantity, Quantity], style: LineStyle, **look: object
 ) -> None:
-    """Draw one quantity over another, a marker for each row."""
+    """Draw one quantity (second of `of`) against another (first), with a marker at each case."""
     over, quantity = of
     marked = style.line | {"marker": style.marker, "markersize": 3.0}
     axes.plot(over.of(rows), quantity.of(rows), **(marked | look))
@@ -122,7 +153,7 @@ def _name_best(
     tried: Sequence[float],
     place: tuple[LineStyle, int],
 ) -> None:
-    """Write the best duration of a curve into its row of the panel."""
+    """Print a curve's best duration, and the quantity there, into the curve's line of the panel."""
     style, row = place
     best = best_along(curve, DURATION_FIELD, quantity.column, tried)
     said = f"{setting(best.at)} s, {number(best.value * quantity.scale)} {quantity.unit}"
@@ -157,7 +188,7 @@ _MOST_PRINTED = 13
 _HALF = 0.5
 # A curve that varies by less than this share of the range of all curves has no star.
 _SAME = 0.01
-_RIM = 0.06
+_RIM = 0.06  # space outside the largest value of a wind rose, as a share of the range
 _STAR: dict[str, Any] = {
     "clip_on": False,
     "linestyle": "none",
@@ -169,12 +200,16 @@ _STAR: dict[str, Any] = {
 
 
 def draw_heat_map(plane: pd.DataFrame, quantity: Quantity) -> Figure:
-    """Draw a quantity over two numeric fields.
+    """Draw an output quantity over two numeric scenario fields as a grid of coloured cells.
 
     Parameters
     ----------
     plane : DataFrame
-        Index and columns are the two fields, named by their paths; NaN where no case finished.
+        Value of the quantity, in the unit of its column. The index and the columns are the values
+        of the two fields, and their names are the fields' dotted paths. NaN where the case failed;
+        a cross marks these cells.
+    quantity : Quantity
+        Output column that is drawn; gives the label and the printed unit.
     """
     across, up = field_quantity(str(plane.columns.name)), field_quantity(str(plane.index.name))
     height = min(5.0, _EDGES + _CELL * len(plane.index))
@@ -210,7 +245,20 @@ def _print_cells(axes: Axes, values: np.ndarray) -> None:
 
 
 def draw_wind_rose(curves: Sequence[Curve], field: str, quantity: Quantity) -> Figure:
-    """Draw a quantity over the direction of the wind, in polar coordinates."""
+    """Draw an output quantity against the wind direction, in polar coordinates.
+
+    The centre of the rose is the least value of all curves, not zero. A star marks the worst
+    direction of each curve.
+
+    Parameters
+    ----------
+    curves : sequence of Curve
+        Finished cases, one curve for each combination of the other fields.
+    field : str
+        Dotted path of the field with the direction that the wind blows to, in rad.
+    quantity : Quantity
+        Output column to draw.
+    """
     figure = Figure(figsize=(FULL_WIDTH, 4.2))
     axes = figure.add_axes((0.04, 0.07, 0.55, 0.76), projection="polar")
     least, greatest = rose_range(curves, quantity)
@@ -234,13 +282,26 @@ def draw_wind_rose(curves: Sequence[Curve], field: str, quantity: Quantity) -> F
 
 
 def rose_range(curves: Sequence[Curve], quantity: Quantity) -> tuple[float, float]:
-    """Return the least and the greatest value of all curves of a rose, in the printed unit."""
+    """Return the least and the greatest value of a quantity over all curves of a wind rose.
+
+    Both are in the quantity's printed unit.
+
+    Parameters
+    ----------
+    curves : sequence of Curve
+        Finished cases over the wind direction, one curve for each combination of the other fields.
+    quantity : Quantity
+        Output column.
+    """
     values = pd.concat([quantity.of(curve.rows) for curve in curves])
     return float(values.min()), float(values.max())
 
 
 def _closed(rows: pd.DataFrame, field: str) -> pd.DataFrame:
-    """Close a rose curve unless a gap in the directions is left."""
+    """Repeat the first direction's row at the end, so that the curve of a wind rose is closed.
+
+    A curve stays open if the directions leave a gap of more than 1.5 times their greatest step.
+    """
     directions = rows[field].to_numpy(dtype=float)
     steps = np.diff(directions)
     around = directions[0] + 2 * np.pi
@@ -252,12 +313,26 @@ def _closed(rows: pd.DataFrame, field: str) -> pd.DataFrame:
 _BAR_ROW, _BAR_EDGES = 0.36, 1.07  # inches
 _QUANTILES = (0.05, 0.5, 0.95)
 _MOST_BINS = 24
-_LABEL_ROOM = 0.14  # of the widest bar, on either side
+_LABEL_ROOM = 0.14  # space for labels on either side, as a share of the widest bar
 _BELOW, _ABOVE = SERIES_STYLES[:2]
 
 
 def draw_tornado(found: Sequence[Sensitivity], spread: Spread, quantity: Quantity) -> Figure:
-    """Draw the range of a quantity over all cases and over each field."""
+    """Draw a tornado chart: the range of an output quantity as each scenario field varies alone.
+
+    The first bar is the range over all cases. Each other bar is the range along one field, with all
+    other fields as in the central case. The values of the field at both ends are printed beside a
+    bar.
+
+    Parameters
+    ----------
+    found : sequence of Sensitivity
+        Range of the quantity along each field, the widest first.
+    spread : Spread
+        Range of the quantity over all finished cases.
+    quantity : Quantity
+        Output column to draw.
+    """
     height = _BAR_EDGES + _BAR_ROW * (1 + len(found))
     figure, axes = full_width(
         height, left=0.24, right=0.97, top=1 - 0.3 / height, bottom=0.72 / height
@@ -297,7 +372,19 @@ def _draw_bar(
     base: float,
     quantity: Quantity,
 ) -> None:
-    """Draw a range as a bar, coloured on both sides of the base case."""
+    """Draw one horizontal bar of a tornado chart, in two colours: below and above the base value.
+
+    Parameters
+    ----------
+    row : int
+        Vertical place of the bar.
+    ends : tuple of float
+        Least and greatest value of the quantity.
+    reached : tuple of str
+        Texts beside the two ends: where the quantity takes these values.
+    base : float
+        The quantity in the central case; NaN if that case failed.
+    """
     low, high = (end * quantity.scale for end in ends)
     split = low if isnan(base) else min(max(base, low), high)
     for start, end, style in ((low, split, _BELOW), (split, high, _ABOVE)):
@@ -309,7 +396,16 @@ def _draw_bar(
 
 
 def draw_distributions(rows: pd.DataFrame, quantities: Sequence[Quantity]) -> Figure:
-    """Draw histograms with the median and the middle nine tenths.
+    """Draw a histogram of each output quantity over all cases.
+
+    Lines mark the median and the 5 % and 95 % quantiles.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        Finished cases of the sweep, one row each.
+    quantities : sequence of Quantity
+        Output columns to draw.
 
     Returns
     -------
@@ -336,12 +432,18 @@ def draw_distributions(rows: pd.DataFrame, quantities: Sequence[Quantity]) -> Fi
 def draw_scatter(
     rows: pd.DataFrame, fields: Sequence[str], quantities: Sequence[Quantity]
 ) -> Figure:
-    """Draw scatter plots of each result quantity over each scenario field that is drawn at random.
+    """Draw scatter plots of output quantities against scenario fields whose values are random.
+
+    Each dot is one case. A row of panels belongs to one quantity, a column of panels to one field.
 
     Parameters
     ----------
+    rows : DataFrame
+        Finished cases of the sweep, one row each; columns are scenario fields and outputs.
     fields : sequence of str
-        Numeric fields, one column of panels each.
+        Dotted paths of the numeric scenario fields that the sweep draws at random.
+    quantities : sequence of Quantity
+        Output columns to draw.
     """
     figure, panels = panel_grid(
         len(quantities), len(fields), panel_height=1.6, left=0.62, gap=0.62, share_time=False

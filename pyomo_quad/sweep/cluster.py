@@ -1,4 +1,4 @@
-"""Connection to the workers of a Dask cluster."""
+"""Connection of a sweep to the workers of a Dask cluster."""
 
 import logging
 import time
@@ -19,15 +19,25 @@ _DASK_LOGGERS = ("distributed", "tornado", "asyncio")
 
 @contextmanager
 def cluster_workers(address: str) -> Iterator[Workers]:
-    """Context that keeps a Dask cluster connected.
+    """Context manager: connect to a Dask cluster, and run the cases of a sweep on its workers.
 
-    Dask itself reassigns the cases of a lost worker, and gives a case up after several losses. If
-    the scheduler is lost, only committed results remain.
+    Dask itself moves the cases of a worker that was lost to other workers, and gives a case up
+    after several losses. If the scheduler is lost, the results committed so far remain.
+
+    Parameters
+    ----------
+    address : str
+        Address of the Dask scheduler, such as ``tcp://host:8786``.
+
+    Yields
+    ------
+    Workers
+        Workers for `Sweep.run`.
 
     Raises
     ------
     ClusterError
-        If it cannot be reached, or its workers cannot run this package.
+        If the scheduler cannot be reached, or a worker has no pyomo_quad of the same version.
 
     Examples
     --------
@@ -54,9 +64,9 @@ def cluster_workers(address: str) -> Iterator[Workers]:
 
 
 def _silence_dask() -> None:
-    """Silence Dask's loggers, because this module reports a lost cluster itself.
+    """Turn off the log messages of Dask, because this module reports a lost cluster itself.
 
-    The loggers set their own levels when Dask is imported, and would write tracebacks.
+    The loggers set their own levels when Dask is imported, and would print tracebacks.
     """
     for name in list(logging.root.manager.loggerDict):
         if name.partition(".")[0] in _DASK_LOGGERS:
@@ -64,7 +74,7 @@ def _silence_dask() -> None:
 
 
 class _Threads:
-    """Cached number of worker threads of a cluster."""
+    """Number of worker threads of a Dask cluster, asked for anew every `WATCH_SECONDS`."""
 
     def __init__(self, client: "Client", address: str) -> None:
         self._client = client

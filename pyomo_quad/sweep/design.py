@@ -1,4 +1,8 @@
-"""Design of a sweep: the values of its axes, and its cases in row order."""
+"""Design of a parameter sweep: the values of each axis, and the cases in row order.
+
+An axis is a scenario field with the values that it takes. Axes that advance together form a
+dimension. The cases are all combinations of the steps of the dimensions, a grid.
+"""
 
 import hashlib
 import json
@@ -20,13 +24,13 @@ from pyomo_quad.scenario.tables import Reference
 from pyomo_quad.sweep.case import StudyTask, unknown_column
 
 _MOST_VALUES = 100_000
-# Values are stored, hashed and printed in decimal. Twelve digits avoid 0.30000000000000004 for 0.3
-# and are finer than any tolerance of a solve.
+# Digits of an axis value. Values are stored, hashed and printed in decimal; twelve digits avoid
+# 0.30000000000000004 for 0.3 and are finer than any tolerance of a solve.
 _SIGNIFICANT_DIGITS = 12
 
 
 class Spacing(Part):
-    """Equally spaced values from first to last."""
+    """First value, last value and number of the equally spaced values of a sweep's axis."""
 
     first: Number = quantity(
         "",
@@ -48,7 +52,7 @@ class Spacing(Part):
 
 
 class UniformSpread(Part):
-    """A uniform distribution."""
+    """Uniform distribution of a scenario field between `low` and `high`."""
 
     low: Number = quantity(
         "",
@@ -62,12 +66,23 @@ class UniformSpread(Part):
     )
 
     def at(self, probabilities: np.ndarray) -> np.ndarray:
-        """Return the values below which the distribution has the given probabilities."""
+        """Return the quantiles of the uniform distribution at the given probabilities.
+
+        Parameters
+        ----------
+        probabilities : ndarray, shape (n,)
+            Probabilities between 0 and 1.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Values below which the distribution has these probabilities, in the field's unit.
+        """
         return self.low + (self.high - self.low) * probabilities
 
 
 class NormalSpread(Part):
-    """A normal distribution."""
+    """Normal distribution of a scenario field, by mean and standard deviation."""
 
     mean: Number = quantity(
         "",
@@ -82,7 +97,18 @@ class NormalSpread(Part):
     )
 
     def at(self, probabilities: np.ndarray) -> np.ndarray:
-        """Return the values below which the distribution has the given probabilities."""
+        """Return the quantiles of the normal distribution at the given probabilities.
+
+        Parameters
+        ----------
+        probabilities : ndarray, shape (n,)
+            Probabilities strictly between 0 and 1; at 0 and 1 the quantile is infinite.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Values below which the distribution has these probabilities, in the field's unit.
+        """
         return self.mean + self.standard_deviation * ndtri(probabilities)
 
 
@@ -90,7 +116,7 @@ _KINDS = ("values", "linear", "logarithmic", "uniform", "normal")
 
 
 class Axis(Part):
-    """Scenario field that varies, with its values."""
+    """Scenario field that a sweep varies, and its values: listed, spaced or drawn at random."""
 
     path: Text = quantity("", "dotted path of a scenario field", min_length=1, max_length=200)
     group: Text | None = quantity("", "axes of one group advance together", None, max_length=60)
@@ -123,17 +149,20 @@ class Axis(Part):
 
     @property
     def is_random(self) -> bool:
-        """Whether the values are drawn from a distribution."""
+        """Whether the values are drawn from a distribution instead of listed or spaced."""
         return self.uniform is not None or self.normal is not None
 
     @property
     def count(self) -> int:
-        """Number of values of an axis that is not random."""
+        """Number of values of an axis that is not random; 0 for a random axis."""
         spacing = self.linear or self.logarithmic
         return spacing.count if spacing is not None else len(self.values or ())
 
     def spaced_values(self) -> tuple[Any, ...]:
-        """Return the values of an axis that is not random."""
+        """Return the listed, equally spaced or logarithmically spaced values of the axis.
+
+        Empty for a random axis, whose values `drawn_values` returns.
+        """
         if self.linear is not None:
             spacing = self.linear
             return rounded(np.linspace(spacing.first, spacing.last, spacing.count))
@@ -143,19 +172,24 @@ class Axis(Part):
         return self.values or ()
 
     def drawn_values(self, probabilities: np.ndarray) -> tuple[float, ...]:
-        """Return the values of a random axis.
+        """Return the values of a random axis: quantiles of its distribution.
 
         Parameters
         ----------
         probabilities : ndarray, shape (n,)
-            Draws from the unit interval.
+            Random numbers strictly between 0 and 1.
+
+        Returns
+        -------
+        tuple of float
+            One value for each probability, in the field's unit; empty if the axis is not random.
         """
         spread = self.uniform or self.normal
         return rounded(spread.at(probabilities)) if spread is not None else ()
 
 
 def rounded(numbers: np.ndarray) -> tuple[float, ...]:
-    """Round numbers to the digits in which axis values are kept.
+    """Round numbers to twelve significant digits, the precision of the values of a sweep's fields.
 
     Parameters
     ----------
@@ -166,7 +200,10 @@ def rounded(numbers: np.ndarray) -> tuple[float, ...]:
 
 
 def kind_of(value: object) -> type | None:
-    """Return the type of a plain value: bool, float, str or list; None for other values."""
+    """Return the type of a plain value: bool, float, str or list; None for any other value.
+
+    Integers count as float. Plain are finite numbers, texts, booleans, and lists of these.
+    """
     if isinstance(value, bool | str):
         return type(value)
     if isinstance(value, int | float):
@@ -180,16 +217,16 @@ MOST_CASES = 1_000_000
 
 @dataclass(frozen=True, kw_only=True)
 class Dimension:
-    """Direction of the grid of cases: axes that vary together.
+    """Dimension of a sweep's grid of cases: one or more scenario fields that change together.
 
     Attributes
     ----------
     paths : tuple of str
-        Scenario fields that change.
+        Dotted paths of the scenario fields that change.
     steps : tuple of tuple
-        For each step the values of these fields.
+        For each step along the dimension, the value of each of these fields.
     is_random : bool
-        Whether the steps were drawn at random.
+        Whether the values were drawn at random.
     """
 
     paths: tuple[str, ...]
@@ -197,13 +234,17 @@ class Dimension:
     is_random: bool = False
 
     def in_cells(self) -> "Dimension":
-        """Return the dimension with each value in the form that a table cell holds."""
+        """Return a copy whose list values are JSON texts, as in the cells of the result table."""
         steps = tuple(tuple(cell_of(value) for value in step) for step in self.steps)
         return replace(self, steps=steps)
 
     @property
     def is_sound(self) -> bool:
-        """Whether every step has one plain value per field, of constant type."""
+        """Whether each step has one plain value for each field, and each field keeps one type.
+
+        Plain values are finite numbers, texts, booleans and lists of these. A dimension that a
+        study file describes is always sound; one read from a damaged result store may not be.
+        """
         columns = list(zip(*self.steps, strict=False))
         kinds = [{kind_of(value) for value in column} for column in columns]
         is_whole = all(len(step) == len(self.paths) > 0 for step in self.steps)
@@ -212,33 +253,40 @@ class Dimension:
 
     @property
     def is_numeric(self) -> bool:
-        """Whether the first field holds numbers."""
+        """Whether the values of the dimension's first field are numbers."""
         return all(kind_of(step[0]) is float for step in self.steps)
 
     def values(self, path: str) -> list[Any]:
-        """Return the values that one field takes along the steps."""
+        """Return the values that one field of the dimension takes, in the order of the steps.
+
+        Parameters
+        ----------
+        path : str
+            Dotted path of the field, one of `paths`.
+        """
         column = self.paths.index(path)
         return [step[column] for step in self.steps]
 
 
 @dataclass(frozen=True, kw_only=True)
 class SweepDesign:
-    """Complete specification of the rows of a sweep.
+    """Specification of a parameter sweep, from which all its cases follow.
 
     Attributes
     ----------
     name, title, about : str
-        As in the study file.
+        Short name, title and first paragraph of the report, as in the study file.
     task : StudyTask
-        Task of each case.
+        Whether each case is planned, or flies the base case's plan.
     baselines : tuple of Reference
-        References that the controller flies.
+        Reference trajectories that the controller flies in each case, for comparison.
     outputs, report_on : tuple of str
-        Columns kept in the tables, and drawn in the report.
+        Output columns that the tables keep, and columns that the report draws.
     base : mapping
-        The complete base scenario.
+        The complete base scenario, as nested mappings.
     dimensions : tuple of Dimension
-        Directions of the grid; the last varies fastest in the row order.
+        Scenario fields that vary, with their values; the last dimension varies fastest in the
+        order of the cases.
     """
 
     name: str
@@ -253,30 +301,30 @@ class SweepDesign:
 
     @property
     def case_count(self) -> int:
-        """Number of cases."""
+        """Number of cases of the sweep: product of the numbers of steps of all dimensions."""
         return prod(len(dimension.steps) for dimension in self.dimensions)
 
     @property
     def paths(self) -> tuple[str, ...]:
-        """Fields that vary, in column order."""
+        """Dotted paths of the fields that vary, in the order of the result table's columns."""
         return tuple(path for dimension in self.dimensions for path in dimension.paths)
 
     def in_cells(self) -> Self:
-        """Return the design with each value in the form that a table cell holds."""
+        """Return a copy whose list values are JSON texts, as in the cells of the result table."""
         return replace(self, dimensions=tuple(one.in_cells() for one in self.dimensions))
 
     def to_json(self) -> str:
-        """Return the design as canonical JSON text."""
+        """Return the design as JSON text; equal designs give equal texts."""
         return _DESIGN.dump_json(self).decode()
 
     @classmethod
     def from_json(cls, text: str) -> Self:
-        """Read a design written by `to_json`.
+        """Read a design from the JSON text that `to_json` wrote.
 
         Raises
         ------
         ValueError
-            If the text is not such a design, or not one that a study file could ask for.
+            If the text is not a sweep design, or has a value that a study file may not contain.
         """
         try:
             return _DESIGN.validate_json(text)  # type: ignore[return-value]
@@ -286,12 +334,13 @@ class SweepDesign:
             raise ValueError(f"not a sweep design: {place}: {first['msg']}") from None
 
     def refuse_impossible(self) -> None:
-        """Raise an error for a design that no study file produces (a damaged store).
+        """Raise an error if the design cannot stem from a study file, as in a damaged result store.
 
         Raises
         ------
         ValueError
-            One line that names the error.
+            If a dimension has missing or wrong values, the cases are too many, a field varies twice
+            or an output column is unknown; one line that names the fault.
         """
         Scenario.model_validate(self.base)
         if not self.dimensions or not all(one.is_sound for one in self.dimensions):
@@ -303,7 +352,15 @@ class SweepDesign:
             raise ValueError(f"not a sweep design: outputs: none is called {shown(wrong)}")
 
     def changes_since(self, older: "SweepDesign") -> Iterator[str]:
-        """Yield the changes since an older design that invalidate its rows."""
+        """Yield the changes of task, baselines and base scenario since an older design.
+
+        After such a change, results of the older design are not valid for this design.
+
+        Yields
+        ------
+        str
+            One change, such as ``scenario.vehicle.mass: 1.0 -> 1.2``.
+        """
         for name in ("task", "baselines"):
             before, after = getattr(older, name), getattr(self, name)
             if before != after:
@@ -311,7 +368,15 @@ class SweepDesign:
         yield from _differences(older.base, self.base, "scenario")
 
     def axis_changes_since(self, older: "SweepDesign") -> Iterator[str]:
-        """Yield the changes of axes since an older design."""
+        """Yield the changes of axes (fields that vary, with their values) since an older design.
+
+        Results of the older design remain valid for the cases that both designs have.
+
+        Yields
+        ------
+        str
+            One change, such as ``axis mission.duration: removed``.
+        """
         before = {path: one.values(path) for one in older.dimensions for path in one.paths}
         after = {path: one.values(path) for one in self.dimensions for path in one.paths}
         for path in sorted(before.keys() | after.keys()):
@@ -329,7 +394,7 @@ _DESIGN = TypeAdapter(SweepDesign)
 
 
 def cell_of(value: object) -> Any:  # noqa: ANN401  a value of any scenario field
-    """Return a field's value in the form that a table cell holds: a list becomes text."""
+    """Return a field's value in the form that a table cell holds: a list as JSON text."""
     return json.dumps(value) if isinstance(value, list) else value
 
 
@@ -354,24 +419,24 @@ def _shortened(value: object) -> str:
     return text if len(text) <= 40 else f"{text[:40]}..."
 
 
-_KEY_LENGTH = 20
+_KEY_LENGTH = 20  # hexadecimal digits of a case's key
 
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """Point of the design.
+    """One case of a sweep: a place in the grid, with the values of the scenario fields there.
 
     Attributes
     ----------
     position : int
-        Place in the row order.
+        Row number of the case, from 0.
     key : str
-        Hash of the overrides; the same case has the same key in an extended study.
+        Hash of the overrides. A case keeps its key when the study is extended.
     overrides : mapping
-        Scenario field -> value.
+        Value of each field that varies, by its dotted path.
     parent : int or None
-        Position of the case whose result is the warm start; None for the first case, and if the
-        task solves nothing.
+        Position of the neighbouring case whose solution is the initial guess of this case. None
+        for the first case of the tree, and if the sweep's task solves no case.
     """
 
     position: int
@@ -381,7 +446,18 @@ class Case:
 
 
 def expand(design: SweepDesign) -> tuple[Case, ...]:
-    """Return all cases of a design, in the order of rows."""
+    """Return all cases of a sweep in row order: every combination of the dimensions' steps.
+
+    Parameters
+    ----------
+    design : SweepDesign
+        Specification of the sweep.
+
+    Returns
+    -------
+    tuple of Case
+        Each case with its key and its parent, the case whose solution is its initial guess.
+    """
     parents = [_step_parents(dimension) for dimension in design.dimensions]
     sizes = [len(dimension.steps) for dimension in design.dimensions]
     is_solved = design.task == StudyTask.OPTIMISE
@@ -404,18 +480,38 @@ def expand(design: SweepDesign) -> tuple[Case, ...]:
 
 
 def case_key(overrides: Mapping[str, Any]) -> str:
-    """Hash the overrides of a case."""
+    """Return the key of a case: a hash of the field values that distinguish it.
+
+    Parameters
+    ----------
+    overrides : mapping
+        Value of each field that varies, by its dotted path.
+
+    Returns
+    -------
+    str
+        First 20 hexadecimal digits of the SHA-256 hash.
+    """
     text = json.dumps(dict(overrides), sort_keys=True, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()[:_KEY_LENGTH]
 
 
 def bisection_parents(count: int) -> list[int | None]:
-    """Return each rank's parent in a balanced bisection tree, for warm starts.
+    """Arrange sorted values in a balanced bisection tree, which gives the order of warm starts.
+
+    The middle value is solved first, then the middle of each half, starting from the solution of
+    the value above it in the tree. A case therefore has a close neighbour as initial guess, and the
+    number of solves in sequence grows only with the logarithm of the number of values.
+
+    Parameters
+    ----------
+    count : int
+        Number of values.
 
     Returns
     -------
     list of int or None
-        For each rank the rank of its parent, None for the middle one.
+        For each rank in sorted order the rank of its parent; None for the middle value.
     """
     parents: list[int | None] = [None] * count
     pending: list[tuple[int, int, int | None]] = [(0, count, None)]
@@ -438,7 +534,7 @@ def _step_parents(dimension: Dimension) -> list[int | None]:
 
 
 def _sorted_steps(steps: Sequence[tuple[Any, ...]]) -> list[int]:
-    # Numbers are sorted by the first field; texts and lists keep the order of the file.
+    # Steps are sorted by the first field if it is numeric; others keep the study file's order.
     is_numeric = all(isinstance(step[0], int | float) for step in steps)
     indices = range(len(steps))
     return sorted(indices, key=lambda index: steps[index][0]) if is_numeric else list(indices)

@@ -1,4 +1,8 @@
-"""Figures of a sweep that its design permits, with captions."""
+"""Selection of the figures in a sweep's report, with titles and captions.
+
+Which figures are possible depends on the scenario fields that vary: for example, a wind rose needs
+several wind directions, and scatter plots need fields with random values.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -22,13 +26,25 @@ from pyomo_quad.sweep.quantities import (
 from pyomo_quad.sweep.statistics import Curve, SweepResults
 
 _DIRECTION_FIELD = "wind.direction"
-# A map or a rose needs three steps; more than seven curves are indistinguishable in a legend.
+# A heat map or a wind rose needs at least three values of a field; more than seven curves are
+# indistinguishable in a legend.
 _FEWEST_STEPS = 3
 _MOST_CURVES = 7
 
 
 def sweep_drawings(results: SweepResults) -> tuple[Drawing, ...]:
-    """List the figures of a sweep of which at least one case finished."""
+    """List the figures of a sweep's report, each with a function that draws it.
+
+    Parameters
+    ----------
+    results : SweepResults
+        Design and rows of the sweep; at least one case has finished.
+
+    Returns
+    -------
+    tuple of Drawing
+        Figures that are possible with the scenario fields that vary.
+    """
     quantities = [output_quantity(column) for column in results.design.report_on]
     listed = _Figures(results, quantities)
     return (
@@ -43,7 +59,7 @@ def sweep_drawings(results: SweepResults) -> tuple[Drawing, ...]:
 
 @dataclass(frozen=True)
 class _Figures:
-    """Figures of the quantities that a study reports on."""
+    """Generators of the figures of a parameter sweep, one method for each kind of figure."""
 
     results: SweepResults
     quantities: Sequence[Quantity]
@@ -147,7 +163,13 @@ class _Figures:
             )
 
     def _curves_along(self, field: str) -> tuple[list[Curve], str]:
-        """Choose evenly spread curves over a field, at most `_MOST_CURVES`, and note the rest."""
+        """Select at most `_MOST_CURVES` curves against a scenario field, evenly spread over all.
+
+        Returns
+        -------
+        tuple of (list of Curve, str)
+            The curves, and a sentence for the caption on curves and cases that are not drawn.
+        """
         curves = self.results.curves_along(field)
         count = len(curves)
         if count <= _MOST_CURVES:
@@ -157,13 +179,16 @@ class _Figures:
         return shown, f" Shown are {_MOST_CURVES} of {count} curves.{self._hidden()}"
 
     def _hidden(self) -> str:
-        """Return the caption's sentence on cases that did not finish, "" if all of them did."""
+        """Return the caption's sentence on the number of unfinished cases; "" if all finished."""
         total = self.results.design.case_count
         missing = total - len(self.results.finished)
         return f" Not drawn: {missing} of {total} cases, which did not finish." if missing else ""
 
     def _scales(self) -> list[Dimension]:
-        """Return the dimensions that can be a chart's axis: numeric, not random, enough steps."""
+        """Return the dimensions of the sweep (fields that vary) that can be a chart's axis.
+
+        The field of such a dimension is numeric, not random, and has at least three values.
+        """
         return [
             one
             for one in self.results.design.dimensions
@@ -172,7 +197,7 @@ class _Figures:
 
 
 def _worst_direction(curves: Sequence[Curve], quantity: Quantity) -> str:
-    """Return a caption on the centre of a rose and on the worst direction."""
+    """Return the caption's sentence on a wind rose's centre and on its worst wind direction."""
     least, _ = charts.rose_range(curves, quantity)
     worst_rows = [quantity.worst_row(curve.rows) for curve in curves]
     worst = quantity.worst_row(pd.DataFrame(worst_rows).reset_index(drop=True))

@@ -1,4 +1,4 @@
-"""Printed quantities of a sweep: names, units and table cells."""
+"""Printed names, units and number formats of the fields and output columns of a sweep."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,13 +13,23 @@ from pyomo_quad.sweep.case import unit_of_column
 
 _PRINTED = {"kg": "kg", "m/s^2": "m/s²", "percent": "%", "A*hr": "A h", "1/A/hr": "1/(A h)"}
 _LARGE, _SIGNIFICANT = 1e5, 4
-# For these columns and for savings, the least value is the worst; otherwise the greatest is.
+# Columns whose least value is the worst, as with savings; of other columns the greatest is.
 _BETTER_LARGE = ("range_m", "endurance_s", "lowest_voltage_V")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Quantity:
-    """Printed column: name, unit, and factor to that unit."""
+    """Printed form of a table column of a sweep: name, unit, and factor to the printed unit.
+
+    Attributes
+    ----------
+    column : str
+        Name of the column: an output, or the dotted path of a scenario field.
+    name, unit : str
+        Name and unit in print.
+    scale : float
+        Factor from the column's unit to the printed unit.
+    """
 
     column: str
     name: str
@@ -27,11 +37,15 @@ class Quantity:
     scale: float = 1.0
 
     def of(self, frame: pd.DataFrame) -> pd.Series:
-        """Return the column in the printed unit."""
+        """Return the quantity's column of a result table, converted to the printed unit."""
         return frame[self.column] * self.scale
 
     def worst_row(self, frame: pd.DataFrame) -> pd.Series:
-        """Return the row of a table where the quantity is worst."""
+        """Return the row of a result table in which the quantity is worst.
+
+        Worst is the least value for savings, range, endurance and lowest voltage, and the greatest
+        value otherwise.
+        """
         is_rising = not (self.column in _BETTER_LARGE or self.column.startswith("saving_"))
         return frame.sort_values(
             self.column, ascending=is_rising, na_position="first", kind="stable"
@@ -39,19 +53,31 @@ class Quantity:
 
     @property
     def label(self) -> str:
-        """Label of an axis: name and unit."""
+        """Label of a chart's axis: the name with a capital letter, and the printed unit."""
         return f"{self.name[:1].upper()}{self.name[1:]}" + (f" ({self.unit})" if self.unit else "")
 
 
 def field_quantity(path: str) -> Quantity:
-    """Return name, unit and scale of a scenario field in print."""
+    """Return the printed name, unit and scale of a scenario field, given by its dotted path.
+
+    Parameters
+    ----------
+    path : str
+        Dotted path of the field.
+    """
     unit = field_unit(path)
     name = " ".join(path.split(".")[-2:]).replace("_", " ")
     return _quantity(path, name, _PRINTED.get(unit, unit))
 
 
 def output_quantity(column: str) -> Quantity:
-    """Return name, unit and scale of an output column in print."""
+    """Return the printed name, unit and scale of an output column of a sweep, given by its name.
+
+    Parameters
+    ----------
+    column : str
+        Name of the column.
+    """
     unit = unit_of_column(column)
     name = column.removesuffix(f"_{unit}").replace("_", " ")
     return _quantity(column, name, _PRINTED.get(unit, unit))
@@ -64,7 +90,10 @@ def _quantity(column: str, name: str, unit: str) -> Quantity:
 
 
 def number(value: object) -> str:
-    """Return a number of a result as the text of a table cell."""
+    """Format a value of a result table with four significant digits.
+
+    A missing number (NaN) becomes a dash; a value that is not a float is printed as it is.
+    """
     if not isinstance(value, float):
         return str(value)
     if pd.isna(value):
@@ -76,14 +105,20 @@ def number(value: object) -> str:
 
 
 def setting(value: object) -> str:
-    """Return a field's value as text, without trailing zeros."""
+    """Format the value of a scenario field as text, without trailing zeros."""
     text = number(value)
     is_padded = isinstance(value, float) and "." in text and "e" not in text
     return text.rstrip("0").rstrip(".") if is_padded else text
 
 
 def settings_name(fixed: Mapping[str, Any]) -> str:
-    """Return the name of a curve from its constant fields."""
+    """Return the legend's name of a curve, from the fields that are constant along it.
+
+    Parameters
+    ----------
+    fixed : mapping
+        Value of each constant field, by its dotted path.
+    """
     parts = [
         value.replace("_", " ")
         if isinstance(value, str)
@@ -94,12 +129,14 @@ def settings_name(fixed: Mapping[str, Any]) -> str:
 
 
 def case_name(fields: Mapping[str, Any]) -> str:
-    """Return the name of the central case of maps and sensitivities.
+    """Return the printed name of the central case of a sweep, from its field values.
+
+    Heat maps and sensitivities vary one or two fields and keep the others as in the central case.
 
     Parameters
     ----------
     fields : mapping
-        Scenario field -> value; empty if all fields are random.
+        Value of each field, by its dotted path; empty if all fields are random.
     """
     parts = [f"{path} = {_with_unit(path, value)}" for path, value in fields.items()]
     return ", ".join(parts) or "the middle of the draws"

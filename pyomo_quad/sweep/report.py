@@ -1,4 +1,4 @@
-"""Report of a sweep: values for templates, tables and files."""
+"""Report of a parameter sweep: result tables, figures and the text from templates."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -32,12 +32,18 @@ _PRINTED: dict[str, Any] = {"number": number, "setting": setting, "field_quantit
 def write_sweep_report(
     folder: Path, design: SweepDesign, frame: pd.DataFrame, figures: Figures = Figures.SVG
 ) -> None:
-    """Write tables (CSV, Parquet, Markdown), figures and the report.
+    """Write the report of a sweep: result tables (CSV, Parquet, Markdown), figures and text.
 
     Parameters
     ----------
     folder : Path
-        An empty folder.
+        Existing empty folder that receives the files.
+    design : SweepDesign
+        Specification of the sweep.
+    frame : DataFrame
+        Result table with one row for each case that has ended, from `results_frame`.
+    figures : Figures, optional
+        Which figures to draw, and in which file formats.
 
     Examples
     --------
@@ -85,7 +91,11 @@ def write_sweep_report(
 
 
 def _outcome(results: SweepResults) -> dict[str, Any]:
-    """Return the results in print: arrivals, extremes, best durations and sensitivities."""
+    """Compute the report's variables that need at least one finished case, by name.
+
+    These are the arrivals, the quantiles of each quantity, the best durations and the
+    sensitivities.
+    """
     quantities = [output_quantity(column) for column in results.design.report_on]
     spans = [one.of(results.finished).dropna().quantile(_QUANTILES) for one in quantities]
     return {
@@ -99,7 +109,13 @@ def _outcome(results: SweepResults) -> dict[str, Any]:
 
 
 def _reasons(failed: pd.DataFrame) -> list[tuple[str, list[Any]]]:
-    """Return the reasons of failed cases, each with its cases, the most frequent first."""
+    """Group the failed cases of a sweep by reason, the most frequent reason first.
+
+    Returns
+    -------
+    list of (str, list)
+        At most ten reasons, each with the row numbers of its cases.
+    """
     grouped = failed.groupby(REASON_COLUMN)[CASE_COLUMN]
     reasons = sorted(grouped, key=lambda pair: len(pair[1]), reverse=True)
     return [(str(reason), cases.tolist()) for reason, cases in reasons[:_MOST_REASONS]]
@@ -121,7 +137,7 @@ def _axis(dimension: Dimension, path: str) -> dict[str, Any]:
 
 
 def _arrivals(results: SweepResults) -> Iterator[dict[str, Any]]:
-    """Count the controlled flights that did not arrive."""
+    """Count, for each kind of controlled flight, the cases in which it did not reach the goal."""
     rows = results.finished
     for column in map(str, rows.columns):
         is_planned = column == TERMINAL_MISS and results.design.task != StudyTask.FLY_PLAN
@@ -140,7 +156,7 @@ def _arrivals(results: SweepResults) -> Iterator[dict[str, Any]]:
 def _sensitivities(
     results: SweepResults, quantities: Sequence[Quantity]
 ) -> Iterator[dict[str, Any]]:
-    """Yield the sensitivities of each quantity, where more than one field varies."""
+    """Yield how each quantity changes with each field, if more than one field varies."""
     for quantity in quantities:
         found = results.sensitivities(quantity.column)
         if len(found) > 1:
@@ -154,7 +170,10 @@ def _sensitivities(
 
 
 def _best_durations(results: SweepResults, quantity: Quantity) -> Iterator[dict[str, Any]]:
-    """Yield the best duration for each combination of the other fields."""
+    """Yield the duration with the least quantity, for each combination of the other fields.
+
+    Yields nothing if the mission's duration does not vary.
+    """
     along = results.dimension_of(DURATION_FIELD)
     if along is None:
         return

@@ -1,4 +1,8 @@
-"""Run of a sweep: a case starts when its parent has ended, and its row is committed at once."""
+"""Run of a parameter sweep: schedule the cases on workers and store each result at once.
+
+The cases form a tree: the solution of a parent case is the initial guess (warm start) of its
+children, which are neighbouring cases. A case is scheduled when its parent has ended.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -17,33 +21,47 @@ FLIGHT_SOLVER = "pyomo_quad.sweep.case:solve_case"
 
 
 class SweepListener(Protocol):
-    """Receiver of the progress of a sweep; the base class ignores it."""
+    """Interface of an object that follows the progress of a sweep, such as a progress bar.
+
+    The methods of this base class do nothing.
+    """
 
     def start(self, total: int, already_ended: int) -> None:
-        """Receive the number of cases, and of cases from earlier runs."""
+        """Receive the number of cases of the sweep, and how many of them ended in earlier runs."""
 
     def case_ended(self, case: Case, outcome: CaseOutcome, done: int) -> None:
-        """Receive a case whose row was committed, and the number of cases so far."""
+        """Receive a case whose result was stored.
+
+        Parameters
+        ----------
+        case : Case
+            The case.
+        outcome : CaseOutcome
+            Its row in the result table.
+        done : int
+            Number of cases that have ended, those of earlier runs included.
+        """
 
 
 class SilentListener(SweepListener):
-    """Listener that ignores the progress."""
+    """Listener that does nothing, for a sweep without progress display."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SweepSummary:
-    """Numbers of cases at the end of a sweep.
+    """Numbers of finished, failed, lost and missing cases at the end of a sweep's run.
 
     Attributes
     ----------
     total : int
-        Cases of the design.
+        Number of cases of the sweep.
     already_finished : int
-        Rows of earlier runs that this run kept.
+        Number of cases that finished or failed in an earlier run and were not solved again.
     finished, failed, lost : int
-        Rows added by this run, by the status of their case.
+        Numbers of cases that this run solved, that failed numerically, and that were lost because
+        their worker process died.
     is_interrupted : bool
-        Whether Ctrl-C ended it.
+        Whether Ctrl-C ended the run early.
     """
 
     total: int
@@ -55,26 +73,26 @@ class SweepSummary:
 
     @property
     def missing(self) -> int:
-        """Number of cases without a row."""
+        """Number of cases without a result, for example after an interruption."""
         return self.total - self.already_finished - self.finished - self.failed - self.lost
 
 
 class Sweep:
-    """Run of a design that fills the rows of a store.
+    """Run of a parameter sweep that solves all cases without a result and stores their rows.
 
     Parameters
     ----------
     design : SweepDesign
-        Design to solve.
+        Specification of the sweep.
     base : Scenario
-        The base scenario of the design.
+        Base scenario of the design.
     store : ResultStore
-        Open for writing. Cases that finished or failed are not solved again; cases that were lost
-        with their worker are.
+        Result store, open for writing. Cases that finished or failed in an earlier run are not
+        solved again; cases that were lost because their worker died are.
     listener : SweepListener
-        Receives each row.
+        Receives each row after it was stored.
     solver : str, optional
-        Case solver as ``module:function``.
+        Function that solves one case, as ``module:function``.
     """
 
     def __init__(
@@ -106,14 +124,26 @@ class Sweep:
         self._counts = dict.fromkeys(CaseStatus, 0)
 
     def run(self, workers: Workers) -> SweepSummary:
-        """Solve all cases without a final row.
+        """Solve all cases that have no result yet or were lost with their worker.
+
+        Ctrl-C ends the run early; the results so far are stored.
+
+        Parameters
+        ----------
+        workers : Workers
+            Processes of this machine or workers of a cluster.
+
+        Returns
+        -------
+        SweepSummary
+            Numbers of finished, failed and lost cases.
 
         Raises
         ------
         ClusterError
-            If the cluster was lost; finished cases are kept.
+            If the cluster was lost; the results so far are stored.
         StoreError
-            If a row cannot be written; finished cases are kept.
+            If a row cannot be written; the rows before it are stored.
         """
         self._listener.start(len(self._cases), len(self._settled))
         is_interrupted = False
@@ -158,7 +188,16 @@ class Sweep:
                 ready += self._commit_all(outcomes)
 
     def _next_of(self, cases: list[Case]) -> list[Case]:
-        """Return the cases to solve next: those given, or descendants of those already ended."""
+        """Replace each case that has already ended by its nearest descendants without a result.
+
+        A case's children are the cases that start from its solution, its descendants also their
+        children.
+
+        Returns
+        -------
+        list of Case
+            Cases that can be solved now.
+        """
         found, pending = [], list(reversed(cases))
         while pending:
             case = pending.pop()
@@ -181,7 +220,10 @@ class Sweep:
         return [case for outcome in outcomes for case in self._commit(outcome)]
 
     def _commit(self, outcome: CaseOutcome) -> list[Case]:
-        """Store a row and return the cases that can start now."""
+        """Store the row of a case that ended, and return the cases that can be solved now.
+
+        Warm starts that no case needs any more are deleted from the store.
+        """
         case = self._cases[outcome.position]
         is_settled = outcome.status is not CaseStatus.LOST
         outdated = self._forget_descendants(case) if is_settled else []
@@ -198,10 +240,17 @@ class Sweep:
         return self._next_of(self._children_of(case))
 
     def _forget_descendants(self, case: Case) -> list[str]:
-        """Delete the rows of descendants of a case that was lost and is now solved.
+        """Invalidate the results of a case's descendants if an earlier run lost the case.
 
-        These rows started from the warm start of the parent. Solved again from the result of this
-        case, they are equal to the rows of a sweep in which no worker died.
+        A case's children start from its solution; descendants are also their children. When a case
+        is lost because its worker died, its children start from the solution of its parent instead.
+        Now that the case is solved, its descendants are solved again, so that all rows equal those
+        of a sweep in which no worker died.
+
+        Returns
+        -------
+        list of str
+            Keys of the descendants, whose rows the store deletes.
         """
         if case.key not in self._lost_before:
             return []
@@ -226,7 +275,26 @@ class Sweep:
 def case_task(
     design: SweepDesign, base: Scenario, case: Case, solver: str, warm_start: bytes | None
 ) -> CaseTask | CaseOutcome:
-    """Return the task of a case, or a failed row if its scenario is invalid."""
+    """Make the worker's input for one case of a sweep.
+
+    Parameters
+    ----------
+    design : SweepDesign
+        Specification of the sweep.
+    base : Scenario
+        Base scenario, whose fields the case changes.
+    case : Case
+        The case.
+    solver : str
+        Function that solves a case, as ``module:function``.
+    warm_start : bytes or None
+        Packed solution of the parent case, the initial guess.
+
+    Returns
+    -------
+    CaseTask or CaseOutcome
+        The input; the row of a failed case if the changed scenario is invalid.
+    """
     task = CaseTask(
         position=case.position,
         key=case.key,
@@ -254,14 +322,14 @@ def _children(cases: tuple[Case, ...]) -> Mapping[int, list[int]]:
 
 @dataclass(frozen=True, kw_only=True)
 class SweepEstimate:
-    """Number of remaining cases of a sweep and their time.
+    """Estimated time that a sweep still needs.
 
     Attributes
     ----------
     total, missing : int
-        Cases of the design, and those without a row.
+        Number of cases of the design, and of cases without a result.
     seconds_per_case : float
-        Mean solve time of one worker.
+        Mean solve time of a case on one worker, in s.
     """
 
     total: int
@@ -269,14 +337,33 @@ class SweepEstimate:
     seconds_per_case: float
 
     def seconds(self, workers: int) -> float:
-        """Return the remaining time on a number of workers that never wait."""
+        """Return the estimated remaining time [s] on a number of workers that are always busy."""
         return self.missing * self.seconds_per_case / workers
 
 
 def estimate_sweep(
     design: SweepDesign, base: Scenario, folder: Path, solver: str = FLIGHT_SOLVER
 ) -> SweepEstimate:
-    """Estimate the cases and the time left of a sweep, without writing.
+    """Estimate the time that a sweep still needs, without storing any result.
+
+    The time per case is the mean over the stored results. If there are none, two cases are solved,
+    the second from the solution of the first as most cases are; the time of the second counts.
+
+    Parameters
+    ----------
+    design : SweepDesign
+        Specification of the sweep.
+    base : Scenario
+        Base scenario of the design.
+    folder : Path
+        Output folder of the sweep; need not exist.
+    solver : str, optional
+        Function that solves one case, as ``module:function``.
+
+    Returns
+    -------
+    SweepEstimate
+        Numbers of all and of missing cases, and the time per case.
 
     Examples
     --------

@@ -1,4 +1,10 @@
-"""Statistics of a sweep: curves, Pareto fronts, planes, sensitivities and spreads."""
+"""Statistics of a parameter sweep: Pareto fronts, best values, sensitivities and ranges.
+
+A quantity is an output column of the sweep's result table, such as the energy. A dimension is one
+scenario field, or several fields that change together. The central case is the case of the grid
+through which sensitivities and heat maps pass; it has the base scenario's field values where the
+grid contains these.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,7 +27,15 @@ _LOW_SHARE, _HIGH_SHARE = 0.05, 0.95
 
 @dataclass(frozen=True, kw_only=True)
 class Curve:
-    """Rows of a sweep that differ in one dimension only, in order."""
+    """Finished cases of a sweep that differ in one dimension only, sorted along it.
+
+    Attributes
+    ----------
+    fixed : dict
+        Value of each constant field, by its dotted path.
+    rows : DataFrame
+        Rows of the result table.
+    """
 
     fixed: dict[str, Any]
     rows: pd.DataFrame
@@ -29,19 +43,21 @@ class Curve:
 
 @dataclass(frozen=True, kw_only=True)
 class Sensitivity:
-    """Range of a quantity along one field.
+    """Range of an output quantity as one scenario field varies.
+
+    All other fields are as in the central case of the sweep, random fields at the mean of their
+    draws.
 
     Attributes
     ----------
     field : str
-        The scenario field, the first of its dimension.
+        Dotted path of the scenario field, the first of its dimension.
     least, greatest : float
-        Range of the quantity along the field, with all other fields as in the `central_case`.
+        Least and greatest value of the quantity, in the unit of its column.
     least_at, greatest_at : float
-        Values of the field at the ends of the range.
+        Values of the field there.
     base : float
-        The quantity in the central case, with random fields at the middle of their draws; NaN if
-        that case failed.
+        The quantity in the central case; NaN if that case failed.
     """
 
     field: str
@@ -53,23 +69,23 @@ class Sensitivity:
 
     @property
     def swing(self) -> float:
-        """Width of the quantity's range."""
+        """Width of the quantity's range: greatest minus least value."""
         return self.greatest - self.least
 
 
 @dataclass(frozen=True, kw_only=True)
 class Spread:
-    """Range of a quantity over all finished cases.
+    """Range of an output quantity over all finished cases of a sweep.
 
     Attributes
     ----------
     least, greatest : float
-        Ends of the range.
+        Least and greatest value of the quantity, in the unit of its column.
     least_case, greatest_case : int
-        Cases at the ends of the range.
+        Row numbers of the cases with these values.
     linear_share : float
-        Fraction of the variance explained by a linear fit in the random fields; NaN without random
-        fields, or with too few cases for a plane.
+        Fraction of the quantity's variance that a linear fit in the random fields explains (the
+        coefficient of determination); NaN without random fields, or with too few cases for a fit.
     """
 
     least: float
@@ -80,9 +96,9 @@ class Spread:
 
     @property
     def note(self) -> str:
-        """Sentence on the share of the variance that linear effects of the random fields explain.
+        """Part of a caption: the share of variance that linear effects of random fields explain.
 
-        Begins with a semicolon; empty if no field is random.
+        Begins with a semicolon, to continue a sentence; empty if no field is random.
         """
         if isnan(self.linear_share):
             return ""
@@ -94,16 +110,16 @@ class Spread:
 
 @dataclass(frozen=True, kw_only=True)
 class Best:
-    """Tried value of a field at which a quantity is least.
+    """Value of a scenario field at which an output quantity is least along a curve.
 
     Attributes
     ----------
     at, value : float
-        The best value of the field, and the quantity there.
+        The field's best value, and the quantity there.
     below, above : float or None
-        The next values tried on either side; None if there is no such value.
+        The sweep's next smaller and next larger value of the field; None if there is none.
     is_below_flown, is_above_flown : bool
-        Whether these cases finished, so that the best value lies between more expensive ones.
+        Whether the cases at these two values finished.
     """
 
     at: float
@@ -115,20 +131,23 @@ class Best:
 
     @property
     def is_inside(self) -> bool:
-        """Whether cases with larger values of the quantity finished on both sides."""
+        """Whether the cases on both sides finished, which shows that the best value is a minimum.
+
+        Otherwise the quantity may be smaller beyond the values that were tried.
+        """
         return self.is_below_flown and self.is_above_flown
 
 
 @dataclass(frozen=True)
 class SweepResults:
-    """Rows of a sweep, for statistics, figures and tables.
+    """Result table of a parameter sweep, and the statistics that its report prints and draws.
 
     Attributes
     ----------
     design : SweepDesign
-        Design whose values are those of table cells.
+        Specification of the sweep, with list values as JSON text as in the table's cells.
     frame : DataFrame
-        Rows of `results_frame`.
+        Result table with one row for each case that ended, from `results_frame`.
     """
 
     design: SweepDesign
@@ -136,31 +155,53 @@ class SweepResults:
 
     @cached_property
     def finished(self) -> pd.DataFrame:
-        """Rows whose case finished."""
+        """Rows of the result table whose case was solved and verified."""
         return self.frame[self.frame[STATUS_COLUMN] == CaseStatus.FINISHED.value]
 
     @cached_property
     def central_case(self) -> dict[str, Any]:
-        """Fields of the grid's central case, through which maps and sensitivities pass."""
+        """Field values of the sweep's central case, by dotted path, without random fields.
+
+        A field has the base scenario's value if this is one of its values, otherwise the middle one
+        of its values. Heat maps and sensitivities vary one or two fields and keep the others at
+        these values.
+        """
         grid = (one for one in self.design.dimensions if not one.is_random)
         return {one.paths[0]: self._central(one) for one in grid}
 
     @property
     def random_fields(self) -> list[str]:
-        """Fields that are drawn at random."""
+        """Dotted paths of the scenario fields whose values were drawn at random."""
         return [path for one in self.design.dimensions if one.is_random for path in one.paths]
 
     def dimension_of(self, field: str) -> Dimension | None:
-        """Return the dimension along which a field varies, None if it does not vary."""
+        """Return the dimension of the sweep in which a scenario field varies.
+
+        Parameters
+        ----------
+        field : str
+            Dotted path of the field.
+
+        Returns
+        -------
+        Dimension or None
+            None if the field is constant in the sweep.
+        """
         return next((one for one in self.design.dimensions if field in one.paths), None)
 
     def curves_along(self, field: str) -> list[Curve]:
-        """Split rows into curves over one field.
+        """Split the finished cases into curves along one scenario field.
+
+        Parameters
+        ----------
+        field : str
+            Dotted path of a field that varies.
 
         Returns
         -------
         list of Curve
-            One for each combination of the other dimensions, in their order, without empty curves.
+            One curve for each combination of the other dimensions' values, in the order of the
+            design; combinations without a finished case are left out.
         """
         others = [one for one in self.design.dimensions if field not in one.paths]
         curves = []
@@ -172,22 +213,38 @@ class SweepResults:
         return curves
 
     def beside(self, *along: Dimension) -> dict[str, Any]:
-        """Return the central case's field values, without the fields of the given dimensions."""
+        """Return the central case's field values without the fields of the given dimensions.
+
+        The central case has the base scenario's values, or the middle ones, of all fields that
+        vary.
+
+        Parameters
+        ----------
+        *along : Dimension
+            Dimensions that vary in a chart, whose fields are left out.
+
+        Returns
+        -------
+        dict
+            Value of each remaining field, by its dotted path.
+        """
         free = {one.paths[0] for one in along}
         return {path: value for path, value in self.central_case.items() if path not in free}
 
     def plane(self, across: Dimension, up: Dimension, quantity: str) -> pd.DataFrame:
-        """Return a quantity over two dimensions, with other fields as in the central case.
+        """Tabulate a quantity over two dimensions, with the other fields as in the central case.
 
         Parameters
         ----------
         across, up : Dimension
-            Columns and rows of the plane.
+            Dimensions of the table's columns and rows, represented by the first field of each.
+        quantity : str
+            Output column.
 
         Returns
         -------
         DataFrame
-            Rows and columns rise; NaN where no case finished.
+            Field values ascend in both directions; NaN where no case finished.
         """
         rows = _matching(self.finished, self.beside(across, up))
         plane = rows.pivot_table(index=up.paths[0], columns=across.paths[0], values=quantity)
@@ -196,11 +253,22 @@ class SweepResults:
         )
 
     def sensitivities(self, quantity: str) -> list[Sensitivity]:
-        """Compare how a quantity changes with each numeric dimension, the widest swing first.
+        """Compute the range of a quantity along each numeric field, the widest range first.
 
-        A field of a grid takes all its steps, with all other fields as in the `central_case`, so
-        that the result is also right for an angle that goes once around. Random fields span the
-        middle nine tenths of their draws, along the plane fitted to the quantity by least squares.
+        For a field of the grid, the range is taken over all its values, with all other fields as in
+        the central case, so that the result is also right for an angle that goes once around. For a
+        random field, a plane is fitted to the quantity by least squares; the range is that of the
+        plane between the 5 % and 95 % quantiles of the field's draws.
+
+        Parameters
+        ----------
+        quantity : str
+            Output column.
+
+        Returns
+        -------
+        list of Sensitivity
+            Sorted by descending width of the range.
         """
         rows = self.finished.dropna(subset=[quantity])
         found: list[Sensitivity] = []
@@ -212,7 +280,13 @@ class SweepResults:
         return sorted(found, key=lambda one: one.swing, reverse=True)
 
     def spread(self, quantity: str) -> Spread:
-        """Return the range of a quantity over the finished cases, at least one."""
+        """Compute the range of a quantity over all finished cases, of which there is at least one.
+
+        Parameters
+        ----------
+        quantity : str
+            Output column.
+        """
         rows = self.finished.dropna(subset=[quantity]).sort_values(quantity, kind="stable")
         least, greatest = rows.iloc[0], rows.iloc[-1]
         plane = _plane(self.random_fields, _matching(rows, self.central_case), quantity)
@@ -256,12 +330,23 @@ def _matching(rows: pd.DataFrame, fixed: Mapping[str, Any]) -> pd.DataFrame:
 
 
 def pareto_front(rows: pd.DataFrame, first: str, second: str) -> pd.DataFrame:
-    """Return the Pareto front of two quantities to minimise.
+    """Return the rows on the Pareto front of two quantities that are both to be small.
+
+    A row lies on the front if every row with a smaller or equal first quantity has a larger second
+    quantity.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        Candidates.
+    first, second : str
+        Columns of the two quantities.
 
     Returns
     -------
     DataFrame
-        Sorted by the first column; the last row has the smallest second quantity of all.
+        Rows of the front, sorted by ascending first quantity; the last row has the least second
+        quantity of all candidates.
     """
     ordered = rows.sort_values([first, second])
     best_before = ordered[second].astype(float).cummin().shift(fill_value=np.inf)
@@ -269,7 +354,24 @@ def pareto_front(rows: pd.DataFrame, first: str, second: str) -> pd.DataFrame:
 
 
 def best_along(curve: Curve, field: str, quantity: str, tried: Sequence[float]) -> Best:
-    """Return the value of a field at the least point of a curve, with its neighbours."""
+    """Find the value of a scenario field at which a quantity is least along a curve.
+
+    Parameters
+    ----------
+    curve : Curve
+        Finished cases that differ in this field.
+    field : str
+        Dotted path of the field.
+    quantity : str
+        Output column to minimise.
+    tried : sequence of float
+        All values of the field in the sweep, including those of failed cases.
+
+    Returns
+    -------
+    Best
+        The best value of the field, the quantity there, and the neighbouring values.
+    """
     best = pareto_front(curve.rows, field, quantity).iloc[-1]
     at, flown = float(best[field]), set(curve.rows[field])
     below = max((value for value in tried if value < at), default=None)
@@ -286,7 +388,11 @@ def best_along(curve: Curve, field: str, quantity: str, tried: Sequence[float]) 
 
 @dataclass(frozen=True, kw_only=True)
 class _Plane:
-    """Linear least-squares fit of a quantity over random fields."""
+    """Linear least-squares fit of a quantity over the random fields of a sweep.
+
+    The fit is ``middle + slopes @ (values - centre)``; ``explained`` is the fraction of the
+    quantity's variance that the fit explains.
+    """
 
     fields: tuple[str, ...]
     centre: pd.Series

@@ -1,4 +1,9 @@
-"""Result store: an SQLite database in the output folder, committed after each case."""
+"""Result store of a parameter sweep: an SQLite database in the sweep's output folder.
+
+The store holds the sweep's design, one row for each case that has ended, and the warm starts (the
+solutions of cases whose neighbours start from them). Each row is committed when its case ends, so
+that an interrupted sweep loses no result.
+"""
 
 import errno
 import fcntl
@@ -30,7 +35,7 @@ _LOCK_SECONDS = 5.0
 # Largest cell [bytes]: a design of a million cases is smaller; a damaged store may claim more.
 _LARGEST_CELL = 2**28
 _BUSY = ("SQLITE_BUSY", "SQLITE_LOCKED")
-# SQLite's error names for a database, or its log, that cannot be written.
+# SQLite's names of the errors for a database, or its write-ahead log, that cannot be written.
 _UNWRITABLE = ("SQLITE_CANTOPEN", "SQLITE_READONLY")
 _UNUSABLE = (*_UNWRITABLE, "SQLITE_FULL", "SQLITE_IOERR", "SQLITE_PERM")
 
@@ -46,19 +51,24 @@ _TABLES = {
 
 
 class StoreError(OutputError):
-    """A result store cannot be read or does not accept the rows of this sweep."""
+    """Error: a result store cannot be read, or cannot accept the rows of the present sweep."""
 
 
 @contextmanager
 def locked_folder(folder: Path) -> Iterator[None]:
-    """Context that creates an output folder and locks it against other sweeps.
+    """Context manager: create an output folder, and lock it so that no other sweep writes there.
 
-    The kernel releases the lock when this process ends, even if it is killed.
+    The operating system releases the lock when this process ends, even if it is killed.
+
+    Parameters
+    ----------
+    folder : Path
+        Output folder of a sweep; may exist.
 
     Raises
     ------
     StoreError
-        If the folder cannot be written, or another sweep holds it.
+        If the folder cannot be written, or another sweep holds the lock.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -78,12 +88,21 @@ def locked_folder(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def connected(file: Path, *, mode: str, called: Path | None = None) -> Iterator[sqlite3.Connection]:
-    """Context with a connection to a database; ``called`` names it in messages.
+    """Context manager: connect to an SQLite database, and translate its errors to StoreError.
+
+    Parameters
+    ----------
+    file : Path
+        File of the database.
+    mode : str
+        SQLite's mode of opening: ``"ro"`` reads, ``"rw"`` also writes, ``"rwc"`` also creates.
+    called : Path, optional
+        File name to print in messages instead of `file`, for a temporary copy.
 
     Raises
     ------
     StoreError
-        If SQLite raises an error in the block.
+        If SQLite raises an error when it opens the database, or inside the ``with`` block.
     """
     connection = None
     try:
@@ -101,10 +120,21 @@ def connected(file: Path, *, mode: str, called: Path | None = None) -> Iterator[
 
 @contextmanager
 def opened_to_read(file: Path) -> Iterator[sqlite3.Connection]:
-    """Context with a read-only connection to a database in any folder.
+    """Context manager: connect to an SQLite database for reading, even on a read-only disk.
 
-    SQLite can read a database that has a log only if the folder is writable. On a read-only disk, a
-    copy made together with the log is read instead, so that no row is missed.
+    SQLite can read a database that has a write-ahead log only if the folder is writable. On a
+    read-only disk, database and log are copied to a temporary folder and read there, so that rows
+    that are only in the log are not missed.
+
+    Parameters
+    ----------
+    file : Path
+        File of the database.
+
+    Raises
+    ------
+    StoreError
+        If the files cannot be read, or SQLite raises an error inside the ``with`` block.
     """
     if _is_readable_in_place(file):
         with connected(file, mode="ro") as connection:
@@ -123,7 +153,15 @@ def opened_to_read(file: Path) -> Iterator[sqlite3.Connection]:
 
 
 def create_if_new(connection: sqlite3.Connection, notes: Mapping[str, str]) -> None:
-    """Create the tables of a store in an empty database, and check that it can be written."""
+    """Create the tables of a result store if the database is empty; check that it is writable.
+
+    Parameters
+    ----------
+    connection : sqlite3.Connection
+        Connection that may write.
+    notes : mapping
+        Content of a new table ``sweep``: design and version of the package, by name.
+    """
     (count,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
     if not count:
         connection.execute("PRAGMA journal_mode = WAL")
@@ -140,7 +178,21 @@ def create_if_new(connection: sqlite3.Connection, notes: Mapping[str, str]) -> N
 
 
 def check_format(connection: sqlite3.Connection, file: Path) -> None:
-    """Raise an error for a database that is not a store of the present format."""
+    """Check that a database is a result store of the present format.
+
+    Parameters
+    ----------
+    connection : sqlite3.Connection
+        Connection to the database.
+    file : Path
+        File of the database, for messages.
+
+    Raises
+    ------
+    StoreError
+        If another program made the database, its format has another number, or its tables differ
+        from those that this version creates.
+    """
     if _application_of(connection) != _APPLICATION_ID:
         raise _not_a_store(file)
     (found,) = connection.execute("PRAGMA user_version").fetchone()
@@ -150,7 +202,7 @@ def check_format(connection: sqlite3.Connection, file: Path) -> None:
             f"{_STORE_FORMAT}; use the version that made it, choose another --out, or start anew "
             f"with --fresh."
         )
-    # Exact comparison: no check covers a view, a trigger or another column type.
+    # Compare the exact SQL text, since views, triggers and column types are not checked otherwise.
     query = "SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL"
     declared = {name: f"CREATE TABLE {name} {columns}" for name, columns in _TABLES.items()}
     for name, text in connection.execute(query):
@@ -161,14 +213,38 @@ def check_format(connection: sqlite3.Connection, file: Path) -> None:
 
 
 def damaged(file: Path, what: str) -> StoreError:
-    """Return the error for a store with content that no sweep writes."""
+    """Make the error for a result store whose content no sweep can have written.
+
+    Parameters
+    ----------
+    file : Path
+        File of the store.
+    what : str
+        The fault, which the message quotes.
+
+    Returns
+    -------
+    StoreError
+        For the caller to raise.
+    """
     return StoreError(
         f"{file}: is damaged ({printable(what)}); restore it from a copy, or choose another --out."
     )
 
 
 def discard(file: Path) -> None:
-    """Delete a store, if there is one, with SQLite's log and index beside it."""
+    """Delete a result store, if there is one, with the log and index files that SQLite adds.
+
+    Parameters
+    ----------
+    file : Path
+        File of the store.
+
+    Raises
+    ------
+    StoreError
+        If the file is a database of another program.
+    """
     if file.exists():
         with connected(file, mode="rw") as connection:
             is_own = _application_of(connection) == _APPLICATION_ID
@@ -204,7 +280,18 @@ def _refused(file: Path, error: sqlite3.DatabaseError) -> StoreError:
 
 
 def refuse_kept_results(folder: Path) -> None:
-    """Raise an error for a read-only folder with results, saying how to read them."""
+    """Raise an error if a folder has results of a sweep but cannot be written.
+
+    Parameters
+    ----------
+    folder : Path
+        Output folder of a sweep.
+
+    Raises
+    ------
+    StoreError
+        The message names the command that reads the results, `pyomo-quad sweep-report`.
+    """
     if (folder / STORE_NAME).is_file() and not os.access(folder, os.W_OK):
         is_read_only = os.statvfs(folder).f_flag & os.ST_RDONLY
         raise _unwritable(folder, os.strerror(errno.EROFS if is_read_only else errno.EACCES))
@@ -224,7 +311,7 @@ def _not_a_store(file: Path) -> StoreError:
 
 
 def _name_of(error: sqlite3.DatabaseError) -> str:
-    # Errors of Python itself, such as for text that is not UTF-8, have no name.
+    # Errors that Python itself raises, such as for text that is not UTF-8, have no SQLite name.
     return getattr(error, "sqlite_errorname", None) or ""
 
 
@@ -243,7 +330,7 @@ _Output = Annotated[float, Field(allow_inf_nan=False, ge=-LARGEST_OUTPUT, le=LAR
 
 
 class StoredCase(BaseModel):
-    """Row of the store, validated on reading."""
+    """Row of a result store for one case of a sweep, validated when it is read."""
 
     model_config = ConfigDict(strict=True, frozen=True)
 
@@ -256,7 +343,15 @@ class StoredCase(BaseModel):
 
 
 class ResultStore:
-    """Rows of one sweep in a database."""
+    """Result store of one sweep, opened by `ResultStore.reading` or `ResultStore.writing`.
+
+    Attributes
+    ----------
+    file : Path
+        SQLite database.
+    version : str
+        Version of pyomo_quad that made the rows.
+    """
 
     def __init__(self, file: Path, connection: sqlite3.Connection) -> None:
         self.file = file
@@ -267,12 +362,19 @@ class ResultStore:
     @classmethod
     @contextmanager
     def reading(cls, folder: str | Path) -> Iterator["ResultStore"]:
-        """Open a store to read, also during a sweep and on a read-only disk.
+        """Context manager: open a result store for reading.
+
+        This is possible while a sweep is writing the store, and on a read-only disk.
+
+        Parameters
+        ----------
+        folder : str or Path
+            Output folder of the sweep.
 
         Raises
         ------
         StoreError
-            If there is no store, or it has another format, or is damaged.
+            If the folder has no store, or the store is damaged or has another format.
         """
         file = Path(folder) / STORE_NAME
         if not file.is_file():
@@ -286,13 +388,22 @@ class ResultStore:
     def writing(
         cls, folder: str | Path, design: SweepDesign, *, is_fresh: bool = False
     ) -> Iterator["ResultStore"]:
-        """Open or create a store to add rows.
+        """Context manager: open or create the result store of a sweep, and lock its folder.
+
+        Parameters
+        ----------
+        folder : str or Path
+            Output folder of the sweep.
+        design : SweepDesign
+            Specification of the sweep, written into a new store.
+        is_fresh : bool, default False
+            Whether to delete an existing store first.
 
         Raises
         ------
         StoreError
-            If the folder cannot be written, another sweep writes here, or another version or
-            program made the store.
+            If the folder cannot be written, another sweep is writing there, or the store was made
+            by another program or another version of pyomo_quad.
         """
         file = Path(folder) / STORE_NAME
         with locked_folder(Path(folder)):
@@ -307,11 +418,11 @@ class ResultStore:
 
     @property
     def design(self) -> SweepDesign:
-        """Design of the sweep."""
+        """Specification of the sweep whose rows the store holds."""
         return self._design
 
     def refuse_other_version(self) -> None:
-        """Raise an error if the rows come from another version of the package."""
+        """Raise StoreError if another version of pyomo_quad made the stored rows."""
         if self.version != __version__:
             raise StoreError(
                 f"{self.file}: its rows were made by pyomo_quad {shown(self.version)[1:-1]}, this "
@@ -320,10 +431,18 @@ class ResultStore:
             )
 
     def replace_design(self, design: SweepDesign, *, is_extended: bool) -> None:
-        """Replace the design by one that contains all cases of the rows.
+        """Replace the stored design by a design that contains all stored cases.
 
-        In an extended design the cases have other parents. The warm starts of the previous run are
-        deleted, so that no result depends on how far that run had come.
+        In an extended design the cases have other parents (the cases from whose solutions they
+        start). Therefore the warm starts of the previous run are deleted; otherwise results would
+        depend on how far that run had come.
+
+        Parameters
+        ----------
+        design : SweepDesign
+            New specification of the sweep.
+        is_extended : bool
+            Whether the axes differ from those of the stored design.
         """
         with self._connection:
             self._connection.execute(
@@ -334,16 +453,21 @@ class ResultStore:
         self._design = design
 
     def statuses(self) -> dict[str, CaseStatus]:
-        """Return the status of each case that has a row, by its key."""
+        """Return the status (finished, failed or lost) of each stored case of the sweep, by key."""
         return {key: row.status for key, row in self.rows().items()}
 
     def rows(self) -> dict[str, StoredCase]:
-        """Return all rows by their key, each checked.
+        """Read and validate all stored rows.
+
+        Returns
+        -------
+        dict
+            Row of each case that has ended, by the case's key.
 
         Raises
         ------
         StoreError
-            If a row differs from the format of a sweep, or is not a case of the design.
+            If a row has a wrong type or value, or belongs to no case of the design.
         """
         known = {case.key for case in expand(self._design)}
         query = f"SELECT {', '.join(StoredCase.model_fields)} FROM case_row"  # noqa: S608
@@ -372,17 +496,27 @@ class ResultStore:
         spent: str = "",
         outdated: Iterable[str] = (),
     ) -> None:
-        """Commit the row of a case, replacing an earlier row.
+        """Commit the row of a case that ended; an earlier row of the case is replaced.
+
+        Row, warm starts and deletions are one transaction.
 
         Parameters
         ----------
-        spent : str
-            Key of a case whose warm start no case needs any more, empty for none.
+        outcome : CaseOutcome
+            Status, output values and solve time of the case.
+        overrides : mapping
+            Value of each field that varies, by its dotted path.
+        is_parent : bool
+            Whether other cases start from this case's solution, which is then stored too.
+        spent : str, optional
+            Key of a case whose warm start no case needs any more, to delete; empty for none.
+        outdated : iterable of str, optional
+            Keys of cases whose rows and warm starts are no longer valid, to delete.
 
         Raises
         ------
         StoreError
-            If the disk is full or the file has gone.
+            If the row cannot be written, for example because the disk is full.
         """
         row = (
             outcome.key,
@@ -412,12 +546,17 @@ class ResultStore:
             ) from error
 
     def warm_start(self, key: str) -> bytes | None:
-        """Return the packed warm start of a finished case.
+        """Return the stored solution of a case, from which neighbouring cases start.
+
+        Parameters
+        ----------
+        key : str
+            Key of the case.
 
         Returns
         -------
         bytes or None
-            None if the case stored no warm start.
+            Packed warm start; None if the case has none.
         """
         query = "SELECT arrays FROM warm_start WHERE case_key = ?"
         found = self._connection.execute(query, (key,)).fetchone()
@@ -456,9 +595,18 @@ REASON_COLUMN = "reason"
 
 
 def results_frame(store: ResultStore) -> pd.DataFrame:
-    """Return the rows of a store in the order of the design.
+    """Return the result table of a sweep: one row for each case that has ended, in design order.
 
-    Columns: case, the varying fields, status, reason, then the outputs that the study keeps.
+    Parameters
+    ----------
+    store : ResultStore
+        Open result store.
+
+    Returns
+    -------
+    DataFrame
+        Columns: case number, the fields that vary, status, reason of a failure, and the output
+        columns that the study keeps.
 
     Examples
     --------
@@ -489,19 +637,28 @@ _MOST_CHANGES = 5
 
 
 def adopt_design(store: ResultStore, design: SweepDesign) -> list[str]:
-    """Continue a store with a new design if its rows remain valid.
+    """Continue a result store with a changed study, if the stored rows remain valid.
 
-    Rows fit if all of them are cases of the design and were solved in the same way.
+    The rows remain valid if each is a case of the new design, and base scenario, task and baselines
+    are unchanged. The new design is then written into the store.
+
+    Parameters
+    ----------
+    store : ResultStore
+        Store that is open for writing.
+    design : SweepDesign
+        Specification from the present study file.
 
     Returns
     -------
     list of str
-        Extensions of the axes, empty if they are unchanged.
+        Changes of the axes since the stored design, such as ``axis mission.duration: 2 values 4.0
+        to 5.0 -> 3 values 4.0 to 6.0``; empty if the axes are unchanged.
 
     Raises
     ------
     StoreError
-        If the rows do not fit; the message names the changes.
+        If the rows are not valid for the new design; the message lists the changes.
 
     Examples
     --------

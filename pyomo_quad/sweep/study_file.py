@@ -1,4 +1,8 @@
-"""Study file: base scenario, axes over its fields, and outputs of each case."""
+"""Study file of a parameter sweep: its schema, its loading and the design made from it.
+
+A study file (TOML) names a base scenario, the scenario fields that vary with their values (axes),
+and the output columns to keep and report.
+"""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -38,18 +42,18 @@ _MOST_SAMPLES = 100_000
 
 
 class StudyError(ScenarioError):
-    """A study file has a value that is not allowed."""
+    """Error: a study file of a sweep has a value that is not allowed."""
 
 
 class SamplingMethod(StrEnum):
-    """Method of drawing points from the unit cube."""
+    """Method of drawing values of a sweep's random fields: independently, or a Latin hypercube."""
 
     RANDOM = "random"
     LATIN_HYPERCUBE = "latin_hypercube"
 
 
 class Sampling(Part):
-    """Number, seed and method of random samples."""
+    """Number, random seed and method of the samples of a sweep's random fields."""
 
     count: WholeNumber = quantity("1", "number of samples", ge=1, le=_MOST_SAMPLES)
     seed: WholeNumber = quantity("1", "seed of the generator", ge=0)
@@ -58,7 +62,12 @@ class Sampling(Part):
     )
 
     def draw(self, axis_count: int) -> np.ndarray:
-        """Draw points of the open unit cube.
+        """Draw random points in the open unit cube, one coordinate for each random field.
+
+        Parameters
+        ----------
+        axis_count : int
+            Number of random fields.
 
         Returns
         -------
@@ -84,7 +93,7 @@ _DEFAULT_QUANTITY = "energy_J"
 
 
 class Study(Part):
-    """Content of a study file."""
+    """Content of a study file, which describes a parameter sweep."""
 
     name: Text = quantity("", "short name, also of the output folder", pattern=_NAME_PATTERN)
     title: Text = quantity("", "title of the report", "", max_length=200)
@@ -120,16 +129,16 @@ class Study(Part):
 
 @dataclass(frozen=True, kw_only=True)
 class LoadedStudy:
-    """A validated study file with its base scenario.
+    """Validated content of a study file, with the base scenario that the file names.
 
     Attributes
     ----------
     source : str
-        Name of the study file for messages.
+        Name of the study file, for messages.
     study : Study
         Content of the file.
     base : Scenario
-        The base scenario with the fixed fields set.
+        The base scenario, with the study's table ``fixed`` applied to its fields.
     """
 
     source: str
@@ -138,14 +147,24 @@ class LoadedStudy:
 
 
 def load_study(path: str | FilePath) -> LoadedStudy:
-    """Read and validate a study file and its base scenario.
+    """Read and validate a study file of a sweep and the base scenario that it names.
+
+    Parameters
+    ----------
+    path : str or Path
+        Study file (TOML). The path of its base scenario is relative to its folder.
+
+    Returns
+    -------
+    LoadedStudy
+        Study and base scenario, for `design_sweep`.
 
     Raises
     ------
     StudyError
-        If a field of the study is not allowed.
+        If a field of the study file has a value that is not allowed.
     ScenarioError
-        If a file cannot be read, or the base scenario is not allowed.
+        If a file cannot be read, or a field of the base scenario is not allowed.
 
     Examples
     --------
@@ -155,8 +174,8 @@ def load_study(path: str | FilePath) -> LoadedStudy:
     """
     source = str(path)
     document = read_toml(FilePath(path))
-    # Tables in a list are validated one by one, so that a misspelt key is compared with the keys of
-    # the right table.
+    # The axes are validated one by one before the whole study, so that a misspelt key of an axis is
+    # compared with the keys of an axis.
     listed = document.get("axis")
     for index, table in enumerate(listed if isinstance(listed, list) else []):
         _validate(Axis, table, source, ("axis", index))
@@ -230,19 +249,32 @@ def _fixed_values(tables: Mapping[str, Any], source: str) -> dict[FieldPath, Any
     return assignments
 
 
-# Studies with more cases need --yes, because they are more often mistakes than intended.
+# A study with more cases needs the option --yes, because it is more often a mistake than intended.
 CASE_LIMIT = 1_000
 
 
 def design_sweep(loaded: LoadedStudy, *, is_large_allowed: bool = False) -> SweepDesign:
-    """Compute and check the values of all axes of a study.
+    """Compute the values of all axes of a study, check them, and return the sweep's design.
+
+    Parameters
+    ----------
+    loaded : LoadedStudy
+        Study file and base scenario, from `load_study`.
+    is_large_allowed : bool, default False
+        Whether the sweep may have more than `CASE_LIMIT` cases.
+
+    Returns
+    -------
+    SweepDesign
+        Specification of the sweep, from which all its cases follow.
 
     Raises
     ------
     StudyError
-        If axes contradict each other, or there are too many cases.
+        If two axes set the same field, grouped axes differ in length, a value occurs twice, or
+        there are too many cases.
     ScenarioError
-        If a path is unknown or a value is out of the field's range.
+        If an axis names an unknown field, or has a value that the field does not allow.
 
     Examples
     --------
@@ -349,7 +381,17 @@ def _dimensions(study: Study, base: Scenario) -> Iterator[Dimension]:
 
 
 def _as_field_type(value: object, tables: Mapping[str, Any], path: str) -> Any:  # noqa: ANN401
-    """Convert a number to the type of its field, so that 10.0 is accepted for 10 elements."""
+    """Convert a number to its field's type, so that 10.0 is accepted for an integer field.
+
+    Parameters
+    ----------
+    value : object
+        Value of an axis; anything but a number is returned unchanged.
+    tables : mapping
+        The base scenario as nested mappings.
+    path : str
+        Dotted path of the field.
+    """
     present: Any = tables
     for step in parse_path(path) or ():
         is_inside = isinstance(present, Mapping | list | tuple)
@@ -378,5 +420,5 @@ def _check_steps(dimension: Dimension, base: Scenario, source: str) -> None:
         try:
             base.with_values(dict(zip(dimension.paths, step, strict=True)))
         except FeasibilityError:
-            # Whether the vehicle can hover is a result of each case, stored in its row.
+            # A vehicle that cannot hover is a result, not an error: the case's row reports it.
             continue

@@ -1,8 +1,10 @@
-"""Workers that run the cases of a sweep, in processes of this machine or on a Dask cluster.
+"""Workers that solve the cases of a sweep: processes of this machine, or a Dask cluster.
 
-Both are reached through an Executor of `concurrent.futures`, which leaves two tasks to its user:
-replacing a broken executor, and retrying alone each case whose worker died, so that a case that
-kills its worker does not cost other cases.
+Processes and cluster both offer an Executor of `concurrent.futures`. `Workers` adds the recovery
+from a worker that dies, for example because it runs out of memory. The broken executor is
+replaced, and every case that was running is solved again, one at a time, because any of them may
+have killed the worker. A case during which a worker dies again is given up; the other cases
+continue.
 """
 
 from collections import deque
@@ -22,30 +24,34 @@ from pyomo_quad.scenario.messages import PyomoQuadError
 from pyomo_quad.study.processes import end_processes, environment_of_workers, pool_of
 from pyomo_quad.sweep.case import CaseOutcome, CaseTask, perform
 
-# One task waits behind each running task, so that no worker idles while a result is transferred.
+# Two tasks per worker: a second task waits, so that no worker idles while a result is transferred.
 _TASKS_PER_WORKER = 2
 # Seconds between two checks of a silent executor and its workers.
 WATCH_SECONDS = 2.0
 
 
 class ClusterError(PyomoQuadError, RuntimeError):
-    """Error: a Dask cluster cannot be reached or was lost; finished cases are kept."""
+    """Error: a Dask cluster cannot be reached, has unusable workers, or was lost during a sweep.
+
+    The results of cases that finished before remain in the result store.
+    """
 
 
 @dataclass(kw_only=True, eq=False)
 class Workers:
-    """Executor that runs the cases of a sweep, and recovers from workers that died.
+    """Executor for the cases of a sweep that recovers from the death of worker processes.
 
     Attributes
     ----------
     description : str
         Name of the workers in messages.
     begin : callable
-        Starts an executor.
+        Function that starts an executor and returns it.
     end : callable
-        Stops an executor without waiting for its running tasks.
+        Function that stops an executor without waiting for its running tasks.
     count : callable
-        Number of tasks that run at a time; raises ClusterError if the cluster is lost.
+        Function that returns the number of tasks that can run at a time; raises ClusterError if
+        the cluster is lost.
     """
 
     description: str
@@ -54,21 +60,27 @@ class Workers:
     count: Callable[[], int]
     _executor: Executor | None = None
     _under_way: dict[Future[CaseOutcome], CaseTask] = field(default_factory=dict)
-    # Cases to retry alone, and keys of all cases that were running when a worker died.
+    # Cases to solve again one at a time, and keys of all cases that ran when a worker died.
     _suspects: deque[CaseTask] = field(default_factory=deque)
     _accused: set[str] = field(default_factory=set)
     _is_alone: bool = False
 
     @property
     def room(self) -> int:
-        """Number of further tasks that the workers can accept now."""
+        """Number of further cases that may be submitted now; 0 while suspect cases run alone."""
         if self._suspects or self._is_alone:
             return 0
         # Without any worker, one task waits for the first worker to connect.
         return max(1, _TASKS_PER_WORKER * self.count()) - len(self._under_way)
 
     def submit(self, task: CaseTask) -> None:
-        """Submit a task to the executor."""
+        """Submit a case to the executor, which is started if necessary.
+
+        Parameters
+        ----------
+        task : CaseTask
+            Input of the case solver.
+        """
         if self._executor is None:
             self._executor = self.begin()
         try:
@@ -78,7 +90,19 @@ class Workers:
             self._suspect_all()
 
     def wait(self) -> list[CaseOutcome]:
-        """Wait until at least one task has ended, and return all outcomes."""
+        """Wait until at least one submitted case has ended.
+
+        Returns
+        -------
+        list of CaseOutcome
+            Rows of all cases that have ended since the last call. A case that killed its worker
+            twice, the second time while it ran alone, has the status `LOST`.
+
+        Raises
+        ------
+        ClusterError
+            If the cluster no longer answers.
+        """
         outcomes: list[CaseOutcome] = []
         while not outcomes:
             if self._suspects and not self._under_way:
@@ -93,7 +117,10 @@ class Workers:
         return outcomes
 
     def stop(self) -> list[CaseOutcome]:
-        """Stop all running tasks, and return the outcomes of those that have ended."""
+        """Stop the executor, and return the rows of the submitted cases that have ended.
+
+        Cases that are still running are discarded.
+        """
         outcomes = [
             future.result()
             for future in self._under_way
@@ -114,7 +141,7 @@ class Workers:
             raise ClusterError(f"{self.description}: no longer answers.") from None
         # `perform` raises nothing, so an exception shows that a worker has died.
         except Exception as error:  # noqa: BLE001
-            # A case that was not running at an earlier death may be retried alone once more.
+            # The first death of a worker while a case runs, even alone, only makes it a suspect.
             is_lost = self._is_alone and task.key in self._accused
             if not is_lost:
                 self._accuse(task)
@@ -127,7 +154,10 @@ class Workers:
         self._accused.add(task.key)
 
     def _suspect_all(self) -> None:
-        """Mark all running cases of a broken executor for a retry alone; any may have broken it."""
+        """Queue all cases of a broken executor to be solved again one at a time.
+
+        Any of these cases may have killed the worker.
+        """
         for future, task in list(self._under_way.items()):
             if not future.done() or future.exception() is not None:
                 self._accuse(task)
@@ -142,7 +172,17 @@ class Workers:
 
 @contextmanager
 def process_workers(count: int) -> Iterator[Workers]:
-    """Context with workers in processes of this machine.
+    """Context manager: run the cases of a sweep in worker processes of this machine.
+
+    Parameters
+    ----------
+    count : int
+        Number of processes, each of which solves one case at a time on one thread.
+
+    Yields
+    ------
+    Workers
+        Workers for `Sweep.run`. The processes are stopped on exit.
 
     Examples
     --------

@@ -1,1 +1,1 @@
-"""Vehicles estimated from an owner's data, and comparison of vehicles with measurements."""
+"""Estimation of vehicles from their owners' data, and comparison of vehicles with measurements."""

@@ -1,4 +1,4 @@
-"""Files of an estimated vehicle: vehicle and battery, every number with its source."""
+"""Files of an estimated vehicle and of its battery, with the source of every number."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -13,12 +13,20 @@ _DIGITS = 6
 
 
 def pack_name(name: str) -> str:
-    """Return the file name of a vehicle's pack."""
+    """Return the name of the battery file that belongs to a vehicle file."""
     return f"{name}_pack.toml"
 
 
 def vehicle_text(vehicle: EstimatedVehicle, title: str) -> str:
-    """Return the vehicle's file."""
+    """Return the text of an estimated vehicle's file (TOML), each number with its source.
+
+    Parameters
+    ----------
+    vehicle : EstimatedVehicle
+        The vehicle.
+    title : str
+        Title of the vehicle.
+    """
     known = vehicle.known
     lines = [
         f"# {MARK}: {title}.",
@@ -34,7 +42,7 @@ def vehicle_text(vehicle: EstimatedVehicle, title: str) -> str:
 
 
 def pack_text(vehicle: EstimatedVehicle) -> str:
-    """Return the pack's file."""
+    """Return the text of an estimated vehicle's battery file (TOML), numbers with sources."""
     title = f"Pack of {vehicle.known.name}, {vehicle.pack.label}"
     lines = [f"# {MARK}.", *with_source("fields.title", title, "the owner")]
     return "\n".join([*lines, *_numbers("fields", vehicle.pack.fields())]) + "\n"
@@ -48,7 +56,15 @@ def _numbers(section: str, numbers: Mapping[str, Estimate]) -> Iterator[str]:
 
 
 def scenario_of(vehicle: EstimatedVehicle) -> Scenario:
-    """Return a mission of an estimated vehicle with the momentum model."""
+    """Make a scenario with an estimated vehicle: a flight of 40 m in calm air.
+
+    The power model is `momentum`, for which the vehicle's numbers are estimated.
+
+    Parameters
+    ----------
+    vehicle : EstimatedVehicle
+        The vehicle.
+    """
     tables: dict[str, Any] = {
         "name": vehicle.known.name,
         "wind": {"use": "calm", "coupling": "drag"},
@@ -67,7 +83,7 @@ def scenario_of(vehicle: EstimatedVehicle) -> Scenario:
 
 
 def example_mission(name: str) -> str:
-    """Return an example scenario that flies the vehicle 40 m."""
+    """Return the text of an example scenario (TOML) that flies the vehicle of this name 40 m."""
     return (
         f'name = "{name}_hop"\n'
         f'vehicle = {{ use = "{name}.toml" }}\n'

@@ -1,4 +1,4 @@
-"""Comparison of library vehicles and data sheets with measured powers."""
+"""Comparison of computed powers with measurements, for library vehicles and for data sheets."""
 
 import tomllib
 from collections.abc import Mapping
@@ -31,16 +31,30 @@ SHEET, MEASURED, ESTIMATED, SHEET_ERROR = "vehicle", "measured_W", "estimated_W"
 _SECONDS_PER_MINUTE, _JOULES_PER_WATT_HOUR = 60.0, 3600.0
 _FOLDER = "measured"
 _SHEETS = "sheets.toml"
-# Allowed error of a hover power estimated from a data sheet, per cent.
+# Accepted error of a hover power that is estimated from a data sheet [per cent].
 ALLOWED_PERCENT = 15.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Held:
-    """Library vehicle with measurements of its power.
+    """Vehicle of the library, with measured and computed powers.
 
-    `points` has the columns of a table of steady points, and `computed` the power of each by the
-    vehicle's own equations, W; `fitted` says whether the vehicle's numbers come from these points.
+    Attributes
+    ----------
+    name : str
+        Name of the vehicle.
+    scenario : Scenario
+        Scenario with the vehicle.
+    points : DataFrame
+        Measurements: power, airspeed, payload, climb and air density of each point.
+    computed : ndarray, shape (n_points,)
+        Power of each point by the vehicle's model [W].
+    is_endurance : bool
+        Whether the measured powers follow from endurances.
+    is_fitted : bool
+        Whether the vehicle's numbers were fitted to these points.
+    source : str
+        Source of the measurements.
     """
 
     name: str
@@ -53,17 +67,17 @@ class Held:
 
     @property
     def errors(self) -> FloatArray:
-        """Relative error of the computed powers, per cent."""
+        """Relative error of each computed power [percent]."""
         return 100.0 * (self.computed / self.points[POWER].to_numpy() - 1.0)
 
     @property
     def mean_error(self) -> float:
-        """Mean absolute error, per cent."""
+        """Mean absolute relative error of the computed powers [percent]."""
         return float(np.mean(np.abs(self.errors)))
 
     @property
     def ranges(self) -> str:
-        """Ranges of airspeed and payload of the measurements, in words."""
+        """Ranges of airspeed and payload that the measurements cover, in words."""
         spans = ((AIRSPEED, "airspeed", "m/s"), (PAYLOAD, "carried", "kg"))
         told = [
             f"{words} {self.points[name].min():.3g} to {self.points[name].max():.3g} {unit}"
@@ -75,13 +89,27 @@ class Held:
 
 
 def held_vehicles(planner: Planner | None = None) -> tuple[Held, ...]:
-    """Return all vehicles of the library with measurements."""
+    """Compare all library vehicles with measurements of their power.
+
+    Parameters
+    ----------
+    planner : Planner, optional
+        Keeps compiled models between vehicles.
+    """
     planner = planner or Planner()
     return tuple(held_against(name, planner) for name in library_names("vehicles"))
 
 
 def held_against(name: str, planner: Planner) -> Held:
-    """Return a library vehicle with its measurements and computed powers."""
+    """Compare one library vehicle with measurements of its power.
+
+    Parameters
+    ----------
+    name : str
+        Name of the vehicle.
+    planner : Planner
+        Keeps compiled models between vehicles.
+    """
     entry = library_entry("vehicles", name)
     is_momentum = "vehicle.rotor_radius" in entry.sources
     scenario = vehicle_scenario(name, PowerModel.MOMENTUM if is_momentum else PowerModel.MOTOR)
@@ -116,7 +144,7 @@ def _powers(scenario: Scenario, points: pd.DataFrame, planner: Planner) -> Float
 
 @cache
 def _sources() -> Mapping[str, str]:
-    """Return the source of each table of measurements."""
+    """Return the source of each vehicle's measurements, by the vehicle's name."""
     rows = _folder().joinpath("README.md").read_text(encoding="utf-8").splitlines()
     cells = [row.strip("| ").split(" | ") for row in rows if row.startswith("| `")]
     return {file.strip("`").removesuffix(".csv"): origin for file, _, origin, _ in cells}
@@ -127,7 +155,13 @@ def _folder() -> Any:  # noqa: ANN401  a Traversable, which has no stable home
 
 
 def data_sheets() -> pd.DataFrame:
-    """Return estimated and published hover powers of the vehicles of data sheets."""
+    """Compare estimated with published hover powers, for vehicles known from data sheets only.
+
+    Returns
+    -------
+    DataFrame
+        One row for each vehicle: mass, propeller, both powers [W], error [percent] and source.
+    """
     told = tomllib.loads(_folder().joinpath(_SHEETS).read_text(encoding="utf-8"))
     rows = []
     for name, sheet in told.items():

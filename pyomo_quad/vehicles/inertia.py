@@ -1,15 +1,16 @@
-"""Moments of inertia from a mass model of arms, motors, battery and body.
+"""Moments of inertia of a multirotor, from a mass model of arms, motors, battery and body.
 
 Derivation: see docs/theory/vehicle_from_data.md, eq. (9).
 """
 
 from dataclasses import dataclass
 
-# Fractions of the mass without the pack, for multirotors of 0.5 to 4 kg: motors, propellers and
-# speed controllers are at the ends of the arms; the arms are rods from the centre; the rest is a
-# cylinder.
+# Fractions of the mass without battery of multirotors of 0.5 to 4 kg: motors with propellers and
+# speed controllers, at the ends of the arms; and the arms, rods from the centre. The rest of the
+# mass is a cylinder.
 _MOTOR_SHARE, _ARM_SHARE = 0.22, 0.15
-# Radius and height of the body relative to the arm, and the proportions of the pack.
+# Radius and height of the cylinder relative to the arm; width and height of the battery relative to
+# its length.
 _BODY_RADIUS, _BODY_HEIGHT = 0.35, 0.3
 _PACK_WIDTH, _PACK_HEIGHT = 0.31, 0.26
 _PACK_DENSITY = 2300.0  # kg/m^3
@@ -17,7 +18,17 @@ _PACK_DENSITY = 2300.0  # kg/m^3
 
 @dataclass(frozen=True, kw_only=True)
 class MassModel:
-    """Masses [kg] of a vehicle's parts and the length of its arms [m]."""
+    """Mass model of a multirotor: motors at the ends of the arms, arms, cylindrical body, battery.
+
+    Attributes
+    ----------
+    mass, pack_mass : float
+        Total mass, and mass of the battery [kg].
+    arm : float
+        Distance from the centre to a motor shaft [m].
+    rotors : int
+        Number of rotors.
+    """
 
     mass: float
     pack_mass: float
@@ -26,16 +37,19 @@ class MassModel:
 
     @property
     def empty(self) -> float:
-        """Mass without the battery [kg]; at least half of the total mass."""
+        """Mass without the battery [kg], taken as at least half of the total mass."""
         return max(self.mass - self.pack_mass, 0.5 * self.mass)
 
     @property
     def motor(self) -> float:
-        """Mass at the end of one arm, kg."""
+        """Mass of motor, propeller and speed controller at the end of one arm [kg]."""
         return _MOTOR_SHARE * self.empty / self.rotors
 
     def moments(self) -> tuple[float, float, float]:
-        """Return the moments of inertia about body x, y and z, kg m^2, eq. (9)."""
+        """Return the moments of inertia about body x, y and z [kg m²].
+
+        They follow eq. (9) of docs/theory/vehicle_from_data.md.
+        """
         tips = _MOTOR_SHARE * self.empty * self.arm**2
         arms = _ARM_SHARE * self.empty * self.arm**2 / 3
         body = (1 - _MOTOR_SHARE - _ARM_SHARE) * self.empty

@@ -17,36 +17,55 @@ from pyomo_quad.vehicles.propulsion import INDUCED, Propeller, RotorHover
 
 GRAVITY = 9.81
 ROTOR_COUNTS = (4, 6, 8)
-# Distance of neighbouring rotors relative to their diameter.
+# Distance between the shafts of neighbouring rotors, relative to the rotor diameter.
 _SPACING = 1.25
-# Motor constant, torque squared over copper loss, (N m)^2/W, of a motor of 1 kg; it is proportional
+# Motor constant (torque squared over copper loss) of a motor of 1 kg [(N m)²/W]; it is proportional
 # to the mass to the power of 5/3.
 _MOTOR_CONSTANT, _MOTOR_EXPONENT = 0.15, 5 / 3
-# Ratio of the rotor speeds at full throttle and in hover, if the speed constant is unknown, and the
-# fraction of the pack's nominal voltage at the motors at full throttle.
+# Ratio of the rotor speeds at full throttle and in hover, assumed if the motors' voltage constant
+# is unknown; and voltage at the motors at full throttle over the pack's nominal voltage.
 _FULL_OVER_HOVER, _FULL_VOLTAGE = 1.8, 0.85
-# Mass of a 10-inch propeller, kg, and the exponent of its growth with the diameter.
+# Mass of a 10-inch propeller [kg], exponent of its growth with the diameter, and its diameter.
 _PROPELLER_KG, _PROPELLER_EXPONENT, _TEN_INCHES_M = 0.012, 2.5, 0.254
-# Electronics of a vehicle of 1.5 kg; the power grows with the mass.
+# Power of the electronics of a vehicle of 1.5 kg, and exponent of its growth with the mass.
 _ELECTRONICS_W, _ELECTRONICS_EXPONENT, _AT_KG = 5.0, 0.4, 1.5
-# Drag of the Matrice 100, from its tilt in flight: kg/s per kg, and kg/m at its mass.
+# Drag of the DJI Matrice 100, from its tilt in flight: linear coefficient over mass [1/s], and
+# quadratic coefficient [kg/m] at its mass.
 _DRAG_LINEAR_PER_KG = 0.322 / 3.715
 _DRAG_QUADRATIC, _DRAG_MASS_KG = 0.038, 3.715
-# Ratio to the induced power factor, from the Matrice 100.
+# Ratio of the descent power factor to the induced power factor, from the DJI Matrice 100.
 _DESCENT_SHARE = 0.476 / 1.15
 _TILT_DEG = 35.0
-#: Relative error of a measured hover power, from the sensor's gain and a breeze.
+#: Relative error of a measured hover power, caused by the gain of the current sensor and by wind.
 MEASUREMENT_ERROR = 0.03
-#: Factors on the loss of motor and speed controller, and on the blades' drag, at their range's
-#: ends.
+#: Ranges of factors on the loss of motor and speed controller, and on the drag of the blades.
 DRIVE_RANGE, BLADE_RANGE = (0.85, 1.2), (0.6, 1.6)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Known:
-    """Data of an owner's vehicle in SI units; mass and propeller are required.
+    """Data that the owner of a vehicle knows, in SI units; only mass and propeller are required.
 
-    `voltage_constant` is in rad/s/V and `hover_power` in W; both are None if unknown.
+    Attributes
+    ----------
+    name : str
+        Name of the vehicle.
+    mass : float
+        Mass in flight, with battery [kg].
+    propeller : Propeller
+        Diameter and pitch.
+    arm : float or None
+        Distance from the centre to a motor shaft [m].
+    voltage_constant : float or None
+        Motor speed over voltage [rad/s/V].
+    pack : Pack or None
+        Battery.
+    hover_power, hover_said : float or None, str
+        Measured power of hover [W], and its description.
+    rotors : int
+        Number of rotors.
+    density : float
+        Air density [kg/m³].
     """
 
     name: str
@@ -63,7 +82,23 @@ class Known:
 
 @dataclass(frozen=True, kw_only=True)
 class EstimatedVehicle:
-    """Estimated vehicle with the origin of every number."""
+    """Vehicle estimated from its owner's data, with the origin of every number.
+
+    Attributes
+    ----------
+    known : Known
+        The owner's data.
+    pack : Pack
+        Battery, which is estimated if the owner states none.
+    hover : RotorHover
+        Speed and powers of one rotor in hover.
+    fields, limits : mapping
+        Numbers of the tables `vehicle` and `limits` of a scenario, by field.
+    rotor_positions : tuple or None
+        Positions of six or eight rotors [m]; None for four.
+    estimated_hover_W : float
+        Hover power by the estimates alone, even if it was measured.
+    """
 
     known: Known
     pack: Pack
@@ -76,17 +111,27 @@ class EstimatedVehicle:
 
     @property
     def is_measured(self) -> bool:
-        """Whether a hover measurement determines the power."""
+        """Whether a measured hover power determines the vehicle's power."""
         return self.known.hover_power is not None
 
 
 def estimate_vehicle(known: Known) -> EstimatedVehicle:
     """Estimate all numbers of a vehicle from its owner's data.
 
+    Parameters
+    ----------
+    known : Known
+        The owner's data.
+
+    Returns
+    -------
+    EstimatedVehicle
+        Numbers of vehicle, limits and battery, with ranges and origins.
+
     Raises
     ------
     ScenarioError
-        If the numbers contradict each other.
+        If the data contradict each other, for example if the motors are too slow to hover.
     """
     pack = known.pack or usual_pack(known.mass)
     thrust = known.mass * GRAVITY / known.rotors
@@ -191,7 +236,10 @@ def _motor(known: Known, pack: Pack, hover: RotorHover, model: MassModel) -> dic
 
 
 def _powers(known: Known, hover: RotorHover) -> tuple[dict[str, Estimate], float]:
-    """Return the parameters of the momentum model, and the hover power without measurement [W]."""
+    """Return the parameters of the power model `momentum`, and the hover power [W].
+
+    The hover power is that of the estimates alone, without measurement.
+    """
     electronics = _ELECTRONICS_W * (known.mass / _AT_KG) ** _ELECTRONICS_EXPONENT
     loss = 1 / hover.drive_efficiency
     alone = known.rotors * hover.shaft_power * loss + electronics
@@ -259,7 +307,7 @@ def _limits(pack: Pack, hover: RotorHover, fields: Mapping[str, Estimate]) -> di
     torque_constant, resistance = fields["torque_constant"].value, fields["motor_resistance"].value
     drag, inertia = fields["drag_torque_coefficient"].value, fields["rotor_inertia"].value
     voltage = _FULL_VOLTAGE * pack.nominal_voltage
-    # The speed at which the electromotive force and the resistive drop add up to the voltage.
+    # Greatest speed: there the electromotive force and the resistive drop add up to the voltage.
     copper, back = resistance * drag / torque_constant, 1 / speed_constant
     fastest = (sqrt(back**2 + 4 * copper * voltage) - back) / (2 * copper)
     spare = max(voltage - back * hover.speed, 0.1 * voltage)
@@ -280,7 +328,7 @@ def _limits(pack: Pack, hover: RotorHover, fields: Mapping[str, Estimate]) -> di
 
 
 def _positions(rotors: int, arm: float) -> tuple[tuple[float, float], ...] | None:
-    """Return the rotor positions of six or eight rotors in a ring, None for four."""
+    """Return the positions of six or eight rotors in a ring [m]; None for four rotors."""
     if rotors not in ROTOR_COUNTS:
         raise ScenarioError(
             f"--rotors {rotors}; must be one of {', '.join(map(str, ROTOR_COUNTS))}."

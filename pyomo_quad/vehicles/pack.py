@@ -13,21 +13,32 @@ from pyomo_quad.vehicles.estimate import Estimate, computed, estimated, given
 _LABEL = re.compile(
     r"([0-9]{1,2})\s*[sS]\s*(?:([0-9]{1,2})\s*[pP]\s*)?([0-9]{2,6})(?:\s*[mM][aA][hH])?"
 )
-#: V, nominal voltage of one lithium-polymer cell.
+#: Nominal voltage of one lithium-polymer cell [V].
 NOMINAL_V = 3.7
-# Energy over mass of packs for multirotors, J/kg: 150 Wh/kg.
+# Energy over mass of batteries for multirotors [J/kg]: 150 Wh/kg.
 _ENERGY_PER_KG = 150 * 3600
-# Ohm times ampere hours of one cell: a current of 1C reduces its voltage by 15 mV.
+# Resistance times capacity of one cell [ohm A h]: a current of 1C reduces its voltage by 15 mV.
 _RESISTANCE_BY_CAPACITY = 0.015
-# Lithium-polymer cell by eq. (5) of the paper: 4.17 V full, 3.78 V at half, 3.54 V at a tenth.
+# E0, K and A of a lithium-polymer cell in eq. (5) of the paper, which gives 4.17 V for a full cell,
+# 3.78 V at half and 3.54 V at a tenth of the charge.
 _CONSTANT_V, _POLARISATION_V, _EXPONENTIAL_V = 3.73, 0.022, 0.46
-_EXPONENTIAL_SHARE = 3.2  # times the capacity
+_EXPONENTIAL_SHARE = 3.2  # B of eq. (5), times the capacity
 _SECONDS_PER_HOUR = 3600.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pack:
-    """Cells in series and parallel, and capacity of a battery [A h]."""
+    """Battery pack: numbers of cells and capacity, as on its label.
+
+    Attributes
+    ----------
+    series, parallel : int
+        Cells in series and in parallel.
+    capacity : float
+        Capacity of the whole pack [A h].
+    is_given : bool
+        Whether the owner stated the label; otherwise the pack is estimated from the vehicle's mass.
+    """
 
     series: int
     parallel: int
@@ -36,22 +47,25 @@ class Pack:
 
     @property
     def nominal_voltage(self) -> float:
-        """Voltage on the label, V."""
+        """Nominal voltage of the pack [V]: 3.7 V for each cell in series."""
         return self.series * NOMINAL_V
 
     @property
     def mass(self) -> float:
-        """Mass estimated from the pack's energy, kg, eq. (7)."""
+        """Mass of the pack [kg], estimated from its energy.
+
+        Derivation: see docs/theory/vehicle_from_data.md, eq. (7).
+        """
         return self.nominal_voltage * self.capacity * _SECONDS_PER_HOUR / _ENERGY_PER_KG
 
     @property
     def label(self) -> str:
-        """Label of the pack."""
+        """Label of the pack, such as "4S 5000 mAh"."""
         cells = f"{self.series}S" + (f"{self.parallel}P" if self.parallel > 1 else "")
         return f"{cells} {1000 * self.capacity:g} mAh"
 
     def fields(self) -> dict[str, Estimate]:
-        """Return the fields of a battery file."""
+        """Return the numbers of a battery file by field, each with range and origin."""
         capacity = self.capacity / self.parallel
         resistance = _RESISTANCE_BY_CAPACITY / capacity
 
@@ -76,12 +90,12 @@ class Pack:
 
 
 def pack_of(text: str) -> Pack:
-    """Read a battery label such as "4S5000" (4 cells, 5000 mAh) or "6S2P9000".
+    """Read a battery label such as "4S5000" (4 cells in series, 5000 mAh) or "6S2P9000".
 
     Raises
     ------
     ScenarioError
-        If the text is not a label.
+        If the text is not a battery label.
     """
     match = _LABEL.fullmatch(text.strip())
     if match is None or int(match[1]) < 1 or int(match[2] or 1) < 1 or float(match[3]) <= 0:
@@ -97,14 +111,23 @@ def pack_of(text: str) -> Pack:
     )
 
 
-# Cells in series for vehicles up to a mass, kg.
+# Usual number of cells in series, for vehicles up to the given mass [kg].
 _SERIES = ((0.1, 1), (0.35, 2), (0.9, 3), (2.5, 4))
 _MOST_SERIES = 6
 _MASS_SHARE = 0.3
 
 
 def usual_pack(mass: float) -> Pack:
-    """Return the typical battery of a vehicle by its mass [kg], eq. (7)."""
+    """Estimate the battery pack of a vehicle from the vehicle's mass.
+
+    The pack has 30 % of the mass, and the usual number of cells in series. Derivation: see
+    docs/theory/vehicle_from_data.md, eq. (7).
+
+    Parameters
+    ----------
+    mass : float
+        Mass of the vehicle with its pack [kg].
+    """
     series = next((cells for most, cells in _SERIES if mass <= most), _MOST_SERIES)
     energy = _MASS_SHARE * mass * _ENERGY_PER_KG
     capacity = energy / (series * NOMINAL_V * _SECONDS_PER_HOUR)

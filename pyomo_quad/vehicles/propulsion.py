@@ -4,9 +4,9 @@ Derivation, sources and ranges: see docs/theory/vehicle_from_data.md, eqs. (1) t
 
 symbol | name | unit | meaning
 D, p | diameter, pitch | m | as printed on the propeller, "10x4.5" in inches
-C_T | thrust_coefficient_of | - | T = C_T rho n^2 D^4, n in revolutions per second
+C_T | coefficient | - | T = C_T rho n^2 D^4, n in revolutions per second
 sigma | _SOLIDITY | - | blade area over disc area
-c_d | _blade_drag | - | mean drag coefficient of the blade
+c_d | _DRAG_AT | - | mean drag coefficient of the blade, at the Reynolds number _REYNOLDS_AT
 FM | figure_of_merit | - | ideal over shaft power in hover
 eta | drive_efficiency | - | shaft power over electrical power, of motor and controller
 """
@@ -24,49 +24,70 @@ _SIZE = re.compile(r"([0-9]{1,2}(?:\.[0-9]{1,3})?)\s*[xX*]\s*([0-9]{1,2}(?:\.[0-
 # "Scaling laws and similarity models for the preliminary design of multirotor drones", Aerospace
 # Science and Technology 98 (2020), to APC's data.
 _THRUST_FIT = (0.0427, 0.144)
-_USUAL_PITCH = 0.45  # over the diameter
-# Blade area over disc area of APC's 10 x 4.7, and the mean drag of its blades at a Reynolds number:
-# the static test of the UIUC propeller data site, C_T = 0.1228 and C_P = 0.0508 at 5417 rpm.
+_USUAL_PITCH = 0.45  # pitch over diameter, where the label gives no pitch
+# Blade area over disc area of APC's 10 x 4.7, and the mean drag coefficient of its blades at a
+# Reynolds number: from the static test of the UIUC propeller data site, C_T = 0.1228 and
+# C_P = 0.0508 at 5417 rpm.
 _SOLIDITY = 0.11
 _DRAG_AT, _REYNOLDS_AT = 0.034, 8.0e4
 _KINEMATIC_VISCOSITY = 1.5e-5  # m^2/s, air at 15 degrees
 #: Induced power relative to that of an ideal rotor: Leishman (2006), section 3.2.
 INDUCED = 1.15
-# Loss of motor and controller: eta = 1 / (1 + (P_1 / P)^b) with the shaft power P of one rotor.
+# P_1 and b of the drive efficiency eta = 1 / (1 + (P_1 / P)^b), P being the shaft power of a rotor.
 _HALF_LOST_W, _LOSS_EXPONENT = 2.6, 0.3
 
 
 @dataclass(frozen=True, kw_only=True)
 class Propeller:
-    """Propeller with diameter and pitch [m]."""
+    """Propeller, described by its diameter and pitch [m]."""
 
     diameter: float
     pitch: float
 
     @property
     def radius(self) -> float:
-        """Radius, m."""
+        """Radius of the propeller [m]."""
         return self.diameter / 2
 
     @property
     def disc_area(self) -> float:
-        """Area that the blades sweep, m^2."""
+        """Area that the blades sweep [m²]."""
         return pi * self.radius**2
 
     @property
     def coefficient(self) -> float:
-        """Static thrust coefficient C_T, eq. (1)."""
+        """Static thrust coefficient C_T: thrust over rho n² D⁴, n in revolutions per second.
+
+        Derivation: see docs/theory/vehicle_from_data.md, eq. (1).
+        """
         first, second = _THRUST_FIT
         return first + second * self.pitch / self.diameter
 
     def thrust_over_speed_squared(self, density: float) -> float:
-        """Return thrust over rotor speed squared, N s^2, eq. (1)."""
+        """Return the thrust over the square of the rotor speed [N s²].
+
+        Derivation: see docs/theory/vehicle_from_data.md, eq. (1).
+
+        Parameters
+        ----------
+        density : float
+            Air density [kg/m³].
+        """
         return self.coefficient * density * self.diameter**4 / (2 * pi) ** 2
 
     def hover(self, thrust: float, density: float) -> "RotorHover":
-        """Return the speed and powers of one rotor in hover at a thrust, N."""
+        """Return the speed and the powers of one rotor in hover.
+
+        Parameters
+        ----------
+        thrust : float
+            Thrust of the rotor [N].
+        density : float
+            Air density [kg/m³].
+        """
         speed = sqrt(thrust / self.thrust_over_speed_squared(density))
-        blade = 4 / pi**3 * self.coefficient  # by rho A (omega R)^2, not rho n^2 D^4
+        # Thrust coefficient of blade element theory, T / (rho A (omega R)^2).
+        blade = 4 / pi**3 * self.coefficient
         chord = _SOLIDITY * pi * self.radius / 2
         reynolds = 0.75 * speed * self.radius * chord / _KINEMATIC_VISCOSITY
         profile = _SOLIDITY / 8 * _DRAG_AT * sqrt(_REYNOLDS_AT / reynolds)
@@ -83,7 +104,17 @@ class Propeller:
 
 @dataclass(frozen=True, kw_only=True)
 class RotorHover:
-    """One rotor in hover: speed [rad/s], powers [W], profile power over T^1.5 / sqrt(rho A)."""
+    """Speed and powers of one rotor in hover.
+
+    Attributes
+    ----------
+    speed : float
+        Rotor speed [rad/s].
+    ideal_power, induced_power, profile_power : float
+        Power of an ideal rotor, induced power, and power of the blades' drag [W].
+    profile_over_thrust : float
+        Profile power over T^1.5 / sqrt(rho A), dimensionless.
+    """
 
     speed: float
     ideal_power: float
@@ -93,32 +124,40 @@ class RotorHover:
 
     @property
     def shaft_power(self) -> float:
-        """Power of the shaft, eq. (2)."""
+        """Power of the shaft [W]: induced power plus profile power.
+
+        Derivation: see docs/theory/vehicle_from_data.md, eq. (2).
+        """
         return self.induced_power + self.profile_power
 
     @property
     def torque(self) -> float:
-        """Torque of the shaft, N m."""
+        """Torque of the shaft [N m]."""
         return self.shaft_power / self.speed
 
     @property
     def figure_of_merit(self) -> float:
-        """Ideal power over shaft power."""
+        """Figure of merit: power of an ideal rotor over shaft power."""
         return self.ideal_power / self.shaft_power
 
     @property
     def drive_efficiency(self) -> float:
-        """Shaft power over electrical power, eq. (4)."""
+        """Efficiency of motor and speed controller: shaft power over electrical power.
+
+        Derivation: see docs/theory/vehicle_from_data.md, eq. (4).
+        """
         return 1 / (1 + (_HALF_LOST_W / self.shaft_power) ** _LOSS_EXPONENT)
 
 
 def propeller_of(text: str) -> Propeller:
-    """Read a propeller label such as "10x4.5" (inches); the pitch may be missing.
+    """Read a propeller label such as "10x4.5": diameter and pitch in inches.
+
+    The pitch may be missing; then a usual ratio of pitch to diameter is assumed.
 
     Raises
     ------
     ScenarioError
-        If the text is not a size.
+        If the text is not a propeller label.
     """
     match = _SIZE.fullmatch(text.strip()) or _SIZE.fullmatch(f"{text.strip()}x0")
     if match is None or not 0.5 <= float(match[1]) <= 60:

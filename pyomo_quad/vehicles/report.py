@@ -1,4 +1,7 @@
-"""Report of the vehicles: a table of data sheets, and a page per library vehicle."""
+"""Report that compares vehicles with measured powers.
+
+It has a table of data sheets, and a page for each vehicle of the library.
+"""
 
 from functools import partial
 from pathlib import Path
@@ -26,7 +29,24 @@ _CURVE_POINTS = 21
 def write_vehicles(
     folder: Path, held: tuple[Held, ...], planner: Planner, figures: Figures
 ) -> pd.DataFrame:
-    """Write the report into an empty folder; return the table of data sheets."""
+    """Write the report that compares vehicles with measured powers.
+
+    Parameters
+    ----------
+    folder : Path
+        Existing empty folder that receives the files.
+    held : tuple of Held
+        Library vehicles with measured and computed powers.
+    planner : Planner
+        Keeps compiled models between figures.
+    figures : Figures
+        Which figures to draw, and in which file formats.
+
+    Returns
+    -------
+    DataFrame
+        Table of the data sheets.
+    """
     sheets = data_sheets()
     drawings = write_study(
         folder,
@@ -74,7 +94,17 @@ def _drawing(held: Held, planner: Planner) -> Drawing:
 
 
 def draw_held(held: Held, planner: Planner) -> Figure:
-    """Draw measured points beside the computed curve, over airspeed or over the mass carried."""
+    """Draw measured and computed powers of a library vehicle.
+
+    The power is drawn over airspeed or, if all measurements are in hover, over payload.
+
+    Parameters
+    ----------
+    held : Held
+        Vehicle with measured and computed powers.
+    planner : Planner
+        Keeps compiled models between figures.
+    """
     figure, axes = full_width(3.2, top=0.96, bottom=0.15)
     points = held.points
     if points[AIRSPEED].max() == 0.0:

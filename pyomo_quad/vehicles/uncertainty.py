@@ -1,4 +1,4 @@
-"""Uncertainty of an estimated vehicle: causes, most useful measurement, band of the polar.
+"""Uncertainty of an estimated vehicle's power: causes, range, and most useful measurement.
 
 Method: see docs/theory/vehicle_from_data.md, eq. (10).
 """
@@ -22,7 +22,7 @@ from pyomo_quad.vehicles.owner import (
 Numbers = Mapping[str, float]
 _Change = Callable[[float], Numbers]
 
-#: Airspeeds of the band, m/s.
+#: Airspeeds at which power and uncertainty are computed [m/s].
 AIRSPEEDS = (0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 15.0)
 _SCALED_BY_DRIVE = (
     "induced_power_factor",
@@ -34,10 +34,17 @@ _SCALED_BY_DRIVE = (
 
 @dataclass(frozen=True, kw_only=True)
 class Cause:
-    """Cause of uncertainty: its effect on the power, and the measurement that removes it.
+    """Cause of uncertainty of a vehicle's power.
 
-    `low` and `high` are the powers at `AIRSPEEDS` with the cause at the ends of its range, W; NaN
-    if the vehicle has no steady flight there.
+    Attributes
+    ----------
+    name : str
+        The uncertain quantity.
+    measurement : str
+        The measurement that would determine the quantity.
+    low, high : ndarray
+        Powers at `AIRSPEEDS` with the quantity at the ends of its range [W]; NaN where the vehicle
+        has no steady flight.
     """
 
     name: str
@@ -48,7 +55,15 @@ class Cause:
 
 @dataclass(frozen=True, kw_only=True)
 class PowerBand:
-    """Power of level flight at `AIRSPEEDS` [W], with its band of uncertainty."""
+    """Power of level flight with its range of uncertainty.
+
+    Attributes
+    ----------
+    power, low, high : ndarray
+        Power at `AIRSPEEDS`, and the ends of its range [W].
+    causes : tuple of Cause
+        Causes of the uncertainty.
+    """
 
     power: FloatArray
     low: FloatArray
@@ -56,7 +71,7 @@ class PowerBand:
     causes: tuple[Cause, ...]
 
     def ranked(self) -> tuple[tuple[Cause, float], ...]:
-        """Return the causes with their relative effects on the power, the largest first."""
+        """Return each cause with its mean relative effect on the power, the largest first."""
         shares = [
             float(np.nanmean(np.abs(one.high - one.low) / (2 * self.power))) for one in self.causes
         ]
@@ -65,7 +80,15 @@ class PowerBand:
 
 
 def power_band(vehicle: EstimatedVehicle, planner: Planner | None = None) -> PowerBand:
-    """Return the power over airspeed of an estimated vehicle, with its uncertainty."""
+    """Compute the power of an estimated vehicle over airspeed, with its range of uncertainty.
+
+    Parameters
+    ----------
+    vehicle : EstimatedVehicle
+        The vehicle, whose numbers have ranges.
+    planner : Planner, optional
+        Keeps compiled models between calls.
+    """
     scenario, planner = scenario_of(vehicle), planner or Planner()
     power = level_powers(scenario, AIRSPEEDS, planner)
     causes = []
@@ -90,12 +113,18 @@ def power_band(vehicle: EstimatedVehicle, planner: Planner | None = None) -> Pow
 
 
 def _together(changes: Sequence[FloatArray]) -> FloatArray:
-    """Return the root sum of squares of independent changes."""
+    """Combine independent changes of the power: the root of the sum of squares."""
     return np.sqrt(np.nansum(np.square(changes), axis=0))
 
 
 def _causes(vehicle: EstimatedVehicle) -> list[tuple[str, str, Numbers, Numbers]]:
-    """Return the causes of uncertainty with the ends of their ranges."""
+    """Return the causes of uncertainty.
+
+    Returns
+    -------
+    list of tuple
+        Name, measurement that would help, and the vehicle's fields at both ends of the range.
+    """
     value = {name: one.value for name, one in vehicle.fields.items()}
     ends = {name: (one.low, one.high) for name, one in vehicle.fields.items()}
     drive = DRIVE_RANGE

@@ -2,8 +2,8 @@
 
 A polynomial lies in the convex hull of its coefficients in Bernstein's basis [1]_: if the
 coefficients satisfy a bound, the whole polynomial does. The converse is false, so bounding the
-coefficients restricts the solution more than necessary. The multipliers give the cost of this
-restriction: see docs/theory/transcription.md, eqs. (6) and (7).
+coefficients restricts the solution more than necessary. The multipliers of these bounds give the
+cost of the restriction: see docs/theory/transcription.md, eqs. (6) and (7).
 
 .. [1] Farouki, "The Bernstein polynomial basis: a centennial retrospective", Computer Aided
    Geometric Design 29 (2012).
@@ -30,17 +30,25 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.program.nonlinear import Bounds, NonlinearProgram, Scaling
     from pyomo_quad.collocation.program.transcription import Transcription
 
-# A coefficient of the first point is bounded if its distance from a bound is less than this
-# fraction of its range or size.
+# A coefficient is bounded if its distance from a bound, at the initial point, is less than this
+# fraction of the distance between both bounds (of max(1, abs(bound)) if there is only one).
 _NEAR = 0.45
 
 
 @dataclass(frozen=True, kw_only=True)
 class BernsteinRule:
-    """Matrices from an element's values to its coefficients, and to values at their abscissae.
+    """Linear maps from a variable's values in an element to its Bernstein coefficients.
 
-    Both of shape (n_coefficients, n_values). Coefficients that equal nodal values are left out: the
-    first and last of a state, the last of an algebraic variable.
+    Coefficients that equal values at nodes are left out: the first and last coefficient of a state,
+    the last coefficient of an algebraic variable.
+
+    Attributes
+    ----------
+    coefficients : ndarray, shape (n_coefficients, n_values)
+        Matrix from the values to the coefficients.
+    values : ndarray, shape (n_coefficients, n_values)
+        Matrix from the values to the polynomial at the coefficients' abscissae, which are
+        equidistant.
     """
 
     coefficients: FloatArray
@@ -49,7 +57,11 @@ class BernsteinRule:
 
 @lru_cache(maxsize=64)
 def bernstein_rule(degree: int, *, is_state: bool) -> BernsteinRule:
-    """Return the rule for a state's values at the nodes, or another variable's at the points."""
+    """Return the Bernstein rule of an element of a given degree.
+
+    A state is given by its values at the nodes (left end and collocation points), an algebraic
+    variable by its values at the collocation points.
+    """
     rule = radau_rule(degree)
     at = rule.nodes if is_state else rule.points
     kept = slice(int(is_state), -1)
@@ -62,21 +74,24 @@ def bernstein_rule(degree: int, *, is_state: bool) -> BernsteinRule:
 
 
 def _basis(places: FloatArray, order: int) -> FloatArray:
-    """Return Bernstein's polynomials at places, shape (n_places, order + 1)."""
+    """Return Bernstein's polynomials of an order at places from 0 to 1: (n_places, order + 1)."""
     k, t = np.arange(order + 1), places[:, None]
     return np.asarray(comb(order, k) * t**k * (1.0 - t) ** (order - k))
 
 
 @dataclass(frozen=True, kw_only=True)
 class BernsteinRows:
-    """Bounded coefficients of some elements, as additional linear rows of a program.
+    """Bounds on Bernstein coefficients in some elements, as linear constraints of a program.
 
     Attributes
     ----------
     coefficients, values : csr_array, shape (n_coefficients, n_unknowns)
-        Matrices from the unknowns to the coefficients, and to the values at their abscissae.
+        Matrices from the unknowns to the coefficients, and to the polynomials at the coefficients'
+        abscissae.
     lower, upper : ndarray, shape (n_coefficients,)
+        Bounds of the coefficients.
     elements : ndarray of int, shape (n_coefficients,)
+        Element of each coefficient.
     """
 
     coefficients: csr_array
@@ -86,7 +101,7 @@ class BernsteinRows:
     elements: NDArray[np.intp]
 
     def added_to(self, program: NonlinearProgram) -> ExtendedProgram:
-        """Return a program with these rows after its own."""
+        """Return a nonlinear program with these constraints appended to its own."""
         rows = self.coefficients
         starts = np.append(np.zeros(program.n_rows, dtype=rows.indptr.dtype), rows.indptr)
         shape = (starts.size - 1, rows.shape[1])
@@ -94,13 +109,29 @@ class BernsteinRows:
         return ExtendedProgram(program=program, terms=terms)
 
     def scales(self, own: Scaling) -> FloatArray:
-        """Return the scales of the rows, given the scaling of the unknowns."""
+        """Return the scaling factors of these constraints, given the scaling of the unknowns.
+
+        The largest coefficient of each constraint in scaled unknowns becomes 1.
+        """
         rows = self.coefficients
         entries = np.abs(rows.data) / own.unknowns[rows.indices]
         return np.asarray(1.0 / np.maximum.reduceat(entries, rows.indptr[:-1]))
 
     def restraint(self, result: IpoptResult, gap: float, elements: int) -> Restraint:
-        """Return by how much these rows raise the objective, at a result with a barrier gap."""
+        """Estimate by how much these constraints raise the objective at a solution.
+
+        A coefficient may lie outside a bound that its polynomial satisfies; the multiplier times
+        the distance between coefficient and polynomial is the cost of bounding it.
+
+        Parameters
+        ----------
+        result : IpoptResult
+            Solution of the program whose last constraints are these.
+        gap : float
+            Complementarity gap of that solution, in the unit of the objective.
+        elements : int
+            Number of elements of the mesh.
+        """
         pull = result.multipliers.rows[-self.lower.size :]
         beyond = self.coefficients @ result.z - self.values @ result.z
         cost = np.zeros(elements)
@@ -115,9 +146,10 @@ class Restraint:
     Attributes
     ----------
     cost : ndarray, shape (n_elements,)
-        Cost per element of bounding coefficients that lie outside the polynomial, to first order.
+        Cost, to first order and per element, of bounding coefficients outside the polynomial's
+        range.
     gap : float
-        Complementarity gap that the barrier leaves, over all bounds.
+        Complementarity gap that Ipopt's barrier leaves, over all bounds.
     """
 
     cost: FloatArray
@@ -127,17 +159,19 @@ class Restraint:
 def bounded(
     program: Transcription, bounds: Bounds, z: FloatArray, breach: float
 ) -> BernsteinRows | None:
-    """Return bounds between the points of a program where a trajectory is near its bounds.
+    """Return bounds between the collocation points, in elements where a trajectory is near them.
 
     Parameters
     ----------
     program : Transcription
+        Nonlinear program on one mesh.
     bounds : Bounds
-        Bounds that change within an element are not imposed between its points.
-    z : ndarray
-        The trajectory, carried over from another mesh.
+        Bounds at the collocation points; a bound that changes within an element is not imposed
+        between its points.
+    z : ndarray, shape (n_unknowns,)
+        The trajectory, interpolated from another mesh.
     breach : float
-        Amount by which a coefficient may exceed a bound, relative to max(1, |bound|).
+        Amount by which a coefficient may exceed a bound, relative to max(1, abs(bound)).
 
     Returns
     -------
@@ -168,7 +202,7 @@ def bounded(
 
 
 def _limits(bounds: Bounds, columns: NDArray[np.intp]) -> tuple[float, float]:
-    """Return a variable's constant bounds in an element, infinite where a bound varies in it."""
+    """Return a variable's bounds in an element; infinite if a bound varies in the element."""
     low, high = bounds.lower[columns], bounds.upper[columns]
     return (
         float(low[0]) if np.all(low == low[0]) else -np.inf,
@@ -177,6 +211,7 @@ def _limits(bounds: Bounds, columns: NDArray[np.intp]) -> tuple[float, float]:
 
 
 def _is_near(values: FloatArray, low: float, high: float) -> bool:
+    """Return whether any Bernstein coefficient is near or beyond one of its bounds."""
     sides = [side for side in (low, high) if np.isfinite(side)]
     if not sides:
         return False
@@ -185,7 +220,7 @@ def _is_near(values: FloatArray, low: float, high: float) -> bool:
 
 
 def _assembled(parts: list[tuple[NDArray[np.intp], FloatArray]], width: int) -> csr_array:
-    """Return one sparse matrix from blocks of rows with given columns."""
+    """Assemble a sparse matrix from dense blocks of rows, given the columns of each block."""
     data = np.concatenate([block.ravel() for _, block in parts])
     columns = np.concatenate([np.tile(at, len(block)) for at, block in parts])
     sizes = np.concatenate([np.full(len(block), at.size) for at, block in parts])

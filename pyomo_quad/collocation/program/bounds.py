@@ -1,4 +1,4 @@
-"""Bounds and scaling of unknowns and rows, and refusal of programs that cannot be solved.
+"""Bounds and scaling of a nonlinear program, and refusal of programs that cannot be solved.
 
 Scaling: see docs/theory/refinement.md, eqs. (12) to (15).
 """
@@ -30,7 +30,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Limit:
-    """The bounds that the declaration `name` imposes on unknowns; arrays of one shape."""
+    """Bounds that one declaration of the model imposes on unknowns of the nonlinear program.
+
+    Attributes
+    ----------
+    name : str
+        Name of the variable or constraint that declares the bounds.
+    columns : ndarray of int, shape (n,)
+        Positions of the bounded unknowns.
+    lower, upper : ndarray, shape (n,)
+        Their bounds, infinite where there is none.
+    """
 
     name: str
     columns: NDArray[np.intp]
@@ -44,17 +54,23 @@ def bounds_of(
     fixed: dict[tuple[str, float], float],
     left_out: frozenset[str] = frozenset(),
 ) -> Bounds:
-    """Evaluate all bounds for the current data.
+    """Evaluate all bounds of a nonlinear program for its current data.
 
     Parameters
     ----------
     program : Transcription
+        Nonlinear program on one mesh, with its data.
     start_data : ndarray, shape (1 + n_jumps, n_data)
-        Fraction, signals and parameters at the start of the horizon and just after each jump.
+        Fraction of the horizon, time-dependent parameters and constant parameters, at the start of
+        the horizon and just after each jump of a parameter.
     fixed : dict
-        Values fixed at declared times, by slot name and fraction.
+        Values of variables fixed at declared times, by (variable name, fraction of the horizon).
     left_out : frozenset of str, optional
         Names of conditions that are not imposed.
+
+    Returns
+    -------
+    Bounds
 
     Raises
     ------
@@ -82,7 +98,17 @@ def bounds_of(
 def limits_of(
     program: Transcription, start_data: FloatArray, fixed: dict[tuple[str, float], float]
 ) -> list[Limit]:
-    """Return the bounds that each declaration imposes on the unknowns; see `bounds_of`."""
+    """Return the bounds that each variable or constraint of the model imposes on unknowns.
+
+    Parameters
+    ----------
+    program, start_data, fixed
+        As in `bounds_of`.
+
+    Returns
+    -------
+    list of Limit
+    """
     found = list(limits_at_points(program))
     if program.mesh is not None:
         found.extend(_over_time(program, start_data))
@@ -91,6 +117,7 @@ def limits_of(
 
 
 def _rows(program: Transcription) -> tuple[FloatArray, FloatArray]:
+    """Return lower and upper bounds of all constraints of the program, shape (n_rows,) each."""
     compiled, data = program.compiled, program.data
     sides = []
     path: list[FloatArray] = [np.zeros(0), np.zeros(0)]
@@ -105,7 +132,7 @@ def _rows(program: Transcription) -> tuple[FloatArray, FloatArray]:
 
 
 def _over_time(program: Transcription, start_data: FloatArray) -> Iterator[Limit]:
-    """Yield the bounds of variables and the single-variable path limits."""
+    """Yield the bounds of variables over time, and constraints that bound one such variable."""
     layout, compiled = program.layout, program.compiled
     mapped = MappedFunction(compiled.limits_over_time, layout.points + 1)
     lower, upper = mapped(np.vstack([start_data[:1], program.data.at_points()]))
@@ -119,7 +146,11 @@ def _over_time(program: Transcription, start_data: FloatArray) -> Iterator[Limit
 
 
 def _after_jumps(program: Transcription, data: FloatArray) -> Iterator[Limit]:
-    """Yield the bounds of states just after a jump, where there is no collocation point."""
+    """Yield the bounds of states just after a jump of a parameter, at the node of the jump.
+
+    Bounds may jump too, and no collocation point lies just after the jump: the node belongs to the
+    element that ends there.
+    """
     compiled, layout = program.compiled, program.layout
     nodes = program.mesh.node_fractions if program.mesh else np.zeros(0)
     at = np.abs(nodes[:, None] - data[:, 0]).argmin(axis=0)
@@ -131,7 +162,7 @@ def _after_jumps(program: Transcription, data: FloatArray) -> Iterator[Limit]:
 
 
 def _fixed(program: Transcription, fixed: dict[tuple[str, float], float]) -> Iterator[Limit]:
-    """Yield the values fixed at declared times, whose fractions are element boundaries."""
+    """Yield the values of states that are fixed at declared times, as equal bounds at a node."""
     for (name, fraction), number in fixed.items():
         column = program.layout.state_column(name, fraction)
         if column >= 0:
@@ -140,7 +171,7 @@ def _fixed(program: Transcription, fixed: dict[tuple[str, float], float]) -> Ite
 
 
 def limits_at_points(program: Transcription) -> Iterator[Limit]:
-    """Yield conditions on one value and the bounds of static variables."""
+    """Yield bounds of static variables, and conditions that bound one value at a declared time."""
     compiled, layout = program.compiled, program.layout
     declared = compiled.declared
     parameters = program.data.parameters[None, :]
@@ -162,7 +193,10 @@ def limits_at_points(program: Transcription) -> Iterator[Limit]:
 
 
 def _refuse_crossed(program: Transcription, lower: FloatArray, upper: FloatArray) -> None:
-    """Raise an error if bounds cross, naming the worst variable; rounding is tolerated."""
+    """Raise an error if a lower bound exceeds an upper bound, naming the worst variable.
+
+    Bounds that cross by rounding only are made equal, in place.
+    """
     gap = lower - upper
     scale = 1e-9 * (1.0 + np.minimum(np.abs(lower), np.abs(upper)))
     close = (gap > 0.0) & (gap <= scale)
@@ -173,7 +207,7 @@ def _refuse_crossed(program: Transcription, lower: FloatArray, upper: FloatArray
 
 
 def _refuse_crossed_times(program: Transcription) -> None:
-    """Raise if the bounds of free times leave no time between two of them."""
+    """Raise an error if the bounds of free times leave no time between two of them."""
     compiled, clock = program.compiled, program.compiled.declared.clock
     parameters = program.data.parameters
     lower, upper = (np.array(side).ravel() for side in compiled.static_limits(parameters))
@@ -190,6 +224,7 @@ def _refuse_crossed_times(program: Transcription) -> None:
 
 
 def _refuse_crossed_rows(program: Transcription, lower: FloatArray, upper: FloatArray) -> None:
+    """Raise an error if the lower bound of a constraint exceeds its upper bound."""
     rows = np.flatnonzero(lower > upper)
     if rows.size:
         row = int(rows[0])
@@ -197,7 +232,10 @@ def _refuse_crossed_rows(program: Transcription, lower: FloatArray, upper: Float
 
 
 def crossed(place: object, lower: float, upper: float) -> TranscriptionError:
-    """Return the refusal of bounds of which the lower is above the upper."""
+    """Return the error for a lower bound above its upper bound.
+
+    `place` is the variable or constraint with its time, for the message.
+    """
     return TranscriptionError(
         f"{place}: lower bound {lower:g} is above upper bound {upper:g}; relax one of the two."
     )
@@ -212,12 +250,24 @@ _ROW_RANGE = (1e-8, 1e8)
 
 
 def scaling_of(program: Transcription, bounds: Bounds, z: FloatArray) -> Scaling:
-    """Return scaling factors for a program at a point."""
+    """Return scaling factors of a nonlinear program, from magnitudes and slopes at a point."""
     return scaling_by(program, nominal_magnitudes(program, bounds, z), z)
 
 
 def scaling_by(program: NonlinearProgram, nominal: FloatArray, z: FloatArray) -> Scaling:
-    """Return scaling factors for a program whose unknowns have given magnitudes."""
+    """Return scaling factors of a nonlinear program, given the magnitudes of its unknowns.
+
+    The largest scaled derivative of each constraint and of the objective becomes about 1 at the
+    point.
+
+    Parameters
+    ----------
+    program : NonlinearProgram
+    nominal : ndarray, shape (n_unknowns,)
+        Magnitude of each unknown.
+    z : ndarray, shape (n_unknowns,)
+        Point at which the derivatives are evaluated.
+    """
     largest, beside = (_largest_slopes(program, nominal, at) for at in (z, z + _BESIDE * nominal))
     with np.errstate(invalid="ignore"):
         is_flat = np.isfinite(beside) & (largest < _FLAT * beside)
@@ -229,7 +279,10 @@ def scaling_by(program: NonlinearProgram, nominal: FloatArray, z: FloatArray) ->
 
 
 def _largest_slopes(program: NonlinearProgram, nominal: FloatArray, z: FloatArray) -> FloatArray:
-    """Return each row's largest slope at a point, with unknowns in units of their magnitudes."""
+    """Return the largest derivative of each constraint in scaled unknowns, shape (n_rows,).
+
+    The unknowns are in units of their magnitudes `nominal`; derivatives are taken at the point `z`.
+    """
     rows, columns = program.jacobianstructure()
     with np.errstate(all="ignore"):
         weighted = np.abs(program.jacobian(z)) * nominal[columns]
@@ -239,7 +292,11 @@ def _largest_slopes(program: NonlinearProgram, nominal: FloatArray, z: FloatArra
 
 
 def nominal_magnitudes(program: Transcription, bounds: Bounds, z: FloatArray) -> FloatArray:
-    """Return the magnitudes of the unknowns, from declarations, bounds or the first point."""
+    """Return the magnitude of each unknown, shape (n_unknowns,).
+
+    The declared scaling factor of a variable determines its magnitude; else the larger of its
+    finite bounds and its values at the point `z`.
+    """
     layout, declared = program.layout, program.compiled.declared
     nominal = np.ones(layout.unknowns)
     for slots, columns in (
@@ -253,6 +310,7 @@ def nominal_magnitudes(program: Transcription, bounds: Bounds, z: FloatArray) ->
 
 
 def _magnitude(slot: Slot, bounds: Bounds, z: FloatArray, columns: Any) -> float:
+    """Return the magnitude of one variable over all its unknowns; see `nominal_magnitudes`."""
     if slot.nominal is not None:
         return slot.nominal
     ends = np.abs(np.concatenate([bounds.lower[columns], bounds.upper[columns]]))
@@ -263,7 +321,7 @@ def _magnitude(slot: Slot, bounds: Bounds, z: FloatArray, columns: Any) -> float
 
 
 def refuse_unsolvable(program: Transcription, bounds: Bounds, z: FloatArray) -> None:
-    """Check that the program is finite at the first point and not over-determined.
+    """Raise an error if a program is not finite at the initial point, or is over-determined.
 
     Raises
     ------
@@ -278,7 +336,7 @@ def refuse_unsolvable(program: Transcription, bounds: Bounds, z: FloatArray) -> 
 
 
 def counted(bounds: Bounds) -> str:
-    """Return the numbers of equations and unknowns in words."""
+    """Return a phrase with the numbers of equations and of free unknowns, for messages."""
     free = int(np.sum(bounds.lower < bounds.upper))
     return f"{bounds.surplus + free} equations for {free} free unknowns"
 
@@ -288,7 +346,16 @@ def refuse_overdetermined(
 ) -> None:
     """Raise an error for contradictory linear equations that exceed the free unknowns.
 
-    For nonlinear equations only a solve can decide. `held` are the variables that are not free.
+    For nonlinear equations only a solve can decide.
+
+    Parameters
+    ----------
+    program : NonlinearProgram
+    bounds : Bounds
+    z : ndarray
+        Point at which the equations are linearised.
+    held : iterable of str
+        Names of the variables with fixed values, which the message lists.
     """
     if bounds.surplus > 0 and _is_contradictory(program, bounds, z):
         names = sorted(set(held))
@@ -305,7 +372,11 @@ _AGREED, _REGULAR = 1e-7, 1e-12
 
 
 def _is_contradictory(program: NonlinearProgram, bounds: Bounds, z: FloatArray) -> bool:
-    """Return whether the equations are linear and their least-squares residual is not zero."""
+    """Return whether the equations are linear and have no solution.
+
+    They are solved by least squares; they are contradictory if the residual is not zero, and linear
+    if a full step leaves exactly the predicted residual.
+    """
     rows, columns = program.jacobianstructure()
     slopes = coo_array((program.jacobian(z), (rows, columns)), shape=(program.n_rows, z.size))
     equal = np.flatnonzero(bounds.row_lower == bounds.row_upper)
@@ -331,7 +402,7 @@ _ROUNDING = 1e-9
 
 
 def without_settled_rows(program: NonlinearProgram, bounds: Bounds, z: FloatArray) -> Bounds:
-    """Return bounds without rows that involve only fixed unknowns and are satisfied.
+    """Remove the bounds of constraints that involve only fixed unknowns and are satisfied.
 
     A path equality at a point where all its states are fixed is redundant; its zero slopes would
     make the remaining equations appear dependent.
@@ -352,14 +423,23 @@ def without_settled_rows(program: NonlinearProgram, bounds: Bounds, z: FloatArra
 
 
 def is_defined(program: Transcription, z: FloatArray) -> bool:
-    """Return whether the program and its first derivatives are free of NaN; infinities count."""
+    """Return whether constraints, objective gradient and Jacobian contain no NaN at a point.
+
+    Infinite values count as defined.
+    """
     with np.errstate(invalid="ignore"):
         parts = (program.constraints(z), program.jacobian(z), program.gradient(z))
     return not any(bool(np.any(np.isnan(part))) for part in parts)
 
 
 def refuse_not_finite(program: Transcription, z: FloatArray) -> None:
-    """Raise an error if equations or derivatives are not finite at a point."""
+    """Raise an error if an equation, the objective or a derivative is not finite at a point.
+
+    Raises
+    ------
+    TranscriptionError
+        Naming the equation with its element and time, and the variable of a derivative.
+    """
     rows = program.constraints(z)
     bad = np.flatnonzero(~np.isfinite(rows))
     if bad.size:
@@ -382,6 +462,7 @@ def refuse_not_finite(program: Transcription, z: FloatArray) -> None:
 
 
 def _refuse_value(owner: str, number: float) -> NoReturn:
+    """Raise the error for an equation or objective that is not finite at the initial guess."""
     raise TranscriptionError(
         f"{owner}: is {number} at the initial guess; give the variables in it initial values or "
         "bounds where it is defined."
@@ -389,6 +470,7 @@ def _refuse_value(owner: str, number: float) -> NoReturn:
 
 
 def _refuse_slope(owner: str, variable: str, slope: float) -> NoReturn:
+    """Raise the error for a derivative that is not finite at the initial guess."""
     raise TranscriptionError(
         f"{owner}: its derivative by {variable} is {slope} at the initial guess; start or bound "
         "that variable away from the point."

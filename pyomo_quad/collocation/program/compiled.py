@@ -1,4 +1,8 @@
-"""The continuous model as CasADi functions of one collocation point, mapped over many."""
+"""The continuous model as CasADi functions of a single collocation point.
+
+The functions are compiled once per model, independently of the mesh, and evaluated at all points by
+CasADi's `map`.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +32,7 @@ _CHUNK = 512
 
 
 class MappedFunction:
-    """One function of one point, evaluated at `n` points without copying.
+    """CasADi function of a single point, evaluated at many points without copying arrays.
 
     Parameters
     ----------
@@ -58,13 +62,22 @@ class MappedFunction:
             self._chunks.append((slice(start, start + size), *made[size]))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle without the buffers, which each copy allocates anew."""
+        """Pickle the constructor's arguments without buffers, which each copy allocates anew."""
         return type(self), self._arguments
 
     def __call__(self, *inputs: FloatArray) -> list[FloatArray]:
-        """Return each output as an array of shape (n, rows).
+        """Evaluate the function at all points.
 
-        Inputs are (n, columns), shared ones (columns,).
+        Parameters
+        ----------
+        inputs : ndarray, shape (n, n_columns)
+            Each input of the function, one row per point; shared inputs have the shape
+            (n_columns,).
+
+        Returns
+        -------
+        list of ndarray, shape (n, n_rows)
+            Each output of the function, one row per point.
         """
         outputs = [np.zeros(shape) for shape in self._shapes]
         held = [np.ascontiguousarray(array, dtype=float) for array in inputs]
@@ -81,11 +94,12 @@ class MappedFunction:
 
 
 def set_outputs_aside(declared: Declarations) -> Declarations:
-    """Separate output states and their equations from the declarations.
+    """Move output states and their equations out of the nonlinear program.
 
-    A state is an output if its symbol and rate appear in one equality only, it has no bounds, and
-    it is fixed at the start and nowhere else. Repetition finds outputs that feed other outputs
-    only.
+    An output state affects neither the objective nor other equations, for example an energy that is
+    only reported. A state is one if its symbol and its rate appear in a single equality, it has no
+    bounds, and it is fixed at the start and nowhere else. The search is repeated, which finds
+    output states that affect other output states only.
     """
     while True:
         found = _one_output(declared)
@@ -108,10 +122,15 @@ def set_outputs_aside(declared: Declarations) -> Declarations:
 
 
 def _names_at(declared: Declarations, slot: Slot) -> frozenset[str]:
+    """Return the names of the symbols that stand for a variable's values at declared times."""
     return frozenset(p.symbol.name() for p in declared.point_symbols if p.slot == slot.name)
 
 
 def _one_output(declared: Declarations) -> tuple[Slot, PathEquation] | None:
+    """Return a state that nothing else depends on, with its equation, or None.
+
+    The criteria are those of `set_outputs_aside`.
+    """
     uses = Counter[str]()
     for equation in declared.equations:
         uses.update(
@@ -142,7 +161,7 @@ def _one_output(declared: Declarations) -> tuple[Slot, PathEquation] | None:
 
 
 def _held_at_start_only(declared: Declarations, slot: Slot) -> bool:
-    """Return whether conditions fix a variable at the start and appear nowhere else."""
+    """Return whether a state is fixed at the start and appears in no other condition."""
     names = _names_at(declared, slot)
     if names & symbol_names(declared.objective):
         return False
@@ -164,7 +183,19 @@ def _held_at_start_only(declared: Declarations, slot: Slot) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class SimpleBound:
-    """Limits of one variable, named `variable`; `slope` is its factor in the relation."""
+    """Bound on a single variable, as declared by the variable itself or by a constraint.
+
+    Attributes
+    ----------
+    name : str
+        Name of the variable or constraint that declares the bound.
+    variable : str
+        Name of the bounded variable's symbol.
+    slope : float
+        Factor of the variable in the constraint; 1 for a variable's own bounds.
+    lower, upper : casadi.SX
+        Bounds of the variable, as expressions of the data.
+    """
 
     name: str
     variable: str
@@ -174,7 +205,7 @@ class SimpleBound:
 
 
 def _own_limits(slot: Slot) -> SimpleBound:
-    """Return the declared bounds of a variable."""
+    """Return a variable's declared bounds in the form of a `SimpleBound`."""
     return SimpleBound(
         name=slot.name, variable=slot.name, slope=1.0, lower=slot.lower, upper=slot.upper
     )
@@ -183,15 +214,23 @@ def _own_limits(slot: Slot) -> SimpleBound:
 def split_simple_bounds(
     relations: tuple[Any, ...], variables: dict[str, Any], candidates: frozenset[str]
 ) -> tuple[tuple[Any, ...], tuple[SimpleBound, ...]]:
-    """Separate the relations that are bounds on one candidate variable from the rest.
+    """Separate constraints that bound a single variable from all other constraints.
+
+    Ipopt handles bounds of variables more efficiently than constraints.
 
     Parameters
     ----------
     relations : tuple of PathEquation or PointCondition
+        Constraints over time, or at declared times.
     variables : dict
-        Every variable symbol by name; anything else in a relation is a parameter.
+        Every variable symbol by name; any other symbol in a constraint is a parameter.
     candidates : frozenset of str
-        Variables that may be bounded in the nonlinear program.
+        Names of the variables that the nonlinear program can bound.
+
+    Returns
+    -------
+    tuple, tuple of SimpleBound
+        The other constraints, and the bounds.
     """
     others, bounds = [], []
     for relation in relations:
@@ -206,6 +245,7 @@ def split_simple_bounds(
 def _as_simple_bound(
     relation: PathEquation | PointCondition, variables: dict[str, Any], candidates: frozenset[str]
 ) -> SimpleBound | None:
+    """Return a constraint as a bound on its only variable; None if it has another form."""
     if isinstance(relation, PathEquation) and relation.is_equality:
         return None
     held = symbol_names(relation.expression) & set(variables)
@@ -228,11 +268,19 @@ IndexArray = NDArray[np.intp]
 
 @dataclass(frozen=True, kw_only=True)
 class DerivedFunctions:
-    """A vector function with its exact sparse Jacobian and the Hessian of a weighted sum.
+    """CasADi functions of a vector of expressions, its sparse Jacobian, and a weighted Hessian.
 
-    `values`, `jacobian` take (variables, data); `hessian` takes (variables, data, weights).
-    `jacobian` and `hessian` return nonzeros only, for the rows and columns listed; the
-    Hessian's are those of its lower triangle.
+    Attributes
+    ----------
+    values : casadi.Function
+        (variables, data) -> column of values.
+    jacobian : casadi.Function
+        (variables, data) -> nonzeros of the Jacobian with respect to the variables.
+    hessian : casadi.Function
+        (variables, data, weights) -> nonzeros of the lower triangle of the Hessian of weights .
+        values.
+    jacobian_rows, jacobian_columns, hessian_rows, hessian_columns : ndarray of int
+        Row and column of each nonzero.
     """
 
     values: Any
@@ -246,7 +294,21 @@ class DerivedFunctions:
 
 @dataclass(frozen=True, kw_only=True)
 class TableArguments:
-    """Arguments of tables in path equations and in conditions, and functions that evaluate them."""
+    """Arguments of interpolation tables, with functions that evaluate them.
+
+    They serve to check whether a solution reads a table outside its range.
+
+    Attributes
+    ----------
+    over_time : tuple of TableUse
+        Arguments in equations over time.
+    path : casadi.Function
+        (variables of a point, data of a point) -> values of these arguments.
+    in_conditions : tuple of TableUse
+        Arguments in conditions at declared times.
+    points : casadi.Function
+        (values at declared times, parameters) -> values of these arguments.
+    """
 
     over_time: tuple[TableUse, ...]
     path: Any
@@ -256,7 +318,40 @@ class TableArguments:
 
 @dataclass(frozen=True, kw_only=True)
 class CompiledModel:
-    """Functions of one point, functions of the conditions, and the meaning of their entries."""
+    """Compiled continuous model: CasADi functions of a point and of the conditions.
+
+    The data of a point are the fraction of the horizon, the time-dependent parameters and the
+    constant parameters. A condition is a constraint among values at declared times, static
+    variables (without time) and integrals.
+
+    Attributes
+    ----------
+    declared : Declarations
+        Variables, equations, conditions and objective in CasADi symbols.
+    path : DerivedFunctions
+        Path equations, then integrands, as functions of the rates, states, algebraic and static
+        variables of a point, and of the point's data.
+    points : DerivedFunctions
+        Conditions, then the objective, as functions of values at declared times, static variables
+        and integrals, and of the parameters.
+    path_bounds : casadi.Function
+        Data of a point -> lower and upper bounds of the path equations.
+    limits_over_time : casadi.Function
+        Data of a point -> lower and upper bounds in `limits`.
+    simple_point_bounds, simple_point_limits : tuple of SimpleBound, casadi.Function
+        Conditions that bound one value, and parameters -> their bounds.
+    condition_limits, static_limits : casadi.Function
+        Parameters -> lower and upper bounds of the conditions, and of the static variables.
+    times : casadi.Function
+        (static variables, parameters) -> start, free interior times and end of the horizon.
+    row_integrals : tuple of int
+        Integrals that enter the objective without a static variable of their own.
+    symbols : (casadi.SX, casadi.SX)
+        Symbols of the variables and the data of a point.
+    tables : TableArguments
+    static_of_integral : dict
+        Position of an integral -> position of the static variable that equals it.
+    """
 
     declared: Declarations
     path: DerivedFunctions
@@ -287,7 +382,10 @@ class CompiledModel:
         return self
 
     def scaled(self, magnitudes: Mapping[str, float]) -> CompiledModel:
-        """Return the model with other magnitudes of its variables, by slot or component name."""
+        """Return the model with other magnitudes of its variables, on which the scaling depends.
+
+        `magnitudes` maps names of variables or components to magnitudes.
+        """
         d = self.declared
         kinds = (d.states, d.algebraics, d.statics)
         states, algebraics, statics = (
@@ -301,12 +399,15 @@ class CompiledModel:
 
     @property
     def n_equations(self) -> int:
-        """Number of path equations at each point."""
+        """Number of path equations (equalities and inequalities) at each collocation point."""
         return len(self.declared.equations)
 
     @cached_property
     def limited(self) -> IndexArray:
-        """Position of the variable of each limit over time: states, then algebraic variables."""
+        """Position of the variable that each entry of `limits` bounds, shape (n_limits,).
+
+        Positions count the states first, then the algebraic variables.
+        """
         names = [s.name for s in (*self.declared.states, *self.declared.algebraics)]
         return np.array([names.index(limit.variable) for limit in self.limits], dtype=np.intp)
 
@@ -317,11 +418,17 @@ class CompiledModel:
 
 
 def _unpacked(parts: Packed) -> CompiledModel:
+    """Return the compiled model that a pickle contains."""
     return CompiledModel(**parts.unpacked())
 
 
 def compile_declarations(declared: Declarations) -> CompiledModel:
-    """Compile declarations to CasADi functions."""
+    """Compile the declarations of a model to CasADi functions.
+
+    States that nothing depends on are set aside to be solved for afterwards, constraints on a
+    single variable become bounds, and integrals that conditions use become static variables with a
+    constraint that defines them.
+    """
     if symbol_names(declared.objective) & _point_symbols(declared).keys():
         declared = set_outputs_aside(declared)
     declared = _with_integral_variables(with_moving_limits(declared))
@@ -345,7 +452,8 @@ def compile_declarations(declared: Declarations) -> CompiledModel:
     point_rows = [c.expression for c in conditions] + [declared.objective]
     path = stacked(rows), stacked(path_variables.values()), path_data
     points = stacked(point_rows), stacked(point_variables.values()), parameters
-    # Before there are derivatives: CasADi keeps those of a spline in it, and serialises them.
+    # Computed before derivatives exist: CasADi stores them in a spline's function, and would
+    # serialise them too.
     fingerprint = _fingerprint(declared, [_values("path", *path), _values("points", *points)])
     return CompiledModel(
         declared=declared,
@@ -372,15 +480,16 @@ def compile_declarations(declared: Declarations) -> CompiledModel:
 
 
 def _times(declared: Declarations, parameters: Any) -> Any:
+    """Return the CasADi function (static variables, parameters) -> times that bound the phases."""
     inputs = [_symbols(declared.statics), parameters]
     return casadi.Function("times", inputs, [stacked(declared.clock.times)])
 
 
 def with_moving_limits(declared: Declarations) -> Declarations:
-    """Rewrite limits that depend on static variables as relations with constant sides.
+    """Rewrite limits that depend on static variables as constraints with constant sides.
 
     A free time makes the time in a rule such as `m.x[t] <= t` depend on static variables, but the
-    sides of a relation and the bounds of a variable may depend on data alone.
+    sides of a constraint and the bounds of a variable may depend on data alone.
     """
     statics = symbol_names(_symbols(declared.statics))
 
@@ -411,7 +520,11 @@ def with_moving_limits(declared: Declarations) -> Declarations:
 
 
 def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> list[PathEquation]:
-    """Return relations whose sides depend on data alone; each moving side becomes a relation."""
+    """Return constraints equivalent to a path equation, with sides that depend on data alone.
+
+    `moves` tells whether a side depends on static variables; each such side becomes a constraint of
+    its own.
+    """
     below, above = moves(equation.lower), moves(equation.upper)
     if not (below or above):
         return [equation]
@@ -436,13 +549,13 @@ def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> l
 
 
 def _unless(unbounded: Any, none: Any) -> Any:
-    """Return a side of zero, or ``none`` where there is no limit."""
+    """Return 0 as the side of a limit, or the infinite side `none` where the limit is absent."""
     zero = casadi.SX(0)
     return zero if unbounded.is_zero() else casadi.if_else(unbounded, none, zero)
 
 
 def _moving_side(side: Any) -> tuple[Any, Any]:
-    """Return a side of a limit (zero where it is absent), and whether it is absent.
+    """Return a side of a limit (zero where it is absent), and an expression for its absence.
 
     A rule that skips a limit on a part of the horizon has an infinite side there: a sum of
     alternatives, each of which is zero where another alternative holds.
@@ -464,6 +577,7 @@ def _moving_side(side: Any) -> tuple[Any, Any]:
 def _table_arguments(
     declared: Declarations, path_variables: dict[str, Any], point_variables: dict[str, Any]
 ) -> TableArguments:
+    """Compile the functions that evaluate the arguments of all interpolation tables."""
     parameters = _symbols(declared.parameters)
     made: list[Any] = []
     for variables, data in (
@@ -472,7 +586,7 @@ def _table_arguments(
     ):
         symbols = stacked(variables.values())
         known = symbol_names(casadi.vertcat(symbols, data))
-        # An argument in an equation that was dropped holds symbols that no function has; skip it.
+        # Skip arguments in equations that were left out: no function has their symbols as inputs.
         uses = tuple(u for u in declared.table_uses if symbol_names(u.expression) <= known)
         rows = stacked([u.expression for u in uses])
         made += [uses, casadi.Function("table_arguments", [symbols, data], [rows])]
@@ -480,6 +594,7 @@ def _table_arguments(
 
 
 def _fingerprint(declared: Declarations, functions: list[Any]) -> str:
+    """Return a hash of the model's equations and names that does not depend on parameter values."""
     d = declared
     names = ["maximise" if d.maximise else "minimise", *(e.name for e in d.equations)]
     names += [slot.name for slot in (*d.states, *d.algebraics, *d.statics)]
@@ -488,32 +603,41 @@ def _fingerprint(declared: Declarations, functions: list[Any]) -> str:
 
 
 def _values(name: str, rows: Any, variables: Any, data: Any) -> Any:
+    """Return the CasADi function (variables, data) -> dense column of expressions."""
     return casadi.Function(name, [variables, data], [casadi.densify(rows)])
 
 
 def _anonymous(function: Any) -> str:
-    """Return the code of a function with anonymous symbols, whose names depend on time."""
+    """Return the text of a CasADi function with anonymous symbols instead of the model's symbols.
+
+    The names of the model's symbols contain declared times, as ``x[0.5]``, on which the text must
+    not depend.
+    """
     symbols = [casadi.SX.sym(f"i{k}", function.size1_in(k)) for k in range(function.n_in())]
     return str(casadi.Function("f", symbols, function.call(symbols)).serialize())
 
 
 def _limits(name: str, data: Any, items: tuple[Any, ...]) -> Any:
-    """Return the function of both sides of relations, bounds or variables."""
+    """Return the CasADi function from data to lower and upper sides of constraints or variables."""
     sides = [stacked([i.lower for i in items]), stacked([i.upper for i in items])]
     return casadi.Function(name, [data], sides)
 
 
 def stacked(expressions: Any) -> Any:
-    """Return expressions as a column, which may be empty."""
+    """Return CasADi expressions as a column vector, which may be empty."""
     return casadi.vertcat(casadi.SX(0, 1), *[casadi.SX(e) for e in expressions])
 
 
 def _symbols(slots: tuple[Slot, ...]) -> Any:
+    """Return the symbols of variables or parameters as a column vector."""
     return stacked([s.symbol for s in slots])
 
 
 def _path_symbols(declared: Declarations) -> dict[str, Any]:
-    """Return the variables of a point by name, in the order of the point's vector."""
+    """Return the symbols of a point's variables by name, in the order of the point's vector.
+
+    The order is: rates, states, algebraic variables, static variables.
+    """
     symbols = {s.rate.name(): s.rate for s in declared.states}
     for slots in (declared.states, declared.algebraics, declared.statics):
         symbols |= {s.symbol.name(): s.symbol for s in slots}
@@ -521,7 +645,10 @@ def _path_symbols(declared: Declarations) -> dict[str, Any]:
 
 
 def _point_symbols(declared: Declarations) -> dict[str, Any]:
-    """Return the variables of the conditions and the objective by name, in order."""
+    """Return the symbols of the variables in conditions and objective by name, in order.
+
+    The order is: values at declared times, static variables, integrals without a static variable.
+    """
     symbols = {p.symbol.name(): p.symbol for p in declared.point_symbols}
     symbols |= {s.symbol.name(): s.symbol for s in declared.statics}
     return symbols | {
@@ -530,6 +657,10 @@ def _point_symbols(declared: Declarations) -> dict[str, Any]:
 
 
 def _boundable_at_points(declared: Declarations) -> frozenset[str]:
+    """Return the names of quantities in conditions that the nonlinear program can bound.
+
+    They are values of states at declared times, and static variables.
+    """
     states = {s.name for s in declared.states}
     at_points = {
         p.symbol.name() for p in declared.point_symbols if p.slot in states and not p.is_rate
@@ -538,13 +669,15 @@ def _boundable_at_points(declared: Declarations) -> frozenset[str]:
 
 
 def _is_static(declared: Declarations, name: str) -> bool:
+    """Return whether a static variable has the given name."""
     return any(s.name == name for s in declared.statics)
 
 
 def _with_integral_variables(declared: Declarations) -> Declarations:
     """Add a static variable for each integral that does not enter the objective linearly.
 
-    Its defining equation is one dense row; an objective that is linear in its integrals needs none.
+    The constraint that defines it is a single dense row of the program; an objective that is linear
+    in its integrals needs none.
     """
     in_conditions = symbol_names(stacked([c.expression for c in declared.conditions]))
     variables = symbol_names(
@@ -561,6 +694,7 @@ def _with_integral_variables(declared: Declarations) -> Declarations:
 
 
 def _derive(name: str, rows: Any, variables: Any, data: Any) -> DerivedFunctions:
+    """Return CasADi functions of a column of expressions and of its derivatives."""
     jacobian = casadi.jacobian(rows, variables)
     weights = casadi.SX.sym("weights", rows.shape[0])
     hessian = casadi.tril(casadi.hessian(casadi.dot(weights, rows), variables)[0])
@@ -580,4 +714,5 @@ def _derive(name: str, rows: Any, variables: Any, data: Any) -> DerivedFunctions
 
 
 def _nonzeros(matrix: Any) -> Any:
+    """Return the nonzeros of a sparse CasADi matrix as a column vector."""
     return casadi.vertcat(casadi.SX(0, 1), *matrix.nonzeros())

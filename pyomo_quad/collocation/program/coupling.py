@@ -1,9 +1,9 @@
 """Problems with several horizons: their declarations, their coupling, and the joint program.
 
-A constraint over a continuous set, or on values of one set alone, belongs to that horizon. All
-other constraints and the objective see a horizon through static variables that equal its values at
-declared times and its integrals. The program holds each horizon's own unknowns first, then the
-shared static variables.
+A constraint over a continuous set, or on values of one set alone, belongs to that set's horizon.
+The objective and all other constraints form the coupling. The coupling contains values of a horizon
+at declared times, and its integrals, in the form of static variables that are equal to them. The
+joint nonlinear program has the unknowns of each horizon first, then the static variables.
 """
 
 from __future__ import annotations
@@ -46,9 +46,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Link:
-    """Static variable that equals a value of one horizon.
+    """Static variable that stands for a value of a horizon in constraints on several horizons.
 
-    `state` is given if the value is an unknown itself: a state at a node.
+    Attributes
+    ----------
+    slot : Slot
+        The static variable.
+    reader : ModelReader
+        Reader of the horizon's declarations.
+    value : casadi.SX
+        The value in the symbols of the horizon.
+    time : float
+        Declared time of the value.
+    state : PointSymbol, optional
+        Given if the value is a state at a node, and thus an unknown of the horizon's program
+        itself.
     """
 
     slot: Slot
@@ -59,18 +71,20 @@ class Link:
 
     @property
     def condition(self) -> PointCondition:
-        """The condition on the horizon that the variable equals the value."""
+        """Condition of the horizon's program: the static variable equals the horizon's value."""
         zero, difference = casadi.SX(0), casadi.SX(self.value) - self.slot.symbol
         return PointCondition(name=self.slot.name, expression=difference, lower=zero, upper=zero)
 
 
 class CouplingWriter(TemplateWriter):
-    """Writer of constraints that couple horizons, with static variables for their values.
+    """Writer of the constraints and the objective that couple several horizons.
+
+    It replaces each value of a horizon by a static variable that equals it.
 
     Attributes
     ----------
     links : dict
-        These variables, by the name of the value that each one replaces.
+        These static variables, by the name of the value that each one replaces.
     """
 
     def __init__(self, readers: list[ModelReader], statics: dict[str, Slot]) -> None:
@@ -81,12 +95,15 @@ class CouplingWriter(TemplateWriter):
         super().__init__(WorkingCopy(model=readers[0].copy.model, others=times), {}, statics)
 
     def write_objective(self, objective: Any) -> Any:
-        """Return the objective, in which values at any declared time are allowed."""
+        """Return the objective as a CasADi expression; it may use values at any declared time."""
         self._in_objective = True
         return casadi.SX(self.write(objective.expr, objective.name))
 
     def leaf(self, data: Any) -> Any:
-        """Return the symbol of a variable or parameter."""
+        """Return the symbol for a Pyomo variable or parameter in a constraint on several horizons.
+
+        For a value of a horizon this is the symbol of the static variable that equals it.
+        """
         over = self.copy.other_of(data.parent_component())
         if over is None:
             return super().leaf(data)
@@ -114,6 +131,10 @@ class CouplingWriter(TemplateWriter):
         return self.links[data.name].slot.symbol
 
     def _refuse_interior(self, reader: ModelReader, data: Any) -> None:
+        """Raise an error for a value of a horizon that cannot appear in what couples horizons.
+
+        These are parameters at a single time, and values at interior times in a constraint.
+        """
         declared, name = reader.copy.declared_times, reader.copy.time.name
         is_end = reader.addresses.of(data).time in (declared[0], declared[-1])
         if not data.is_variable_type():
@@ -129,7 +150,10 @@ class CouplingWriter(TemplateWriter):
             )
 
     def named(self, expression: Any) -> Any:
-        """Return the replacement of a named expression, None to keep its own expression."""
+        """Return the replacement of a named expression, None to keep the expression itself.
+
+        The integrals of all horizons are replaced by their symbols.
+        """
         component = expression.parent_component()
         if component is not None and component.ctype is PyomoIntegral:
             for reader in self._readers:
@@ -140,7 +164,7 @@ class CouplingWriter(TemplateWriter):
 
 @dataclass(frozen=True, kw_only=True)
 class CoupledDeclarations:
-    """The declarations of a model with several horizons.
+    """Declarations of a model with several horizons, separated by horizon.
 
     Attributes
     ----------
@@ -149,7 +173,8 @@ class CoupledDeclarations:
     coupling : Declarations, ModelReader
         The objective, and the conditions on values of several horizons or of none.
     states : dict
-        Static variables of the coupling that equal values of states, by name: horizon and value.
+        Static variables of the coupling that equal states of a horizon, by name: name of the
+        horizon, and the state with its time.
     links : tuple of str
         Names of the other static variables that equal values of a horizon; the conditions on the
         horizons that impose the equalities have the same names.
@@ -164,10 +189,16 @@ class CoupledDeclarations:
 def read_horizons(model: Any, times: FreeTimes | None) -> CoupledDeclarations:
     """Read the declarations of a model with several continuous sets.
 
+    Parameters
+    ----------
+    model : ConcreteModel
+    times : mapping, optional
+        Name of the set -> declared time -> static variable that replaces it.
+
     Raises
     ------
     TranscriptionError
-        If it declares something unsupported or incomplete; the message names it.
+        If the model declares something unsupported or incomplete; the message names it.
     """
     free = free_times(continuous_sets(model), None, times)
     statics: dict[str, Slot] = {}
@@ -213,7 +244,20 @@ def read_horizons(model: Any, times: FreeTimes | None) -> CoupledDeclarations:
 def _refuse_gaps(
     conditions: list[PointCondition], links: list[Link], free: dict[str, dict[float, Any]]
 ) -> None:
-    """Refuse a condition that continues one horizon into another that starts at a later time."""
+    """Raise an error for a condition that links a horizon's end to another's later start.
+
+    Such a condition is meant to continue one phase in the next, but the declared times leave a gap
+    between them. A gap is accepted if a static variable replaces one of the two times.
+
+    Parameters
+    ----------
+    conditions : list of PointCondition
+        Conditions on several horizons.
+    links : list of Link
+        Static variables that stand for values of the horizons in them.
+    free : dict
+        Name of a continuous set -> declared time -> static variable that replaces it.
+    """
     for condition in conditions:
         names = symbol_names(condition.expression)
         pair = [link for link in links if link.slot.name in names]
@@ -232,7 +276,10 @@ def _refuse_gaps(
 
 
 def _own_cost(reader: ModelReader, cost: Any, in_conditions: frozenset[str]) -> tuple[Any, Any]:
-    """Split the cost into integrals over this horizon that enter it linearly, and the rest."""
+    """Split the cost into integrals over one horizon that enter it linearly, and the rest.
+
+    Integrals that also appear in conditions stay in the rest.
+    """
     own = casadi.SX(0)
     for integral in reader.writer.integrals.values():
         slope = casadi.jacobian(cost, integral.symbol)
@@ -243,7 +290,10 @@ def _own_cost(reader: ModelReader, cost: Any, in_conditions: frozenset[str]) -> 
 
 
 def _integrals_in(reader: ModelReader, names: frozenset[str]) -> list[Slot]:
-    """Return static variables for the integrals that appear in the coupling."""
+    """Return static variables for a horizon's integrals that are used outside the horizon.
+
+    `names` are the names of the symbols in objective and constraints on several horizons.
+    """
     return [
         integral.slot
         for integral in reader.writer.integrals.values()
@@ -252,12 +302,23 @@ def _integrals_in(reader: ModelReader, names: frozenset[str]) -> list[Slot]:
 
 
 def _with(declared: Declarations, statics: list[Slot]) -> Declarations:
+    """Return declarations with additional static variables."""
     return replace(declared, statics=(*declared.statics, *statics))
 
 
 @dataclass(frozen=True, kw_only=True)
 class StateValue:
-    """A state of one of several programs, at the node at a fraction of its horizon."""
+    """State of one horizon's nonlinear program at a node of its mesh.
+
+    Attributes
+    ----------
+    program : int
+        Position of the program among those of all horizons.
+    state : str
+        Name of the state.
+    fraction : float
+        Fraction of the horizon at which the mesh has the node.
+    """
 
     program: int
     state: str
@@ -268,15 +329,27 @@ Part = TypeVar("Part", "Bounds", "Scaling", "IpoptResult")
 
 
 class Union:
-    """Positions of the unknowns and rows of several programs in the joint program.
+    """Positions of several programs' unknowns and constraints in their joint nonlinear program.
 
     Static variables with the same name share one unknown.
 
     Parameters
     ----------
     programs : sequence of Transcription
+        Nonlinear programs of the horizons and of the coupling.
     states : mapping
-        Names of static variables that equal values of states, and these values.
+        Static variables, by name, that equal a state of a horizon, and thus share its unknown.
+
+    Attributes
+    ----------
+    unknowns : int
+        Number of unknowns of the joint program.
+    statics : dict
+        Position of each static variable by name.
+    places : list of ndarray of int
+        Positions of each program's unknowns in the joint program.
+    rows : list of slice
+        Positions of each program's constraints in the joint program.
     """
 
     def __init__(self, programs: Sequence[Transcription], states: Mapping[str, StateValue]) -> None:
@@ -307,14 +380,17 @@ class Union:
         self.rows = [slice(end - n, end) for end, n in zip(ends, counts, strict=True)]
 
     def joined(self, parts: Sequence[FloatArray]) -> FloatArray:
-        """Return the unknowns of the union; a shared unknown takes the first program's value."""
+        """Return the unknowns of the joint program from those of its parts.
+
+        A shared unknown takes the value from the first program that has it.
+        """
         whole = np.zeros(self.unknowns)
         for places, part in reversed(list(zip(self.places, parts, strict=True))):
             whole[places] = part
         return whole
 
     def bounds(self, parts: Sequence[Bounds]) -> Bounds:
-        """Return the intersection of the bounds.
+        """Return the bounds of the joint program; a shared unknown has the tightest of its bounds.
 
         Raises
         ------
@@ -336,11 +412,11 @@ class Union:
         )
 
     def part(self, whole: Part, k: int) -> Part:
-        """Return one program's part of bounds, scaling or a result of the union."""
+        """Return the part of bounds, scaling or Ipopt's result that belongs to the k-th program."""
         return whole.part(self.places[k], self.rows[k])
 
     def nominal(self, whole: Bounds, z: FloatArray) -> FloatArray:
-        """Return the magnitudes of the unknowns."""
+        """Return the magnitudes of the joint program's unknowns, shape (n_unknowns,)."""
         return self.joined(
             [
                 nominal_magnitudes(program, self.part(whole, k), z[self.places[k]])
@@ -349,7 +425,7 @@ class Union:
         )
 
     def multipliers(self, parts: Sequence[Multipliers]) -> Multipliers:
-        """Return the multipliers of the union."""
+        """Return the multipliers of the joint program from those of its parts."""
         return Multipliers(
             rows=np.concatenate([part.rows for part in parts]),
             lower=self.joined([part.lower for part in parts]),
@@ -359,50 +435,57 @@ class Union:
 
 @dataclass(frozen=True)
 class CoupledProgram:
-    """The sum of the programs of a union, in the form Ipopt asks for.
+    """Joint nonlinear program of several horizons: the sum of their programs, for Ipopt.
 
-    `programs` are those of the union, possibly with a penalty added to their objectives.
+    Attributes
+    ----------
+    union : Union
+        Positions of unknowns and constraints.
+    programs : tuple of NonlinearProgram
+        Programs of the horizons and of the coupling, possibly with a penalty added to an objective.
     """
 
     union: Union
     programs: tuple[NonlinearProgram, ...]
 
     def _parts(self, z: FloatArray) -> list[tuple[NonlinearProgram, FloatArray]]:
+        """Return each program together with its own unknowns, taken from the joint unknowns `z`."""
         held = (z[places] for places in self.union.places)
         return list(zip(self.programs, held, strict=True))
 
     @property
     def n_rows(self) -> int:
-        """Number of rows."""
+        """Number of constraints."""
         return sum(program.n_rows for program in self.programs)
 
     @property
     def n_points(self) -> int:
-        """Number of collocation points."""
+        """Number of collocation points on all horizons together."""
         return sum(program.n_points for program in self.programs)
 
     @property
     def is_negated(self) -> bool:
-        """Whether the declared objective is maximised."""
+        """Whether the declared objective is maximised, so that its negative is minimised."""
         return self.programs[0].is_negated
 
     def objective(self, z: FloatArray) -> float:
-        """Return the objective to minimise."""
+        """Return the objective to minimise at the unknowns `z`."""
         return sum(program.objective(own) for program, own in self._parts(z))
 
     def gradient(self, z: FloatArray) -> FloatArray:
-        """Return the gradient of the objective to minimise."""
+        """Return the gradient of the objective to minimise, shape (n_unknowns,)."""
         gradient = np.zeros(self.union.unknowns)
         for places, (program, own) in zip(self.union.places, self._parts(z), strict=True):
             gradient[places] += program.gradient(own)
         return gradient
 
     def constraints(self, z: FloatArray) -> FloatArray:
-        """Return the value of every row."""
+        """Return the values of the constraints, shape (n_rows,)."""
         return np.concatenate([program.constraints(own) for program, own in self._parts(z)])
 
     @cached_property
     def _jacobian(self) -> tuple[Any, Any]:
+        """Row and column indices of the nonzeros of the constraints' Jacobian."""
         found = []
         for rows, places, program in zip(
             self.union.rows, self.union.places, self.programs, strict=True
@@ -413,15 +496,16 @@ class CoupledProgram:
         return np.concatenate(every_row), np.concatenate(every_column)
 
     def jacobianstructure(self) -> tuple[Any, Any]:
-        """Return rows and columns of the Jacobian's nonzeros."""
+        """Return row and column indices of the nonzeros of the constraints' Jacobian."""
         return self._jacobian
 
     def jacobian(self, z: FloatArray) -> FloatArray:
-        """Return the Jacobian's nonzeros."""
+        """Return the nonzeros of the constraints' Jacobian, in the order of `jacobianstructure`."""
         return np.concatenate([program.jacobian(own) for program, own in self._parts(z)])
 
     @cached_property
     def _hessian(self) -> tuple[Any, Any]:
+        """Row and column indices of the lower triangle of the Lagrangian's Hessian."""
         found = []
         for places, program in zip(self.union.places, self.programs, strict=True):
             rows, columns = (places[held] for held in program.hessianstructure())
@@ -431,11 +515,11 @@ class CoupledProgram:
         return np.concatenate(every_row), np.concatenate(every_column)
 
     def hessianstructure(self) -> tuple[Any, Any]:
-        """Return rows and columns of the Lagrangian Hessian's lower triangle."""
+        """Return row and column indices of the lower triangle of the Lagrangian's Hessian."""
         return self._hessian
 
     def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
-        """Return the nonzeros of the Lagrangian's Hessian."""
+        """Return the nonzeros of the Hessian of factor * objective + multipliers . constraints."""
         return np.concatenate(
             [
                 program.hessian(own, multipliers[rows], factor)

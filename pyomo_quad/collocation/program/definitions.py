@@ -18,17 +18,18 @@ if TYPE_CHECKING:
 _SAME = 1e-9
 # Relative displacement of all variables (absolute below 1) between these two points.
 _AWAY = 0.5
-# Fraction of the largest residual before that may remain for a value to be accepted.
+# Fraction of the largest initial residual that may remain for computed values to be accepted.
 _LEFT = 1e-6
 
-#: A path equation, the algebraic variable that it defines, and the variable's coefficient in it.
+#: Position of a path equation, position of the algebraic variable that it defines, and constant
+#: coefficient of that variable in the equation.
 Definition = tuple[int, int, float]
 
 
 def definitions(
     program: Transcription, z: FloatArray, among: Iterable[int] | None = None
 ) -> list[Definition]:
-    """Return the equations without rates that define one algebraic variable each.
+    """Find equations without rates that define one algebraic variable each.
 
     An equation defines the only variable that has a constant coefficient in it, apart from
     variables that other equations define: ``k == exp(-1 / x)`` defines k and leaves x free; ``p - q
@@ -37,10 +38,15 @@ def definitions(
     Parameters
     ----------
     program : Transcription
-    z : ndarray
+    z : ndarray, shape (n_unknowns,)
         Point at which the coefficients are evaluated.
     among : iterable of int, optional
         Positions of the algebraic variables that may be defined; all by default.
+
+    Returns
+    -------
+    list of Definition
+        Each is a tuple: position of the equation, position of the variable, its coefficient.
     """
     compiled, layout, path = program.compiled, program.layout, program.compiled.path
     n, count = layout.n_states, layout.n_algebraics
@@ -75,10 +81,24 @@ def definitions(
 def with_defined(
     program: Transcription, variables: FloatArray, data: FloatArray, given: list[Definition]
 ) -> FloatArray:
-    """Return variables at points, one row each, with the defined variables solved for.
+    """Solve for the algebraic variables that equations define, at several points.
 
     Definitions may depend on each other. If they do so in a circle and the residuals do not
     decrease, the variables are returned unchanged.
+
+    Parameters
+    ----------
+    program : Transcription
+    variables : ndarray, shape (n_points, n_variables)
+        Rates, states, algebraic and static variables, one row per point.
+    data : ndarray, shape (n_points, n_data)
+        Fraction of the horizon and parameters, one row per point.
+    given : list of Definition
+        Result of `definitions`.
+
+    Returns
+    -------
+    ndarray, shape (n_points, n_variables)
     """
     if not given:
         return variables

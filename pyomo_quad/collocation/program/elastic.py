@@ -1,9 +1,10 @@
-"""Elastic programs: rows with penalised slacks, and the infeasibility verdict from them.
+"""Elastic programs: nonlinear programs whose constraints may be violated at a penalty.
 
-With the objective, and slacks in the equations over time, an elastic program leads to a point that
-satisfies these equations. Without the objective, and with slacks in every row, its optimum is the
-least sum of violations. A positive sum shows that no choice of the unknowns within their bounds,
-near the point where the search ended, satisfies all rows.
+With the objective, and slacks (violations) in the equations over time, the optimum of an elastic
+program is an initial point near which these equations can be satisfied. Without the objective, and
+with slacks in every constraint, the optimum is the least sum of violations. A positive sum shows
+that no choice of the unknowns within their bounds, near the point where the search ended, satisfies
+all constraints: the verdict "infeasible".
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.program.nonlinear import Bounds, NonlinearProgram, Scaling
     from pyomo_quad.collocation.program.transcription import Transcription
 
-# Penalty for a unit of slack in every scaled equation at all times, beside the scaled objective.
+# Penalty for a unit of slack in a scaled equation throughout the horizon, relative to a scaled
+# objective of about 1.
 _PRICE = 1e4
 # Slack added at the first point to the slack that its residuals need, so that none is at its bound.
 _ROOM = 0.1
@@ -43,10 +45,28 @@ _BARRIERS = ("adaptive", "monotone")
 def _with_slacks(
     program: NonlinearProgram, rows: NDArray[np.intp], sizes: FloatArray, prices: FloatArray, n: int
 ) -> ExtendedProgram:
-    """Return a program of n unknowns whose chosen rows have penalised slacks of either sign.
+    """Return a program of n unknowns in which some constraints have penalised slacks.
 
-    The slacks above come first, then those below; `sizes` are the changes of the rows per unit of
-    slack, `prices` the penalties per unit of slack.
+    Each chosen constraint has two non-negative slacks, so that it may be violated in either
+    direction.
+
+    Parameters
+    ----------
+    program : NonlinearProgram
+    rows : ndarray of int, shape (k,)
+        The chosen constraints.
+    sizes : ndarray, shape (k,)
+        Change of each constraint's value per unit of slack.
+    prices : ndarray, shape (k,)
+        Penalty per unit of slack.
+    n : int
+        Number of unknowns of the program.
+
+    Returns
+    -------
+    ExtendedProgram
+        With 2 k more unknowns: first the slacks that increase the values, then those that decrease
+        them.
     """
     slacks = n + np.arange(2 * rows.size)
     entries = np.append(sizes, -sizes), (np.tile(rows, 2), slacks)
@@ -62,7 +82,11 @@ def _solved(
     options: SolverOptions,
     progress: Progress | None,
 ) -> IpoptResult:
-    """Solve from a point of the program, with the slacks that its residuals need."""
+    """Solve an elastic program from a point of the original program.
+
+    The initial slacks are those that the constraints' violations at that point require, plus a
+    margin.
+    """
     values = elastic.program.constraints(near)
     by_slack = elastic.terms[:, near.size :].tocoo()
     needed = np.where(
@@ -83,9 +107,10 @@ def _solved(
 
 
 def priced(program: Transcription, scaling: Scaling, z: FloatArray) -> ExtendedProgram:
-    """Return a program in which slacks, at a penalty, may violate the equations over time.
+    """Return a program whose equations over time may be violated by slacks at a penalty.
 
-    The slacks are in units of each equation's scale; the penalty is weighted by the quadrature.
+    The slacks are in units of each equation's scale. The penalty per unit of slack is weighted by
+    the quadrature weight of the collocation point, so that it does not depend on the mesh.
     """
     is_equality, mesh = program.compiled.is_equality, program.mesh
     rows = np.flatnonzero(np.tile(is_equality, program.n_points))
@@ -103,7 +128,21 @@ def elastic_point(
     options: SolverOptions,
     progress: Progress | None,
 ) -> FloatArray:
-    """Return the unknowns at the optimum of the elastic program, from a first point."""
+    """Return the unknowns at the optimum of an elastic program, as an initial point of a solve.
+
+    The equations over time may be violated at a penalty; the result lies within the bounds. Shape
+    (n_unknowns,).
+
+    Parameters
+    ----------
+    program, bounds, scaling
+        The nonlinear program on one mesh.
+    z : ndarray, shape (n_unknowns,)
+        Initial point of the elastic program.
+    options : SolverOptions
+    progress : callable or None
+        Called at each iteration; returning False stops the solve.
+    """
     elastic = priced(program, scaling, z)
     result = _solved(elastic, z, bounds, scaling, options, progress)
     return np.clip(elastic.split(result.z)[0], bounds.lower, bounds.upper)
@@ -111,16 +150,16 @@ def elastic_point(
 
 @dataclass(frozen=True, kw_only=True)
 class LeastViolation:
-    """Optimum of the elastic program without the objective: the least violation of the rows.
+    """Point of least constraint violation: optimum of the elastic program without the objective.
 
     Attributes
     ----------
-    z : ndarray
-        The unknowns at that optimum.
+    z : ndarray, shape (n_unknowns,)
+        The unknowns at that optimum, within their bounds.
     slacks : ndarray, shape (n_rows,)
-        Violation of each row, as a fraction of the row's largest term.
+        Violation of each constraint, in units of its scale, about its largest term.
     result : IpoptResult
-        The result of the elastic program.
+        Ipopt's result for the elastic program.
     """
 
     z: FloatArray
@@ -129,17 +168,17 @@ class LeastViolation:
 
     @property
     def is_positive(self) -> bool:
-        """Whether the search converged and some row remains violated."""
+        """Whether the search converged and at least one constraint remains violated."""
         return self.result.is_converged and bool(np.any(self.slacks > MET))
 
     @property
     def is_zero(self) -> bool:
-        """Whether the search found a point that satisfies every row."""
+        """Whether the search converged to a point that satisfies every constraint."""
         return self.result.is_converged and not self.is_positive
 
     @property
     def worst_rows(self) -> NDArray[np.intp]:
-        """Violated rows, the worst first."""
+        """Indices of the violated constraints, the worst first."""
         order = np.argsort(-self.slacks, kind="stable")
         return order[self.slacks[order] > MET]
 
@@ -153,12 +192,28 @@ def least_violation(
     options: SolverOptions,
     progress: Progress | None,
 ) -> LeastViolation:
-    """Find a point of least constraint violation: a minimum of the penalised slacks of all rows.
+    """Find a point at which the sum of scaled constraint violations is least.
 
-    Each row may be violated by a slack, measured in units of the row's scale, at the same
-    penalty for every row (an l1 elastic program, without the objective). Ipopt's barrier
-    therefore leaves the same slack in each row, far below the threshold at which a row counts
-    as violated, on fine meshes as on coarse ones.
+    Each constraint may be violated by a slack, measured in units of the constraint's scale, at the
+    same penalty for every constraint (an l1 elastic program, without the objective). Ipopt's
+    barrier therefore leaves the same slack in each constraint, far below the threshold at which a
+    constraint counts as violated, on fine meshes as on coarse ones.
+
+    Parameters
+    ----------
+    program : NonlinearProgram
+    bounds : Bounds
+        Bounds of the unknowns, which are not relaxed, and of the constraints.
+    scaling : Scaling
+    z : ndarray, shape (n_unknowns,)
+        Point from which the search starts, and near which it stays where no slack is affected.
+    options : SolverOptions
+    progress : callable or None
+        Called at each iteration; returning False stops the search.
+
+    Returns
+    -------
+    LeastViolation
     """
     is_limit = np.isfinite(bounds.row_lower) | np.isfinite(bounds.row_upper)
     rows = np.flatnonzero(is_limit)

@@ -1,10 +1,10 @@
-"""Trajectories that satisfy the equations of a fine mesh, near the optimum of a coarse mesh.
+"""Search for a trajectory that satisfies the equations of a fine mesh, near a given one.
 
 The optimum of a coarse mesh satisfies the equations at few points only, and violates them widely on
 a finer mesh. From there, Ipopt needs dozens of iterations to the optimum of the finer mesh, but few
 to a point that satisfies its equations, where this search stops. A small penalty on the distance
-from the initial point fixes the unknowns that hardly affect the objective. The bounds are relaxed
-slightly, because no iterate of an interior-point method lies on them.
+from the initial point determines the unknowns on which the objective hardly depends. The bounds are
+relaxed slightly, because no iterate of an interior-point method lies on them.
 """
 
 from __future__ import annotations
@@ -22,9 +22,10 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.program.ipopt import IpoptResult, Iteration, Progress
     from pyomo_quad.collocation.program.nonlinear import Bounds, NonlinearProgram, Scaling
 
-# Weight of the squared distances of the scaled unknowns, beside an objective scaled to about 1.
+# Weight of the squared distances of the scaled unknowns from the initial point, relative to an
+# objective that is scaled to about 1.
 _PROXIMITY = 1e-4
-# Barrier, and distance from the bounds, that the search begins with.
+# Initial barrier parameter, and initial distance from the bounds.
 _BEGUN = 1e-4
 _OPTIONS = SolverOptions(
     tolerance=1e-10,
@@ -51,14 +52,20 @@ def feasible_point(
     met: float,
     progress: Progress | None,
 ) -> IpoptResult:
-    """Return the first iterate near a point that satisfies all equations.
+    """Return the first iterate of Ipopt, from a given point, that satisfies all equations.
 
     Parameters
     ----------
+    program, bounds, scaling
+        The nonlinear program.
+    z : ndarray, shape (n_unknowns,)
+        Initial point, from which the result is to deviate little.
     breach : float
-        Allowed violation of bounds, relative to the larger of 1 and the bound.
+        Allowed violation of bounds, relative to max(1, abs(bound)).
     met : float
         Violation of the scaled equations below which they count as satisfied.
+    progress : callable or None
+        Called at each iteration; returning False stops the search.
 
     Returns
     -------
@@ -85,7 +92,7 @@ def feasible_point(
 
 
 def _widened(bounds: Bounds, breach: float) -> Bounds:
-    """Return bounds relaxed by a fraction of the larger of 1 and the bound; equations are kept."""
+    """Return bounds relaxed by `breach` times max(1, abs(bound)); equations are not relaxed."""
 
     def moved(lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
         is_open = lower < upper

@@ -1,6 +1,7 @@
-"""Ipopt through cyipopt: options, callbacks, history and the best iterate.
+"""Ipopt through cyipopt: settings, callbacks, progress, and the best iterate of a failed solve.
 
-The barrier's gap and role: see docs/theory/refinement.md, eq. (16).
+The barrier's complementarity gap and the role of the barrier: see docs/theory/refinement.md, eq.
+(16).
 """
 
 from __future__ import annotations
@@ -30,7 +31,11 @@ if TYPE_CHECKING:
 
 
 class Status(Enum):
-    """Outcome of a solve; TOLERANCE_NOT_MET: Ipopt converged, but the mesh refinement did not."""
+    """Outcome of a solve.
+
+    `TOLERANCE_NOT_MET`: Ipopt converged on the last mesh, but the mesh refinement did not reach its
+    tolerance. `INTERRUPTED`: a time limit or the user stopped the solve.
+    """
 
     CONVERGED = "converged"
     NOT_CONVERGED = "not_converged"
@@ -45,22 +50,23 @@ class Status(Enum):
 
     @property
     def has_failed(self) -> bool:
-        """Whether Ipopt failed or reported infeasibility; a poor initial guess may cause both."""
+        """Whether Ipopt failed or reported infeasibility; a poor initial guess may cause either."""
         return self in (Status.NOT_CONVERGED, Status.INFEASIBLE)
 
 
 # Relative relaxation of a bound where equations may leave it no interior.
 _RELAXED = 1e-10
-# Distances by which Ipopt pushes a warm start off its bounds: by default, where limits move, and
-# for small changes (multipliers included).
+# Distances by which Ipopt pushes a warm start off its bounds: by default; where the times at which
+# limits become active change; and for small changes (multipliers included).
 _NEAR, _INSIDE, _WELL_INSIDE = 1e-9, 1e-6, 1e-4
-# Least initial barrier parameter, and least multipliers, of a warm start where limits move.
+# Least initial barrier parameter, and least multipliers, of a warm start where the times at which
+# limits become active change.
 _BEGUN = 1e-8
 # Initial barrier parameter, and distance inside the bounds, of a warm start far from its optimum.
 _BEGUN_FAR, _FAR_INSIDE = 1e-5, 1e-4
 # Change of the scaled objective above which a warm start begins well inside its bounds.
 _LARGE_CHANGE = 1e-6
-# Barrier parameter, in units of Ipopt's tolerance, above which no solve ends.
+# Ipopt ends a solve only at a barrier parameter below this multiple of its tolerance.
 _ABOVE = 10.0
 # Initial barrier parameter of a warm start that is expected to change little.
 _LOW_BARRIER = 1e-10
@@ -74,7 +80,10 @@ _PUSHES = (
 
 
 class Way(Enum):
-    """Distance of a warm start from the point of the central path to find: none, short or far."""
+    """Expected distance of a warm start from its solution, which lies on the central path.
+
+    The central path is the curve of optima for positive barrier parameters.
+    """
 
     NONE = "none"
     SHORT = "short"
@@ -83,10 +92,19 @@ class Way(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class SolverOptions:
-    """Ipopt settings that a caller may change.
+    """Settings of Ipopt that a caller may change.
 
-    `tolerance` is Ipopt's `tol` on the scaled problem, derived from the tolerance of the
-    mesh where it is None; `max_wall_s` limits all meshes together; `extra` passes any Ipopt option.
+    Attributes
+    ----------
+    tolerance : float, optional
+        Ipopt's option `tol`, for the scaled problem; derived from the tolerance of the mesh
+        refinement by default.
+    max_iterations : int
+        Limit of iterations on each mesh.
+    max_wall_s : float, optional
+        Wall-clock time limit for all meshes together [s].
+    extra : tuple of (str, value)
+        Any further options of Ipopt, by name.
     """
 
     tolerance: float | None = None
@@ -95,21 +113,36 @@ class SolverOptions:
     extra: tuple[tuple[str, Any], ...] = ()
 
     def suiting(self, tolerance: float) -> SolverOptions:
-        """Return the settings with Ipopt's tolerance well below the mesh's, unless given."""
+        """Return settings whose `tol` is well below the tolerance of the mesh refinement.
+
+        A tolerance that the caller gave is kept.
+
+        Parameters
+        ----------
+        tolerance : float
+            Tolerance of the mesh refinement.
+        """
         if self.tolerance is not None:
             return self
         return replace(self, tolerance=float(np.clip(1e-3 * tolerance, 1e-11, _TOLERANCE)))
 
     def at_most(self, iterations: float) -> SolverOptions:
-        """Return the settings with a limit of iterations, unless they have a lower one."""
+        """Return the settings with a limit of iterations; a lower limit in them is kept.
+
+        Parameters
+        ----------
+        iterations : float
+            The limit; infinite for none.
+        """
         return replace(self, max_iterations=int(min(self.max_iterations, iterations)))
 
     def for_phases(self) -> SolverOptions:
         """Return the settings for equations that keep variables on their bounds for a phase.
 
         Examples are an engine at full thrust, or an empty tank. Such an equation and the bound
-        leave no interior, multipliers diverge, and a warm start from them is worse than a cold one.
-        Ipopt relaxes the bounds slightly and projects the result back onto them.
+        leave no interior, the multipliers diverge, and a warm start from diverged multipliers is
+        slower than a solve from the guess. Ipopt therefore relaxes the bounds slightly and projects
+        the result back onto them.
         """
         relaxed = (("bound_relax_factor", _RELAXED), ("honor_original_bounds", "yes"))
         return replace(self, extra=(*relaxed, *self.extra))
@@ -117,11 +150,19 @@ class SolverOptions:
     def on_the_path(self, parameter: float, way: Way) -> SolverOptions:
         """Return the settings for a warm start that converges to a point of the central path.
 
-        Among the many points of nearly equal cost, a barrier parameter selects one that moves
-        little from mesh to mesh, whereas the controls of the optimum jump between equivalent
-        places. A start next to that point stays on its bounds. A start far from it begins well
-        inside its bounds with a larger parameter: from its bounds, with the parameter aimed at, the
-        limits that become active or inactive one after another block nearly every step.
+        Among the many points of nearly equal cost, a positive barrier parameter selects a point
+        that moves little from mesh to mesh, whereas the controls of the optimum jump between
+        equivalent places. A start next to the selected point stays on its bounds. A start far from
+        it begins well inside its bounds with a larger parameter: if it began on its bounds, with
+        the final parameter, the limits that become active or inactive one after another would block
+        nearly every step.
+
+        Parameters
+        ----------
+        parameter : float
+            Final barrier parameter (Ipopt's `mu_target`), for the scaled objective.
+        way : Way
+            Expected distance of the start from that point.
         """
         begun, pushes = dict(self.extra).get("mu_init", _BEGUN), dict[str, float]()
         if way is Way.NONE:
@@ -133,14 +174,14 @@ class SolverOptions:
         return replace(self, extra=(("mu_target", parameter), *self.extra, *chosen))
 
     def for_a_change(self, change: float, sides: int) -> SolverOptions:
-        """Return the settings for a warm start whose objective is to change by a given amount.
+        """Return the settings for a warm start whose objective is expected to change by an amount.
 
         A barrier leaves a gap in the objective of its parameter times the number of bounds. A gap
-        larger than the expected change would first lead away from the warm start, and then back.
-        A parameter below Ipopt's own final one is replaced by the final one of the last solve:
-        Ipopt never changes a parameter that low, and the gap would differ from mesh to mesh.
+        larger than the expected change would first lead away from the warm start, and then back. A
+        parameter below Ipopt's own final one is replaced by the final one of the last solve: Ipopt
+        never changes a parameter that low, and the gap would differ from mesh to mesh.
 
-        A change that is not small moves the times at which limits become active. A start on its
+        A change that is not small shifts the times at which limits become active. A start on its
         bounds then blocks many iterations, and a start well inside the bounds does not.
 
         Parameters
@@ -171,8 +212,9 @@ class SolverOptions:
         """Return the settings for warm starts on meshes that differ in few elements.
 
         The usual barrier parameter would first move away from a start that is nearly optimal. With
-        a smaller one, controls of nearly no cost stay where the last mesh had them: measured on a
-        flight of 1 km against the wind, refined to five times as many points.
+        a smaller parameter, controls on which the objective hardly depends stay near their values
+        on the last mesh: measured on a flight of 1 km against the wind, refined to five times as
+        many points.
         """
         pushes = tuple((name, _WELL_INSIDE) for name in _PUSHES)
         return replace(self, extra=(*self.extra, ("mu_init", _LOW_BARRIER), *pushes))
@@ -180,7 +222,23 @@ class SolverOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class Iteration:
-    """One iteration of Ipopt's progress."""
+    """Progress report on one iteration of Ipopt.
+
+    Attributes
+    ----------
+    iteration : int
+        Number of the iteration, from 0 in each solve.
+    objective : float
+        Objective as declared.
+    infeasibility, dual_infeasibility : float
+        Largest violation of the scaled constraints, and of the scaled stationarity conditions.
+    barrier : float
+        Barrier parameter.
+    elapsed_s : float
+        Wall-clock time since the start of the solve [s].
+    mesh_points : int
+        Number of collocation points of the mesh.
+    """
 
     iteration: int
     objective: float
@@ -196,16 +254,20 @@ Progress = Callable[[Iteration], bool | None]
 
 @dataclass(kw_only=True)
 class Effort:
-    """A progress callback that stops several solves together at a limit of iterations or time.
+    """Progress callback that stops several solves together at a limit of iterations or time.
 
     Attributes
     ----------
+    progress : callable or None
+        The caller's own callback, which is called at each iteration within the limits.
     limits : (float, float)
         Iterations allowed in the first solve, and in all solves together.
     limit_s : float
         Wall-clock time allowed [s], counted from construction.
     first, count : int
-        Iterations used in the first solve, and in all.
+        Iterations used in the first solve, and in all solves.
+    solves : int
+        Number of solves so far.
     is_over : bool
         Whether a limit is exceeded.
     """
@@ -238,7 +300,26 @@ class Effort:
 
 @dataclass(frozen=True, kw_only=True)
 class IpoptResult:
-    """Point, multipliers and progress of a solve; `code` is Ipopt's own return code."""
+    """Result of a solve by Ipopt: point, multipliers and progress.
+
+    Attributes
+    ----------
+    status : Status
+    code : int
+        Ipopt's own return code.
+    message : str
+        Ipopt's own message.
+    z : ndarray, shape (n_unknowns,)
+        The solution; after a failure the iterate with the least constraint violation.
+    multipliers : Multipliers
+        Multipliers of constraints and bounds, for the unscaled program.
+    iterations : int
+        Number of iterations of the last solve.
+    history : tuple of Iteration
+        Progress report of each iteration.
+    wall_s : float
+        Wall-clock time [s].
+    """
 
     status: Status
     code: int
@@ -251,17 +332,37 @@ class IpoptResult:
 
     @property
     def is_converged(self) -> bool:
-        """Whether Ipopt met its tolerance."""
+        """Whether Ipopt converged to its tolerance."""
         return self.status is Status.CONVERGED
 
     def part(self, columns: Any, rows: Any) -> IpoptResult:
-        """Return the result restricted to chosen unknowns and rows."""
+        """Return the result restricted to chosen unknowns (`columns`) and constraints (`rows`)."""
         return replace(self, z=self.z[columns], multipliers=self.multipliers.part(columns, rows))
 
 
 @dataclass
 class _Callbacks:
-    """Callbacks for cyipopt; an exception is stored and raised again after Ipopt returns."""
+    """Callbacks that cyipopt calls during a solve; they record progress and the best iterate.
+
+    Ipopt cannot pass on an exception: it is stored in `error`, and raised again after Ipopt
+    returns.
+
+    Attributes
+    ----------
+    program : NonlinearProgram
+    progress : callable or None
+        The caller's callback, called at each iteration.
+    sign : float
+        -1 if the declared objective is maximised, else 1.
+    floor : float
+        Objective below which the problem counts as unbounded.
+    below : int
+        Number of consecutive iterations below the floor.
+    history : list of Iteration
+    best : (float, ndarray)
+        Constraint violation and unknowns of the best iterate so far.
+    error : exception or None
+    """
 
     program: NonlinearProgram
     progress: Progress | None
@@ -278,12 +379,13 @@ class _Callbacks:
 
     @property
     def is_bottomless(self) -> bool:
-        """Whether the objective stays below its floor, as an unbounded problem's does."""
+        """Whether the objective has stayed below its floor, which suggests an unbounded problem."""
         return self.below >= _PATIENCE_BELOW
 
     # Cached, because a program may rebuild its structure at each call.
     @cached_property
     def _sizes(self) -> dict[str, int]:
+        """Numbers of constraints, of nonzeros of the Jacobian, and of nonzeros of the Hessian."""
         program = self.program
         return {
             "constraints": program.n_rows,
@@ -292,7 +394,7 @@ class _Callbacks:
         }
 
     def _guarded(self, name: str, z: FloatArray, *more: Any) -> FloatArray:
-        """Evaluate the program; after its first exception return NaN."""
+        """Evaluate a function of the program at `z`; return NaN once any evaluation has raised."""
         if self.error is None:
             try:
                 return np.asarray(getattr(self.program, name)(z, *more))
@@ -301,25 +403,32 @@ class _Callbacks:
         return np.full(self._sizes.get(name, z.size), np.nan)
 
     def objective(self, z: FloatArray) -> float:
+        """Return the objective to minimise, for Ipopt."""
         return float(self._guarded("objective", z).flat[0])
 
     def gradient(self, z: FloatArray) -> FloatArray:
+        """Return the gradient of the objective to minimise, for Ipopt."""
         return self._guarded("gradient", z)
 
     def constraints(self, z: FloatArray) -> FloatArray:
+        """Return the values of the constraints, for Ipopt."""
         return self._guarded("constraints", z)
 
     def jacobianstructure(self) -> tuple[Any, Any]:
+        """Return row and column indices of the nonzeros of the constraints' Jacobian, for Ipopt."""
         return self.program.jacobianstructure()
 
     def jacobian(self, z: FloatArray) -> FloatArray:
+        """Return the nonzeros of the constraints' Jacobian, and record the iterate."""
         self.iterate = np.array(z)
         return self._guarded("jacobian", z)
 
     def hessianstructure(self) -> tuple[Any, Any]:
+        """Return row and column indices of the lower triangle of the Lagrangian's Hessian."""
         return self.program.hessianstructure()
 
     def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
+        """Return the nonzeros of the Lagrangian's Hessian, for Ipopt."""
         return self._guarded("hessian", z, multipliers, factor)
 
     def intermediate(
@@ -332,6 +441,11 @@ class _Callbacks:
         barrier: float,
         *_rest: Any,
     ) -> bool:
+        """Record an iteration and the best iterate; return False to stop Ipopt.
+
+        Ipopt stops after an exception, at the request of the caller's callback, or if the problem
+        is unbounded.
+        """
         if self.error is not None:
             return False
         line = Iteration(
@@ -391,13 +505,13 @@ _SOLVED, _INFEASIBLE, _STOPPED = 0, 2, 5
 _BOTTOMLESS, _PATIENCE_BELOW = -1e12, 5
 # Slack above which a bound counts as absent.
 _FAR = 1e19
-# Barrier gap that is accepted, relative to the objective's size and in units of Ipopt's tolerance;
-# and the least size of an objective, in units of its scaling.
+# Complementarity gap that is accepted, relative to the objective's magnitude and in units of
+# Ipopt's tolerance; and the least magnitude of an objective, in units of its scaling.
 _GAP_SHARE, _LEAST = 1e3, 1e-12
-#: Least size of the scaled objective that affects Ipopt's convergence test.
+#: Least magnitude of the scaled objective that affects Ipopt's convergence test.
 SEEN = 1e-6
-# Limits of repeated solves: their number, the tightening factor, the largest one at once, and the
-# iterations of each.
+# Limits of solves that are repeated with a larger factor on the objective: their number, the margin
+# on the factor, the largest factor at once, and the iterations of each.
 _SHARPENINGS, _AIMED, _LARGEST_STEP, _PATIENCE = 2, 10.0, 1e5, 100
 #: Ipopt's return codes for a solve that reached its time limit, and for one that diverged.
 TIME_LIMIT_CODE, DIVERGED_CODE = -5, 4
@@ -414,7 +528,26 @@ def run(
     multipliers: Multipliers | None = None,
     progress: Progress | None = None,
 ) -> IpoptResult:
-    """Solve the program from a point, with multipliers for a warm start.
+    """Solve a nonlinear program by Ipopt, from a point and, for a warm start, from multipliers.
+
+    Parameters
+    ----------
+    program : NonlinearProgram
+    bounds : Bounds
+        Bounds of the unknowns and constraints.
+    scaling : Scaling
+        Factors of the objective, the unknowns and the constraints.
+    start : ndarray, shape (n_unknowns,)
+        Initial point.
+    options : SolverOptions
+    multipliers : Multipliers, optional
+        Initial multipliers of a warm start.
+    progress : callable, optional
+        Called at each iteration; returning False stops the solve.
+
+    Returns
+    -------
+    IpoptResult
 
     Raises
     ------
@@ -467,9 +600,19 @@ def _with_idle_unknowns(
     If there are as many equations as free unknowns, Ipopt solves the equations alone: it stops at
     the first point that satisfies them, whatever the objective, and it refuses a program with more
     equations. Both are wrong if some equations follow from others, for example an end condition
-    that a conserved quantity satisfies: the feasible point is then not unique. An idle unknown
+    that a conserved quantity satisfies: the feasible point is then not unique. An added unknown
     appears as a square in the objective and in no equation, so that it stays zero and changes
     nothing else.
+
+    Parameters
+    ----------
+    program : NonlinearProgram
+    own : int
+        Number of its unknowns.
+    idle : int
+        Number of unknowns to add, which follow them.
+    weight : float
+        Weight of their squares in the objective.
     """
     return ExtendedProgram(
         program=program,
@@ -483,9 +626,10 @@ def _with_idle_unknowns(
 def barrier_gap(
     program: NonlinearProgram, bounds: Bounds, z: FloatArray, multipliers: Multipliers
 ) -> float:
-    """Return the sum of multipliers times slacks, in the unit of the objective.
+    """Return the complementarity gap: the sum of multipliers times slacks of all inequalities.
 
-    For a convex program it bounds the distance in the objective between the point and the optimum.
+    The gap is in the unit of the objective. For a convex program it bounds the difference of the
+    objective between the point `z` and the optimum.
     """
     rows, pull = program.constraints(z), multipliers.rows
     parts = (
@@ -510,15 +654,22 @@ def run_past_the_barrier(
 ) -> IpoptResult:
     """Solve as `run` does, and continue until the complementarity gap is small enough.
 
-    Ipopt stops when gap and gradients are small relative to the scaled objective. If the first
-    point is steep, its scaling makes the scaled objective so small that the gap may exceed the
-    objective itself. The solve is then repeated with a larger factor on the objective, until the
-    gap is a small fraction of it.
+    Ipopt stops when complementarity gap and gradients are small relative to the scaled objective.
+    If the initial point is steep, the scaling makes the scaled objective so small that the gap may
+    exceed the objective itself. The solve is then repeated with a larger factor on the objective,
+    until the gap is a small fraction of the objective.
 
     Parameters
     ----------
+    program, bounds, scaling, start, options, multipliers, progress
+        As in `run`.
     size : callable
-        Returns the size of the objective's parts at a point.
+        Unknowns -> magnitude of the objective, as the sum of the magnitudes of its parts.
+
+    Returns
+    -------
+    IpoptResult
+        History and time are those of all solves.
     """
     solve = partial(run, program, bounds, progress=progress)
     result = solve(scaling, start, options=options, multipliers=multipliers)
@@ -547,6 +698,7 @@ def run_past_the_barrier(
 
 
 def _set_options(problem: Any, options: SolverOptions, *, is_warm: bool) -> None:
+    """Pass the default settings, those of a warm start, and the caller's options to Ipopt."""
     chosen = _DEFAULTS | {
         "tol": options.tolerance or _TOLERANCE,
         "max_iter": options.max_iterations,
@@ -567,6 +719,15 @@ def _set_options(problem: Any, options: SolverOptions, *, is_warm: bool) -> None
 def _result(
     callbacks: _Callbacks, z: FloatArray, info: dict[str, Any], wall: float, *, stopped: bool
 ) -> IpoptResult:
+    """Return the outcome of Ipopt as an `IpoptResult`.
+
+    A failed solve gives the iterate with the least constraint violation.
+
+    Raises
+    ------
+    MemoryError
+        If Ipopt ran out of memory.
+    """
     code = _STOPPED if stopped else int(info["status"])
     if code == _NO_MEMORY:
         raise MemoryError("Ipopt: not enough memory for the matrices of this mesh")

@@ -1,4 +1,7 @@
-"""Availability of linear solvers: requesting an absent solver may end the process."""
+"""Check that the linear solver that Ipopt is to use can be loaded.
+
+Without this check, an absent solver would make the solve fail, or end the whole process.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +44,7 @@ sys.exit(problem.solve(numpy.ones(1))[1]["status"] != 0)
 
 
 def refuse_absent_solver(options: Mapping[str, Any]) -> None:
-    """Raise an error for options with a linear solver that this Ipopt cannot load.
+    """Raise an error if Ipopt's options name a linear solver that Ipopt cannot load.
 
     Raises
     ------
@@ -60,7 +63,10 @@ def refuse_absent_solver(options: Mapping[str, Any]) -> None:
 
 @lru_cache
 def _is_loaded(options: str) -> bool:
-    """Return whether Ipopt solves a small problem with these options, in a separate process."""
+    """Return whether Ipopt solves a small problem with the given options, in a separate process.
+
+    `options` is a JSON text of option names and values.
+    """
     try:
         probe = subprocess.run(  # noqa: S603  our own interpreter and program
             [sys.executable, "-c", _PROBE, options],

@@ -1,7 +1,8 @@
-"""Nonlinear programs: their interface, bounds, scaling and multipliers, and their extension.
+"""Nonlinear programs (NLPs): interface, bounds, scaling, multipliers, and extension.
 
-An `ExtendedProgram` is a program with more unknowns, more linear rows and quadratic costs. Elastic
-programs, bounds between the points, damped controls and idle unknowns are such extensions.
+An `ExtendedProgram` adds unknowns, linear constraints and quadratic costs to a program. It serves
+elastic programs (constraints with penalised slacks), bounds between the collocation points, damped
+controls, and unknowns that keep Ipopt from treating a program as square.
 """
 
 from __future__ import annotations
@@ -22,7 +23,14 @@ _NONE: FloatArray = np.zeros(0)
 
 @dataclass(frozen=True, kw_only=True)
 class Bounds:
-    """Lower and upper bounds of unknowns, shape (n,), and rows, shape (m,)."""
+    """Bounds of a nonlinear program: of n unknowns, and of m constraints ("rows").
+
+    Attributes
+    ----------
+    lower, upper : ndarray, shape (n,)
+    row_lower, row_upper : ndarray, shape (m,)
+        Equal for an equation, infinite where a constraint has no bound.
+    """
 
     lower: FloatArray
     upper: FloatArray
@@ -31,13 +39,13 @@ class Bounds:
 
     @property
     def surplus(self) -> int:
-        """Number of equations minus number of free unknowns."""
+        """Number of equations minus number of free unknowns, those whose bounds are not equal."""
         equations = int(np.sum(self.row_lower == self.row_upper))
         return equations - int(np.sum(self.lower < self.upper))
 
     @property
     def sides(self) -> int:
-        """Number of inequality bounds, those with an interior."""
+        """Number of finite inequality bounds: lower and upper bounds that are not equal."""
         pairs = ((self.lower, self.upper), (self.row_lower, self.row_upper))
         return sum(
             int(np.count_nonzero(np.isfinite(side) & (lower < upper)))
@@ -46,7 +54,7 @@ class Bounds:
         )
 
     def part(self, columns: Any, rows: Any) -> Bounds:
-        """Return the bounds of chosen unknowns and rows."""
+        """Return the bounds of chosen unknowns (`columns`) and constraints (`rows`)."""
         return Bounds(
             lower=self.lower[columns],
             upper=self.upper[columns],
@@ -59,7 +67,7 @@ class Bounds:
         unknowns: tuple[FloatArray, FloatArray] = (_NONE, _NONE),
         rows: tuple[FloatArray, FloatArray] = (_NONE, _NONE),
     ) -> Bounds:
-        """Return these bounds extended by the bounds of further unknowns and rows."""
+        """Return these bounds followed by (lower, upper) bounds of more unknowns and rows."""
         return Bounds(
             lower=np.append(self.lower, unknowns[0]),
             upper=np.append(self.upper, unknowns[1]),
@@ -70,7 +78,16 @@ class Bounds:
 
 @dataclass(frozen=True, kw_only=True)
 class Scaling:
-    """Factors that multiply the objective, the unknowns and the rows."""
+    """Scaling of a nonlinear program: factors of the objective, the unknowns and the constraints.
+
+    Attributes
+    ----------
+    objective : float
+    unknowns : ndarray, shape (n_unknowns,)
+        Inverse magnitudes of the unknowns.
+    rows : ndarray, shape (n_rows,)
+        Factors of the constraints.
+    """
 
     objective: float
     unknowns: FloatArray
@@ -78,17 +95,17 @@ class Scaling:
 
     @property
     def none(self) -> Scaling:
-        """Return factors that are all 1."""
+        """The identity scaling, with all factors 1."""
         return Scaling(
             objective=1.0, unknowns=np.ones_like(self.unknowns), rows=np.ones_like(self.rows)
         )
 
     def part(self, columns: Any, rows: Any) -> Scaling:
-        """Return the factors of chosen unknowns and rows."""
+        """Return the factors of chosen unknowns (`columns`) and constraints (`rows`)."""
         return replace(self, unknowns=self.unknowns[columns], rows=self.rows[rows])
 
     def extended(self, unknowns: int = 0, rows: FloatArray = _NONE) -> Scaling:
-        """Return these factors followed by 1 for more unknowns, and by factors of more rows."""
+        """Return these factors followed by 1 for new unknowns, and by factors of new rows."""
         return replace(
             self,
             unknowns=np.append(self.unknowns, np.ones(unknowns)),
@@ -98,20 +115,28 @@ class Scaling:
 
 @dataclass(frozen=True, kw_only=True)
 class Multipliers:
-    """Multipliers of rows and of lower and upper bounds, for the unscaled program."""
+    """Lagrange multipliers of constraints, lower and upper bounds, for the unscaled program.
+
+    Attributes
+    ----------
+    rows : ndarray, shape (n_rows,)
+        Multipliers of the constraints.
+    lower, upper : ndarray, shape (n_unknowns,)
+        Multipliers of the bounds, not negative.
+    """
 
     rows: FloatArray
     lower: FloatArray
     upper: FloatArray
 
     def part(self, columns: Any, rows: Any) -> Multipliers:
-        """Return the multipliers of chosen unknowns and rows."""
+        """Return the multipliers of chosen unknowns (`columns`) and constraints (`rows`)."""
         return Multipliers(
             rows=self.rows[rows], lower=self.lower[columns], upper=self.upper[columns]
         )
 
     def extended(self, unknowns: int = 0, rows: int = 0) -> Multipliers:
-        """Return these multipliers followed by zeros for more unknowns and more rows."""
+        """Return these multipliers followed by zeros for more unknowns and more constraints."""
         return Multipliers(
             rows=np.append(self.rows, np.zeros(rows)),
             lower=np.append(self.lower, np.zeros(unknowns)),
@@ -120,40 +145,40 @@ class Multipliers:
 
 
 class NonlinearProgram(Protocol):
-    """Interface of a program that Ipopt solves, including its progress callback."""
+    """Interface of a nonlinear program, as Ipopt and its progress callback require it."""
 
     @property
     def n_rows(self) -> int:
-        """Number of rows."""
+        """Number of constraints."""
 
     @property
     def n_points(self) -> int:
-        """Number of collocation points."""
+        """Number of collocation points, for progress reports."""
 
     @property
     def is_negated(self) -> bool:
-        """Whether the declared objective is maximised, and its negative minimised."""
+        """Whether the declared objective is maximised, so that its negative is minimised."""
 
     def objective(self, z: FloatArray) -> float:
-        """Return the objective to minimise."""
+        """Return the objective to minimise at the unknowns `z`."""
 
     def gradient(self, z: FloatArray) -> FloatArray:
-        """Return the gradient of the objective to minimise."""
+        """Return the gradient of the objective to minimise, shape (n_unknowns,)."""
 
     def constraints(self, z: FloatArray) -> FloatArray:
-        """Return the value of every row."""
+        """Return the values of the constraints, shape (n_rows,)."""
 
     def jacobianstructure(self) -> tuple[Any, Any]:
-        """Return rows and columns of the Jacobian's nonzeros."""
+        """Return row and column indices of the nonzeros of the constraints' Jacobian."""
 
     def jacobian(self, z: FloatArray) -> FloatArray:
-        """Return the Jacobian's nonzeros."""
+        """Return the nonzeros of the constraints' Jacobian, in the order of `jacobianstructure`."""
 
     def hessianstructure(self) -> tuple[Any, Any]:
-        """Return rows and columns of the Lagrangian Hessian's lower triangle."""
+        """Return row and column indices of the lower triangle of the Lagrangian's Hessian."""
 
     def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
-        """Return the nonzeros of the Hessian of factor * objective + multipliers . rows."""
+        """Return the nonzeros of the Hessian of factor * objective + multipliers . constraints."""
 
 
 def _no_columns() -> NDArray[np.intp]:
@@ -162,23 +187,27 @@ def _no_columns() -> NDArray[np.intp]:
 
 @dataclass(frozen=True, kw_only=True)
 class ExtendedProgram:
-    """A program of unknowns z as a program of unknowns w = (z, more unknowns s).
+    """Nonlinear program with further unknowns s, linear terms and quadratic costs added to it.
 
-    It minimises ``share f(z) + prices . s + weights / 2 . (w[columns] - near)**2``. Its rows are
-    the rows of the program, then rows of zero, plus ``terms @ w``.
+    The unknowns are w = (z, s), where z are those of the original program. The extended program
+    minimises ``share f(z) + prices . s + weights / 2 . (w[columns] - near)**2``. Its constraints
+    are those of the original program, followed by further constraints that are zero, plus ``terms @
+    w``.
 
     Attributes
     ----------
     program : NonlinearProgram
-        The program with the objective f.
+        The original program, with the objective f.
     share : float
-        Weight of the program's objective; 0 leaves it out.
+        Weight of the original objective; 0 leaves it out.
     prices : ndarray, shape (n_more,)
-        Cost of each additional unknown.
+        Cost of each further unknown.
     columns, weights, near : ndarray
-        Unknowns with a quadratic cost, each listed once; its weight, and the value without cost.
+        Unknowns with a quadratic cost, each listed once; its weight, and the value at which it is
+        zero.
     terms : csr_array, shape (n_rows + n_more_rows, n + n_more), optional
-        Linear terms of all rows, with no entry where the program's own Jacobian has one.
+        Linear terms of all constraints, with no entry where the Jacobian of the original program
+        has an entry.
     """
 
     program: Any
@@ -191,33 +220,33 @@ class ExtendedProgram:
 
     @property
     def n_rows(self) -> int:
-        """Number of rows."""
+        """Number of constraints, with those that were added."""
         return int(self.program.n_rows if self.terms is None else self.terms.shape[0])
 
     @property
     def n_points(self) -> int:
-        """Number of collocation points."""
+        """Number of collocation points of the original program."""
         return int(self.program.n_points)
 
     @property
     def is_negated(self) -> bool:
-        """Whether the program is a maximisation; without its objective it never is."""
+        """Whether the program is a maximisation; without its original objective it never is."""
         return bool(self.share and self.program.is_negated)
 
     def split(self, w: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the program's unknowns, and the additional ones."""
+        """Return the unknowns of the original program, and the added unknowns."""
         own = w.size - self.prices.size
         return w[:own], w[own:]
 
     def objective(self, w: FloatArray) -> float:
-        """Return the objective to minimise."""
+        """Return the objective to minimise at the unknowns `w`."""
         z, more = self.split(w)
         own = self.share * self.program.objective(z) if self.share else 0.0
         away = w[self.columns] - self.near
         return own + float(self.prices @ more + 0.5 * (self.weights @ away**2))
 
     def gradient(self, w: FloatArray) -> FloatArray:
-        """Return the gradient of the objective to minimise."""
+        """Return the gradient of the objective to minimise, shape (n + n_more,)."""
         z, _ = self.split(w)
         own = self.share * self.program.gradient(z) if self.share else np.zeros(z.size)
         gradient = np.append(own, self.prices)
@@ -225,7 +254,7 @@ class ExtendedProgram:
         return gradient
 
     def constraints(self, w: FloatArray) -> FloatArray:
-        """Return the value of every row."""
+        """Return the values of the constraints, shape (n_rows,)."""
         own = self.program.constraints(self.split(w)[0])
         if self.terms is None:
             return np.asarray(own)
@@ -234,7 +263,7 @@ class ExtendedProgram:
         return np.asarray(values)
 
     def jacobianstructure(self) -> tuple[Any, Any]:
-        """Return rows and columns of the Jacobian's nonzeros."""
+        """Return row and column indices of the nonzeros of the constraints' Jacobian."""
         own = self.program.jacobianstructure()
         if self.terms is None:
             return own
@@ -242,17 +271,17 @@ class ExtendedProgram:
         return np.append(own[0], more.row), np.append(own[1], more.col)
 
     def jacobian(self, w: FloatArray) -> FloatArray:
-        """Return the Jacobian's nonzeros."""
+        """Return the nonzeros of the constraints' Jacobian, in the order of `jacobianstructure`."""
         own = self.program.jacobian(self.split(w)[0])
         return np.asarray(own if self.terms is None else np.append(own, self.terms.data))
 
     def hessianstructure(self) -> tuple[Any, Any]:
-        """Return rows and columns of the Lagrangian Hessian's lower triangle."""
+        """Return row and column indices of the lower triangle of the Lagrangian's Hessian."""
         rows, columns = self.program.hessianstructure()
         return np.append(rows, self.columns), np.append(columns, self.columns)
 
     def hessian(self, w: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
-        """Return the nonzeros of the Lagrangian's Hessian; linear rows add nothing."""
+        """Return the nonzeros of the Lagrangian's Hessian; the linear terms do not contribute."""
         own = multipliers[: self.program.n_rows]
         held = self.program.hessian(self.split(w)[0], own, self.share * factor)
         return np.append(held, factor * self.weights)

@@ -1,8 +1,9 @@
 """Redundant conditions: detected at a point, left out of a solve, and checked afterwards.
 
-A conserved quantity makes an end condition follow from the start and the equations over time. On a
-mesh this holds up to the discretisation error only. With both imposed, the program may have no
-solution, or one point instead of a curve of them, with unbounded multipliers.
+A condition is a constraint at a declared time, such as an end condition. A conserved quantity makes
+an end condition follow from the initial conditions and the equations over time. On a mesh it
+follows up to the discretisation error only. With both imposed, the program may have no solution, or
+one point instead of a curve of solutions, with unbounded multipliers.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ FORGIVEN = 1e-4
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """Condition that may follow from other conditions.
+    """Condition at a declared time that may follow from other equations.
 
     Attributes
     ----------
@@ -48,7 +49,8 @@ class Candidate:
     key : str or (str, float)
         The condition's name, or the key of the fixed value in `Instance.fixed`.
     row, column : int
-        Row of the program, or -1 if the candidate fixes an unknown.
+        Index of the constraint in the program, or -1 if the condition fixes an unknown; index of
+        that unknown, or -1.
     """
 
     name: str
@@ -60,7 +62,10 @@ class Candidate:
 def _candidates(
     program: Transcription, bounds: Bounds, fixed: dict[tuple[str, float], float]
 ) -> Iterator[Candidate]:
-    """Yield the conditions after the start that are equalities, in the order of their names."""
+    """Yield the equality conditions after the start of the horizon, in a fixed order.
+
+    Initial conditions are never left out.
+    """
     conditions = program.compiled.declared.conditions
     for k, condition in enumerate(conditions):
         row = program.first_condition_row + k
@@ -87,9 +92,21 @@ def redundant_conditions(
     fixed: dict[tuple[str, float], float],
     z: FloatArray,
 ) -> tuple[Candidate, ...]:
-    """Return the conditions whose gradients depend linearly on gradients of earlier equations.
+    """Return the conditions whose gradients depend linearly on those of earlier equations.
 
-    The equations over time come first, then the conditions one at a time.
+    The equations over time come first in that order, then the conditions one by one.
+
+    Parameters
+    ----------
+    program : Transcription
+        Nonlinear program on one mesh.
+    bounds : Bounds
+        Bounds with all conditions imposed.
+    scaling : Scaling
+    fixed : dict
+        Values of variables fixed at declared times, by (name, fraction of the horizon).
+    z : ndarray, shape (n_unknowns,)
+        Point at which the gradients are evaluated.
     """
     candidates = list(_candidates(program, bounds, fixed))
     if not candidates:
@@ -120,7 +137,11 @@ def redundant_conditions(
 def _slopes_of(
     candidates: list[Candidate], slopes: coo_array, free: NDArray[np.intp]
 ) -> list[FloatArray]:
-    """Return the gradient of each condition with respect to the free unknowns."""
+    """Return the scaled gradients of conditions with respect to the free unknowns.
+
+    A condition is a constraint at a declared time. Each gradient has the shape (n_free,); a
+    condition that fixes an unknown has a unit vector.
+    """
     at = {int(column): k for k, column in enumerate(free)}
     found = []
     for candidate in candidates:
@@ -134,7 +155,10 @@ def _slopes_of(
 
 
 def _outside(equations: coo_array, vectors: list[FloatArray]) -> list[FloatArray]:
-    """Return the component of each vector orthogonal to the span of the equations' gradients."""
+    """Return the component of each vector orthogonal to the span of the equations' gradients.
+
+    `equations` is a sparse matrix with one gradient per row.
+    """
     m, n = equations.shape
     system = block_array(
         [[identity(n), equations.T], [equations, -_REGULAR * identity(m)]], format="csc"
@@ -144,7 +168,7 @@ def _outside(equations: coo_array, vectors: list[FloatArray]) -> list[FloatArray
 
 
 def without(instance: Instance, left_out: tuple[Candidate, ...]) -> Instance:
-    """Return the data of a solve without some conditions."""
+    """Return the data of a solve in which the given conditions are not imposed."""
     keys = {candidate.key for candidate in left_out}
     return replace(
         instance,
@@ -165,8 +189,20 @@ def misses(
 
     Parameters
     ----------
+    left_out : tuple of Candidate
+        The conditions left out.
+    program : Transcription
+        Program of the last mesh.
     bounds, fixed : Bounds, dict
         Bounds and fixed values of the program with these conditions imposed.
+    scaling : Scaling
+    z : ndarray, shape (n_unknowns,)
+        The solution without these conditions.
+
+    Returns
+    -------
+    list of float
+        Violations in units of the conditions' scales.
     """
     values, keys = program.constraints(z), {candidate.key for candidate in left_out}
     found = []

@@ -1,6 +1,8 @@
-"""Layout of the unknowns, sparsity patterns of the derivatives, and scattering of values.
+"""Layout of the unknowns, sparsity patterns of derivatives, and assembly of their nonzeros.
 
-The compact form: see docs/theory/transcription.md, eq. (4).
+The derivatives at a single point have the same structure at all points. Index arrays, computed once
+per mesh, add their values into the sparse matrices of the nonlinear program. The compact form of
+the program: see docs/theory/transcription.md, eq. (4).
 """
 
 from __future__ import annotations
@@ -27,14 +29,26 @@ Places = NDArray[np.int32]
 
 @dataclass(frozen=True)
 class Layout:
-    """Index arithmetic of the unknowns on one mesh (None: a model without time)."""
+    """Positions of the variables among the unknowns of the nonlinear program on one mesh.
+
+    The unknowns are ordered node by node (start of the horizon, then the collocation points): the
+    states at the start, then for each collocation point the algebraic variables and the states;
+    static variables (without time) come last. A position is called a column, as in the Jacobian.
+
+    Attributes
+    ----------
+    declared : Declarations
+        Variables of the model.
+    mesh : Mesh or None
+        None for a model without time.
+    """
 
     declared: Declarations
     mesh: Mesh | None
 
     @property
     def points(self) -> int:
-        """Number of collocation points."""
+        """Number of collocation points, 0 for a model without time."""
         return self.mesh.points if self.mesh else 0
 
     @property
@@ -54,19 +68,22 @@ class Layout:
 
     @property
     def stride(self) -> int:
-        """Increment of a column from node to node: number of states and algebraic variables."""
+        """Number of unknowns per collocation point: states and algebraic variables."""
         return self.n_states + self.n_algebraics
 
     @cached_property
     def state_columns(self) -> IndexArray:
-        """Columns of the states at the nodes, shape (n_points + 1, n_states)."""
+        """Positions of the states at the nodes, shape (n_points + 1, n_states)."""
         if self.mesh is None:
             return np.zeros((0, 0), dtype=np.intp)
         starts = self.stride * np.arange(self.points + 1)
         return (starts[:, None] + np.arange(self.n_states)[None, :]).astype(np.intp)
 
     def state_column(self, name: str, fraction: float) -> int:
-        """Return a state's column at the node nearest to a fraction, -1 if it is no state."""
+        """Return a state's position at the node nearest to a fraction of the horizon.
+
+        The result is -1 if no state has the name, or the model has no time.
+        """
         states = [slot.name for slot in self.declared.states]
         if self.mesh is None or name not in states:
             return -1
@@ -75,7 +92,7 @@ class Layout:
 
     @cached_property
     def algebraic_columns(self) -> IndexArray:
-        """Columns of the algebraic variables at the points, shape (n_points, n_algebraics)."""
+        """Positions of the algebraic variables at the points, shape (n_points, n_algebraics)."""
         if self.mesh is None:
             return np.zeros((0, 0), dtype=np.intp)
         starts = self.n_states + self.stride * np.arange(self.points)
@@ -83,13 +100,13 @@ class Layout:
 
     @cached_property
     def static_columns(self) -> IndexArray:
-        """Columns of the static variables, shape (n_statics,)."""
+        """Positions of the static variables, shape (n_statics,)."""
         first = self.unknowns - self.n_statics
         return np.arange(first, self.unknowns, dtype=np.intp)
 
     @property
     def unknowns(self) -> int:
-        """Number of unknowns."""
+        """Number of unknowns of the nonlinear program."""
         varying = 0
         if self.mesh is not None:
             varying = self.n_states + self.points * (self.n_states + self.n_algebraics)
@@ -97,7 +114,11 @@ class Layout:
 
     @cached_property
     def slope_matrix(self) -> csr_matrix:
-        """Matrix from states at the nodes to rates at the points."""
+        """Differentiation matrix from states at the nodes to rates at the collocation points.
+
+        Sparse, shape (n_points, n_points + 1); rates are derivatives with respect to the fraction
+        of the horizon.
+        """
         if self.mesh is None:
             return csr_matrix((0, 1))
         parts = [
@@ -116,7 +137,7 @@ class Layout:
     def path_variables(self) -> csr_matrix:
         """Matrix from the unknowns to rates, states, algebraic variables and statics at points.
 
-        The rows are those of the first point, then those of the second, and so on.
+        The rows of the first point come first, then those of the second point, and so on.
         """
         slopes, n = self.slope_matrix, self.n_states
         rates = kron(slopes, np.eye(n)) @ _chosen(self.state_columns.ravel(), self.unknowns)
@@ -133,13 +154,16 @@ class Layout:
 
     @cached_property
     def condition_variables(self) -> csr_matrix:
-        """Matrix from the unknowns to the values at declared times and the statics."""
+        """Matrix from the unknowns to the values at declared times and the static variables."""
         statics = _chosen(self.static_columns, self.unknowns)
         return vstack([self.point_values, statics], format="csr")
 
     @cached_property
     def point_values(self) -> csr_matrix:
-        """Matrix from the unknowns to the values that appear in conditions and objective."""
+        """Matrix from the unknowns to the values at declared times in conditions and objective.
+
+        A time that is no node is reached by interpolation; a matrix row has one weight per node.
+        """
         rows: list[int] = []
         columns: list[int] = []
         weights: list[float] = []
@@ -152,7 +176,7 @@ class Layout:
         return csr_matrix((weights, (rows, columns)), shape=shape)
 
     def _at_point(self, symbol: PointSymbol) -> tuple[IndexArray, FloatArray]:
-        """Return the unknowns and weights that give one point value."""
+        """Return the positions and weights of the unknowns that give a value at a declared time."""
         if self.mesh is None:
             return np.zeros(0, dtype=np.intp), np.zeros(0)
         element = int(self.mesh.locate(np.array([symbol.fraction]))[0])
@@ -175,24 +199,42 @@ class Layout:
 
 
 def _nonzero(columns: IndexArray, weights: FloatArray) -> tuple[IndexArray, FloatArray]:
+    """Return positions of unknowns and their interpolation weights without the zero weights."""
     kept = weights != 0.0
     return columns[kept], weights[kept]
 
 
 def _chosen(columns: IndexArray, width: int) -> csr_matrix:
-    """Return the 0-1 matrix that selects the unknowns of some columns."""
+    """Return the 0-1 matrix that selects the unknowns at the given positions."""
     entries = np.ones(columns.size), columns, np.arange(columns.size + 1)
     return csr_matrix(entries, shape=(columns.size, width))
 
 
 class Contributions:
-    """Accumulator of entries (row, column) += weight * source for a `Scatter`."""
+    """List of contributions to the nonzeros of a sparse matrix, from which a `Scatter` is made.
+
+    A contribution adds a weight times a source to the entry at (row, column). A source is a number
+    that a CasADi function returns at each evaluation.
+    """
 
     def __init__(self) -> None:
         self._parts: list[tuple[NDArray[Any], ...]] = []
 
     def add(self, rows: Any, columns: Any, sources: Any, weights: Any) -> None:
-        """Add entries; the arrays broadcast against each other."""
+        """Add entries (row, column) += weight * source, a source being a value that CasADi returns.
+
+        Parameters
+        ----------
+        rows, columns : array_like of int
+            Position of each entry in the assembled matrix.
+        sources : array_like of int
+            Position of each source among the values that CasADi returns.
+        weights : array_like
+
+        Notes
+        -----
+        The arrays are broadcast against each other.
+        """
         rows, columns, sources, weights = np.broadcast_arrays(rows, columns, sources, weights)
         kept = weights != 0.0
         places = (entry[kept].astype(np.int32) for entry in (rows, columns, sources))
@@ -201,7 +243,19 @@ class Contributions:
     def add_slopes(
         self, variables: csr_matrix, rows: Any, of: IndexArray, sources: Any, weights: Any
     ) -> None:
-        """Add slopes by variables, each of which is a row of a matrix from the unknowns."""
+        """Add derivatives with respect to variables that are linear combinations of the unknowns.
+
+        Parameters
+        ----------
+        variables : csr_matrix, shape (n_variables, n_unknowns)
+            Matrix from the unknowns to the variables.
+        rows : ndarray of int
+            Row of each derivative in the assembled matrix.
+        of : ndarray of int
+            Variable of each derivative.
+        sources, weights : ndarray
+            Position of each derivative among the values that CasADi returns, and its factor.
+        """
         rows, of, sources, weights = (
             held.ravel() for held in np.broadcast_arrays(rows, of, sources, weights)
         )
@@ -212,10 +266,22 @@ class Contributions:
     def add_curvatures(
         self, variables: csr_matrix, first: IndexArray, second: IndexArray, sources: IndexArray
     ) -> None:
-        """Add the terms h * first * second of a Hessian, of which each pair is given once.
+        """Add second derivatives with respect to pairs of variables, each pair given once.
 
-        A square term lists every pair of unknowns twice, so half of them are dropped. A mixed term
-        counts twice where it falls on the diagonal.
+        Parameters
+        ----------
+        variables : csr_matrix, shape (n_variables, n_unknowns)
+            Matrix from the unknowns to the variables.
+        first, second : ndarray of int
+            Variables of each second derivative.
+        sources : ndarray of int
+            Position of each second derivative among the values that CasADi returns.
+
+        Notes
+        -----
+        Only the lower triangle is assembled. If both variables are the same, every pair of unknowns
+        is listed twice, so half of these are dropped. If they differ, a contribution on the
+        diagonal counts twice.
         """
         one = variables[first].tocoo()
         other = variables[second[one.row]].tocoo()
@@ -229,7 +295,7 @@ class Contributions:
         self.add(np.maximum(a, b), np.minimum(a, b), sources[pair], weights)
 
     def scatter(self, n_columns: int, n_sources: int) -> Scatter:
-        """Return the pattern and the map from sources to its values."""
+        """Return the sparsity pattern and the matrix that maps CasADi's values to its nonzeros."""
         empty = (np.zeros(0, dtype=np.int32),) * 3 + (np.zeros(0),)
         rows, columns, sources, weights = (
             np.concatenate(held) for held in zip(empty, *self._parts, strict=True)
@@ -243,20 +309,47 @@ class Contributions:
 
 @dataclass(frozen=True, kw_only=True)
 class Scatter:
-    """A sparsity pattern and the matrix that takes source values to its nonzeros."""
+    """Sparsity pattern, with the linear map from CasADi's values at points to its nonzeros.
+
+    Attributes
+    ----------
+    rows, columns : ndarray of int, shape (n_nonzeros,)
+        Positions of the nonzeros.
+    matrix : csr_matrix, shape (n_nonzeros, n_sources)
+        The linear map; a source is a value that CasADi returns.
+    """
 
     rows: Places
     columns: Places
     matrix: csr_matrix
 
     def values(self, sources: FloatArray) -> FloatArray:
-        """Return the nonzeros for the given source values."""
+        """Return the values of the nonzeros from the values that CasADi returned, (n_sources,)."""
         return np.asarray(self.matrix @ sources, dtype=float)
 
 
 @dataclass(frozen=True, kw_only=True)
 class JacobianScatter:
-    """Scatters of the rows' Jacobian, of the objective's gradient and of the integrals'."""
+    """Assembly of the constraints' Jacobian and the objective's gradient from point derivatives.
+
+    Attributes
+    ----------
+    rows : Scatter
+        Jacobian of the constraints.
+    objective : Scatter
+        Gradient of the objective with respect to unknowns, apart from its integrals.
+    integrals : tuple of Scatter
+        Gradients of the integrals that enter the objective directly.
+    slope_sources, slope_integrals : ndarray of int
+        Sources that are derivatives of the objective with respect to such integrals, and the
+        positions of these integrals.
+    n_integrals : int
+        Number of such integrals.
+    n_path_sources : int
+        Number of sources from path equations and integrands, which come first.
+    unknowns : int
+        Number of unknowns of the program.
+    """
 
     rows: Scatter
     objective: Scatter
@@ -268,13 +361,21 @@ class JacobianScatter:
     unknowns: int
 
     def objective_slopes(self, point_sources: FloatArray) -> FloatArray:
-        """Return d objective / d integral for the integrals that enter it directly."""
+        """Return derivatives of the objective with respect to integrals that enter it directly.
+
+        `point_sources` are the sources after those of path equations; the result has shape
+        (n_integrals,).
+        """
         slopes = np.zeros(self.n_integrals)
         slopes[self.slope_integrals] = point_sources[self.slope_sources]
         return slopes
 
     def gradient(self, sources: FloatArray, slopes: FloatArray) -> FloatArray:
-        """Return the dense gradient of the objective."""
+        """Return the dense gradient of the objective, shape (n_unknowns,).
+
+        `slopes` are the derivatives of the objective with respect to integrals that enter it
+        directly.
+        """
         dense = np.zeros(self.unknowns)
         dense[self.objective.columns] = self.objective.values(sources)
         for slope, scatter in zip(slopes, self.integrals, strict=True):
@@ -283,10 +384,11 @@ class JacobianScatter:
 
 
 def jacobian_scatter(compiled: CompiledModel, layout: Layout) -> JacobianScatter:
-    """Return the map from the derivatives at the points to Jacobian and gradient.
+    """Return the linear maps that assemble Jacobian and gradient from derivatives at points.
 
-    Sources are the nonzeros of the path Jacobian point by point, those of the conditions' Jacobian,
-    and a final 1.
+    Their inputs (sources) are the values that CasADi returns at each evaluation: the nonzeros of
+    the path equations' and integrands' Jacobian, point by point, then those of the conditions' and
+    objective's Jacobian, and a final 1.
     """
     path, points = compiled.path, compiled.points
     n_path = layout.points * len(path.jacobian_rows)
@@ -335,7 +437,12 @@ def jacobian_scatter(compiled: CompiledModel, layout: Layout) -> JacobianScatter
 
 
 def hessian_scatter(compiled: CompiledModel, layout: Layout) -> Scatter:
-    """Return the map from the point Hessians to the lower triangle of the program's Hessian."""
+    """Return the linear map that assembles the Lagrangian's Hessian from derivatives at points.
+
+    It gives the nonzeros of the lower triangle. Its inputs (sources) are the values that CasADi
+    returns at each evaluation: the nonzeros of the Hessians of the path equations, point by point,
+    then those of the Hessian of conditions and objective.
+    """
     into, path, points = Contributions(), compiled.path, compiled.points
     n_path, count = layout.points * len(path.hessian_rows), len(path.hessian_rows)
     first = path.values.size1_in(0) * np.arange(layout.points)[:, None]

@@ -1,4 +1,4 @@
-"""The nonlinear program of a compiled model on one mesh, and the names of its rows.
+"""Nonlinear program of a compiled model on one mesh, and the names of its parts.
 
 Compact form and quadrature: see docs/theory/transcription.md, eqs. (4) and (5).
 """
@@ -28,7 +28,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """A component of the model and its position on the horizon, None for a static component."""
+    """Place of a constraint or unknown in the model, for messages.
+
+    Attributes
+    ----------
+    name : str
+        Full name of the equation or variable.
+    time : float, optional
+        Physical time; None for a component without time.
+    element, point : int, optional
+        Index of the element, from 0, and number of the collocation point in it, from 1.
+    """
 
     name: str
     time: float | None = None
@@ -45,6 +55,7 @@ class Place:
 
 
 def _at_point(program: Transcription, name: str, point: int) -> Place:
+    """Return the `Place` of a component at a collocation point, given the point's index."""
     mesh = program.mesh
     if mesh is None:
         return Place(name=name)
@@ -58,7 +69,10 @@ def _at_point(program: Transcription, name: str, point: int) -> Place:
 
 
 def row_place(program: Transcription, row: int) -> Place:
-    """Return the equation, time, element and point of a row."""
+    """Return the place in the model of a constraint of the program, given its index `row`.
+
+    The place consists of the equation's name, time, element and collocation point.
+    """
     compiled = program.compiled
     declared = compiled.declared
     if row < program.first_condition_row:
@@ -71,7 +85,10 @@ def row_place(program: Transcription, row: int) -> Place:
 
 
 def unknown_place(program: Transcription, column: int) -> Place:
-    """Return the variable, time, element and point of an unknown."""
+    """Return the place in the model of an unknown of the program, given its index `column`.
+
+    The place consists of the variable's name, time, element and collocation point.
+    """
     layout, declared = program.layout, program.compiled.declared
     if column >= layout.unknowns - layout.n_statics:
         return Place(name=declared.statics[column - (layout.unknowns - layout.n_statics)].name)
@@ -91,16 +108,21 @@ def unknown_place(program: Transcription, column: int) -> Place:
 
 @dataclass(frozen=True, kw_only=True)
 class Data:
-    """Numbers in the equations: parameters, shape (n,), and signals at the points.
+    """Numbers in the equations: constant parameters, and time-dependent parameters at n points.
 
-    `signals` has shape (n_points, 1 + n_signals); its first column is the fraction of the horizon.
+    Attributes
+    ----------
+    parameters : ndarray, shape (n_parameters,)
+        Constant parameters.
+    signals : ndarray, shape (n_points, 1 + n_signals)
+        Fraction of the horizon, then the time-dependent parameters.
     """
 
     parameters: FloatArray
     signals: FloatArray
 
     def at_points(self) -> FloatArray:
-        """Return signals and parameters side by side, one row per point."""
+        """Return fraction, time-dependent and constant parameters, one row per point."""
         n = self.signals.shape[0]
         return np.hstack(
             [self.signals, np.broadcast_to(self.parameters, (n, self.parameters.size))]
@@ -108,9 +130,19 @@ class Data:
 
 
 class Transcription:
-    """Objective, constraints and their derivatives, in the form Ipopt asks for.
+    """Nonlinear program of a model on one mesh, with derivatives, in the form Ipopt requires.
 
-    Parts that depend on the mesh alone are built once and shared by `with_data`.
+    Constraints ("rows") are ordered: path equations point by point, conditions, definitions of
+    static variables that equal integrals. Parts that depend on the mesh alone are built once and
+    shared by the programs that `with_data` returns.
+
+    Parameters
+    ----------
+    compiled : CompiledModel
+    mesh : Mesh or None
+        None for a model without time.
+    data : Data
+        Parameter values at the collocation points.
     """
 
     def __init__(self, compiled: CompiledModel, mesh: Mesh | None, data: Data) -> None:
@@ -129,11 +161,11 @@ class Transcription:
         self._hold(data)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the arguments of the constructor."""
+        """Pickle the arguments of the constructor, from which a copy is built anew."""
         return type(self), (self.compiled, self.mesh, self.data)
 
     def with_data(self, data: Data) -> Transcription:
-        """Return a separate program on the same mesh for other numbers."""
+        """Return a separate program on the same mesh with other parameter values."""
         # Not `copy.copy`, which rebuilds all parts as unpickling does.
         other = object.__new__(type(self))
         vars(other).update(vars(self))
@@ -141,6 +173,7 @@ class Transcription:
         return other
 
     def _hold(self, data: Data) -> None:
+        """Set the parameter values, and discard what was cached for other values."""
         self.data = data
         self._path_data = data.at_points()
         self._point_data = data.parameters[None, :]
@@ -151,11 +184,11 @@ class Transcription:
 
     @property
     def n_rows(self) -> int:
-        """Number of rows of the program."""
+        """Number of constraints."""
         return self.first_integral_row + len(self.compiled.static_of_integral)
 
     def trajectory(self, z: FloatArray) -> Trajectory:
-        """Return the unknowns as states, algebraic and static variables."""
+        """Return the unknowns `z` as states, algebraic and static variables on the mesh."""
         layout = self.layout
         return Trajectory(
             mesh=self.mesh or Mesh.uniform(1, 1),
@@ -171,17 +204,17 @@ class Transcription:
 
     @property
     def is_negated(self) -> bool:
-        """Whether the declared objective is maximised, by minimising its negative."""
+        """Whether the declared objective is maximised, so that its negative is minimised."""
         return self._sign < 0.0
 
     @property
     def first_condition_row(self) -> int:
-        """Row of the first condition."""
+        """Position of the first condition (constraint at declared times) among the constraints."""
         return self.layout.points * self.compiled.n_equations
 
     @property
     def first_integral_row(self) -> int:
-        """Row of the first integral's definition."""
+        """Position, among the constraints, of the first equality of a static and an integral."""
         return self.first_condition_row + len(self.compiled.declared.conditions)
 
     @property
@@ -194,17 +227,23 @@ class Transcription:
         return float(self.data.parameters[start]), float(self.data.parameters[end])
 
     def time_of(self, fraction: float) -> float:
-        """Return physical time, or the fraction itself where the end is a variable."""
+        """Return the physical time at a fraction of the horizon.
+
+        The result is the fraction itself if start or end of the horizon is a variable.
+        """
         start, end = self.horizon or (0.0, 1.0)
         return start + (end - start) * fraction
 
     def times(self, z: FloatArray) -> FloatArray:
-        """Return start, interior free times and end of the horizon for given unknowns."""
+        """Return start, free interior times and end of the horizon at the unknowns `z`."""
         statics = z[self.layout.static_columns]
         return np.array(self.compiled.times(statics, self.data.parameters)).ravel()
 
     def path_variables(self, z: FloatArray) -> FloatArray:
-        """Return rates, states, algebraics and statics at the points, one row per point."""
+        """Return rates, states, algebraic and static variables at the points, one row per point.
+
+        Rates are derivatives with respect to the fraction of the horizon.
+        """
         layout = self.layout
         states = z[layout.state_columns]
         statics = np.broadcast_to(z[layout.static_columns], (layout.points, layout.n_statics))
@@ -213,7 +252,10 @@ class Transcription:
         )
 
     def rows_at_points(self, z: FloatArray) -> FloatArray:
-        """Return path equations and integrands at the points, shape (n_points, n_rows)."""
+        """Return path equations, then integrands, at the points: (n_points, n_expressions).
+
+        The values of the last unknowns are cached.
+        """
         if self._seen is None or not np.array_equal(self._seen, z):
             if self.layout.points:
                 self._rows = self._path[0](self.path_variables(z), self._path_data)[0]
@@ -223,30 +265,42 @@ class Transcription:
         return self._rows
 
     def integrals(self, z: FloatArray) -> FloatArray:
-        """Return the value of every integral by the scheme's own quadrature."""
+        """Return the value of every integral, by Radau quadrature, shape (n_integrals,)."""
         densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
         return self._weights() @ densities
 
     def objective_density(self, z: FloatArray) -> FloatArray:
-        """Return the integrand of the minimised objective at the points, shape (n_points,)."""
+        """Return the integrand of the minimised objective at the points, shape (n_points,).
+
+        The integrand is per unit of the fraction of the horizon.
+        """
         densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
         direct = densities[:, list(self.compiled.row_integrals)]
         return self._sign * direct @ self._objective_slopes(z)
 
     def objective_size(self, z: FloatArray) -> float:
-        """Return the size of the objective: integrals of absolute values, without cancellation."""
+        """Return the magnitude of the objective, with integrands taken by absolute value.
+
+        Positive and negative parts of an integrand therefore do not cancel.
+        """
         parts = float(self._weights() @ np.abs(self.objective_density(z)))
         return max(abs(self.objective(z)), parts)
 
     def _objective_slopes(self, z: FloatArray) -> FloatArray:
+        """Return derivatives of the objective with respect to integrals that enter it directly."""
         sources = self._point[1](self.point_variables(z), self._point_data)[0].ravel()
         return self._jacobian.objective_slopes(sources)
 
     def _weights(self) -> FloatArray:
+        """Return the quadrature weights of the points, empty for a model without time."""
         return self.mesh.quadrature_weights if self.mesh else np.zeros(0)
 
     def point_variables(self, z: FloatArray) -> FloatArray:
-        """Return values at declared times, statics and integrals, as one row."""
+        """Return the variables of conditions and objective as one row.
+
+        They are values at declared times, static variables, and the integrals that enter the
+        objective directly.
+        """
         layout = self.layout
         direct = self.integrals(z)[list(self.compiled.row_integrals)]
         values = layout.point_values @ z
@@ -257,11 +311,11 @@ class Transcription:
         return float(self._point[0](self.point_variables(z), self._point_data)[0][0, -1])
 
     def objective(self, z: FloatArray) -> float:
-        """Return the objective to minimise."""
+        """Return the objective to minimise at the unknowns `z`."""
         return self._sign * self.user_objective(z)
 
     def constraints(self, z: FloatArray) -> FloatArray:
-        """Return the value of every row."""
+        """Return the values of the constraints, shape (n_rows,)."""
         n = self.compiled.n_equations
         conditions = self._point[0](self.point_variables(z), self._point_data)[0][0, :-1]
         integrals = self.integrals(z)
@@ -272,7 +326,7 @@ class Transcription:
         return np.concatenate([self.rows_at_points(z)[:, :n].ravel(), conditions, definitions])
 
     def _derivative_sources(self, z: FloatArray) -> FloatArray:
-        """Return the derivatives that gradient and Jacobian are assembled from, computed once."""
+        """Return the derivatives from which gradient and Jacobian are assembled, cached for `z`."""
         if self._differentiated is None or not np.array_equal(self._differentiated, z):
             path = np.zeros(0)
             if self.layout.points:
@@ -283,25 +337,25 @@ class Transcription:
         return self._sources
 
     def gradient(self, z: FloatArray) -> FloatArray:
-        """Return the gradient of the objective to minimise."""
+        """Return the gradient of the objective to minimise, shape (n_unknowns,)."""
         sources = self._derivative_sources(z)
         slopes = self._jacobian.objective_slopes(sources[self._jacobian.n_path_sources :])
         return self._sign * self._jacobian.gradient(sources, slopes)
 
     def jacobianstructure(self) -> tuple[Any, Any]:
-        """Return rows and columns of the Jacobian's nonzeros."""
+        """Return row and column indices of the nonzeros of the constraints' Jacobian."""
         return self._jacobian.rows.rows, self._jacobian.rows.columns
 
     def jacobian(self, z: FloatArray) -> FloatArray:
-        """Return the Jacobian's nonzeros."""
+        """Return the nonzeros of the constraints' Jacobian, in the order of `jacobianstructure`."""
         return self._jacobian.rows.values(self._derivative_sources(z))
 
     def hessianstructure(self) -> tuple[Any, Any]:
-        """Return rows and columns of the Lagrangian Hessian's lower triangle."""
+        """Return row and column indices of the lower triangle of the Lagrangian's Hessian."""
         return self._hessian.rows, self._hessian.columns
 
     def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
-        """Return the nonzeros of the Hessian of factor * objective + multipliers . rows."""
+        """Return the nonzeros of the Hessian of factor * objective + multipliers . constraints."""
         factor = self._sign * factor
         path = np.zeros(0)
         if self.layout.points:
@@ -315,7 +369,11 @@ class Transcription:
     def path_weights(
         self, z: FloatArray, multipliers: FloatArray, factor: float | None = None
     ) -> FloatArray:
-        """Return the multiplier of each path equation and each integrand at each point."""
+        """Return the multiplier of each path equation and integrand at each point.
+
+        Shape (n_points, n_equations + n_integrals). The multiplier of an integrand is its weight in
+        the Lagrangian: the quadrature weight times the weight of its integral.
+        """
         n, points = self.compiled.n_equations, self.layout.points
         on_integral = self.integral_weights(z, multipliers, factor)
         densities = self._weights()[:, None] * on_integral[None, :]
@@ -325,7 +383,10 @@ class Transcription:
     def integral_weights(
         self, z: FloatArray, multipliers: FloatArray, factor: float | None = None
     ) -> FloatArray:
-        """Return the weight of each integral in the Lagrangian, shape (n_integrals,)."""
+        """Return the weight of each integral in the Lagrangian, shape (n_integrals,).
+
+        `factor` multiplies the declared objective; by default 1, or -1 if it is maximised.
+        """
         factor = self._sign if factor is None else factor
         weights = np.zeros(len(self.compiled.declared.integrals))
         weights[list(self.compiled.row_integrals)] = factor * self._objective_slopes(z)
@@ -334,9 +395,10 @@ class Transcription:
         return weights
 
     def path_curvatures(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
-        """Return the Lagrangian's curvature in each variable of a point, per unit of horizon.
+        """Return second derivatives of the Lagrangian with respect to each variable of a point.
 
-        Shape (n_points, n_variables), in the order of `path_variables`.
+        Shape (n_points, n_variables), in the order of `path_variables`, per unit of the fraction of
+        the horizon.
         """
         path = self.compiled.path
         held = self._path_hessian(z, multipliers)
@@ -346,7 +408,11 @@ class Transcription:
         return curvatures
 
     def path_hessians(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
-        """Return the point Hessians, shape (n_points, n_variables, n_variables)."""
+        """Return the Hessian of the Lagrangian with respect to the variables of each point.
+
+        Shape (n_points, n_variables, n_variables), in the order of `path_variables`, per unit of
+        the fraction of the horizon.
+        """
         path = self.compiled.path
         held, n = self._path_hessian(z, multipliers), path.values.size1_in(0)
         hessians = np.zeros((self.layout.points, n, n))
@@ -355,6 +421,7 @@ class Transcription:
         return hessians
 
     def _path_hessian(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
+        """Return the nonzeros of the Lagrangian's Hessian at each point: (n_points, n_nonzeros)."""
         weights = self.path_weights(z, multipliers)
         held = self._path[2](self.path_variables(z), self._path_data, weights)[0]
         return np.asarray(held / self._weights()[:, None])
@@ -362,9 +429,20 @@ class Transcription:
     def path_slopes(
         self, variables: FloatArray, data: FloatArray, rows: IndexArray, columns: IndexArray
     ) -> FloatArray:
-        """Return derivatives of rows of path equations by variables, at points row by row.
+        """Return derivatives of chosen path equations with respect to chosen variables.
 
-        Shape (n, n_rows, n_columns).
+        Parameters
+        ----------
+        variables : ndarray, shape (n, n_variables)
+            Rates, states, algebraic and static variables at n points.
+        data : ndarray, shape (n, n_data)
+            Fraction of the horizon and parameters.
+        rows, columns : ndarray of int
+            Positions of the equations and of the variables, in rising order.
+
+        Returns
+        -------
+        ndarray, shape (n, n_rows, n_columns)
         """
         path, count = self.compiled.path, len(variables)
         mapped = self._path[1] if count == self.n_points else MappedFunction(path.jacobian, count)
@@ -377,19 +455,19 @@ class Transcription:
         return slopes
 
     def lagrangian_density(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
-        """Return integrands times their weights in the Lagrangian, shape (n_points,)."""
+        """Return the sum of integrands times their Lagrangian weights, shape (n_points,)."""
         densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
         return np.asarray(densities @ self.integral_weights(z, multipliers))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Linearised:
-    """Partial derivatives of the differential equations.
+    """Partial derivatives of the differential equations with respect to rates and states.
 
     Attributes
     ----------
     rows : ndarray of int, shape (n_rows,)
-        Indices of these path equations.
+        Positions of the differential equations among the path equations.
     by_rate, by_state : ndarray, shape (n_points, n_rows, n_states)
     """
 
@@ -399,7 +477,16 @@ class Linearised:
 
 
 def linearised(program: Transcription, variables: FloatArray, data: FloatArray) -> Linearised:
-    """Return the derivatives at points, given variables and data row by row."""
+    """Linearise the differential equations (equalities with rates) at points.
+
+    Parameters
+    ----------
+    program : Transcription
+    variables : ndarray, shape (n_points, n_variables)
+        Rates, states, algebraic and static variables.
+    data : ndarray, shape (n_points, n_data)
+        Fraction of the horizon and parameters.
+    """
     path, n = program.compiled.path, program.layout.n_states
     differential = np.zeros(path.values.numel_out(0), dtype=bool)
     differential[path.jacobian_rows[path.jacobian_columns < n]] = True
@@ -413,7 +500,22 @@ def linearised(program: Transcription, variables: FloatArray, data: FloatArray) 
 def rate_corrections(
     program: Transcription, variables: FloatArray, data: FloatArray, rows: FloatArray
 ) -> FloatArray:
-    """Return the corrections to the rates that satisfy the differential equations."""
+    """Return the changes of the rates after which the differential equations are satisfied.
+
+    Parameters
+    ----------
+    program : Transcription
+    variables, data : ndarray
+        Variables and data of n points, as in `linearised`.
+    rows : ndarray, shape (n_points, n_equations)
+        Values of the path equations there.
+
+    Returns
+    -------
+    ndarray, shape (n_points, n_states)
+        Newton steps, exact if rates enter linearly; of least norm if there are fewer equations than
+        rates.
+    """
     equations = linearised(program, variables, data)
     matrices, residuals = equations.by_rate, rows[:, equations.rows]
     if matrices.shape[1] == matrices.shape[2]:

@@ -1,4 +1,4 @@
-"""Times of a horizon, which may be free; the phases between them.
+"""Declared times of a horizon, some of which may be free, and the phases between them.
 
 Between two declared times, physical time is linear in the fraction of the horizon.
 """
@@ -16,37 +16,42 @@ from pyomo_quad.collocation.errors import TranscriptionError
 
 
 def index_tuple(index: Any) -> tuple[Any, ...]:
-    """Return the members of an index: none without an index, one of a scalar."""
+    """Return a Pyomo index as a tuple: () for None, one item for a scalar."""
     if index is None:
         return ()
     return index if isinstance(index, tuple) else (index,)
 
 
 def is_over(component: Any, time: Any) -> bool:
-    """Return whether a component is indexed by time itself, not by a set with equal members."""
+    """Return whether a component is indexed by a given continuous set itself.
+
+    A set with equal members does not count.
+    """
     return component.is_indexed() and any(part is time for part in component.index_set().subsets())
 
 
-# Least distance, as a fraction of the horizon, between two consecutive times of which one is free.
+# Least distance, as a fraction of the horizon, between two consecutive declared times if one of
+# them is free.
 LEAST_PHASE = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
 class PhaseTimes:
-    """Phases of the horizon between times that may be free; flags select the present phase.
+    """Declared times of a horizon in CasADi symbols, some of which may be free, and its phases.
 
     Attributes
     ----------
     name : str
         Name of the continuous set.
     declared : tuple of float
-        Declared times between which time runs evenly, the first and the last among them.
+        Declared times that bound the phases, start and end of the horizon included. Within a phase
+        physical time is linear in the fraction of the horizon.
     times : tuple
-        The same times in CasADi symbols.
+        The same times as CasADi expressions of static variables (free times) and parameters.
     fraction : SX
         Symbol of the fraction of the declared horizon.
     phases : tuple of SX
-        One symbol per phase, 1 where the phase holds and 0 elsewhere; none for a single phase.
+        One symbol per phase, 1 at times of the phase and 0 elsewhere; none for a single phase.
     is_free : bool
         Whether any of the times is a static variable.
     """
@@ -60,7 +65,7 @@ class PhaseTimes:
 
     @property
     def fractions(self) -> tuple[float, ...]:
-        """Declared times as fractions of the declared horizon."""
+        """Declared times that bound the phases, as fractions of the declared horizon."""
         return tuple(self.fraction_of(time) for time in self.declared)
 
     def fraction_of(self, time: float) -> float:
@@ -69,22 +74,26 @@ class PhaseTimes:
 
     @cached_property
     def _spans(self) -> list[Any]:
-        """Derivative of time with respect to the fraction of the horizon, phase by phase."""
+        """CasADi expressions for d (physical time) / d (fraction of the horizon), one per phase."""
         ends = zip(pairwise(self.times), pairwise(self.fractions), strict=True)
         return [(after - before) / (last - first) for (before, after), (first, last) in ends]
 
     @property
     def _holds(self) -> tuple[Any, ...]:
+        """Factors, one per phase, that are 1 at times of the phase and 0 elsewhere."""
         return self.phases or (1.0,)
 
     @cached_property
     def span(self) -> Any:
-        """Derivative of time with respect to the fraction of the horizon at the template point."""
+        """Derivative of physical time with respect to the fraction of the horizon.
+
+        A CasADi expression that holds in all phases.
+        """
         return sum(p * span for p, span in zip(self._holds, self._spans, strict=True))
 
     @cached_property
     def time(self) -> Any:
-        """Physical time at the template point."""
+        """Physical time as a CasADi expression of the fraction of the horizon and free times."""
         return sum(
             holds * (start + span * (self.fraction - first))
             for holds, start, span, first in zip(
@@ -93,24 +102,28 @@ class PhaseTimes:
         )
 
     def span_at(self, time: float) -> Any:
-        """Return d time / d fraction of the horizon, just before a declared time."""
+        """Return d (physical time) / d (fraction of the horizon) just before a declared time."""
         return self._spans[self.phase_of(time)]
 
     def time_at(self, time: float) -> Any:
-        """Return the physical time, in symbols, that a declared time maps to."""
+        """Return the physical time of a declared time, as a CasADi expression of the free times."""
         k = self.phase_of(time)
         return self.times[k] + self._spans[k] * (self.fraction_of(time) - self.fractions[k])
 
     def phase_of(self, time: float) -> int:
-        """Return the position of the phase that holds at a declared time, or ends there."""
+        """Return the position of the phase that contains a declared time, or ends there."""
         return bisect_left(self.declared[1:-1], time)
 
     def label(self, position: int) -> str:
-        """Return the name of one of the declared times."""
+        """Return the name of one of the declared times for messages, as ``t[1]``."""
         return f"{self.name}[{self.declared[position]:g}]"
 
     def orders(self) -> list[tuple[str, Any]]:
-        """Return, by name, the expressions that must be nonnegative to keep the phases in order."""
+        """Return the constraints that keep the phases in order.
+
+        Each is a pair: name, and CasADi expression that must not be negative. There are none for a
+        single phase.
+        """
         whole = LEAST_PHASE * (self.times[-1] - self.times[0])
         if not self.phases:
             return []
@@ -128,7 +141,21 @@ FreeTimes = Mapping[Any, Any]
 def free_times(
     sets: tuple[Any, ...], final_time: Any, times: FreeTimes | None
 ) -> dict[str, dict[float, Any]]:
-    """Return the static variables that replace declared times, by continuous set.
+    """Collect the static variables that replace declared times, by name of the continuous set.
+
+    Parameters
+    ----------
+    sets : tuple of ContinuousSet
+        Horizons of the model.
+    final_time : Var, optional
+        Static variable that replaces the end of the only horizon.
+    times : mapping, optional
+        See `FreeTimes`.
+
+    Returns
+    -------
+    dict
+        Name of the set -> declared time -> static variable.
 
     Raises
     ------
@@ -152,6 +179,7 @@ def free_times(
 
 
 def _only(sets: tuple[Any, ...], argument: str) -> Any:
+    """Return the only continuous set; raise an error if there are none or several."""
     if not sets:
         raise TranscriptionError(
             f"{argument}: the model has no ContinuousSet whose times could be free; leave it out."
@@ -166,6 +194,7 @@ def _only(sets: tuple[Any, ...], argument: str) -> Any:
 
 
 def _called(sets: tuple[Any, ...], name: str) -> Any:
+    """Return the continuous set of the given name; raise an error if the model has none."""
     for time in sets:
         if time.name == name:
             return time
@@ -177,6 +206,7 @@ def _called(sets: tuple[Any, ...], name: str) -> Any:
 
 
 def _declared(time: Any, at: Any) -> float:
+    """Return the declared time that equals a number; raise an error if there is none."""
     found = [float(t) for t in time if t == at]
     if not found:
         known = ", ".join(f"{t:g}" for t in sorted(time))
@@ -188,7 +218,7 @@ def _declared(time: Any, at: Any) -> float:
 
 
 def _refuse_unusable(time: Any, sets: tuple[Any, ...], given: dict[float, Any]) -> None:
-    """Refuse a replacement that is not a static variable, or that replaces two times."""
+    """Raise an error for a replacement that is no static variable, or that replaces two times."""
     taken: dict[str, float] = {}
     for at, variable in given.items():
         is_static = getattr(variable, "is_variable_type", bool)() and not variable.is_indexed()

@@ -1,4 +1,4 @@
-"""Working copy of a user's model from which the templates are read."""
+"""Working copy of a user's model, with an additional time at which the equations are read."""
 
 from __future__ import annotations
 
@@ -34,19 +34,28 @@ from pyomo_quad.collocation.reading.rules import (
     transfer_rules,
 )
 
-# An irrational fraction, so that no declared time coincides with the template time.
+# Position of the template time in the declared horizon: an irrational fraction, so that no declared
+# time coincides with it.
 _TEMPLATE_FRACTION = 0.3819660112501051
 
 
 @dataclass(frozen=True, kw_only=True)
 class WorkingCopy:
-    """A clone of the model with one additional time, whose instances serve as templates.
+    """Clone of the user's model with the template time added to each continuous set.
+
+    The template time is an additional interior time. The members of variables and constraints there
+    serve as templates for all times.
 
     Attributes
     ----------
-    model, time : ConcreteModel, ContinuousSet or None
+    model : ConcreteModel
+        The clone.
+    time : ContinuousSet or None
+        Continuous set of the horizon; None for a model without time, or for the coupling of
+        horizons.
     template_time : float
     declared_times : tuple of float
+        The times that the user declared, in rising order.
     others : tuple of ContinuousSet
         The other horizons of the model, whose declarations are read elsewhere.
     """
@@ -58,14 +67,20 @@ class WorkingCopy:
     others: tuple[Any, ...] = ()
 
     def other_of(self, component: Any) -> Any:
-        """Return the other horizon that indexes a component, None if no other does."""
+        """Return the other continuous set that indexes a component, None if no other set does."""
         return next((time for time in self.others if is_over(component, time)), None)
 
     def takes(self, component: Any, data: Any) -> bool:
-        """Return whether a constraint belongs to this horizon, or to the coupling of several.
+        """Return whether a constraint belongs to this horizon, or to the coupling of horizons.
 
-        A constraint on values of one horizon only belongs to that horizon; every other constraint
-        belongs to the coupling.
+        A constraint on values of one horizon only belongs to that horizon; every other constraint,
+        on values of several horizons or none, belongs to the coupling.
+
+        Parameters
+        ----------
+        component : Constraint
+        data : ConstraintData
+            The member of the component in question.
         """
         if not self.others:
             return True
@@ -85,6 +100,7 @@ class WorkingCopy:
 
 
 def _refuse_other_than_models(model: Any) -> None:
+    """Raise an error for an argument that is not a constructed Pyomo model."""
     if not isinstance(model, Model):
         raise TranscriptionError(
             f"model: a {type(model).__name__}; must be a ConcreteModel of pyomo.environ as a whole."
@@ -98,11 +114,12 @@ def _refuse_other_than_models(model: Any) -> None:
 def continuous_sets(model: Any) -> tuple[Any, ...]:
     """Return the model's continuous sets that are not discretised: its horizons.
 
+    Sets that index no variable are left out if there are several.
+
     Raises
     ------
     TranscriptionError
-        If the argument is no model, a component is indexed by two of the sets, or several sets
-        exist of which one indexes no component.
+        If the argument is no model, or a component is indexed by two of the sets.
     """
     _refuse_other_than_models(model)
     sets = tuple(
@@ -137,7 +154,7 @@ def _is_asked_for(model: Any, time: Any) -> bool:
     )
 
 
-# Active components that the engine interprets; a port only names variables.
+# Types of active components that the engine interprets; a Port only names variables.
 _UNDERSTOOD = (Block, Constraint, Objective, Suffix, Port)
 # Replacement to suggest for a component type that is not supported.
 _INSTEAD = {
@@ -164,12 +181,12 @@ def _refuse_unknown(model: Any) -> None:
                 )
 
 
-# Component types that gain a member at an added time, made by Pyomo or on access.
+# Component types for which Pyomo makes a member at an added time, at once or on access.
 _EXPANDED = (Var, DerivativeVar, Param, Constraint, Expression, Integral, Suffix)
 
 
 def _drop_unexpanded(copy: Any, time: Any) -> None:
-    """Delete inactive components of unknown type that cannot be expanded to another time."""
+    """Delete inactive components over time for which Pyomo cannot make a member at another time."""
     for component in list(copy.component_objects(descend_into=True)):
         is_unknown = isinstance(component, IndexedComponent) and component.ctype not in _EXPANDED
         if is_unknown and is_over(component, time):
@@ -177,7 +194,10 @@ def _drop_unexpanded(copy: Any, time: Any) -> None:
 
 
 def _refuse_piecewise(model: Any, times: tuple[Any, ...]) -> None:
-    """Refuse piecewise functions that need integers or are indexed by time; the rest are linear."""
+    """Raise an error for piecewise functions that need integers or are indexed by time.
+
+    All other piecewise functions consist of linear constraints, and are accepted.
+    """
     for block in model.component_objects(Block, active=True, descend_into=True):
         if isinstance(block, Piecewise) and (
             any(is_over(block, time) for time in times)
@@ -191,6 +211,11 @@ def _refuse_piecewise(model: Any, times: tuple[Any, ...]) -> None:
 
 
 def _refuse_unsupported(model: Any, times: tuple[Any, ...]) -> None:
+    """Raise an error for declarations that the engine cannot transcribe.
+
+    These are unknown components, integer variables, blocks and objectives over time, and
+    derivatives of higher order.
+    """
     _refuse_piecewise(model, times)
     _refuse_unknown(model)
     for variable in model.component_data_objects(Var, active=True, descend_into=True):
@@ -217,7 +242,7 @@ def _refuse_unsupported(model: Any, times: tuple[Any, ...]) -> None:
 
 
 def _keep_parameters(copy: Any, time: Any) -> None:
-    """Keep parameters over time as symbols in expressions, immutable ones too."""
+    """Make immutable parameters over time mutable, so that expressions contain their symbols."""
     for parameter in copy.component_objects(Param, descend_into=True):
         if parameter.mutable or not is_over(parameter, time):
             continue
@@ -229,7 +254,7 @@ def _keep_parameters(copy: Any, time: Any) -> None:
 
 
 def copies_with_template_times(model: Any) -> tuple[WorkingCopy, ...]:
-    """Clone a model and add one interior time to each of its continuous sets.
+    """Clone a model and add one interior time, the template time, to each of its continuous sets.
 
     Returns
     -------
@@ -270,7 +295,10 @@ def copies_with_template_times(model: Any) -> tuple[WorkingCopy, ...]:
 
 
 def _culprit(error: Exception, copies: list[WorkingCopy]) -> str:
-    """Return the name of the component whose rule failed, else the names of the continuous sets."""
+    """Return the name of the component whose rule raised an error, for the message.
+
+    If it cannot be told from the traceback, the names of the continuous sets are returned.
+    """
     frames = [frame for frame, _ in walk_tb(error.__traceback__)]
     made = [frame.f_locals.get("self") for frame in frames]
     names = [held.name for held in made if isinstance(held, Component)]
@@ -278,7 +306,15 @@ def _culprit(error: Exception, copies: list[WorkingCopy]) -> str:
 
 
 def _expand(copy: Any, copies: list[WorkingCopy]) -> None:
-    """Add each component's member at the template times, by calling its rule."""
+    """Make the members of all components at the template times, by calling their rules.
+
+    A template time is the interior time added to a continuous set, at which equations are read.
+
+    Raises
+    ------
+    TranscriptionError
+        If a rule fails at that time.
+    """
     try:
         expand_components(copy)
     except Exception as error:

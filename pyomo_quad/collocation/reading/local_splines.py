@@ -1,17 +1,18 @@
-"""Local evaluation of tensor-product B-splines in CasADi, at a cost that does not grow with them.
+"""Tensor-product B-splines in CasADi whose evaluation cost does not depend on the table's size.
 
-A spline around a place is a polynomial.  One call finds its coefficients and returns its value,
-gradient and Hessian.  Along its first axes, as many as a table of moderate size allows, the table
-holds the coefficients of powers in each cell.  Along the others it holds those of the B-spline, and
-the call finds the few that matter and the polynomials of the basis there.  CasADi's B-spline of
-degree zero is the look-up: it neither copies nor searches its table.
+Around any place a spline is a polynomial. A single call finds the polynomial's coefficients and
+returns its value, gradient and Hessian. Along its first axes, as many as a table of moderate size
+allows, the table holds the coefficients of powers in each cell. Along the other axes it holds those
+of the B-spline, and the call finds the few that matter and the polynomials of the basis there.
+CasADi's B-spline of degree zero serves as the look-up: it neither copies nor searches its table.
 
-To CasADi the call is constant.  It is made at a place that is rounded to a billionth of a cell, and
-the expression of the spline is the Taylor polynomial of degree two round it.  Its value and slope
-are exact to rounding errors, and its second derivatives to a billionth of their change in a cell.
+For CasADi's differentiation the call is a constant. It is made at a place that is rounded to 2**-38
+(4e-12) of the smallest cell, and the expression of the spline is the Taylor polynomial of degree
+two around that place. Its value and slope are exact to rounding errors, and its second derivatives
+to a corresponding fraction of their change in a cell.
 
 CasADi differentiates its own cubic B-splines entry by entry: a Hessian of a table with four axes
-took 80 microseconds, and 15 in this way; of one with two axes, 2.
+took 80 microseconds, and takes 15 with this method; of a table with two axes, 2.
 """
 
 from __future__ import annotations
@@ -31,27 +32,33 @@ if TYPE_CHECKING:
 
 # Numbers in the largest table of coefficients of powers: CasADi writes it out with each function.
 _MOST_LOOKED_UP = 3_000_000
-# Of the least step of an axis: to what the place of a call is rounded.
+# Rounding of the place of a call, as a fraction of the smallest step of an axis.
 _ROUNDING = 2.0**-38
-# Of a rounding, or of a step within the ends: CasADi's look-up fails at the end of a cell itself.
+# Offset of the place of a call within a rounding, and within a step at either end, as a fraction of
+# each: CasADi's look-up fails at the end of a cell itself.
 _ASIDE = 0.3819660112501051
 _VALUE_SLOPE_BEND = 3
 
 
 @dataclass(frozen=True, kw_only=True)
 class LocalSpline:
-    """A tensor-product B-spline that is straight in the first and last interval of each axis.
+    """Tensor-product B-spline in a form whose evaluation cost does not depend on its size.
+
+    The spline is linear in the first and last interval of each axis. A CasADi function returns
+    value, gradient and Hessian at a place near the arguments, to which they are rounded; a Taylor
+    polynomial of degree two gives the value at the arguments themselves.
 
     Attributes
     ----------
     roundings : tuple of float
-        Rounding of each argument of the call.
+        Rounding of each argument to the place.
     ends : tuple of (float, float)
-        Least and greatest value of each argument of the call.
+        Least and greatest value of each coordinate of the place.
     function : casadi.Function
         From a place to value, gradient and the upper triangle of the Hessian.
     kept : tuple of casadi.Function
-        Its derivatives, all zero, which CasADi would otherwise make anew for each expression.
+        Derivatives of `function`, all zero, which CasADi would otherwise make anew for each
+        expression.
     """
 
     roundings: tuple[float, ...]
@@ -61,7 +68,16 @@ class LocalSpline:
 
     @classmethod
     def of(cls, knots: Sequence[FloatArray], coefficients: FloatArray, degree: int) -> Self:
-        """Return the local form of a spline."""
+        """Return a B-spline in the form of a `LocalSpline`.
+
+        Parameters
+        ----------
+        knots : sequence of ndarray
+            Knots along each axis.
+        coefficients : ndarray
+            One axis per argument.
+        degree : int
+        """
         place: Any = casadi.MX.sym("place", len(knots))
         found = casadi.vertcat(*_jet(place, knots, coefficients, degree))
         # CasADi would otherwise differentiate the call itself.
@@ -87,8 +103,8 @@ class LocalSpline:
         )
 
     def written(self, arguments: Sequence[Any]) -> Any:
-        """Return the value at CasADi expressions."""
-        # CasADi's look-up fails at a place that is not a number; the expression is none there.
+        """Return the spline's value at CasADi expressions of its arguments, as an expression."""
+        # CasADi's look-up fails at NaN, so fmax replaces NaN; `away` makes the result NaN again.
         rounded = [
             casadi.fmin(casadi.fmax(step * (casadi.floor(argument / step) + _ASIDE), low), high)
             for argument, step, (low, high) in zip(
@@ -106,6 +122,7 @@ class LocalSpline:
 
 
 def _pairs(count: int) -> list[tuple[int, int]]:
+    """Return the pairs (i, j) with i <= j: the upper triangle of a Hessian, row after row."""
     return list(combinations_with_replacement(range(count), 2))
 
 
@@ -141,7 +158,7 @@ def _jet(
     at = casadi.MX.sym("at", len(knots))
     entry = casadi.Function("entry", [at], [_looked_up(at, axes, table)])
     first = casadi.vertcat(*index)
-    # The first of the axes counts fastest.
+    # The offset along the first axis varies fastest.
     offsets = product(range(order), repeat=len(knots) - cells)
     parts: dict[tuple[int, ...], Any] = {
         (): casadi.vertcat(*[entry(first + casadi.DM([0] * cells + [*o][::-1])) for o in offsets])
@@ -162,7 +179,10 @@ def _jet(
 
 
 def _powers(at: Any, anchor: Any, per_width: Any, degree: int) -> Any:
-    """Return the powers of a coordinate relative to its cell, with first and second derivatives."""
+    """Return the powers of a coordinate relative to its cell, with first and second derivatives.
+
+    The result is a CasADi matrix with a row per power and a column per derivative.
+    """
     share = (at - anchor) * per_width
     powers = [casadi.MX(1), *(share**k for k in range(1, degree + 1))]
     columns = [powers]
@@ -174,7 +194,15 @@ def _powers(at: Any, anchor: Any, per_width: Any, degree: int) -> Any:
 def _looked_up(place: Any, breaks: Sequence[FloatArray], table: FloatArray) -> Any:
     """Return the table's entry for the grid cell that contains a point, as a CasADi column.
 
-    The first of the entry's own axes varies fastest.
+    Parameters
+    ----------
+    place : casadi.MX
+        The point.
+    breaks : sequence of ndarray
+        Ends of the cells along each axis.
+    table : ndarray
+        Entries: first one axis per axis of the grid, then the axes of an entry itself, of which the
+        first varies fastest in the result.
     """
     count = len(breaks)
     values = np.moveaxis(table, range(count, table.ndim), range(table.ndim - count))
@@ -185,19 +213,19 @@ def _looked_up(place: Any, breaks: Sequence[FloatArray], table: FloatArray) -> A
 
 @dataclass(frozen=True, kw_only=True)
 class _Pieces:
-    """The polynomials of the basis of one axis, in n cells.
+    """Polynomials of the B-spline basis of one axis, in each of n cells.
 
     Attributes
     ----------
     breaks : ndarray, shape (n + 1,)
         Ends of the cells.
     columns : ndarray of int, shape (n, degree + 1)
-        Coefficients that matter in each cell.
+        Basis functions that are not zero in each cell.
     ends : ndarray, shape (n, 2)
-        Anchor and reciprocal width of each cell.
+        Anchor (a place to which coordinates are relative) and reciprocal width of each cell.
     matrices : ndarray, shape (n, degree + 1, degree + 1)
-        Coefficients of powers of the distance from the anchor over the width, by rows, of each of
-        these functions of the basis.
+        Coefficients of each of these basis functions in powers of (coordinate - anchor) / width,
+        one row per power.
     """
 
     breaks: FloatArray
@@ -207,7 +235,10 @@ class _Pieces:
 
     @classmethod
     def of(cls, knots: FloatArray, degree: int) -> Self:
-        """Return the pieces; the first and last continue value and slope of their neighbours."""
+        """Return the polynomials of the B-spline basis with given knots, in each cell.
+
+        The first and last cell continue value and slope of their neighbours linearly.
+        """
         from scipy.interpolate import BSpline  # noqa: PLC0415  few models have tables
 
         breaks, powers = np.unique(knots), np.arange(degree + 1)

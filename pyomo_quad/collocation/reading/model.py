@@ -1,4 +1,4 @@
-"""Reading a Pyomo.DAE model: templates, conditions, integrals and objective."""
+"""Reading of a Pyomo.DAE model: equations over time, conditions, integrals and objective."""
 
 from __future__ import annotations
 
@@ -43,7 +43,13 @@ _MET = 1e-9
 
 
 class RelationReader:
-    """Reads the constraints of a working copy, and the values that variables are fixed to."""
+    """Reader of the constraints of a model, and of the values to which variables are fixed.
+
+    Parameters
+    ----------
+    writer : TemplateWriter
+        Translator of Pyomo expressions to CasADi expressions.
+    """
 
     def __init__(self, writer: TemplateWriter) -> None:
         self._writer = writer
@@ -52,7 +58,7 @@ class RelationReader:
         self.symbols = writer.symbols
 
     def constraints(self) -> tuple[list[PathEquation], list[PointCondition]]:
-        """Return equations over time and conditions at points, in declared order."""
+        """Return equations over time, and conditions (constraints at declared times), in order."""
         equations: list[PathEquation] = []
         conditions: list[PointCondition] = []
         for component in self.copy.model.component_objects(
@@ -89,7 +95,20 @@ class RelationReader:
         equations: list[PathEquation],
         conditions: list[PointCondition],
     ) -> None:
-        """Turn one constraint's members into a path equation and conditions at declared times."""
+        """Read the members of a constraint that differ in time only.
+
+        They become an equation over time, or conditions (constraints at declared times).
+
+        Parameters
+        ----------
+        component : Constraint
+        index : tuple
+            Index without time, which the members share.
+        instances : dict
+            Active members by time, with that at the interior time at which equations are read.
+        equations, conditions : list
+            Lists to which the result is added.
+        """
         template = instances.pop(self.copy.template_time, None) if self.copy.time else None
         equation = None
         if self.addresses.time_position(component) is not None:
@@ -104,7 +123,11 @@ class RelationReader:
         conditions.extend(self._between(equation, template, instances))
 
     def _refuse_alike(self, component: Any, instances: list[Any]) -> None:
-        """Refuse members without a rule that are identical at every declared time."""
+        """Raise an error for members without a rule that are identical at every declared time.
+
+        They are probably meant for all times, but the engine imposes them at the declared times
+        only.
+        """
         if all(self._is_alike(instances[0], other) for other in instances[1:]):
             raise TranscriptionError(
                 f"{component.name}: is the same at every declared time, but has no rule for the "
@@ -112,7 +135,11 @@ class RelationReader:
             )
 
     def _refuse_listed(self, component: Any) -> None:
-        """Refuse a ConstraintList that constrains an algebraic variable at every declared time."""
+        """Raise an error for a ConstraintList on an algebraic variable at every declared time.
+
+        The list is probably meant for all times, but the engine imposes it at the declared times
+        only.
+        """
         members = [data for data in component.values() if data.active]
         if self.copy.time is None or len(members) != len(self.copy.declared_times):
             return
@@ -126,6 +153,7 @@ class RelationReader:
             self._refuse_alike(component, members)
 
     def _relation(self, data: Any, name: str) -> tuple[Any, Any, Any]:
+        """Return a constraint's member as CasADi expressions: body, lower and upper bound."""
         lower, body, upper = data.to_bounded_expression()
         expression = casadi.SX(self._writer.write(body, name))
         if data.equality:
@@ -137,11 +165,15 @@ class RelationReader:
         )
 
     def _condition(self, data: Any) -> PointCondition:
+        """Return a constraint's member at a declared time as a `PointCondition`."""
         expression, lower, upper = self._relation(self._writer.at_instant(data), data.name)
         return PointCondition(name=data.name, expression=expression, lower=lower, upper=upper)
 
     def _imposed(self, condition: PointCondition) -> PointCondition:
-        """Return a condition to impose, refusing a signal that is read at a single instant."""
+        """Return a condition unchanged; raise an error if it reads a parameter over time.
+
+        Such a parameter at a single time is not supported in a condition.
+        """
         signals = {symbol.name() for symbol in self.symbols.signal_points.values()}
         read = signals & symbol_names(condition.expression)
         if read:
@@ -154,11 +186,12 @@ class RelationReader:
     def _start_and_end(
         self, equation: PathEquation, instances: dict[Any, Any]
     ) -> list[PointCondition]:
-        """Return the conditions that the end instances of a path equation add to it.
+        """Return the conditions that a constraint's members at start and end add to its equation.
 
-        The collocation points include the end but not the start.  At the start an equation
-        among states only is imposed as a condition; one with rates or algebraic variables
-        has no meaning there.  An end instance that differs is a condition of its own.
+        The collocation points include the end but not the start. At the start an equation among
+        states only is imposed as a condition; an equation with rates or algebraic variables has no
+        meaning there. A member at the end that differs from the path equation is a condition of its
+        own.
         """
         added = []
         first, last = self.copy.declared_times[0], self.copy.declared_times[-1]
@@ -174,7 +207,11 @@ class RelationReader:
     def _between(
         self, equation: PathEquation, template: Any, instances: dict[Any, Any]
     ) -> list[PointCondition]:
-        """Return the conditions of declared interior times that differ from the path equation."""
+        """Return the members at declared interior times that differ from the path equation.
+
+        They are conditions of their own. `template` is the member at the template time, `instances`
+        the members at declared times.
+        """
         added = []
         for time in self.copy.declared_times[1:-1]:
             data = instances.get(time)
@@ -186,7 +223,7 @@ class RelationReader:
         return added
 
     def _is_alike(self, first: Any, second: Any) -> bool:
-        """Return whether two instances of a constraint are identical except for their times."""
+        """Return whether two members of a constraint are identical except for their times."""
         pairs = [(first.expr, second.expr)]
         while pairs:
             a, b = pairs.pop()
@@ -203,6 +240,10 @@ class RelationReader:
         return True
 
     def _is_member_alike(self, a: Any, b: Any) -> bool:
+        """Return whether two variables or parameters are members of one component with equal index.
+
+        Their times may differ.
+        """
         if a is b:
             return True
         owners = [getattr(member, "parent_component", lambda: None)() for member in (a, b)]
@@ -211,6 +252,7 @@ class RelationReader:
         return self.addresses.of(a).index == self.addresses.of(b).index
 
     def _states_only(self, equation: PathEquation) -> bool:
+        """Return whether an equation over time has states, but no rates or algebraic variables."""
         names = symbol_names(equation.expression)
         table = self.symbols
         rates = {s.rate.name() for s in table.states.values()}
@@ -219,10 +261,19 @@ class RelationReader:
     def _same_at(
         self, condition: PointCondition, equation: PathEquation, time: float, side: int = -1
     ) -> bool:
-        """Return whether a condition is the path equation evaluated at a time, on one side of it.
+        """Return whether a condition is the path equation evaluated at a declared time.
 
-        A rule that branches on its time may hold other numbers at that one instant; they have no
+        A rule that branches on its time may return other numbers at that single time; they have no
         effect, because an instant has no length.
+
+        Parameters
+        ----------
+        condition : PointCondition
+        equation : PathEquation
+        time : float
+            The declared time.
+        side : int
+            Side of the time on which rules that branch on time are evaluated: -1 before, 1 after.
         """
         table = self.symbols
         clock = table.clock
@@ -254,7 +305,11 @@ class RelationReader:
         return all(same_expression(moved[k], moved[k + 3]) for k in range(3))
 
     def values_at_points(self, conditions: list[PointCondition]) -> list[tuple[str, float]]:
-        """Return the slots that are fixed at declared times; add bounds that hold only there."""
+        """Return the states that are fixed at declared times, as (name, fraction of the horizon).
+
+        Fixed algebraic variables, and bounds that exist at a declared time only, are added to
+        `conditions`.
+        """
         fixed = []
         table = self.symbols
         for slot in (*table.states.values(), *table.algebraics.values(), *self._rates()):
@@ -280,7 +335,7 @@ class RelationReader:
         return fixed
 
     def _rates(self) -> Iterator[Slot]:
-        """Yield derivatives over time with their bounds, in the form of variables."""
+        """Yield the derivatives with respect to time, with their bounds, as `Slot` objects."""
         for derivative in self.copy.model.component_objects(DerivativeVar, descend_into=True):
             for position, data in derivative.items():
                 address = self.addresses.split(derivative, position)
@@ -295,7 +350,7 @@ class RelationReader:
                     )
 
     def _rate_limits(self) -> Iterator[PathEquation]:
-        """Yield the bounds of derivatives as limits over time."""
+        """Yield the bounds of derivatives as inequalities over time."""
         for slot in self._rates():
             lower, upper = self._writer.bounds_over_time(slot)
             if not is_unbounded(lower, upper):
@@ -309,7 +364,7 @@ class RelationReader:
                 )
 
     def _held(self, data: Any) -> PointCondition:
-        """Return the condition that an algebraic variable has the value that a user fixed."""
+        """Return the condition that an algebraic variable equals the value fixed at a time."""
         number = self.symbols.fixed_value(data)
         expression = casadi.SX(self._writer.write(data, data.name)) - number
         return PointCondition(
@@ -318,7 +373,7 @@ class RelationReader:
 
 
 def _is_met_as_fixed(data: Any) -> bool:
-    """Return whether a constraint holds fixed variables only and is satisfied."""
+    """Return whether all variables in a constraint are fixed and the constraint is satisfied."""
     if not all(v.fixed and v.value is not None for v in identify_variables(data.body)):
         return False
     return bool(data.slack() >= -_MET * (1.0 + abs(value(data.body))))
@@ -327,7 +382,7 @@ def _is_met_as_fixed(data: Any) -> bool:
 def read_declarations(
     model: Any, final_time: Any = None, times: FreeTimes | None = None
 ) -> tuple[Declarations, ModelReader]:
-    """Read the declarations of a Pyomo model.
+    """Read the declarations of a Pyomo model with at most one horizon.
 
     Parameters
     ----------
@@ -341,8 +396,8 @@ def read_declarations(
     Returns
     -------
     Declarations, ModelReader
-        The declarations, and the reader, which can write further expressions of the model in
-        the same symbols.
+        The declarations, and the reader, which can write further expressions of the model in the
+        same symbols.
 
     Raises
     ------
@@ -362,12 +417,19 @@ def read_declarations(
 
 
 class ModelReader:
-    """Reads one working copy: its relations first, then the variables and parameters in them.
+    """Reader of a model's declarations: constraints first, then their variables and parameters.
+
+    Parameters
+    ----------
+    writer : TemplateWriter
+        Translator of Pyomo expressions to CasADi expressions.
 
     Attributes
     ----------
-    equations, conditions : list
-        Constraints over time, and at points.
+    equations : list of PathEquation
+        Constraints over time.
+    conditions : list of PointCondition
+        Constraints at declared times.
     """
 
     def __init__(self, writer: TemplateWriter) -> None:
@@ -379,12 +441,20 @@ class ModelReader:
         self.equations, self.conditions = self._relations.constraints()
 
     def require_all(self) -> None:
-        """Refuse a model without free variables, or a derivative that no equation holds."""
+        """Raise an error if no variable is free, or a derivative appears in no equation."""
         self._require_dynamics(self.equations)
         self._require_variables()
 
     def declarations(self, cost: Any, objective: Any) -> Declarations:
-        """Return the declarations, with `cost` as the objective's expression."""
+        """Return the declarations of the model.
+
+        Parameters
+        ----------
+        cost : casadi.SX
+            Expression of the objective.
+        objective : Objective or None
+            The Pyomo objective, for its name and sense.
+        """
         conditions = self.conditions
         fixed = self._relations.values_at_points(conditions)
         conditions.extend(
@@ -422,7 +492,10 @@ class ModelReader:
         )
 
     def _read_expressions(self) -> None:
-        """Write every expression over time once, which registers the parameters in it."""
+        """Translate every named expression over time once, so that its parameters are registered.
+
+        A solution can then be asked for expressions that no equation uses.
+        """
         for component in self.copy.model.component_objects(
             Expression, active=True, descend_into=True
         ):
@@ -433,13 +506,14 @@ class ModelReader:
                         self.writer.write_at_template(component, address.index)
 
     def _used_algebraics(self, points: tuple[PointSymbol, ...]) -> dict[str, Slot]:
-        """Return the algebraic variables in an equation, an integrand or a value at a time."""
+        """Return the algebraic variables in equations, integrands or values at declared times."""
         parts = [part for e in self.equations for part in (e.expression, e.lower, e.upper)]
         parts += [i.integrand for i in self.writer.integrals.values()]
         used = symbol_names(casadi.vertcat(*parts)) | {point.slot for point in points}
         return {name: s for name, s in self.symbols.algebraics.items() if name in used}
 
     def _require_variables(self) -> None:
+        """Raise an error if the model has no variable to solve for."""
         table = self.symbols
         if not (table.states or table.algebraics or table.statics):
             where = self.copy.time.name if self.copy.others else "model"
@@ -449,6 +523,7 @@ class ModelReader:
             )
 
     def _require_dynamics(self, equations: list[PathEquation]) -> None:
+        """Raise an error for a state whose derivative appears in no equation."""
         read = [symbol_names(e.expression) for e in equations if e.is_equality]
         used = frozenset[str]().union(*read)
         states = self.symbols.states.values()
@@ -467,7 +542,8 @@ class ModelReader:
     def _said_without_rates(self, states: list[Slot], read: list[frozenset[str]]) -> frozenset[str]:
         """Return the states that equations without derivatives determine, one equation per state.
 
-        A derivative in space uses up an equation as well: the one that its discretisation wrote.
+        A derivative in space uses up an equation as well: the equation that its discretisation
+        wrote.
         """
         rates = {s.rate.name() for s in self.symbols.states.values()}
         algebraic = [names for names in read if not names & rates]
@@ -484,13 +560,14 @@ class ModelReader:
         return frozenset(name for name, row in zip(wanted, found, strict=True) if row >= 0)
 
     def _derivative_name(self, state: Slot) -> str:
+        """Return the name of a state's derivative, for messages."""
         for derivative in self.copy.model.component_objects(DerivativeVar, descend_into=True):
             if derivative.get_state_var().name == state.component:
                 return indexed_name(derivative.name, state.index)
         return f"derivative of {state.name}"
 
     def _bounds(self, slot: Slot) -> tuple[Any, Any]:
-        """Return the bounds of a static variable."""
+        """Return lower and upper bound of a static variable as CasADi expressions."""
         return (
             self.writer.bound(slot.lower, -casadi.inf, slot.name),
             self.writer.bound(slot.upper, casadi.inf, slot.name),
@@ -502,7 +579,7 @@ class ModelReader:
         nominal: dict[str, float],
         bounds: Callable[[Slot], tuple[Any, Any]],
     ) -> tuple[Slot, ...]:
-        """Write the bounds of slots as CasADi expressions and assign their magnitudes."""
+        """Return variables with bounds as CasADi expressions and with declared magnitudes."""
         finished = []
         for slot in table.values():
             lower, upper = bounds(slot)

@@ -1,4 +1,4 @@
-"""Sources of numbers: the user's Pyomo model, or the values that a pickle kept of it."""
+"""Sources of a problem's numbers: the user's Pyomo model, or the values kept of it in a pickle."""
 
 from __future__ import annotations
 
@@ -48,12 +48,15 @@ _AT_ANY_TIME = (
 
 
 def family_name(name: str) -> str:
-    """Return the component that a row, bound or condition belongs to."""
+    """Return the name of the component that declares a constraint, bound or condition.
+
+    Index and time are removed: ``omega[1] at time 2`` becomes ``omega``.
+    """
     return name.split("[", 1)[0].split(" at time", 1)[0]
 
 
 def declared_unit(model: Any, name: str) -> str:
-    """Return the unit of a constraint's body or of a variable, "" where it has none."""
+    """Return the unit of a constraint's body or of a variable, by name; "" if it has none."""
     component = model.find_component(family_name(name))
     data: Any = None if component is None else next(iter(component.values()), None)
     try:
@@ -81,7 +84,10 @@ def _spelled(unit: Any) -> str:
 
 
 def declared_magnitudes(model: Any) -> dict[str, float]:
-    """Return the magnitudes given by Suffix `scaling_factor`, by component or slot name."""
+    """Return the magnitudes of variables according to the Suffix `scaling_factor`, by name.
+
+    A magnitude is the inverse of a scaling factor; names are those of components or of members.
+    """
     magnitudes: dict[str, float] = {}
     for suffix in model.component_objects(Suffix, descend_into=True):
         if suffix.local_name == "scaling_factor":
@@ -92,7 +98,7 @@ def declared_magnitudes(model: Any) -> dict[str, float]:
 
 
 class LiveModel:
-    """The user's model, whose values are read anew at every call.
+    """The user's Pyomo model as a source of numbers, read anew at every call.
 
     Parameters
     ----------
@@ -100,7 +106,7 @@ class LiveModel:
     time : ContinuousSet or None
         The model's continuous set.
     schedules : tuple of Schedule or Phases
-        Functions that evaluate the declarations' `scheduled` slots.
+        Functions of time for rules that branch on time (`Declarations.scheduled`).
     """
 
     def __init__(self, model: Any, time: Any, schedules: tuple[Schedule | Phases, ...]) -> None:
@@ -110,13 +116,13 @@ class LiveModel:
         self._addresses = AddressBook(time)
 
     def of(self, model: Any) -> LiveModel:
-        """Return a source that reads another model with the same declarations."""
+        """Return a `LiveModel` of another Pyomo model with the same declarations."""
         time = None if self._time is None else model.find_component(self._time.name)
         return LiveModel(model, time, self.schedules)
 
     @property
     def times(self) -> tuple[float, ...]:
-        """The declared times, in rising order."""
+        """The declared times, in rising order; empty for a model without time."""
         return () if self._time is None else tuple(float(t) for t in sorted(self._time))
 
     def has(self, name: str) -> bool:
@@ -124,11 +130,11 @@ class LiveModel:
         return self.model.find_component(name) is not None
 
     def unit(self, name: str) -> str:
-        """Return the unit of a limit or a variable, "" where it has none."""
+        """Return the unit of a constraint or variable by name, "" if it has none."""
         return declared_unit(self.model, name)
 
     def parameter(self, slot: Slot) -> float | None:
-        """Return the value of a parameter without time, None if it has none."""
+        """Return the value of a parameter without time, or of a fixed variable; None if unset."""
         component = self.model.find_component(slot.component)
         member = self._member(component, slot)
         if slot.name == member.name and self._addresses.of(member).time is not None:
@@ -137,7 +143,7 @@ class LiveModel:
         return None if found is None else float(found)
 
     def _refuse_other_values(self, variable: Any, index: tuple[Any, ...]) -> None:
-        """Refuse a variable that is fixed at all declared times to different numbers."""
+        """Raise an error for a variable fixed to different numbers at the declared times."""
         held = {variable[self._addresses.join(variable, index, t)].value for t in self.times}
         if len(held) > 1:
             raise TranscriptionError(
@@ -157,12 +163,13 @@ class LiveModel:
     def first_guess(self, slot: Slot) -> Callable[[float], float] | None:
         """Return a variable's `initialize` rule as a function of time.
 
-        None where it has no such rule, and where its values differ from those of the rule.
+        The result is None if the variable has no such rule, or if its values differ from those of
+        the rule.
 
         Raises
         ------
         TranscriptionError
-            Raised by the function, where the rule has no value.
+            Raised by the function, at a time at which the rule fails.
         """
         component = self.model.find_component(slot.component)
         rule = initial_rule_of(component) if component.ctype is Var else None
@@ -180,7 +187,18 @@ class LiveModel:
     def _said(
         self, component: Any, slot: Slot, rule: Any, kind: str, advice: str = ""
     ) -> Callable[[float], float]:
-        """Return a rule as a function of time; where the rule fails, it raises a refusal."""
+        """Return a component's rule as a function of time, which raises an error if it fails.
+
+        Parameters
+        ----------
+        component : Pyomo component
+        slot : Slot
+            The member of the component.
+        rule : callable
+            (block, index) -> value.
+        kind, advice : str
+            Kind of the rule, and advice to the user, for the message.
+        """
         block, join = component.parent_block(), self._addresses.join
 
         def said(t: float) -> float:
@@ -194,6 +212,7 @@ class LiveModel:
         return said
 
     def _member(self, component: Any, slot: Slot, time: float | None = None) -> Any:
+        """Return the Pyomo data object of a variable or parameter, at a declared time if given."""
         if time is not None:
             return component[self._addresses.join(component, slot.index, time)]
         if not slot.index:
@@ -206,7 +225,8 @@ class LiveModel:
         Raises
         ------
         TranscriptionError
-            If it has no rule to evaluate it at any time; raised by the function, if the rule fails.
+            If the parameter has no rule to evaluate it at any time; raised by the function, if the
+            rule fails.
         """
         component = self.model.find_component(slot.component)
         rule = rule_of(component)
@@ -228,7 +248,17 @@ class LiveModel:
         return signal
 
     def load(self, slot: Slot, time: float | None, number: float) -> None:
-        """Put a solved value into the model's variable, unless a user fixed it there."""
+        """Set a variable of the Pyomo model to a solved value, unless the user fixed it.
+
+        Parameters
+        ----------
+        slot : Slot
+            The variable.
+        time : float or None
+            Declared time, None for a variable without time.
+        number : float
+            The value.
+        """
         component = self.model.find_component(slot.component)
         if component.ctype is Var:
             data = self._member(component, slot, time)
@@ -236,7 +266,10 @@ class LiveModel:
                 data.set_value(number, skip_validation=True)
 
     def load_rates(self, time: float, rate: Callable[..., float]) -> None:
-        """Put solved rates, by component and index, into the model's derivatives at a time."""
+        """Set the model's derivatives at a declared time to their solved values.
+
+        `rate` maps (component name, index=) to the derivative's value.
+        """
         for derivative in self.model.component_objects(DerivativeVar, descend_into=True):
             for position in derivative:
                 address = self._addresses.split(derivative, position)
@@ -245,7 +278,10 @@ class LiveModel:
                     derivative[position].set_value(number, skip_validation=True)
 
     def load_integrals(self, totals: Mapping[str, float]) -> None:
-        """Set integrals, by full name, to their totals; their rules keep the integrands."""
+        """Set the integrals of the Pyomo model to their solved values.
+
+        `totals` maps full names to values. The rules that hold the integrands are kept.
+        """
         for integral in self.model.component_objects(Integral, descend_into=True):
             for data in integral.values():
                 if data.name in totals:
@@ -258,7 +294,18 @@ class LiveModel:
         over_time: Mapping[str, Callable[[float], float]],
         once: Mapping[str, float],
     ) -> None:
-        """Write the numbers of constraints or variables, by name, into a suffix."""
+        """Write sensitivities of constraints or variables into a Pyomo suffix.
+
+        Parameters
+        ----------
+        suffix : Suffix
+        kind : type
+            Constraint or Var.
+        over_time : mapping
+            Name without time -> function of declared time.
+        once : mapping
+            Full name -> number.
+        """
         for component in self.model.component_objects(kind, active=True, descend_into=True):
             for index, data in component.items():
                 address = self._addresses.split(component, index)
@@ -268,7 +315,14 @@ class LiveModel:
                     suffix[data] = over_time[address.name](address.time)
 
     def snapshot(self, declared: Declarations, horizon: tuple[float, float]) -> ModelSnapshot:
-        """Return a copy of the model's present values; functions of time cover a horizon."""
+        """Return a copy of the model's present values that can be pickled.
+
+        Parameters
+        ----------
+        declared : Declarations
+        horizon : (float, float)
+            Times for which functions of time are approximated by polynomials.
+        """
         components = list(self.model.component_objects(descend_into=True))
         limits = self.model.component_objects((Var, Constraint), descend_into=True)
         units = {name: self.unit(name) for name in {family_name(c.name) for c in limits}}
@@ -301,6 +355,7 @@ class LiveModel:
     def _signal_kept(
         self, slot: Slot, horizon: tuple[float, float], asked: list[float]
     ) -> Interpolant:
+        """Return a parameter over time as an `Interpolant` for a pickle, maybe without pieces."""
         try:
             return _kept(slot, self.signal(slot), horizon, asked)
         except TranscriptionError as error:
@@ -313,7 +368,10 @@ def _kept(
     horizon: tuple[float, float],
     asked: list[float],
 ) -> Interpolant:
-    """Return a function of time as piecewise polynomials for a pickle, or why there are none."""
+    """Return a function of time as piecewise polynomials, or the reason for their absence.
+
+    `asked` are the times between which jumps of the function are searched.
+    """
     try:
         edges = list(jumps(partial(as_reading, function), asked))
     except TranscriptionError as error:
@@ -323,7 +381,25 @@ def _kept(
 
 @dataclass(frozen=True, kw_only=True)
 class ModelSnapshot:
-    """Values that a model held when its problem was pickled, with the interface of `LiveModel`."""
+    """Values that a model had when its problem was pickled, with the interface of `LiveModel`.
+
+    Attributes
+    ----------
+    times : tuple of float
+        Declared times.
+    names : frozenset of str
+        Names of the model's components.
+    units : dict
+        Units by component name.
+    parameters : dict
+        Values of parameters without time by name.
+    variables : dict
+        Values of variables by (name, declared time), None as time for static variables.
+    signals, guesses : dict
+        Parameters over time, and `initialize` rules of variables, by name as functions of time.
+    schedules : tuple of Interpolant
+        Data over time of rules that branch on time.
+    """
 
     times: tuple[float, ...]
     names: frozenset[str]
@@ -335,7 +411,7 @@ class ModelSnapshot:
     schedules: tuple[Interpolant, ...]
 
     def _refuse(self, *_given: Any) -> NoReturn:
-        """Raise an error: the model and its rules are not in a pickled problem."""
+        """Raise an error for operations that need the Pyomo model, which is not pickled."""
         raise TranscriptionError(
             "model: a pickled problem keeps the model's equations and numbers, not the model; "
             "compile the model again to load values into it."
@@ -349,7 +425,7 @@ class ModelSnapshot:
         return name in self.names or name.rpartition("[")[0] in self.names
 
     def unit(self, name: str) -> str:
-        """Return the unit of a limit or a variable, "" where it has none."""
+        """Return the unit of a constraint or variable by name, "" if it has none."""
         return self.units.get(family_name(name), "")
 
     def parameter(self, slot: Slot) -> float | None:
@@ -365,14 +441,17 @@ class ModelSnapshot:
         return self.guesses.get(slot.name)
 
     def signal(self, slot: Slot) -> Interpolant:
-        """Return a parameter over time as a function of time."""
+        """Return a parameter over time as a function of time, as the pickle holds it."""
         return self.signals[slot.name]
 
     def snapshot(self, declared: Declarations, horizon: tuple[float, float]) -> ModelSnapshot:  # noqa: ARG002
-        """Return itself, since it is a snapshot already."""
+        """Return the snapshot itself; the arguments are those of `LiveModel.snapshot`."""
         return self
 
 
 def as_reading(signal: Callable[[float], float], time: float) -> Reading:
-    """Return the value of a signal at a time as a `Reading` without a key."""
+    """Return the value of a function at a time in the form of a rule's result, a `Reading`.
+
+    It has no key, since a function has no forms; `jumps` can then be applied to it.
+    """
     return Reading(None, (signal(time),))

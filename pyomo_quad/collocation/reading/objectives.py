@@ -1,4 +1,4 @@
-"""The objective of a model: at most one, without sums over instants in place of an integral."""
+"""Reading of a model's objective, and refusal of sums over declared times in place of integrals."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 
 def objective_of(copy: WorkingCopy) -> Any:
-    """Return the active objective, None if the model declares only equations.
+    """Return the active objective of a model, None if the model declares only equations.
 
     Raises
     ------
     TranscriptionError
-        If there are several, or it sums a control over the declared instants.
+        If there are several, or the objective sums a control over the declared times.
     """
     objectives = list(copy.model.component_data_objects(Objective, active=True, descend_into=True))
     if len(objectives) > 1:
@@ -40,10 +40,11 @@ def objective_of(copy: WorkingCopy) -> Any:
 
 
 def _refuse_sum(objective: Any, time: Any, copy: WorkingCopy) -> None:
-    """Refuse an objective that adds the same function of a control at every declared instant.
+    """Raise an error for an objective that sums a function of a control over the declared times.
 
-    Values of a state at all declared instants are a fit to data or a cost of both ends. A control
-    has no meaning at a single instant, and only equal terms distinguish a sum from a fit to data.
+    Such a sum is probably meant as an integral. A control has no meaning at a single time, whereas
+    values of a state at all declared times are a fit to data or a cost of both ends. The sum is
+    recognised by equal terms at all times; the terms of a fit to data differ.
     """
     addresses = AddressBook(time)
     states = {d.get_state_var().name for d in copy.model.component_objects(DerivativeVar)}
@@ -81,8 +82,16 @@ def _refuse_sum(objective: Any, time: Any, copy: WorkingCopy) -> None:
 def _is_alike(cost: Any, key: Any, first: dict[Any, Any], other: dict[Any, Any]) -> bool:
     """Return whether the objective depends on a variable in the same way at two declared times.
 
-    The derivative of `cost` by the variable `key` is compared at both: `first` and `other` hold
-    the symbols of all variables at either time, by (name, index).
+    The derivatives of the objective with respect to the variable at either time are compared.
+
+    Parameters
+    ----------
+    cost : casadi.SX
+        The objective.
+    key : (str, tuple)
+        Component name and index without time of the variable.
+    first, other : dict
+        Symbols of all variables at either time, with such keys.
     """
     if key not in other:
         return False

@@ -1,4 +1,8 @@
-"""Rules of a model's components: found, made to refer to a clone, and checked."""
+"""Rules of a model's components: functions that make the members of constraints and expressions.
+
+A clone of a model keeps the rules of the original, which refer to the original's components. This
+module makes them refer to the clone, and checks that the members still agree with their rules.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +30,7 @@ _INNER = "_initializer"  # attribute in which a wrapping initializer keeps the w
 
 
 def transfer_rules(model: Any, copy: Any) -> None:
-    """Make the rules of a clone refer to the clone.
+    """Make the rules of a clone refer to the clone's components instead of the original's.
 
     Parameters
     ----------
@@ -48,19 +52,22 @@ def transfer_rules(model: Any, copy: Any) -> None:
 
 
 def _innermost(rule: Any) -> Any:
-    """Return the initializer of a Pyomo rule that other initializers wrap."""
+    """Return the innermost of nested Pyomo initializers, which holds the user's function."""
     while hasattr(rule, _INNER):
         rule = getattr(rule, _INNER)
     return rule
 
 
 def function_of(component: Any) -> Any:
-    """Return the function that states a component's members, which takes a block and an index."""
+    """Return the user's function that makes a component's members: (block, index) -> expression."""
     return getattr(_innermost(component._rule), _FUNCTION)  # noqa: SLF001
 
 
 def rule_of(component: Any) -> Any:
-    """Return the rule that makes a component's members, None if there is none."""
+    """Return the rule that makes the members of a component, as a Pyomo initializer, or None.
+
+    A rule takes a block and an index. The default function of a mutable parameter counts as a rule.
+    """
     if isinstance(component, ConstraintList):
         return None  # Its rule counts its own calls and takes no index.
     rule = getattr(component, "_rule", None)
@@ -70,21 +77,28 @@ def rule_of(component: Any) -> Any:
 
 
 def bounds_rule_of(variable: Any) -> Any:
-    """Return the rule that gives a variable's members their bounds, None if there is none."""
+    """Return the rule that gives the members of a variable their bounds, or None."""
     rule = getattr(variable, "_rule_bounds", None)
     return None if rule is None or rule.constant() else rule
 
 
 def initial_rule_of(variable: Any) -> Any:
-    """Return the rule that initializes a variable's members, None if there is none."""
+    """Return the rule that gives the members of a variable their initial values, or None."""
     rule = getattr(variable, "_rule_init", None)
     return None if rule is None or rule.constant() else rule
 
 
 def refuse_lost_members(copy: Any, template_time: float) -> None:
-    """Refuse rules that fail at a time that the model does not declare.
+    """Raise an error for rules that fail at a time that the model does not declare.
 
-    Pyomo reads a `KeyError` in a rule as a request to skip the member; an equation would be lost.
+    Pyomo takes a `KeyError` in a rule as a request to skip the member; an equation would be lost.
+
+    Parameters
+    ----------
+    copy : ConcreteModel
+        Clone of the model with the template time.
+    template_time : float
+        The added time.
 
     Raises
     ------
@@ -102,7 +116,7 @@ def refuse_lost_members(copy: Any, template_time: float) -> None:
 
 
 def refuse_changed_members(copy: Any) -> None:
-    """Refuse members that differ from the expression that their rule returns.
+    """Raise an error for members that differ from the expression that their rule returns.
 
     The engine reads an equation over time from its rule, so it would overlook a member that was
     changed by `set_value` after the rule ran.
@@ -132,7 +146,10 @@ def refuse_changed_members(copy: Any) -> None:
 
 
 def _is_same(held: Any, stated: Any) -> bool:
-    """Compare expressions, by their text where an external function hides behind a number."""
+    """Return whether a member's expression equals the expression that its rule returns now.
+
+    Expressions with external functions are compared as text.
+    """
     parts = [_PrefixNotation().walk_expression(expression) for expression in (held, stated)]
     try:
         is_equal = parts[0] == parts[1]
@@ -157,13 +174,17 @@ class _PrefixNotation(PrefixVisitor):
 
 
 def _with_rules(copy: Any) -> Iterator[tuple[Any, Any]]:
+    """Yield the indexed constraints and expressions that have a rule, each with its rule."""
     for component in copy.component_objects((Constraint, Expression), descend_into=True):
         if component.is_indexed() and rule_of(component) is not None:
             yield component, rule_of(component)
 
 
 class _Translator:
-    """Replaces a model's components inside functions by the components of its clone."""
+    """Replacer of a model's components inside functions by the components of its clone.
+
+    Closures, global variables and default arguments of a rule may refer to the model.
+    """
 
     def __init__(self, model: Any, copy: Any) -> None:
         self._model = model
@@ -171,7 +192,11 @@ class _Translator:
         self._functions: dict[FunctionType, FunctionType] = {}
 
     def translate(self, value: Any) -> Any:
-        """Return the counterpart of a value on the clone."""
+        """Return a copy of a value that refers to the clone's components instead of the model's.
+
+        Components, functions and collections of them are translated; other values are returned
+        unchanged.
+        """
         if isinstance(value, Component | ComponentData):
             return self._component(value)
         if isinstance(value, FunctionType | MethodType | partial):
@@ -183,6 +208,7 @@ class _Translator:
         return value
 
     def _callable(self, value: Any) -> Any:
+        """Return a copy of a function, method or partial that refers to the clone."""
         if isinstance(value, FunctionType):
             return self._function(value)
         if isinstance(value, MethodType):
@@ -191,6 +217,7 @@ class _Translator:
         return partial(self.translate(value.func), *arguments, **keywords)
 
     def _component(self, component: Any) -> Any:
+        """Return the clone's counterpart of a component; a component of another model is kept."""
         if component is self._model:
             return self._copy
         if component.model() is not self._model:
@@ -199,6 +226,7 @@ class _Translator:
         return component if found is None else found
 
     def _function(self, function: FunctionType) -> FunctionType:
+        """Return a copy of a function whose closure, globals and defaults refer to the clone."""
         if function in self._functions:
             return self._functions[function]
         cells = tuple(CellType() for _ in function.__closure__ or ())
@@ -217,6 +245,7 @@ class _Translator:
         return translated
 
     def _global(self, value: Any, function: FunctionType) -> Any:
+        """Return the counterpart of a function's global variable; imported functions are kept."""
         is_foreign = isinstance(value, FunctionType) and (
             value.__globals__ is not function.__globals__
         )
@@ -224,12 +253,13 @@ class _Translator:
 
 
 def _global_names(code: CodeType) -> set[str]:
+    """Return the names of the global variables that a code object and its inner functions read."""
     inner = (constant for constant in code.co_consts if isinstance(constant, CodeType))
     return set(code.co_names).union(*(_global_names(part) for part in inner))
 
 
 def refusal(name: str, error: Exception) -> TranscriptionError:
-    """Return the refusal of a rule that fails between the declared times."""
+    """Return the error for a rule that fails at a time that the model did not declare."""
     return TranscriptionError(
         f"{name}: its rule fails at a time that the model did not declare ({raised(error)}); let "
         "it read nothing but its time and components of the model."

@@ -1,12 +1,13 @@
-"""Rules that branch on time: their forms, the form that holds at a time, and its numbers.
+"""Rules that branch on time, as data over time for compiled equations.
 
 A rule that branches on its time, or looks up numbers by it, cannot be written as a formula of time.
-The engine calls the rule at many times and sorts the returned expressions into forms that are alike
-except for their numbers. Each form is compiled once. The form that holds and the numbers that
-differ are signals: data of every collocation point. Bisection finds the times at which they jump.
+The engine calls the rule at many times and sorts the returned expressions into forms, expressions
+that differ in their numbers only. Each form is compiled once. The form that applies at a time, and
+the numbers that differ, are data of every collocation point. Bisection finds the times at which
+they jump.
 
 For pickling, piecewise polynomials between these jumps replace the functions of time, so that they
-outlive their rules.
+can be evaluated without their rules.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ T = TypeVar("T")
 
 
 def _remembered(known: OrderedDict[float, T], time: float, of: Callable[[float], T]) -> T:
-    """Return a function's value at a time, from a cache of the last times."""
+    """Return a function's value at a time, from a cache of the last 100,000 times."""
     if time not in known:
         if len(known) >= _REMEMBERED:
             known.popitem(last=False)
@@ -59,7 +60,7 @@ def _remembered(known: OrderedDict[float, T], time: float, of: Callable[[float],
 
 @dataclass(frozen=True, kw_only=True)
 class Statement:
-    """The result of a rule at one time: Pyomo expressions, and whether they state an equality.
+    """Result of a rule at one time: Pyomo expressions, and whether they state an equality.
 
     For a constraint the parts are lower bound, body and upper bound, with None for an absent bound;
     for an expression over time there is one part.
@@ -70,7 +71,7 @@ class Statement:
 
     @property
     def is_silent(self) -> bool:
-        """Whether the constraint has no bound."""
+        """Whether the rule skipped the constraint, so that it has no bound."""
         if len(self.parts) == 1:
             return False
         lower, body, upper = self.parts
@@ -79,7 +80,15 @@ class Statement:
 
 @dataclass(frozen=True)
 class Reading:
-    """The numbers that hold at one time, and a key that identifies the form."""
+    """Form and numbers of a rule's result at one time.
+
+    Attributes
+    ----------
+    key : hashable
+        Identifies the form: the structure of the returned expressions without their numbers.
+    numbers : tuple of float
+        The numbers in the expressions.
+    """
 
     key: Any
     numbers: tuple[float, ...]
@@ -87,37 +96,51 @@ class Reading:
 
 @dataclass(kw_only=True)
 class _Form:
-    """Statements that differ in numbers only: the first of them, and the positions that vary."""
+    """Form of a rule's results: expressions that differ in some of their numbers only.
+
+    Attributes
+    ----------
+    statement : Statement
+        The first result of this form.
+    numbers : tuple of float
+        Numbers in the first result.
+    varying : list of int
+        Positions of the numbers that differ in other results.
+    """
 
     statement: Statement
     numbers: tuple[float, ...]
     varying: list[int] = field(default_factory=list)
 
     def meet(self, numbers: tuple[float, ...]) -> None:
+        """Record the positions of numbers that differ from those of the first result."""
         for k, (held, met) in enumerate(zip(self.numbers, numbers, strict=True)):
             if held != met and k not in self.varying:
                 self.varying.append(k)
 
 
 class Schedule:
-    """A rule as a function of time, by forms and numbers.
+    """Rule that branches on time, as a few compiled forms and their numbers over time.
+
+    A form comprises results of the rule that differ in their numbers only.
 
     Parameters
     ----------
     name : str
         Name of the component, for messages and symbols.
     say : callable
-        Time -> Statement.
+        Time -> `Statement`, the result of the rule.
     times : sequence of float
         Declared times; the rule is called between them and on both sides of each.
     place : callable, optional
-        Time -> the time in whose place the rule is called: one for all times at which the rule
-        states the same.
+        Time -> the time at which the rule is called in its place, for rules whose result is the
+        same over an interval.
 
     Attributes
     ----------
     slots : tuple of Slot
-        The signals that the compiled forms read, in the order of `row`.
+        Data of a collocation point that the compiled forms read, in the order of `row`: factors
+        that select the form, and the numbers that vary.
 
     Raises
     ------
@@ -151,16 +174,20 @@ class Schedule:
         self.slots = (*self._chosen, *(s for slots in self._numbers for s in slots))
 
     def _slot(self, what: str) -> Slot:
+        """Return a new quantity over time, with its CasADi symbol, as data for compiled equations.
+
+        `what` completes its name: the form that it selects, or the number that it supplies.
+        """
         name = f"{self.name} ({what})"
         return Slot(name=name, component=self.name, index=(), symbol=casadi.SX.sym(name))
 
     @property
     def is_equality(self) -> bool:
-        """Whether the rule states an equality at all times."""
+        """Whether the rule of the constraint returns an equality at all times."""
         return all(f.statement.is_equality for f in self._forms.values())
 
     def reading(self, time: float) -> Reading:
-        """Return the numbers and the form of the rule at a time.
+        """Return the form and the numbers of the rule's result at a time.
 
         Raises
         ------
@@ -171,6 +198,7 @@ class Schedule:
         return _remembered(self._known, self._place(time), self._read)
 
     def _read(self, time: float) -> Reading:
+        """Call the rule at a time, and return form and numbers of its result."""
         statement = self._say(time)
         numbers: list[float] = []
         structure = tuple(_structure(part, numbers) for part in statement.parts)
@@ -179,6 +207,15 @@ class Schedule:
         return found
 
     def _sort(self, found: Reading, statement: Statement, time: float) -> None:
+        """Assign the result of a rule to its form, and register a new form.
+
+        After compilation, a form that is not known is refused.
+
+        Raises
+        ------
+        TranscriptionError
+            If there are too many forms, or the form was not known when the model was compiled.
+        """
         form = self._forms.get(found.key)
         if not self._is_compiled:
             if form is None:
@@ -203,10 +240,11 @@ class Schedule:
             )
 
     def row(self, time: float) -> list[float]:
-        """Return the numbers that the rule has at a time, one for each slot."""
+        """Return the values of `slots` at a time: 1 or 0 to select the form, then the numbers."""
         return _remembered(self._rows, self._place(time), self._row)
 
     def _row(self, time: float) -> list[float]:
+        """Return the values of `slots` at a time, without a cache."""
         found = self._read(time)
         row = [float(key == found.key) for key in list(self._forms)[: len(self._chosen)]]
         for key, form in self._forms.items():
@@ -215,10 +253,17 @@ class Schedule:
         return row
 
     def written(self, write: Callable[[Any, Iterator[Any]], Any], absent: Sequence[Any]) -> Any:
-        """Return the parts of the statement that holds, as CasADi expressions of the slots.
+        """Return the parts of the rule's result as CasADi expressions of the slots.
 
-        `write` takes a part and the symbols of its numbers, in their order; `absent` holds the
-        default of each part, for parts that are missing.
+        The slots are data that select the form of the result and supply its numbers.
+
+        Parameters
+        ----------
+        write : callable
+            (part, numbers) -> CasADi expression of a part of a `Statement`, with its numbers
+            replaced by the given symbols, in their order.
+        absent : sequence
+            Default of each part, for parts that are missing.
         """
         forms = []
         for k, form in enumerate(self._forms.values()):
@@ -238,7 +283,11 @@ class Schedule:
         return result
 
     def _let_silent_ones_agree(self, forms: list[list[Any]]) -> None:
-        """Give forms without limits the body of one with limits, so that bounds remain bounds."""
+        """Give forms without limits the linear body of a form with limits.
+
+        A constraint on a single variable then remains a bound, although its rule skips it at some
+        times.
+        """
         is_silent = [f.statement.is_silent for f in self._forms.values()]
         if any(is_silent) and not all(is_silent):
             body = forms[is_silent.index(False)][1]
@@ -248,7 +297,7 @@ class Schedule:
 
 
 class Phases:
-    """The phase of a clock that holds at a time, with the interface of a `Schedule`."""
+    """Phase of a horizon with free times, as data over time with the interface of a `Schedule`."""
 
     def __init__(self, clock: PhaseTimes) -> None:
         self.name = clock.name
@@ -259,26 +308,31 @@ class Phases:
         self._clock = clock
 
     def reading(self, time: float) -> Reading:
-        """Return the index of the phase that holds at a declared time."""
+        """Return a `Reading` whose key is the position of the phase at a declared time."""
         return Reading(self._clock.phase_of(time), ())
 
     def row(self, time: float) -> list[float]:
-        """Return 1 for the slot of the phase that holds at a declared time, 0 for the others."""
+        """Return 1 for the phase that contains a declared time and 0 for the others."""
         return [float(k == self._clock.phase_of(time)) for k in range(len(self.slots))]
 
 
 def _is_linear(expression: Any) -> bool:
+    """Return whether a CasADi expression is linear in all of its symbols together."""
     symbols = casadi.symvar(expression)
     return bool(casadi.is_linear(expression, casadi.vertcat(casadi.SX(0, 1), *symbols)))
 
 
 def _either(holds: Any, first: Any, second: Any) -> Any:
+    """Return the expression `first` where the factor `holds` is 1, and `second` where it is 0."""
     is_same = casadi.is_equal(first, second, 1_000)
     return first if is_same else casadi.if_else(holds, first, second)
 
 
 def _structure(part: Any, numbers: list[float]) -> Any:
-    """Return a key of an expression without its numbers, and append the numbers to a list."""
+    """Return a hashable key of a Pyomo expression's structure without its numbers.
+
+    The numbers are appended to the list `numbers` in the order of their appearance.
+    """
     if part is None:
         return None
     if part.__class__ in native_types:
@@ -290,7 +344,10 @@ def _structure(part: Any, numbers: list[float]) -> Any:
 
 
 def probes(times: Sequence[float]) -> list[float]:
-    """Return times between and on both sides of declared ones."""
+    """Return the times at which a rule is called to find its forms and jumps.
+
+    They are 64 times spread over the horizon, and times just before and after each declared time.
+    """
     span = times[-1] - times[0]
     between = np.linspace(times[0], times[-1], _PROBES + 1)[:-1] + 0.618 * span / _PROBES
     sides = [t + sign * BESIDE * span for t in times for sign in (-1.0, 1.0)]
@@ -299,7 +356,16 @@ def probes(times: Sequence[float]) -> list[float]:
 
 
 def jumps(reading: Callable[[float], Reading], times: Sequence[float]) -> Iterator[float]:
-    """Yield the times at which a reading jumps, in rising order."""
+    """Yield, in rising order, the times at which a function of time jumps.
+
+    Parameters
+    ----------
+    reading : callable
+        Time -> `Reading`: numbers, and a key. A change of the key is a jump, and so is a change of
+        a number that bisection does not reduce.
+    times : sequence of float
+        Times in rising order between which jumps are searched by bisection.
+    """
     for start, end in pairwise(times):
         resolution = _RESOLUTION * max(abs(times[0]), abs(times[-1]), times[-1] - times[0])
         yield from sorted(_jumps_between(reading, start, end, resolution))
@@ -308,6 +374,7 @@ def jumps(reading: Callable[[float], Reading], times: Sequence[float]) -> Iterat
 def _jumps_between(
     reading: Callable[[float], Reading], start: float, end: float, resolution: float
 ) -> Iterator[float]:
+    """Yield the times between two times at which the form or a number jumps."""
     while reading(start).key != reading(end).key:
         before, after = start, end
         while after - before > resolution:
@@ -323,7 +390,7 @@ def _jumps_between(
 def _steps(
     reading: Callable[[float], Reading], start: float, end: float, resolution: float
 ) -> Iterator[float]:
-    """Yield times at which a number jumps: its change stays when the interval is halved."""
+    """Yield the times at which a number jumps: halving the interval does not reduce its change."""
     for k, (first, last) in enumerate(
         zip(reading(start).numbers, reading(end).numbers, strict=True)
     ):
@@ -360,16 +427,18 @@ def one_sided(fraction: float, jumps_at: Sequence[float]) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class Steps:
-    """A number that is constant over each of many equal steps, and held after the last.
+    """Piecewise constant function of time with steps of equal duration.
+
+    It is constant before the first step and after the last.
 
     Parameters
     ----------
     start : float
         Time at which the first step begins.
     step : float
-        Duration of each.
+        Duration of each step.
     values : tuple of float
-        One for each step.
+        Value of each step.
     """
 
     start: float
@@ -377,12 +446,23 @@ class Steps:
     values: tuple[float, ...]
 
     def __call__(self, time: float) -> float:
-        """Return the number at a time."""
+        """Return the value at a time."""
         step = int((time - self.start) / self.step)
         return self.values[min(max(step, 0), len(self.values) - 1)]
 
     def edges(self, start: float, end: float) -> list[float]:
-        """Return the times between two given times at which a step begins."""
+        """Return the times at which a step begins.
+
+        Parameters
+        ----------
+        start, end : float
+            Times between which the steps begin.
+
+        Returns
+        -------
+        list of float
+            In rising order.
+        """
         first = floor((start - self.start) / self.step) + 1
         last = min(ceil((end - self.start) / self.step), len(self.values))
         return [self.start + k * self.step for k in range(max(first, 1), last)]
@@ -401,10 +481,16 @@ _COMPARED = np.array([-0.97, -0.61, -0.28, 0.13, 0.52, 0.83, 0.99])
 
 @dataclass(frozen=True, kw_only=True)
 class Interpolant:
-    """Piecewise Chebyshev polynomials of numbers over time, or the reason why there are none.
+    """Piecewise Chebyshev polynomials of functions of time, or the reason for their absence.
 
-    The coefficients of a piece have shape (degree + 1, n_numbers); a jump is an edge, and
-    belongs to the piece that starts there.
+    Attributes
+    ----------
+    edges : tuple of float, length n_pieces + 1
+        Ends of the pieces; a jump is an edge, and belongs to the piece that starts there.
+    pieces : tuple of ndarray, shape (degree + 1, n_functions)
+        Chebyshev coefficients of each piece.
+    refusal : str
+        Message for times outside the edges, or if there are no pieces.
     """
 
     edges: tuple[float, ...]
@@ -412,7 +498,7 @@ class Interpolant:
     refusal: str
 
     def row(self, time: float) -> list[float]:
-        """Return the values of all polynomials at a time.
+        """Return the values of all functions at a time.
 
         Raises
         ------
@@ -427,11 +513,11 @@ class Interpolant:
         return np.asarray(chebyshev.chebval(local, self.pieces[k])).tolist()
 
     def reading(self, time: float) -> Reading:
-        """Return the numbers at a time as a `Reading` without a key."""
+        """Return the values at a time as a `Reading` without a key, for the function `jumps`."""
         return Reading(None, tuple(self.row(time)))
 
     def __call__(self, time: float) -> float:
-        """Return the first number at a time."""
+        """Return the value of the first function at a time."""
         return self.row(time)[0]
 
 
@@ -441,10 +527,26 @@ def interpolant(
     horizon: tuple[float, float],
     jumps: Sequence[float],
 ) -> Interpolant:
-    """Return piecewise polynomials of a function over a horizon, or its message if it fails.
+    """Approximate functions of time by piecewise polynomials over a horizon.
 
-    Between jumps, pieces are halved until a polynomial reproduces their values; halving brackets a
-    kink.
+    Between jumps, pieces are halved until a polynomial of degree 12 reproduces the functions to
+    1e-13; halving also brackets a kink.
+
+    Parameters
+    ----------
+    name : str
+        Name of the component, for messages.
+    row : callable
+        Time -> values of the functions.
+    horizon : (float, float)
+        Start and end.
+    jumps : sequence of float
+        Times at which the functions jump, in rising order.
+
+    Returns
+    -------
+    Interpolant
+        Without pieces, but with a message, if the functions fail or are too rough.
     """
     start, end = horizon
     refusal = (
@@ -474,7 +576,15 @@ def interpolant(
 def _fitted(
     row: Callable[[float], Sequence[float]], first: float, last: float
 ) -> tuple[FloatArray, bool]:
-    """Return the polynomial through a function at Chebyshev nodes, and whether it is accurate."""
+    """Fit a polynomial to functions of time between two times.
+
+    Returns
+    -------
+    ndarray, shape (degree + 1, n_functions)
+        Chebyshev coefficients of the polynomial through the values at 13 Chebyshev nodes.
+    bool
+        Whether it agrees with the functions between the nodes to 1e-13.
+    """
     local = np.concatenate([_NODES, _COMPARED])
     times = 0.5 * (first + last) + 0.5 * (last - first) * local
     values = np.array([row(float(t)) for t in times])

@@ -1,4 +1,9 @@
-"""Declarations of a model in CasADi symbols: variables, parameters, and their addresses."""
+"""CasADi symbols of a Pyomo model's variables and parameters, and its declarations in them.
+
+The engine reads equations over time at a single interior time, the template time, which is added to
+the continuous set of a clone of the model. The members of constraints at that time hold for all
+times. Declared times are the members of the continuous set that the user gave it.
+"""
 
 from __future__ import annotations
 
@@ -25,23 +30,28 @@ if TYPE_CHECKING:
 
 
 class TimeSymbol:
-    """The template's instant as an index, and physical time as a parameter in arithmetic.
+    """Symbol for time that is passed to a rule of the model, so that one call serves all times.
+
+    As an index it equals the template time (the added interior time at which equations are read),
+    so that ``m.x[t]`` is the member at that time. In arithmetic it is a Pyomo parameter that stands
+    for physical time.
 
     Parameters
     ----------
     template : float
-        Index that the symbol equals.
+        Template time, which the symbol equals as an index.
     parameter : Param
-        Parameter that stands for it in arithmetic.
+        Parameter that stands for physical time in arithmetic.
     declared : tuple of float, optional
-        Times with which a rule may compare it without reading its number.
+        Times with which a rule may compare the symbol without reading its number.
     number : float, optional
-        Number used in comparisons; the template's instant by default.
+        Number used in comparisons; the template time by default.
 
     Attributes
     ----------
     is_read : bool
-        Whether the rule read the number, other than to compare it with a declared time.
+        Whether the rule read the number, other than to compare it with a declared time. The result
+        of the call then does not serve all times.
     """
 
     def __init__(
@@ -64,7 +74,10 @@ class TimeSymbol:
         return self.template == other
 
     def _compare(self, relation: Callable[[Any, Any], Any], other: Any) -> bool:
-        """Return how the number compares with another, and record whether that reads it."""
+        """Compare the symbol's number with another number, as a rule of the model requests.
+
+        A comparison with a number that is no declared time counts as reading the symbol's number.
+        """
         # Pyomo compares two symbols when an Integral sorts its times.
         if isinstance(other, TimeSymbol):
             return bool(relation(self._number, other._number))  # noqa: SLF001
@@ -89,7 +102,7 @@ class TimeSymbol:
         return self._number
 
     def __call__(self, *, exception: bool = True) -> float:
-        """Return the number, as Pyomo's `value` asks for it."""
+        """Return the symbol's number, as Pyomo's function `value` requires."""
         del exception
         return float(self)
 
@@ -109,11 +122,13 @@ class TimeSymbol:
         return False
 
     def as_numeric(self) -> Any:
-        """Return the parameter, for Pyomo's functions."""
+        """Return the parameter that stands for physical time, for Pyomo's functions."""
         return self.parameter
 
 
 def _of_parameter(operation: str) -> Callable[..., Any]:
+    """Return a method that applies an arithmetic operation to the parameter of a time symbol."""
+
     def operate(symbol: TimeSymbol, *others: Any) -> Any:
         return getattr(symbol.parameter, operation)(*others)
 
@@ -129,13 +144,18 @@ for _operation in (
 
 
 class Instant(float):
-    """A time that is its own number, but equals the template's instant as an index."""
+    """Time with which a rule is called as a number, but which equals the template time as an index.
+
+    The template time is the added interior time at which equations are read. A rule that branches
+    on time is called with several instants; the variables in its results are always the members at
+    the template time.
+    """
 
     __slots__ = ("template",)
     template: float
 
     def __new__(cls, time: float, template: float) -> Self:
-        """Return the number, which compares equal to the template's instant."""
+        """Return a number that equals, as an index, the time at which equations are read."""
         made = super().__new__(cls, time)
         made.template = template
         return made
@@ -158,7 +178,10 @@ RegisterNumericType(Instant)
 
 
 class _TrapezoidProbe:
-    """A block whose continuous set appears as one trapezoid between equal times."""
+    """Stand-in for a block, whose continuous set consists of one trapezoid between equal times.
+
+    It makes the rule of a `pyomo.dae.Integral` return its integrand; see `integrand`.
+    """
 
     def __init__(self, block: Any, continuous_set: Any, symbol: TimeSymbol | Instant) -> None:
         self._block = block
@@ -166,6 +189,7 @@ class _TrapezoidProbe:
         self._symbol = symbol
 
     def find_component(self, name: str) -> Any:
+        """Return two equal times for the name of the continuous set, else the block's component."""
         if name == self._set_name:
             return [self._symbol, self._symbol]
         return self._block.find_component(name)
@@ -182,10 +206,17 @@ def time_parameter() -> Any:
 
 
 def integrand(integral: Any, index: Any, symbol: TimeSymbol | Instant) -> Any:
-    """Return an Integral's integrand at a time symbol or an instant.
+    """Return the integrand of a `pyomo.dae.Integral` at a time.
 
     `pyomo.dae.Integral` keeps no integrand, only a rule that sums trapezoids. For a single
     trapezoid of unit width between equal times, that rule returns the integrand.
+
+    Parameters
+    ----------
+    integral : Integral
+    index : index of the integral, or None
+    symbol : TimeSymbol or Instant
+        The time: a symbol, or a number that selects the members at the template time.
     """
     probe = _TrapezoidProbe(integral.parent_block(), integral.get_continuousset(), symbol)
     return integral._rule(probe, index)  # noqa: SLF001
@@ -193,7 +224,10 @@ def integrand(integral: Any, index: Any, symbol: TimeSymbol | Instant) -> Any:
 
 @dataclass(frozen=True)
 class Address:
-    """Component name, index without time, and time (None for a static component)."""
+    """Identification of a member of a Pyomo component: name, index without time, and time.
+
+    The time is None for a component that is not indexed by time.
+    """
 
     component: str
     index: tuple[Any, ...]
@@ -201,19 +235,25 @@ class Address:
 
     @property
     def name(self) -> str:
-        """Name of the function of time, as ``rotors.omega[1]``."""
+        """Name of the function of time to which the member belongs, as ``rotors.omega[1]``."""
         return indexed_name(self.component, self.index)
 
 
 def indexed_name(component: str, index: tuple[Any, ...]) -> str:
-    """Return the name of a component's member with its index in brackets."""
+    """Return the name of a component's member with its index in brackets, as ``omega[1]``."""
     return f"{component}[{','.join(str(i) for i in index)}]" if index else component
 
 
 class AddressBook:
-    """Splits the index of Pyomo variables, parameters and constraints into time and other indices.
+    """Splitter of the indices of Pyomo components into time and the other indices.
 
-    The time is the member of one ContinuousSet, given as `time`; the result is an `Address`.
+    In a model with ``Var(rotor, time)``, it splits the index (1, 0.5) into (1,) and the time 0.5.
+    The result is an `Address`.
+
+    Parameters
+    ----------
+    time : ContinuousSet or None
+        The set whose members are times; None if no component is indexed by time.
     """
 
     def __init__(self, time: ContinuousSet | None) -> None:
@@ -222,16 +262,24 @@ class AddressBook:
         self._known: dict[int, tuple[str, int | None]] = {}
 
     def time_position(self, component: Any) -> int | None:
-        """Return the position of time in a component's index, None if it has no time."""
+        """Return the position of time in a component's index, None if the component has no time."""
         return self._name_and_position(component)[1]
 
     def _name_and_position(self, component: Any) -> tuple[str, int | None]:
+        """Return a component's name and the position of time in its index, from a cache."""
         key = id(component)
         if key not in self._known:
             self._known[key] = component.name, self._find(component)
         return self._known[key]
 
     def _find(self, component: Any) -> int | None:
+        """Return the position of time in a component's index, or None.
+
+        Raises
+        ------
+        TranscriptionError
+            If the component is indexed by the continuous set twice.
+        """
         if self._time is None or not component.is_indexed():
             return None
         offset, found = 0, None
@@ -251,7 +299,7 @@ class AddressBook:
         return self.split(component, data.index())
 
     def split(self, component: Any, index: Any) -> Address:
-        """Split a component's full index into the index without time, and the time."""
+        """Split a component's full index into index without time, and time, as an `Address`."""
         whole = index_tuple(index)
         name, position = self._name_and_position(component)
         if position is None:
@@ -270,10 +318,25 @@ class AddressBook:
 
 @dataclass(frozen=True, kw_only=True)
 class Slot:
-    """One scalar function of time (or static scalar): its name and its symbol.
+    """Scalar variable or parameter of the model, over time or static, with its CasADi symbol.
 
-    `lower` and `upper` are CasADi expressions of the parameters, infinite unless given; `nominal`
-    is a magnitude for scaling or None.
+    A slot is one member of a Pyomo component for all times, for example ``rotors.omega[1]``.
+
+    Attributes
+    ----------
+    name : str
+        Name with index, as ``rotors.omega[1]``.
+    component : str
+        Full name of the Pyomo component.
+    index : tuple
+        Index without time.
+    symbol : casadi.SX
+    lower, upper : casadi.SX
+        Bounds as expressions of the parameters, infinite unless given.
+    nominal : float, optional
+        Declared magnitude, for scaling.
+    rate : casadi.SX, optional
+        Symbol of a state's derivative with respect to the fraction of the horizon.
     """
 
     name: str
@@ -286,13 +349,21 @@ class Slot:
     rate: Any = None
 
     def scaled(self, magnitudes: Mapping[str, float]) -> Slot:
-        """Return the slot with its magnitude, found by slot or component name, else None."""
+        """Return the variable with its magnitude (for scaling) from a mapping of magnitudes.
+
+        The mapping is searched for the name of the variable, then for that of its component.
+
+        The magnitude is None if the mapping has neither name.
+        """
         return replace(self, nominal=magnitudes.get(self.name, magnitudes.get(self.component)))
 
 
 @dataclass(frozen=True, kw_only=True)
 class PathEquation:
-    """A relation lower <= expression <= upper imposed at every collocation point."""
+    """Constraint lower <= expression <= upper that is imposed at every collocation point.
+
+    All three are CasADi expressions of the variables and data of a point.
+    """
 
     name: str
     expression: Any
@@ -303,7 +374,18 @@ class PathEquation:
 
 @dataclass(frozen=True, kw_only=True)
 class PointSymbol:
-    """The value (or rate) of a slot at one declared time, as a fraction of the horizon."""
+    """Value or derivative of a variable at a declared time, with its CasADi symbol.
+
+    Attributes
+    ----------
+    slot : str
+        Name of the variable.
+    fraction : float
+        Declared time as a fraction of the horizon.
+    is_rate : bool
+        Whether the symbol stands for the derivative with respect to the fraction of the horizon.
+    symbol : casadi.SX
+    """
 
     slot: str
     fraction: float
@@ -313,7 +395,10 @@ class PointSymbol:
 
 @dataclass(frozen=True, kw_only=True)
 class PointCondition:
-    """A relation among values at declared times, static variables and integrals."""
+    """Constraint among values at declared times, static variables and integrals.
+
+    It has the form lower <= expression <= upper, in CasADi expressions.
+    """
 
     name: str
     expression: Any
@@ -323,7 +408,10 @@ class PointCondition:
 
 @dataclass(frozen=True, kw_only=True)
 class Integral:
-    """An integral over the horizon: its symbol in conditions and its integrand."""
+    """Integral over the horizon: its symbol in conditions and objective, and its integrand.
+
+    The integrand is a CasADi expression per unit of the fraction of the horizon.
+    """
 
     name: str
     symbol: Any
@@ -331,18 +419,46 @@ class Integral:
 
     @property
     def slot(self) -> Slot:
-        """The integral as a static variable without bounds."""
+        """Static variable that stands for the integral, without bounds."""
         return Slot(name=self.name, component=self.name, index=(), symbol=self.symbol)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Declarations:
-    """A continuous model in the form that the transcription needs.
+    """Continuous model in CasADi symbols, in the form that the transcription needs.
 
-    `fixed` lists slots that a user fixed at a declared time, as (name, fraction); the value itself
-    is read when the problem is solved. `signals` are parameters over time. `scheduled` are other
-    quantities that vary with time without a formula, such as the numbers of a rule that looks them
-    up.
+    Attributes
+    ----------
+    states, algebraics, statics : tuple of Slot
+        Variables with a derivative, other variables over time, and variables without time.
+    parameters, signals : tuple of Slot
+        Parameters without time, and parameters over time.
+    scheduled : tuple of Slot
+        Other quantities that vary with time without a formula, such as numbers that a rule looks up
+        by its time.
+    clock : PhaseTimes
+        Declared times of the horizon in symbols.
+    equations : tuple of PathEquation
+        Constraints over time.
+    conditions : tuple of PointCondition
+        Constraints at declared times.
+    point_symbols : tuple of PointSymbol
+        Values at declared times in conditions and objective.
+    integrals : tuple of Integral
+    objective : casadi.SX
+    maximise : bool
+    fixed : tuple of (str, float)
+        States that a user fixed at a declared time, as (name, fraction of the horizon); the value
+        is read when the problem is solved.
+    outputs, output_equations, output_starts
+        States that neither objective nor other equations depend on, with their equations and
+        initial conditions.
+    objective_name : str
+        "" if there is no objective.
+    has_horizon : bool
+        Whether the model has a continuous set.
+    table_uses : tuple of TableUse
+        Arguments of interpolation tables, with the ranges of the tables.
     """
 
     states: tuple[Slot, ...]
@@ -368,26 +484,42 @@ class Declarations:
 
     @property
     def has_signals(self) -> bool:
-        """Whether any quantity varies with time without a formula."""
+        """Whether parameters over time, or rules that branch on time, need values at points."""
         return bool(self.signals or self.scheduled)
 
     @property
     def varying(self) -> tuple[Slot, ...]:
-        """Everything that is solved for over time: states, outputs, then algebraic variables."""
+        """All variables over time: states, states that nothing depends on, algebraic variables."""
         return (*self.states, *self.outputs, *self.algebraics)
 
     @property
     def path_data(self) -> tuple[Any, ...]:
-        """Symbols of a point's data, in order: fraction, signals, schedules, parameters."""
+        """Symbols of the data of a collocation point, in order.
+
+        They are the fraction of the horizon, parameters over time, data of rules that branch on
+        time, and parameters without time.
+        """
         slots = (*self.signals, *self.scheduled, *self.parameters)
         return (self.clock.fraction, *(s.symbol for s in slots))
 
 
 class SymbolTable:
-    """Makes the symbol of a variable or parameter at first use, and keeps it.
+    """Table of the CasADi symbols of a model's variables and parameters, made at first use.
 
-    In a path equation a variable at the template time becomes a template symbol; anywhere
-    else a variable at a time becomes a point symbol.
+    Equations over time are read at the template time, an interior time added to the continuous set.
+    A variable at that time gets the symbol of the function of time; a variable at any other time
+    gets a symbol for its value at that time.
+
+    Parameters
+    ----------
+    copy : WorkingCopy
+        Clone of the model with the template time.
+    addresses : AddressBook
+        Splitter of indices into time and the other indices.
+    free : mapping
+        Declared time -> static variable that replaces it.
+    statics : dict
+        Static variables by name; several horizons share the dictionary.
     """
 
     def __init__(
@@ -413,7 +545,10 @@ class SymbolTable:
         self.clock = self._clock(free)
 
     def _clock(self, free: Mapping[float, Any]) -> PhaseTimes:
-        """Return the clock of the model, whose times may be static variables."""
+        """Return the declared times of the horizon in CasADi symbols, as `PhaseTimes`.
+
+        The static variables in `free` replace some of these times.
+        """
         declared = self._copy.declared_times or (0.0, 1.0)
         ends = {declared[0]: "horizon.start", declared[-1]: "horizon.end"}
         times = tuple(sorted(ends.keys() | free.keys()))
@@ -434,6 +569,7 @@ class SymbolTable:
         )
 
     def _horizon(self, name: str, time: float) -> Any:
+        """Return the symbol of the parameter for start or end of the horizon."""
         if self._copy.time is None:
             return casadi.SX(time)
         symbol = casadi.SX.sym(name)
@@ -441,7 +577,7 @@ class SymbolTable:
         return symbol
 
     def leaf(self, data: Any) -> Any:
-        """Return the symbol of a Pyomo variable or mutable parameter."""
+        """Return the CasADi symbol of a Pyomo variable or mutable parameter."""
         address = self._addresses.of(data)
         self._refuse_other_horizon(data)
         if data.is_variable_type():
@@ -453,6 +589,7 @@ class SymbolTable:
         return self._signal(data, address)
 
     def _refuse_other_horizon(self, data: Any) -> None:
+        """Raise an error for a value over another continuous set in a component over this one."""
         other = self._copy.other_of(data.parent_component()) if self._copy.others else None
         if other is not None:
             raise TranscriptionError(
@@ -461,6 +598,10 @@ class SymbolTable:
             )
 
     def _scalar(self, table: dict[str, Slot], data: Any, name: str, **more: Any) -> Any:
+        """Return the symbol of a variable or parameter without time, made at first use.
+
+        `table` is the dictionary of slots by name in which the symbol is kept.
+        """
         if name not in table:
             address = self._addresses.of(data)
             table[name] = Slot(
@@ -473,16 +614,23 @@ class SymbolTable:
         return table[name].symbol
 
     def fixed_value(self, data: Any) -> Any:
-        """Return the symbol of a parameter that holds a fixed variable's value."""
+        """Return the symbol of a new parameter that holds the value of a fixed variable.
+
+        The value can then change between solves without another compilation.
+        """
         return self._scalar(self.parameters, data, f"{data.name} (fixed)")
 
     def _static(self, data: Any) -> Any:
+        """Return the symbol of a variable without time.
+
+        A fixed variable becomes a parameter.
+        """
         if data.fixed:
             return self._scalar(self.parameters, data, data.name)
         return self._scalar(self.statics, data, data.name, lower=data.lower, upper=data.upper)
 
     def _is_clock(self, data: Any) -> bool:
-        """Return whether a parameter over time is time itself."""
+        """Return whether a parameter over time is time itself: its rule returns its index."""
         component, index = data.parent_component(), self._addresses.of(data).index
         is_time_where_declared = all(
             value(component[self._addresses.join(component, index, t)], exception=False) == t
@@ -500,6 +648,7 @@ class SymbolTable:
         return said is symbol
 
     def _signal(self, data: Any, address: Any) -> Any:
+        """Return the symbol of a parameter over time, or physical time if it is time itself."""
         if self._is_clock(data):
             return self._physical_time(address.time)
         name = address.name
@@ -516,9 +665,14 @@ class SymbolTable:
         return self.signals[name].symbol
 
     def _physical_time(self, time: float) -> Any:
+        """Return physical time as a CasADi expression, at any time or at a declared time."""
         return self.clock.time if time == self._copy.template_time else self.clock.time_at(time)
 
     def _varying(self, data: Any, address: Any) -> Any:
+        """Return the symbol of a variable over time or of its derivative with respect to time.
+
+        A variable that is fixed at all declared times is a parameter.
+        """
         component = data.parent_component()
         is_rate = component.ctype is DerivativeVar
         variable = component.get_state_var() if is_rate else component
@@ -538,7 +692,7 @@ class SymbolTable:
         return symbol / self.clock.span_at(address.time) if is_rate else symbol
 
     def _slot(self, variable: Any, address: Any) -> Slot | None:
-        """Return the slot of a function of time, None if it is fixed throughout."""
+        """Return the `Slot` of a variable over time; None if it is fixed at all declared times."""
         name = indexed_name(variable.name, address.index)
         for table in (self.states, self.algebraics):
             if name in table:
@@ -561,6 +715,7 @@ class SymbolTable:
         return slot
 
     def _is_fixed_throughout(self, variable: Any, index: tuple[Any, ...]) -> bool:
+        """Return whether a variable over time is fixed at all declared times."""
         return all(
             variable[self._addresses.join(variable, index, t)].fixed
             for t in self._copy.declared_times

@@ -1,4 +1,4 @@
-"""Functions of states given by values: tables and Pyomo's external functions."""
+"""Functions of states that are given by data: interpolation tables, and external functions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.mesh import FloatArray
 
 _CUBIC, _QUINTIC = 3, 5
-# Samples along each axis, tried in turn, for a function that can only be called with numbers.
+# Numbers of samples along each axis, tried in turn, by number of arguments, for a function that can
+# only be called with numbers.
 _SAMPLES = {1: (17, 33, 65, 129, 257), 2: (9, 17, 33, 65)}
 _ACCURACY = 1e-7
 _COMPARED = 40
@@ -37,8 +38,15 @@ _BEYOND = 100.0
 class Spline:
     """Tensor-product not-a-knot B-spline, extrapolated linearly beyond its range.
 
-    `knots` has one array per argument, `coefficients` one axis per argument; `ranges` holds the
-    first and the last point of each argument.
+    Attributes
+    ----------
+    knots : tuple of ndarray
+        Knots along each axis; an axis belongs to one argument.
+    coefficients : ndarray
+        B-spline coefficients, one axis per argument.
+    degree : int
+    ranges : tuple of (float, float)
+        First and last data point of each argument.
     """
 
     knots: tuple[FloatArray, ...]
@@ -48,7 +56,16 @@ class Spline:
 
     @classmethod
     def through(cls, points: Sequence[FloatArray], values: FloatArray, degree: int) -> Self:
-        """Return the spline through values on a grid."""
+        """Return the spline through values on a grid.
+
+        Parameters
+        ----------
+        points : sequence of ndarray
+            Grid points of each argument, rising.
+        values : ndarray
+            One axis per argument.
+        degree : int
+        """
         held, knots = np.asarray(values, dtype=float), []
         for axis, at in enumerate(points):
             found, coefficients = _going_on(at, np.moveaxis(held, axis, 0), degree)
@@ -58,35 +75,46 @@ class Spline:
         return cls(knots=tuple(knots), coefficients=held, degree=degree, ranges=ranges)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        """Return itself, since it is immutable."""
+        """Return the spline itself, since it is immutable."""
         return self
 
     def written(self, arguments: Sequence[Any]) -> Any:
-        """Return the value at CasADi expressions; the work is the same for tables of any size."""
+        """Return the spline's value at CasADi expressions of its arguments, as an expression.
+
+        The cost of an evaluation does not depend on the size of the table.
+        """
         return self._local.written([casadi.SX(argument) for argument in arguments])
 
     @cached_property
     def _local(self) -> LocalSpline:
+        """The spline as a `LocalSpline`, whose cost does not depend on the table's size."""
         return LocalSpline.of(self.knots, self.coefficients, self.degree)
 
     @cached_property
     def function(self) -> Any:
-        """The CasADi function from a point to the spline's value, gradient and Hessian there."""
+        """CasADi function from a point to the spline's value, gradient and Hessian there."""
         arguments = casadi.SX.sym("arguments", len(self.knots))
         written = self.written(casadi.vertsplit(arguments))
         hessian, gradient = casadi.hessian(written, arguments)
         return casadi.Function("spline", [arguments], [written, gradient, hessian])
 
     def __getstate__(self) -> dict[str, Any]:
-        """Drop compiled functions from the pickle."""
+        """Pickle the data of the spline without its compiled functions."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
 def _going_on(at: FloatArray, values: FloatArray, degree: int) -> tuple[FloatArray, FloatArray]:
-    """Return knots and coefficients of a spline that goes on in straight lines beyond its data.
+    """Return knots and coefficients of a spline that is extrapolated linearly beyond its data.
 
-    A knot of one less than full multiplicity at either end leaves value and slope continuous
-    there; the values at the averages of its knots determine the spline that does so.
+    A knot of one less than full multiplicity at either end leaves value and slope continuous there;
+    the values at the averages of its knots determine the spline that does so.
+
+    Parameters
+    ----------
+    at : ndarray, shape (n,)
+        Data points along the first axis.
+    values : ndarray, shape (n, ...)
+    degree : int
     """
     from scipy.interpolate import make_interp_spline  # noqa: PLC0415  few models have tables
 
@@ -107,11 +135,11 @@ def _going_on(at: FloatArray, values: FloatArray, degree: int) -> tuple[FloatArr
 
 
 class Table(PythonCallbackFunction):
-    """Values on a grid as a smooth function of states: ``m.density = Table(heights, densities)``.
+    """Interpolation table: values on a grid as a smooth function, for use in a Pyomo model.
 
-    Called in a rule, as ``m.density(m.h[t])``, it is the cubic not-a-knot spline through the
-    values, twice continuously differentiable. Two arrays of points and a matrix of values make a
-    function of two arguments, and so on.
+    After ``m.density = Table(heights, densities)``, the expression ``m.density(m.h[t])`` in a rule
+    is the cubic not-a-knot spline through the values, twice continuously differentiable. Two arrays
+    of points and a matrix of values make a function of two arguments, and so on.
 
     Parameters
     ----------
@@ -134,7 +162,13 @@ class Table(PythonCallbackFunction):
         super().__init__(fgh=self._at, **keywords)
 
     def __call__(self, *arguments: Any) -> Any:
-        """Return the Pyomo expression of the table at expressions or numbers."""
+        """Return the Pyomo expression of the table at expressions or numbers.
+
+        Raises
+        ------
+        TranscriptionError
+            If the number of arguments is wrong.
+        """
         if len(arguments) != len(self.spline.knots):
             raise TranscriptionError(
                 f"{self.name or 'Table'}: called with {len(arguments)} arguments; it has points "
@@ -143,13 +177,14 @@ class Table(PythonCallbackFunction):
         return super().__call__(*arguments)
 
     def _at(self, arguments: Any, _order: int, _fixed: Any) -> tuple[float, list[float], Any]:
-        """Return value, gradient and Hessian's upper triangle at arguments, as Pyomo expects."""
+        """Return value, gradient and upper triangle of the Hessian in the form Pyomo expects."""
         value, gradient, hessian = self.spline.function(arguments)
         upper = [float(hessian[i, j]) for j in range(len(arguments)) for i in range(j + 1)]
         return float(value), [float(gradient[k]) for k in range(len(arguments))], upper
 
 
 def _refuse_unfit(points: Sequence[FloatArray], values: FloatArray) -> None:
+    """Raise an error for grid points or values that do not define a table."""
     for axis, at in enumerate(points, start=1):
         if at.ndim != 1 or at.size <= _CUBIC:
             raise TranscriptionError(
@@ -174,7 +209,17 @@ def _refuse_unfit(points: Sequence[FloatArray], values: FloatArray) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class TableUse:
-    """An argument of a table in an equation, and the range within which it must stay."""
+    """Argument of an interpolation table in an equation, and the range of the table.
+
+    Attributes
+    ----------
+    name : str
+        Name of the table, of the equation and of the argument, for messages.
+    expression : casadi.SX
+        The argument.
+    lower, upper : float
+        Range outside which the table has no data.
+    """
 
     name: str
     expression: Any
@@ -183,11 +228,22 @@ class TableUse:
 
 
 def external(node: Any, arguments: Sequence[Any], owner: str, uses: list[TableUse]) -> Any:
-    """Return the CasADi expression of an external function's call, and record the ranges of tables.
+    """Return the CasADi expression of a call of an external function (Pyomo ExternalFunction).
 
-    A table becomes its spline. A Python function that accepts symbols becomes the expression that
+    A `Table` becomes its spline. A Python function that accepts symbols becomes the expression that
     it returns. Any other function becomes the spline through its samples between the bounds of its
     arguments.
+
+    Parameters
+    ----------
+    node : Pyomo expression
+        The call.
+    arguments : sequence of casadi.SX
+        Translated arguments.
+    owner : str
+        Name of the component that contains the call, for messages.
+    uses : list of TableUse
+        List to which the arguments of splines are added, with their ranges.
     """
     function = node._fcn  # noqa: SLF001
     is_python = isinstance(function, PythonCallbackFunction)
@@ -217,7 +273,7 @@ def external(node: Any, arguments: Sequence[Any], owner: str, uses: list[TableUs
 
 
 def _symbolic(function: Any, inputs: Sequence[Any], stated: Sequence[Any]) -> Any:
-    """Return a Python function evaluated on symbols, None if it needs numbers."""
+    """Return a Python function evaluated on CasADi symbols, None if it needs numbers."""
     if function._fcn is None:  # noqa: SLF001
         return None
     symbols = casadi.SX.sym("arguments", len(inputs))
@@ -239,6 +295,7 @@ def _symbolic(function: Any, inputs: Sequence[Any], stated: Sequence[Any]) -> An
 
 
 def _bounds(argument: Any) -> tuple[float | None, float | None]:
+    """Return lower and upper bound of a Pyomo expression, None where it has none."""
     from pyomo.contrib.fbbt.fbbt import compute_bounds_on_expr  # noqa: PLC0415  as above
 
     lower, upper = compute_bounds_on_expr(argument)
@@ -252,7 +309,16 @@ def _range(argument: Any) -> tuple[float, float]:
 
 
 def _sampled(function: Any, stated: Sequence[Any], owner: str) -> Spline:
-    """Return the spline through samples of a function that can only be called with numbers."""
+    """Return the spline through samples of a function that can only be called with numbers.
+
+    The number of samples is increased until the spline reproduces the function to 1e-7.
+
+    Raises
+    ------
+    TranscriptionError
+        If the function has too many arguments, an argument has no finite bounds, or the function
+        fails, is not finite or is too rough between the bounds.
+    """
     name = function.name
     if len(stated) not in _SAMPLES:
         raise TranscriptionError(
@@ -301,6 +367,7 @@ def _sampled(function: Any, stated: Sequence[Any], owner: str) -> Spline:
 
 
 def _on_grid(call: Callable[..., float], points: Sequence[FloatArray]) -> FloatArray:
+    """Return a function's values on a grid, with one axis per argument."""
     values = [call(*numbers) for numbers in product(*(at.tolist() for at in points))]
     return np.array(values).reshape([at.size for at in points])
 

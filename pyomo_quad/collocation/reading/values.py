@@ -1,4 +1,4 @@
-"""Numbers for the compiled equations, from the model or from the caller."""
+"""Numbers for the compiled equations, from the Pyomo model or from the caller."""
 
 from __future__ import annotations
 
@@ -34,10 +34,22 @@ Overrides = Mapping[Any, float | Callable[[float], float]]
 
 @dataclass(frozen=True, kw_only=True)
 class Instance:
-    """The numbers of one solve: parameters, horizon, fixed values and signals.
+    """Data of a single solve: parameters, horizon, fixed values and time-dependent parameters.
 
-    `jumps` are the fractions of the horizon where a time-varying quantity may jump. `left_out`
-    names the conditions that are not imposed because they follow from others.
+    Attributes
+    ----------
+    parameters : ndarray, shape (n_parameters,)
+        Values of the parameters without time.
+    horizon : (float, float)
+        Start and end.
+    fixed : dict
+        Values of variables fixed at declared times, by (name, fraction of the horizon).
+    overrides : mapping
+        Parameter values from the caller by full name; functions of time for parameters over time.
+    jumps : tuple of float
+        Fractions of the horizon at which a time-dependent parameter may jump.
+    left_out : frozenset of str
+        Names of conditions that are not imposed because they follow from others.
     """
 
     parameters: FloatArray
@@ -52,12 +64,13 @@ class Instance:
         return vars(self) | {"overrides": {n: self._kept(n, v) for n, v in self.overrides.items()}}
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Instance:
-        """Return itself: it is immutable, and its functions are the caller's."""
+        """Return the instance itself: it is immutable, and its functions are the caller's."""
         return self
 
     def _kept(
         self, name: str, given: float | Callable[[float], float]
     ) -> float | Interpolant | Steps:
+        """Return a parameter's value for a pickle; a function becomes piecewise polynomials."""
         if not callable(given) or isinstance(given, Interpolant | Steps):
             return given
         start, end = self.horizon
@@ -66,7 +79,14 @@ class Instance:
 
 
 class ModelValues:
-    """Returns the numbers of a model in the order of its declarations."""
+    """Reader and writer of a model's numbers, in the order of the compiled declarations.
+
+    Parameters
+    ----------
+    source : LiveModel or ModelSnapshot
+        The Pyomo model, or the values kept of it in a pickle.
+    declared : Declarations
+    """
 
     def __init__(self, source: LiveModel | ModelSnapshot, declared: Declarations) -> None:
         self._source = source
@@ -77,14 +97,21 @@ class ModelValues:
 
     @property
     def declared_horizon(self) -> tuple[float, float]:
-        """Start and end of the continuous set."""
+        """Start and end of the continuous set; 0 and 1 for a model without time."""
         times = self._source.times
         return (times[0], times[-1]) if times else (0.0, 1.0)
 
     def parameters(
         self, overrides: Overrides | None, horizon: tuple[float, float] | None
     ) -> FloatArray:
-        """Return parameter values, shape (n_parameters,).
+        """Return the values of the parameters without time, shape (n_parameters,).
+
+        Parameters
+        ----------
+        overrides : mapping, optional
+            Values that replace those in the model, by component or full name.
+        horizon : (float, float), optional
+            Start and end of the horizon, which may be parameters; by default as declared.
 
         Raises
         ------
@@ -97,7 +124,14 @@ class ModelValues:
         return np.array([self._parameter(slot, named, ends) for slot in self._declared.parameters])
 
     def by_name(self, overrides: Overrides | None) -> dict[str, Any]:
-        """Return new values of parameters by full name."""
+        """Return the caller's parameter values by full name instead of component.
+
+        Raises
+        ------
+        TranscriptionError
+            If a name is no component of the model, or a function of time is given where times are
+            free.
+        """
         named = {
             key.name
             if isinstance(key, Component) or hasattr(key, "parent_component")
@@ -119,6 +153,7 @@ class ModelValues:
         return named
 
     def _parameter(self, slot: Slot, named: dict[str, Any], ends: dict[str, float]) -> float:
+        """Return the value of one parameter without time."""
         if slot.name in ends:
             return ends[slot.name]
         if slot.name in named:
@@ -126,7 +161,10 @@ class ModelValues:
         return _present(slot.name, self._source.parameter(slot))
 
     def signals(self, instance: Instance) -> Callable[[float], list[float]]:
-        """Return the time-varying data as a function of the fraction of the horizon.
+        """Return the time-dependent parameters as a function of the fraction of the horizon.
+
+        The function returns a list: parameters over time, then the data of rules that branch on
+        time.
 
         Raises
         ------
@@ -147,7 +185,7 @@ class ModelValues:
     def jumps(
         self, overrides: Overrides | None, horizon: tuple[float, float] | None
     ) -> tuple[float, ...]:
-        """Return the fractions of the horizon at which signals may jump.
+        """Return the fractions of the horizon at which time-dependent parameters may jump.
 
         These are the declared times and the times at which a rule or parameter is found to jump.
         """
@@ -166,18 +204,27 @@ class ModelValues:
         return tuple(f for k, f in enumerate(fractions) if k == 0 or f - fractions[k - 1] > BESIDE)
 
     def _rule_horizon(self, horizon: tuple[float, float]) -> tuple[float, float]:
-        """Return the horizon in the rules' time, which is the declared one if any time is free."""
+        """Return the horizon at which rules are called.
+
+        It is the declared horizon if any time is free, because a rule knows declared times only;
+        else the horizon of the solve. The widest horizon so far is recorded for a pickle.
+        """
         found = self.declared_horizon if self._declared.clock.is_free else horizon
         self._widest = min(self._widest[0], found[0]), max(self._widest[1], found[1])
         return found
 
     def _signal_functions(self, overrides: Overrides | None) -> list[Callable[[float], float]]:
+        """Return the parameters over time as functions of time, in declared order."""
         if not self._declared.signals:
             return []
         named = self.by_name(overrides)
         return [self._signal(slot, named) for slot in self._declared.signals]
 
     def _signal(self, slot: Slot, named: dict[str, Any]) -> Callable[[float], float]:
+        """Return a parameter over time as a function of time.
+
+        The caller's value or function takes precedence over the rule in the model.
+        """
         if slot.name in named:
             given = named[slot.name]
             if isinstance(given, Steps):
@@ -186,7 +233,10 @@ class ModelValues:
         return self._source.signal(slot)
 
     def fixed(self) -> dict[tuple[str, float], float]:
-        """Return the values a user fixed at declared times, by slot name and fraction."""
+        """Return the values of variables that a user fixed at declared times.
+
+        The keys are (variable name, fraction of the horizon).
+        """
         first, last = self.declared_horizon
         slots = {s.name: s for s in self._declared.varying}
         found: dict[tuple[str, float], float] = {}
@@ -196,11 +246,15 @@ class ModelValues:
         return found
 
     def _declared_time(self, first: float, last: float, fraction: float) -> float:
+        """Return the member of the continuous set nearest to a fraction of its range.
+
+        `first` and `last` are the ends of that range.
+        """
         wanted = first + (last - first) * fraction
         return min(self._source.times, key=lambda t: abs(t - wanted))
 
     def initial_values(self, slot: Slot) -> list[tuple[float, float]]:
-        """Return the (fraction, value) pairs that the model's variable holds."""
+        """Return a variable's values in the model, as pairs (fraction of the horizon, value)."""
         first, last = self.declared_horizon
         pairs = []
         for time in self._source.times:
@@ -210,10 +264,10 @@ class ModelValues:
         return pairs
 
     def first_guesses(self, slot: Slot, fractions: FloatArray) -> FloatArray | None:
-        """Return the values of the variable's `initialize` rule at fractions of the horizon.
+        """Return the values of a variable's `initialize` rule at fractions of the horizon.
 
-        None where it has no rule or holds other values, and where the rule has values at the
-        declared times only.
+        The result is None if the variable has no rule or has other values than its rule, or if the
+        rule has values at the declared times only.
         """
         first, last = self.declared_horizon
         guess = self._source.first_guess(slot)
@@ -226,7 +280,7 @@ class ModelValues:
         return found if np.all(np.isfinite(found)) else None
 
     def static_value(self, slot: Slot) -> float | None:
-        """Return the value a static variable holds, None if it has none."""
+        """Return the value of a static variable in the model, None if it has none."""
         return self._source.variable(slot)
 
     def declared_fractions(self) -> list[float]:
@@ -235,26 +289,36 @@ class ModelValues:
         return [(t - first) / (last - first) for t in self._source.times]
 
     def load(self, slot: Slot, fraction: float | None, number: float) -> None:
-        """Put a solved value into the model's variable, unless a user fixed it there."""
+        """Set the model's variable to a solved value, unless a user fixed the variable there.
+
+        `fraction` is that of a declared time, None for a static variable.
+        """
         time = None
         if fraction is not None:
             time = self._declared_time(*self.declared_horizon, fraction)
         self._source.load(slot, time, number)
 
     def load_rates(self, fraction: float, rate: Callable[..., float]) -> None:
-        """Put solved rates, by component and index, into the model's derivatives at a time."""
+        """Set the model's derivatives at a declared time to their solved values.
+
+        `rate` maps (component name, index=) to the derivative's value.
+        """
         self._source.load_rates(self._declared_time(*self.declared_horizon, fraction), rate)
 
     def load_integrals(self, totals: Mapping[str, float]) -> None:
-        """Set the model's integrals, by full name, to their solved totals."""
+        """Set the model's integrals, by full name, to their solved values."""
         self._source.load_integrals(totals)
 
     def snapshot(self) -> ModelSnapshot:
-        """Return the model's present values, over the widest horizon requested so far."""
+        """Return the model's present values for a pickle.
+
+        Functions of time cover the widest horizon requested so far.
+        """
         return self._source.snapshot(self._declared, self._widest)
 
 
 def _present(name: str, number: float | None) -> float:
+    """Return the value of a component; raise an error that names it if it has no value."""
     if number is None:
         raise TranscriptionError(f"{name}: has no value; give it one before the solve.")
     return number

@@ -1,4 +1,4 @@
-"""Pyomo expressions and components as CasADi expressions of the template point."""
+"""Translation of Pyomo expressions to CasADi expressions, in the symbols of a single time."""
 
 from __future__ import annotations
 
@@ -56,6 +56,7 @@ _UNARY: dict[str, Callable[[Any], Any]] = {
 
 
 def _sum(*terms: Any) -> Any:
+    """Return the sum of CasADi expressions."""
     return reduce(operator.add, terms)
 
 
@@ -71,7 +72,7 @@ _OPERATIONS: tuple[tuple[Any, Callable[..., Any]], ...] = (
 
 
 class ExpressionWriter:
-    """Rewrite Pyomo expressions in CasADi symbols that a leaf function chooses.
+    """Translator of Pyomo expressions to CasADi expressions.
 
     Parameters
     ----------
@@ -83,7 +84,7 @@ class ExpressionWriter:
 
     Notes
     -----
-    A named expression is written once and shared afterwards, so the work grows with the
+    A named expression is translated once and shared afterwards, so that the work grows with the
     text of the model and not with how often an expression is used.
     """
 
@@ -102,21 +103,37 @@ class ExpressionWriter:
         )
 
     def write(self, expression: Any, owner: str) -> Any:
-        """Return the CasADi expression of a Pyomo expression (or number).
+        """Return the CasADi expression of a Pyomo expression or number.
+
+        `owner` is the name of the component that contains the expression, for messages.
 
         Raises
         ------
         TranscriptionError
-            If the expression holds a function without a smooth CasADi counterpart.
+            If the expression contains a function without a smooth CasADi counterpart.
         """
         self._owner = owner
         return self._visitor.walk_expression(expression)
 
     def _initialize(self, expression: Any) -> tuple[bool, Any]:
+        """Tell Pyomo's expression walker whether to descend into an expression.
+
+        Returns
+        -------
+        (bool, Any)
+            True and the expression to descend; else False and its CasADi expression.
+        """
         go_on, value = self._before_child(None, expression, 0)
         return go_on, expression if go_on else value
 
     def _before_child(self, _parent: Any, child: Any, _index: int) -> tuple[bool, Any]:
+        """Tell Pyomo's expression walker whether to descend into the argument of an operation.
+
+        Returns
+        -------
+        (bool, Any)
+            True and None to descend; else False and the argument's CasADi expression.
+        """
         if child.__class__ in native_types:
             return False, child
         if not child.is_expression_type():
@@ -135,6 +152,7 @@ class ExpressionWriter:
         return False, self._named[id(child)]
 
     def _atom(self, child: Any) -> Any:
+        """Return the CasADi symbol or number for a variable, parameter, constant or unit."""
         if isinstance(child, _PyomoUnit):
             return 1.0
         if isinstance(child, NonNumericValue) and isinstance(child.value, TimeSymbol):
@@ -142,17 +160,19 @@ class ExpressionWriter:
         return child.value if isinstance(child, NumericConstant) else self._leaf(child)
 
     def _exit_node(self, node: Any, arguments: list[Any]) -> Any:
+        """Return the CasADi expression of a node, given the CasADi expressions of its arguments."""
         if node.is_named_expression_type():
             self._named[id(node)] = arguments[0]
             return arguments[0]
         return self._apply(node, arguments)
 
     def apply(self, node: Any, arguments: list[Any], owner: str) -> Any:
-        """Return the CasADi expression of an operation on arguments that are already written."""
+        """Return the CasADi expression of a Pyomo operation applied to translated arguments."""
         self._owner = owner
         return self._apply(node, arguments)
 
     def _apply(self, node: Any, arguments: list[Any]) -> Any:
+        """Return the CasADi expression of a Pyomo operation; raise an error if it has none."""
         for kind, operation in _OPERATIONS:
             if isinstance(node, kind):
                 return operation(*arguments)
@@ -164,6 +184,7 @@ class ExpressionWriter:
         raise self._unsupported(node.name if is_function else type(node).__name__)
 
     def _unsupported(self, what: str) -> TranscriptionError:
+        """Return the error for a function that cannot be translated."""
         return TranscriptionError(
             f"{self._owner}: {what} is not supported; write it with smooth functions (for a "
             "switch: a tanh or sqrt smoothing)."
@@ -198,16 +219,29 @@ _ABSENT = (-casadi.inf, 0.0, casadi.inf)
 
 
 class TemplateWriter:
-    """Writes the components of one working copy, each named expression and integral once.
+    """Translator of a model's components to CasADi expressions, for all times.
+
+    The components are those of a working copy, a clone of the user's model with an additional time,
+    the template time; equations there serve for all times. Each named expression and integral is
+    translated once.
+
+    Parameters
+    ----------
+    copy : WorkingCopy
+    free : mapping
+        Declared time -> static variable that replaces it.
+    statics : dict, optional
+        Static variables by name, shared by several horizons.
 
     Attributes
     ----------
     integrals : dict
         Integrals found so far, by name.
-    table_uses : list
-        Arguments of tables found so far.
-    schedules : list
-        Quantities without a formula of time: forms and numbers of rules, and the phase that holds.
+    table_uses : list of TableUse
+        Arguments of interpolation tables found so far.
+    schedules : list of Schedule or Phases
+        Quantities that vary with time without a formula: branches and numbers of rules that branch
+        on time, and the phase of the horizon.
     """
 
     def __init__(
@@ -227,7 +261,17 @@ class TemplateWriter:
         self._in_path = False
 
     def write(self, expression: Any, owner: str, *, over_time: bool = False) -> Any:
-        """Return an expression in symbols; refuse values at single instants if it is over time."""
+        """Return the CasADi expression of a Pyomo expression.
+
+        Parameters
+        ----------
+        expression : Pyomo expression or number
+        owner : str
+            Name of the component that contains it, for messages.
+        over_time : bool, default False
+            Whether the expression belongs to an equation over time, in which values at single times
+            are refused.
+        """
         before, self._in_path = self._in_path, over_time
         try:
             return self._writer.write(expression, owner)
@@ -235,15 +279,21 @@ class TemplateWriter:
             self._in_path = before
 
     def bound(self, bound: Any, otherwise: float, name: str) -> Any:
-        """Return the CasADi expression of a bound, or `otherwise` if it is absent."""
+        """Return the CasADi expression of a bound, or of the number `otherwise` if it is absent."""
         return casadi.SX(otherwise if bound is None else self.write(bound, name))
 
     def path_equation(
         self, component: Any, index: tuple[Any, ...], instance: Any
     ) -> PathEquation | None:
-        """Return a constraint's path equation, None if its rule skips it between declared times.
+        """Return a constraint's path equation, None if its rule imposes it at no interior time.
 
-        `instance` is the constraint's member at the template time; None if there is none.
+        Parameters
+        ----------
+        component : Constraint
+        index : tuple
+            Index without time.
+        instance : ConstraintData or None
+            The constraint's member at the template time.
         """
         rule, name = rule_of(component), indexed_name(component.name, index)
         if rule is None and instance is None:
@@ -265,7 +315,7 @@ class TemplateWriter:
         )
 
     def bounds_over_time(self, slot: Slot) -> tuple[Any, Any]:
-        """Return the bounds of a variable over time."""
+        """Return lower and upper bound of a variable over time as CasADi expressions."""
         variable = self.copy.model.find_component(slot.component)
         rule, changed = bounds_rule_of(variable), self.changed_bounds(slot)
         if rule is None or changed is not None:
@@ -289,7 +339,7 @@ class TemplateWriter:
     def changed_bounds(self, slot: Slot) -> tuple[Any, Any] | None:
         """Return the bounds that a user assigned at every declared time, None if unchanged.
 
-        Bounds changed at the ends of a state alone may be meant for these instants. A fixed end
+        Bounds changed at the ends of a state alone may be meant for these two times. A fixed end
         needs no bounds and does not count.
 
         Raises
@@ -312,7 +362,7 @@ class TemplateWriter:
         )
 
     def declared_bounds(self, data: Any) -> tuple[float | None, float | None]:
-        """Return the numeric bounds of a member by the declaration of its variable."""
+        """Return the bounds of a variable's member according to the variable's declaration."""
         variable, address = data.parent_component(), self.addresses.of(data)
         rule = bounds_rule_of(variable)
         if rule is None:
@@ -324,21 +374,29 @@ class TemplateWriter:
         return tuple(member.bounds)
 
     def _member(self, slot: Slot, time: float) -> Any:
+        """Return the member (Pyomo data object) of a variable over time at a given time."""
         variable = self.copy.model.find_component(slot.component)
         return variable[self.addresses.join(variable, slot.index, time)]
 
     def _over_time(self, name: str, say: Callable[[Any], Statement]) -> tuple[list[Any], bool]:
-        """Return the parts of a rule as functions of time, and whether they state an equality.
+        """Return the parts of a rule's result as functions of time, and whether it is an equality.
 
         The rule is called once with a symbol for time. If that fails because the rule reads the
         number, the rule is called at as many times as needed.
+
+        Parameters
+        ----------
+        name : str
+            Name of the component, for messages.
+        say : callable
+            Time -> `Statement`, the result of the rule.
         """
         symbol = TimeSymbol(self.copy.template_time, self._clock)
         statement = _attempt(say, symbol)
         if statement is not None and not symbol.is_read:
             parts = zip(statement.parts, _ABSENT, strict=False)
             return [self._part(p, name, absent) for p, absent in parts], statement.is_equality
-        # Where times are free, a rule knows only between which declared times its own lies.
+        # If times are free, a rule may depend only on the declared times before and after its time.
         place = self._within if self.symbols.clock.is_free else float
         schedule = Schedule(
             name, partial(self._statement_at, name, say), self.copy.declared_times, place
@@ -351,7 +409,13 @@ class TemplateWriter:
         return schedule.written(write, _ABSENT), schedule.is_equality
 
     def _statement_at(self, name: str, say: Callable[[Any], Statement], time: float) -> Statement:
-        """Return the `Statement` that a component's rule makes at one time."""
+        """Call a component's rule at one time, and return its result as a `Statement`.
+
+        Raises
+        ------
+        TranscriptionError
+            If the rule fails, or reads a free time as a number.
+        """
         template = self.copy.template_time
         if self.symbols.clock.is_free:
             declared = self.copy.declared_times
@@ -372,7 +436,11 @@ class TemplateWriter:
         return statement
 
     def at_instant(self, data: Any) -> Any:
-        """Return a constraint at a declared time in terms of the physical time that it maps to."""
+        """Return a constraint's member at a declared time, with the free times in place of numbers.
+
+        A rule such as ``m.x[t] == t`` then contains the physical time to which the declared time is
+        mapped. Members that depend on no free time are returned unchanged.
+        """
         component, address = data.parent_component(), self.addresses.of(data)
         rule, clock = rule_of(component), self.symbols.clock
         if not clock.is_free or rule is None or address.time is None:
@@ -391,13 +459,14 @@ class TemplateWriter:
         return ConstraintData(expr=said)
 
     def is_scheduled(self, name: str) -> bool:
-        """Return whether a component's rule has no formula of time."""
+        """Return whether the rule of a component branches on time or looks up numbers by time."""
         return any(s.name == name for s in self.schedules)
 
     def scheduled_beside(self, time: float, side: int = -1) -> dict[str, tuple[Any, float]]:
-        """Return the symbols of all schedules, with their numbers on one side of a declared time.
+        """Return the symbols of all schedules with their numbers just before or after a time.
 
-        `side` is -1 for just before the time, 1 for just after.
+        Schedules are quantities that vary with time without a formula. `side` is -1 for just before
+        the declared time, 1 for just after. The result maps names to (symbol, number).
         """
         first, last = self.copy.declared_times[0], self.copy.declared_times[-1]
         near = BESIDE * (last - first)
@@ -415,10 +484,11 @@ class TemplateWriter:
         return 0.5 * (declared[after - 1] + declared[after])
 
     def _part(self, part: Any, name: str, absent: Any) -> Any:
+        """Return the CasADi expression of a bound or body from a rule; `absent` replaces None."""
         return casadi.SX(absent if part is None else self.write(part, name, over_time=True))
 
     def _with_numbers(self, part: Any, numbers: Iterator[Any], name: str) -> Any:
-        """Write an expression with its numbers replaced, in their order."""
+        """Translate an expression to CasADi, with its numbers replaced by symbols in order."""
         if part.__class__ in native_types:
             return next(numbers)
         if not part.is_expression_type() or part.is_named_expression_type():
@@ -427,12 +497,15 @@ class TemplateWriter:
         return self._writer.apply(part, arguments, name)
 
     def over_time(self, name: str, index: tuple[Any, ...]) -> Any:
-        """Return a named component in template symbols, None if it is not over time.
+        """Return a component as a CasADi expression that holds at any time, by full name.
+
+        The result is None if the model has no component over time of this name. `index` is the
+        index without time.
 
         Raises
         ------
         KeyError
-            If it has no such index.
+            If the component has no such index.
         """
         found = self.copy.model.find_component(name)
         if found is None or self.addresses.time_position(found) is None:
@@ -440,7 +513,7 @@ class TemplateWriter:
         return self.write_at_template(found, index)
 
     def components_over_time(self) -> Iterator[tuple[str, tuple[Any, ...]]]:
-        """Yield name and index of every component that `over_time` can write."""
+        """Yield the components that `over_time` can translate, as (name, index without time)."""
         kinds = (Var, DerivativeVar, Param, Expression)
         for component in self.copy.model.component_objects(kinds, descend_into=True):
             if self.addresses.time_position(component) is not None:
@@ -450,12 +523,15 @@ class TemplateWriter:
                         yield component.name, address.index
 
     def write_at_template(self, component: Any, index: tuple[Any, ...]) -> Any:
-        """Return a variable or expression over time, by name, in template symbols."""
+        """Return a variable or expression over time as a CasADi expression that holds at any time.
+
+        `index` is the index without time.
+        """
         position = self.addresses.join(component, index, self.copy.template_time)
         return casadi.SX(self.write(component[position], component.name, over_time=True))
 
     def leaf(self, data: Any) -> Any:
-        """Return the symbol of a variable or parameter."""
+        """Return the CasADi symbol of a Pyomo variable or parameter."""
         if data is self._clock:
             return self.symbols.clock.time
         for time, parameter in self._instants.items():
@@ -473,7 +549,11 @@ class TemplateWriter:
         return symbol
 
     def named(self, expression: Any) -> Any:
-        """Return the replacement of a named expression, None to keep its own expression."""
+        """Return the replacement of a named expression, None to keep the expression itself.
+
+        Integrals are replaced by their symbols, and expressions over time by the result of their
+        rules.
+        """
         component = expression.parent_component()
         if component is None:
             return None
@@ -486,7 +566,10 @@ class TemplateWriter:
         return self._expression(component, address.index, rule)
 
     def _expression(self, component: Any, index: tuple[Any, ...], rule: Any) -> Any:
-        """Return the expression that a component's rule gives over time, read once."""
+        """Return a named expression over time as a CasADi expression, as its rule states it.
+
+        The rule is read once, and the expression is cached by name.
+        """
         name, block = indexed_name(component.name, index), component.parent_block()
         if name in self._by_rule:
             return self._by_rule[name]
@@ -498,7 +581,7 @@ class TemplateWriter:
         return self._by_rule[name]
 
     def _parameter_over_time(self, data: Any, address: Address) -> Any:
-        """Return a parameter as a differentiable function of time."""
+        """Return a parameter over time as a differentiable CasADi expression of time."""
         component = data.parent_component()
         rule = rule_of(component)
         if rule is None or address.time is None:
@@ -513,6 +596,7 @@ class TemplateWriter:
         return casadi.substitute(over_time, old, casadi.SX(new))
 
     def _integral(self, component: Any, index: Any) -> Any:
+        """Return the symbol of an integral, and register the integral at first use."""
         if self._in_path:
             raise TranscriptionError(
                 f"{component.name}: an integral inside an equation over time is not supported; "
@@ -533,7 +617,7 @@ class TemplateWriter:
 
 
 def _attempt(say: Callable[[Any], Statement], symbol: TimeSymbol) -> Statement | None:
-    """Return the statement of a rule with a symbol for time, None if the rule needs a number."""
+    """Return the result of calling a rule with a symbol in place of time; None if that fails."""
     try:
         # Hide Pyomo's log of this failure: the second reading of the rule recovers from it.
         with LoggingIntercept(None, "pyomo.core"):
@@ -543,6 +627,7 @@ def _attempt(say: Callable[[Any], Statement], symbol: TimeSymbol) -> Statement |
 
 
 def _refuse_number(name: str, error: Exception | None = None) -> NoReturn:
+    """Raise the error for a rule that reads a free time as a number."""
     told = "" if error is None else f" ({raised(error)})"
     raise TranscriptionError(
         f"{name}: its rule reads its time as a number, which a free time moves{told}; "
@@ -551,19 +636,27 @@ def _refuse_number(name: str, error: Exception | None = None) -> NoReturn:
 
 
 def _as_numeric(statement: Statement) -> Statement:
-    """Replace time by its parameter where a rule returned time itself."""
+    """Return a rule's result, in which the symbol of time is replaced by a Pyomo parameter."""
     parts = (p.as_numeric() if isinstance(p, TimeSymbol) else p for p in statement.parts)
     return replace(statement, parts=tuple(parts))
 
 
 def is_unbounded(lower: Any, upper: Any) -> bool:
-    """Return whether two CasADi bounds are both absent."""
+    """Return whether a lower and an upper CasADi bound are both absent (infinite)."""
     sides = (lower, -casadi.inf), (upper, casadi.inf)
     return all(casadi.is_equal(side, casadi.SX(limit)) for side, limit in sides)
 
 
 def _relation(said: Any, name: str) -> Statement:
-    """Return lower bound, body and upper bound of a constraint rule's result."""
+    """Return the result of a constraint's rule as lower bound, body and upper bound.
+
+    A skipped constraint has no bounds.
+
+    Raises
+    ------
+    TranscriptionError
+        If the rule returned `Constraint.Infeasible`.
+    """
     if said is Constraint.Skip or said is Constraint.Feasible or said is True:
         return Statement(parts=(None, 0.0, None))
     if said is Constraint.Infeasible or said is False:

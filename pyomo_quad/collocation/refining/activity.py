@@ -1,4 +1,4 @@
-"""Active limits, and the elements where limits become active or inactive.
+"""Active limits, and the elements in which limits become active or inactive (junctions).
 
 The rule: see docs/theory/refinement.md, eq. (7).
 """
@@ -25,7 +25,7 @@ SAME = 1e-12
 
 
 def junction_elements(solution: Solution) -> frozenset[int]:
-    """Return the elements in or beside which the activity of a limit changes.
+    """Return the indices of elements in or beside which a limit becomes active or inactive.
 
     A change at a time at which the equations themselves may change is not counted.
     """
@@ -34,7 +34,7 @@ def junction_elements(solution: Solution) -> frozenset[int]:
 
 
 def switch_elements(solution: Solution) -> frozenset[int]:
-    """Return the junction elements of limits on algebraic variables alone.
+    """Return the indices of elements in which only limits on algebraic variables change activity.
 
     Where a limit on a state becomes active or inactive, the state's costate may jump as well.
     """
@@ -56,7 +56,16 @@ def _limits_on_algebraics(solution: Solution) -> NDArray[np.bool_]:
 def _changing(
     solution: Solution, limits: NDArray[np.bool_], active: NDArray[np.bool_]
 ) -> frozenset[int]:
-    """Return the elements in or beside which the activity of chosen limits changes."""
+    """Return the indices of elements in or beside which chosen limits change their activity.
+
+    Parameters
+    ----------
+    solution : Solution
+    limits : ndarray of bool, shape (n_limits,)
+        The chosen limits.
+    active : ndarray of bool, shape (n_points, n_limits)
+        Whether each limit is active at each collocation point.
+    """
     element = solution.mesh.element_of_point
     is_known = np.isin(element[1:], np.flatnonzero(known_boundaries(solution))) & (
         element[1:] > element[:-1]
@@ -66,7 +75,11 @@ def _changing(
 
 
 def known_boundaries(solution: Solution) -> NDArray[np.bool_]:
-    """Return for each element, and the end, whether it starts at a condition or a jump."""
+    """Return whether the problem requires each breakpoint of the mesh.
+
+    Shape (n_elements + 1,). A breakpoint is required at start and end, where a condition is
+    imposed, and where a parameter jumps.
+    """
     required = solution.problem.required_breakpoints(solution.instance)
     starts = np.asarray(solution.mesh.breakpoints)
     return np.any(np.abs(starts[:, None] - np.array([0.0, *required, 1.0])) < SAME, axis=1)
@@ -75,8 +88,10 @@ def known_boundaries(solution: Solution) -> NDArray[np.bool_]:
 def active_limits(solution: Solution) -> NDArray[np.bool_]:
     """Return whether each limit over time is active at each point, shape (n_points, n_limits).
 
-    At an interior-point solution the product of multiplier and slack is the same small number
-    everywhere; a limit is active where the multiplier is the larger of the two.
+    The limits are, in this order: lower bounds of states and algebraic variables, their upper
+    bounds, lower sides of path equations, and their upper sides. At an interior-point solution the
+    product of multiplier and slack is the same small number everywhere; a limit is active where the
+    multiplier is the larger of the two.
     """
     pulls, slacks = _pulls_and_slacks(solution)
     return np.asarray(pulls > slacks)
@@ -111,7 +126,10 @@ def kinks(solution: Solution) -> FloatArray:
 
 
 def _zero(times: FloatArray, values: FloatArray) -> float:
-    """Return the time at which a monotone function reaches zero, by inverse interpolation."""
+    """Return the time at which a function reaches zero, by inverse interpolation.
+
+    NaN unless its samples `values` at `times` increase with the distance from the zero.
+    """
     if not np.all(np.diff(values) > 0.0):
         return math.nan
     weights = [math.prod(b / (b - a) for b in np.delete(values, k)) for k, a in enumerate(values)]

@@ -1,6 +1,7 @@
 """Damping of controls that enter linearly, towards the smoothed controls of the last solution.
 
-See docs/theory/refinement.md, eq. (9).
+On such controls the objective hardly depends, so that without damping they chatter and change from
+mesh to mesh. See docs/theory/refinement.md, eq. (9).
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.program.transcription import Transcription
     from pyomo_quad.collocation.solution import Solution
 
-# Error estimate of a mesh from which on the next solution is far from its own.
+# Error estimate of a mesh above which the next solution is expected far from the present one.
 _FAR = 1e-2
 
 
@@ -30,20 +31,22 @@ _FAR = 1e-2
 class Damping:
     """Penalty on the distance of controls from the smoothed controls of a solution.
 
-    The smoothed course consists of straight lines between the means over the elements.
+    The smoothed controls consist of straight lines between the means over the elements.
 
     Attributes
     ----------
     solution : Solution
         Solution on the last mesh.
-    controls : ndarray of int
-        Positions among the algebraic variables.
-    prices : ndarray
+    controls : ndarray of int, shape (n_controls,)
+        Positions of the damped controls among the algebraic variables.
+    prices : ndarray, shape (n_controls,)
         Penalty per unit of mean square distance over the horizon, for each control.
     gap : float
-        Gap that the barrier leaves in the objective, zero for the least that Ipopt reaches.
+        Complementarity gap that the barrier is to leave, in the unit of the objective; zero for the
+        least that Ipopt reaches.
     is_still : bool
-        Whether the objective has settled; the course is then the controls themselves.
+        Whether the objective hardly changes from mesh to mesh any more; the penalty then draws the
+        controls to their own values, smoothed within each element.
     """
 
     solution: Solution
@@ -54,13 +57,16 @@ class Damping:
 
     @property
     def way(self) -> Way:
-        """How far the next mesh's solution is expected to be from this one (`Way`)."""
+        """Expected distance of the next mesh's solution from the last one, as a `Way`."""
         if self.is_still:
             return Way.NONE
         return Way.FAR if self.solution.error_estimate >= _FAR else Way.SHORT
 
     def firmer(self, factor: float, gap: float) -> Damping:
-        """Return the damping with larger penalties, towards the same controls."""
+        """Return the damping with `factor` times the penalties, towards the controls' own values.
+
+        The complementarity gap becomes at least `gap` times the objective's reference magnitude.
+        """
         gap = max(gap * self.solution.nominal_objective, self.gap)
         return replace(self, prices=factor * self.prices, gap=gap, is_still=True)
 
@@ -87,7 +93,16 @@ class Damping:
 
 
 def _smoothed(mesh: Mesh, values: FloatArray, fractions: FloatArray) -> FloatArray:
-    """Return values smoothed in each element: the lower half of their Legendre terms."""
+    """Return values smoothed in each element: the lower half of their Legendre terms.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    values : ndarray, shape (n_points, k)
+        Values at the collocation points.
+    fractions : ndarray, shape (n,)
+        Fractions of the horizon at which the smoothed polynomials are evaluated.
+    """
     starts, found = np.asarray(mesh.breakpoints), np.empty((fractions.size, values.shape[1]))
     element = np.clip(np.searchsorted(starts, fractions) - 1, 0, mesh.elements - 1)
     for e in np.unique(element):
@@ -113,22 +128,29 @@ def _element_means(mesh: Mesh, values: FloatArray) -> tuple[FloatArray, FloatArr
 def damping_of(
     solution: Solution, weight: float, *, gap: float = 0.0, is_still: bool = False
 ) -> Damping | None:
-    """Return the damping towards a solution.
+    """Return the damping of a solution's controls for the solve on the next mesh.
 
-    None if no bounded control enters nearly linearly and no gap is requested.
-
+    Damping is a penalty on the distance from the controls of the solution. A control is damped if
+    it is bounded and the Lagrangian has little curvature in it, so that it enters nearly linearly.
     Next to a corner of the cost, which has curvature at the corner only, a control chatters like a
     control that enters linearly.
 
     Parameters
     ----------
     solution : Solution
+        Solution on the last mesh.
     weight : float
-        Cost, as a fraction of the objective, of a control that is a whole range away.
+        Penalty, as a fraction of the objective, for a control that is a whole range away.
     gap : float, optional
-        Gap, as a fraction of the objective, that the barrier leaves.
+        Complementarity gap, as a fraction of the objective, that the barrier is to leave.
     is_still : bool, optional
-        Whether the objective has settled, so that controls are damped toward their values.
+        Whether the objective hardly changes from mesh to mesh any more; controls are then damped
+        toward their own smoothed values instead of the means over elements.
+
+    Returns
+    -------
+    Damping or None
+        None if no control is to be damped and no gap is requested.
     """
     lower, upper = solution.algebraic_limits
     width = upper - lower
@@ -149,7 +171,10 @@ def damping_of(
 
 
 def _least_curvatures(solution: Solution) -> FloatArray:
-    """Return the least curvature of the Lagrangian in each algebraic variable, over all points."""
+    """Return the least curvature of the Lagrangian in each algebraic variable, over all points.
+
+    Shape (n_algebraics,).
+    """
     program = solution.program
     first = 2 * program.layout.n_states
     controls = slice(first, first + program.layout.n_algebraics)

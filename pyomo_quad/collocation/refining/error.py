@@ -1,6 +1,7 @@
-"""Error of a solution between its points, and its effect on objective and final states.
+"""Errors of a solution between its collocation points, and their effect on the result.
 
-Derivations: see docs/theory/refinement.md, eqs. (1) to (3).
+The effect is that on the objective and on the final states. Derivations: see
+docs/theory/refinement.md, eqs. (1) to (3).
 """
 
 from __future__ import annotations
@@ -30,7 +31,9 @@ if TYPE_CHECKING:
 
 
 def final_misses(solution: Solution, errors: FloatArray) -> FloatArray:
-    """Return the effect on the final states of an error made in one element, in open loop.
+    """Return the effect of the state errors made in each element on the final states.
+
+    The controls are flown in open loop: no later control corrects an error.
 
     Parameters
     ----------
@@ -41,8 +44,8 @@ def final_misses(solution: Solution, errors: FloatArray) -> FloatArray:
     Returns
     -------
     ndarray, shape (n_elements, n_states)
-        To first order, relative to the larger of 1 and the state's final magnitude; zero if the
-        equations do not determine every rate.
+        To first order, relative to max(1, abs(final state)); zero if the equations do not determine
+        every rate.
     """
     program, mesh = solution.program, solution.mesh
     variables = program.path_variables(solution.unknowns)
@@ -59,7 +62,10 @@ def final_misses(solution: Solution, errors: FloatArray) -> FloatArray:
 
 
 def _transition(solution: Solution, equations: Linearised, e: int) -> FloatArray:
-    """Return d (last state) / d (first state) of an element, with the controls unchanged."""
+    """Return the state transition matrix of an element, with the controls unchanged.
+
+    It is d (last state) / d (first state), shape (n_states, n_states).
+    """
     mesh = solution.mesh
     first, last = mesh.first_node[e], mesh.first_node[e + 1]
     slopes = radau_rule(mesh.degrees[e]).differentiation / mesh.widths[e]
@@ -72,14 +78,14 @@ def _transition(solution: Solution, equations: Linearised, e: int) -> FloatArray
     return np.asarray(moved[-n:])
 
 
-# Relative violation of a control's clipping limit that rounding may cause.
+# Violation of the limit to which a control is clipped, relative to it, that rounding may cause.
 _ROUNDING = 1e-9
 # Samples per collocation point at which limits are checked.
 _SAMPLES = 4
 # Panels of an element on which integrals are recomputed.
 _PANELS = 4
-# Fraction of the tolerance available to the cost of bounds between the points; the barrier's gap
-# and the errors of the states use the rest.
+# Fraction of the tolerance available to the cost of bounds between the points; the complementarity
+# gap and the errors of the states use the rest.
 _RESTRAINT_SHARE = 0.5
 # Just inside an element's start, because the start itself belongs to the previous element.
 _START = 1e-6
@@ -87,18 +93,20 @@ _START = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class Allowance:
-    """Tolerances for flying the controls in open loop.
+    """Tolerances for flying the controls of a solution in open loop.
 
     Attributes
     ----------
     control_breach : float
-        Relative violation of a control's bound between the points at which the flown control is
-        clipped. The effect of clipping on states and objective counts as error; a smaller violation
-        counts by the change of states that it causes.
-        Violation of any other limit above which the violation itself counts as error; a smaller
-        violation counts by its effect on the objective.
+        Violation of a control's bound between the collocation points, relative to max(1,
+        abs(bound)), above which the flown control is clipped. The effect of clipping on states and
+        objective counts as error; a smaller violation counts by the change of states that it
+        causes.
+    limit_breach : float
+        Violation of any other limit, relative to max(1, abs(limit)), above which the violation
+        itself counts as error; a smaller violation counts by its effect on the objective.
     final_miss : float
-        Tolerance on the final states, relative to the larger of 1 and their magnitude.
+        Tolerance on the final states, relative to max(1, abs(final state)).
     """
 
     control_breach: float = np.inf
@@ -108,32 +116,38 @@ class Allowance:
 
 @dataclass(frozen=True, kw_only=True)
 class ErrorEstimate:
-    """Relative errors, the largest between the points.
+    """Estimated relative errors of a solution, element by element.
 
-    `states` has shape (n_elements, n_states), relative to the larger of the state's largest
-    magnitude and its nominal one (1 unless declared); the others have shape (n_elements,).
-
-    `violation`: violation of path equations and bounds, relative to the larger of 1 and the bound.
-
-    `objective`: change of the objective by an element's state errors, estimated from the costates,
-    times the number of elements but at most the sum over all elements, relative to the objective.
-
-    `switches`: possible cost of misplaced switches of controls, summed in the same way, and
-    `costs`: the same as `objective`; both relative to the objective's own size, and counted only if
-    all other errors are below the tolerance.
-
-    `restraint`: cost of the bounds between the points, summed in the same way, in units of the
-    fraction of the tolerance available to it.
-
-    `integrals`: error of the quadrature of the objective and of every integral, the latter relative
-    to the larger of 1 and the integral.
-
-    `miss`: effect of the state errors on the final states, scaled so that the allowed miss equals
-    the tolerance.
-
-    `gap`: relative gap that the barrier leaves in the objective, which no mesh reduces.
-
-    `is_held`: whether a control is clipped to its limit, a corner that no degree resolves.
+    Attributes
+    ----------
+    states : ndarray, shape (n_elements, n_states)
+        Largest error between the points, relative to the larger of the state's largest magnitude
+        and its nominal magnitude (1 unless declared).
+    violation : ndarray, shape (n_elements,)
+        Violation of path equations and bounds between the points, relative to max(1, abs(bound)).
+    objective : ndarray, shape (n_elements,)
+        Change of the objective by an element's state errors, estimated from the costates, times the
+        number of elements but at most the sum over all elements, relative to the objective.
+    switches : ndarray, shape (n_elements,)
+        Possible cost of control switches at a wrong time inside an element, summed in the same way,
+        relative to the objective's own magnitude. Counted only if all other errors are below the
+        tolerance.
+    costs : ndarray, shape (n_elements,)
+        The same as `objective`, relative to the objective's own magnitude, and doubled for the
+        unknown error of the controls. Counted only if all other errors are below the tolerance.
+    restraint : ndarray, shape (n_elements,)
+        Cost of the bounds between the points, summed in the same way, in units of the fraction of
+        the tolerance available to it.
+    integrals : ndarray, shape (n_elements,)
+        Error of the quadrature of the objective and of every integral, relative to the objective
+        and to max(1, abs(integral)).
+    miss : ndarray, shape (n_elements,)
+        Effect of the state errors on the final states, scaled so that the allowed miss equals the
+        tolerance.
+    gap : float
+        Complementarity gap that the barrier leaves, relative to the objective; no mesh reduces it.
+    is_held : ndarray of bool, shape (n_elements,)
+        Whether a control is clipped to its limit in the element, a corner that no degree resolves.
     """
 
     states: FloatArray
@@ -149,7 +163,7 @@ class ErrorEstimate:
 
     @property
     def per_element(self) -> FloatArray:
-        """Largest of all errors, shape (n_elements,)."""
+        """Largest of all errors in each element, shape (n_elements,)."""
         return np.maximum.reduce(
             [
                 self.states.max(axis=1, initial=0.0),
@@ -165,13 +179,13 @@ class ErrorEstimate:
 
     @property
     def of_integrals(self) -> float:
-        """Largest error of the objective and the integrals."""
+        """Largest error of the objective and of the integrals, over all elements."""
         parts = (self.objective, self.restraint, self.integrals)
         return float(max(part.max(initial=0.0) for part in parts))
 
     @property
     def largest(self) -> float:
-        """Largest of all errors."""
+        """Largest of all errors in all elements, and of the relative complementarity gap."""
         return max(self.gap, float(self.per_element.max(initial=0.0)))
 
 
@@ -188,9 +202,14 @@ def estimate_error(
     ----------
     solution : Solution
     tolerance : float, optional
-        Error assigned to a final miss at the allowed limit. Switches count only if all other errors
-        are below it, so that coarse elements are refined first.
+        Error assigned to a final miss at the allowed limit. The costs of misplaced control switches
+        count only if all other errors are below it, so that coarse elements are refined first.
     allowance : Allowance, optional
+        Tolerances for flying the controls in open loop.
+
+    Returns
+    -------
+    ErrorEstimate
     """
     allowance = allowance or Allowance()
     finer, free, panels = _sampled(solution, _finer_places, _dense_places, _panelled_places)
@@ -228,7 +247,7 @@ def estimate_error(
     )
 
 
-# Least size of the objective, in the unit of its scaling.
+# Least magnitude of the objective in the relative complementarity gap, in the unit of its scaling.
 _LEAST_SIZE = 1e-3
 
 
@@ -239,7 +258,11 @@ _LEAST_UNIT = 1e-4
 
 
 def _unit(solution: Solution) -> float:
-    """Return the reference of the objective's relative error: its size, or 1 if that is smaller."""
+    """Return the reference magnitude for relative errors of the objective, in its unit.
+
+    It is the objective's magnitude. An objective near zero is compared with 1 instead, or with the
+    inverse of its scaling factor if that is smaller.
+    """
     scaled = 1.0 / solution.scaling.objective
     return max(abs(solution.objective), min(1.0, scaled), _LEAST_UNIT * scaled)
 
@@ -256,7 +279,19 @@ def _gap(solution: Solution) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class _Samples:
-    """The path equations between the points: variables, data and values, one row each."""
+    """Path equations evaluated between the collocation points, at n samples.
+
+    Attributes
+    ----------
+    variables : ndarray, shape (n, n_variables)
+        Rates, states, algebraic and static variables.
+    data : ndarray, shape (n, n_data)
+        Fraction of the horizon and parameters.
+    rows : ndarray, shape (n, n_expressions)
+        Values of the path equations, then of the integrands.
+    first_of_element : ndarray of int, shape (n_elements,)
+        Position of each element's first sample.
+    """
 
     variables: FloatArray
     data: FloatArray
@@ -266,7 +301,10 @@ class _Samples:
 
 @lru_cache(maxsize=64)
 def _panelled(degree: int) -> tuple[FloatArray, FloatArray]:
-    """Return Gauss' points on panels of an element, its end beside them, and the weights."""
+    """Return Gauss points on panels of the unit element, with the element's end, and weights.
+
+    The end gets the weight 0.
+    """
     points, weights = leggauss(degree + 1)
     inner = (np.arange(_PANELS)[:, None] + 0.5 * (1.0 + points)) / _PANELS
     places = np.append(inner.ravel(), 1.0)
@@ -274,29 +312,35 @@ def _panelled(degree: int) -> tuple[FloatArray, FloatArray]:
 
 
 def densely_sampled(solution: Solution) -> _Samples:
-    """Sample where limits may be violated: at peaks of the polynomials, between the points."""
+    """Sample the path equations densely in each element, where limits may be violated.
+
+    Polynomials peak between the collocation points; each element has 4 (degree + 1) + 1 samples.
+    """
     (samples,) = _sampled(solution, _dense_places)
     return samples
 
 
 def _dense_places(degree: int) -> FloatArray:
+    """Return places in the unit element at which limits are checked, from just after its start."""
     return np.linspace(_START, 1.0, _SAMPLES * (degree + 1) + 1)
 
 
 def _finer_places(degree: int) -> FloatArray:
+    """Return the Radau points of the next higher degree, as places in the unit element."""
     return radau_rule(degree + 1).points
 
 
 def _panelled_places(degree: int) -> FloatArray:
+    """Return the Gauss points of the panels, as places in the unit element."""
     return _panelled(degree)[0]
 
 
 def state_errors_as_interpolated(solution: Solution) -> FloatArray:
-    """Return the errors of the states, with every algebraic variable taken from its polynomial.
+    """Return the errors of the states if algebraic variables follow their own polynomials.
 
-    Shape (n_elements, n_states). If an equation defines an algebraic variable between the points,
-    as in ``x' = r``, ``f = r + r^3``, the equations may hold everywhere although the control's own
-    polynomial differs from the optimal control.
+    If an equation defines an algebraic variable between the points, as in ``x' = r``, ``f = r +
+    r^3``, the equations may be satisfied everywhere although the control's own polynomial differs
+    from the optimal control. Shape (n_elements, n_states), relative to the states' magnitudes.
     """
     (finer,) = _sampled(solution, _finer_places, is_defined=False)
     slopes = rate_corrections(solution.program, finer.variables, finer.data, finer.rows)
@@ -308,9 +352,14 @@ def _sampled(
 ) -> list[_Samples]:
     """Evaluate the path equations on several grids at once, and return the samples of each grid.
 
-    A grid maps an element's degree to places in the element, the last place being its end.
-    Algebraic variables that an equation defines take the value from the equation or, without
-    `is_defined`, from their polynomials.
+    Parameters
+    ----------
+    solution : Solution
+    grids : callable
+        Degree of an element -> places in the unit element, of which the last is the end.
+    is_defined : bool, default True
+        Whether an algebraic variable that an equation defines takes its value from the equation;
+        else from its polynomial.
     """
     program, mesh, path = solution.program, solution.mesh, solution.trajectory
     places = [grid(d) for grid in grids for d in mesh.degrees]
@@ -353,7 +402,10 @@ def _sampled(
 def _held(
     program: Transcription, samples: _Samples, limits: tuple[FloatArray, FloatArray]
 ) -> _Samples:
-    """Return samples of the path equations with algebraic variables clipped to their limits."""
+    """Return samples of the path equations with the controls clipped to their limits.
+
+    `limits` are lower and upper limits of the algebraic variables, shape (n_algebraics,) each.
+    """
     layout, variables = program.layout, samples.variables.copy()
     chosen = slice(2 * layout.n_states, 2 * layout.n_states + layout.n_algebraics)
     variables[:, chosen] = np.clip(variables[:, chosen], *limits)
@@ -364,7 +416,11 @@ def _held(
 
 
 def _state_corrections(solution: Solution, slopes: FloatArray) -> list[FloatArray]:
-    """Integrate slope corrections from each element's left end, shape (degree + 1, n_states)."""
+    """Integrate slope corrections from each element's left end.
+
+    `slopes` holds corrections at the Radau points of the next higher degree. The result has, for
+    each element, an array of shape (degree + 1, n_states).
+    """
     mesh, first, moved = solution.mesh, 0, []
     for e, degree in enumerate(mesh.degrees):
         local = slopes[first : first + degree + 1]
@@ -380,6 +436,14 @@ def _held_corrections(
 
     A control that is clipped in a part of an element only is not a polynomial. The clipped amount
     is summed over the dense samples, which overestimates a peak at an element's end.
+
+    Parameters
+    ----------
+    solution : Solution
+    free, held : _Samples
+        Dense samples with the polynomials, and with the clipped controls.
+    is_held : ndarray of bool, shape (n_elements,)
+        Whether a control is clipped in the element.
     """
     if not np.any(is_held):
         return {}
@@ -392,17 +456,29 @@ def _held_corrections(
 
 
 def _relative(solution: Solution, moved: list[FloatArray]) -> FloatArray:
+    """Return the largest state correction in each element, relative to the states' magnitudes.
+
+    `moved` has an array of shape (degree + 1, n_states) per element; the result has shape
+    (n_elements, n_states).
+    """
     return np.array([np.abs(m).max(axis=0) / state_sizes(solution) for m in moved])
 
 
 def state_sizes(solution: Solution) -> FloatArray:
-    """Return the states' largest magnitudes, at least nominal, shape (n_states,)."""
+    """Return the largest magnitude of each state over the horizon, shape (n_states,).
+
+    It is at least the nominal magnitude, 1 unless declared.
+    """
     slots = solution.problem.compiled.declared.states
     nominal = np.array([s.nominal or 1.0 for s in slots])
     return np.maximum(np.abs(solution.trajectory.states).max(axis=0, initial=0.0), nominal)
 
 
 def _objective_errors(solution: Solution, moved: list[FloatArray]) -> FloatArray:
+    """Return the effect of each element's state errors on the objective, shape (n_elements,).
+
+    The changes of the states at the element's end are multiplied by the costates there.
+    """
     mesh = solution.mesh
     if not solution.problem.compiled.declared.states:
         return np.zeros(mesh.elements)
@@ -412,18 +488,26 @@ def _objective_errors(solution: Solution, moved: list[FloatArray]) -> FloatArray
 
 
 def _restraints(solution: Solution) -> FloatArray:
+    """Return the relative cost of the bounds between the points, shape (n_elements,)."""
     if solution.restraint is None:
         return np.zeros(solution.mesh.elements)
     return _of_all(solution.restraint.cost / solution.nominal_objective / _RESTRAINT_SHARE)
 
 
 def _of_all(shares: FloatArray) -> FloatArray:
-    """Return the errors of the whole horizon if all elements were like one, at most their sum."""
+    """Return the error of the whole horizon if all elements had the error of a given element.
+
+    That is its error times the number of elements, but at most the sum over all elements. `shares`
+    and the result have one entry per element.
+    """
     return np.asarray(np.minimum(len(shares) * shares, shares.sum(axis=0)))
 
 
 def _quadrature_errors(solution: Solution, samples: _Samples) -> FloatArray:
-    """Return the relative quadrature error of each element, in the objective or an integral."""
+    """Return the largest relative quadrature error of each element, shape (n_elements,).
+
+    The objective and all integrals are considered.
+    """
     program, mesh = solution.program, solution.mesh
     first = program.compiled.n_equations
     held = program.rows_at_points(solution.unknowns)[:, first:]
@@ -442,7 +526,11 @@ def _quadrature_errors(solution: Solution, samples: _Samples) -> FloatArray:
 
 
 def _integrands(program: Transcription, samples: _Samples) -> FloatArray:
-    """Return the integrands, at variables clipped to their limits if not defined beyond them."""
+    """Return the integrands at samples, shape (n_samples, n_integrals).
+
+    If an integrand is not finite there, variables are clipped to their limits, since it may be
+    undefined beyond them.
+    """
     compiled, n = program.compiled, program.layout.n_states
     densities = samples.rows[:, compiled.n_equations :]
     if np.all(np.isfinite(densities)):
@@ -470,7 +558,7 @@ def _missed(solution: Solution, moved: list[FloatArray], weight: float) -> Float
 
 
 def _breaches(solution: Solution, samples: _Samples, allowance: Allowance) -> FloatArray:
-    """Return the worst violation of limits in each element, by its effect on states or objective.
+    """Return the worst violation of equations and limits in each element, shape (n_elements,).
 
     An equation counts by its relative residual. A control beyond its bound, or several controls
     beyond a limit on them alone, count by the change of states within the element. Any other limit
@@ -498,7 +586,13 @@ def _prices(solution: Solution) -> FloatArray:
 
 
 def violations(program: Transcription, samples: _Samples) -> tuple[FloatArray, ...]:
-    """Return the worst violation in each sample: of equations, limits, and limits on controls."""
+    """Return the worst relative violations of equations and limits at each sample.
+
+    Returns
+    -------
+    tuple of three ndarray, shape (n_samples,)
+        Of algebraic equations, of limits with states or rates, and of limits on controls alone.
+    """
     compiled, n = program.compiled, program.layout.n_states
     variables, data = samples.variables, samples.data
     lower, upper = MappedFunction(compiled.path_bounds, len(variables))(data)
@@ -522,6 +616,10 @@ def violations(program: Transcription, samples: _Samples) -> tuple[FloatArray, .
 
 
 def _outside(values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
+    """Return by how much values lie outside their bounds, relative to max(1, abs(bound)).
+
+    The result is 0 inside the bounds.
+    """
     with np.errstate(invalid="ignore"):
         below = (lower - values) / np.maximum(1.0, np.abs(lower))
         above = (values - upper) / np.maximum(1.0, np.abs(upper))

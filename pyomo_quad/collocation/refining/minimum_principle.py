@@ -5,7 +5,7 @@ Derivations: see docs/theory/refinement.md, eqs. (10) and (11).
 At the solution of a nonlinear program, small changes of a control gain nothing. If the Hamiltonian
 has two local minima this is not sufficient: a switch then stays where the first mesh put it, and no
 finer mesh reveals that; Pontryagin's principle does. The equations also do not show how well the
-optimum determines its states.
+optimum determines its states: on a singular arc the objective hardly depends on them.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 # Number of values of a control tried at each point, from bound to bound.
 _TRIED = 17
-# Violation of a path constraint, relative to its scale, that another value may cause.
+# Violation of a path constraint, relative to its scale, that a tried value may cause.
 _KEPT = 1e-9
 
 
@@ -100,7 +100,17 @@ def improved_controls(solution: Solution, tolerance: float) -> Solution | None:
 def _valleys(
     at: Callable[[FloatArray], FloatArray], lower: FloatArray, upper: FloatArray
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Yield control values to try, with the Hamiltonian: a grid, and minima of its parabolas."""
+    """Yield values of a control to try at each point, each with the Hamiltonian there.
+
+    The values are a grid between the bounds, and the minima of parabolas through three neighbours.
+
+    Parameters
+    ----------
+    at : callable
+        Control values, shape (n_points,) -> Hamiltonian, shape (n_points,).
+    lower, upper : ndarray, shape (n_points,)
+        Bounds of the control.
+    """
     step = (upper - lower) / (_TRIED - 1)
     tried = [lower + k * step for k in range(_TRIED)]
     heights = [at(values) for values in tried]
@@ -120,7 +130,9 @@ def _hilly_controls(solution: Solution, lower: FloatArray, upper: FloatArray) ->
     """Return the free controls for which the Hamiltonian may have several local minima.
 
     Between two minima its curvature is negative. If a rate has a factor that depends on a control,
-    the Lagrangian's curvature is inconclusive.
+    the Lagrangian's curvature is inconclusive, and the control is included. `lower` and `upper` are
+    the bounds of the algebraic variables, shape (n_points, n_algebraics); the result holds
+    positions among these.
     """
     program = solution.program
     free = _free_controls(program, lower, upper)
@@ -143,7 +155,10 @@ def _hilly_controls(solution: Solution, lower: FloatArray, upper: FloatArray) ->
 def _free_controls(
     program: Transcription, lower: FloatArray, upper: FloatArray
 ) -> NDArray[np.intp]:
-    """Return the bounded algebraic variables that no algebraic equation ties to others."""
+    """Return the positions of bounded algebraic variables that appear in no algebraic equation.
+
+    Such a variable can be changed alone.
+    """
     compiled, n = program.compiled, program.layout.n_states
     path = compiled.path
     differential = np.unique(path.jacobian_rows[path.jacobian_columns < n])
@@ -156,7 +171,10 @@ def _free_controls(
 
 
 def _hamiltonian(solution: Solution, variables: FloatArray) -> FloatArray:
-    """Return the Hamiltonian at the points up to a constant, infinite where a limit is violated."""
+    """Return the Hamiltonian at the points up to a constant, infinite where a limit is violated.
+
+    `variables` holds rates, states, algebraic and static variables, one row per collocation point.
+    """
     program = solution.program
     compiled, count = program.compiled, len(variables)
     data = program.data.at_points()
@@ -178,37 +196,40 @@ def _hamiltonian(solution: Solution, variables: FloatArray) -> FloatArray:
 _UNSEEN = 2.0
 # Samples per collocation point at which two meshes are compared.
 _SAMPLES = 4
-# Factor and exponent that relate the error of the states to the unresolved objective, by the order
-# of a singular arc. For a pulse of control whose duration is proportional to its effect on the
-# state, the objective changes with the third power at order 1, of which a good mesh leaves less,
-# and with the fifth power at order 2.
+# Factor and exponent that relate the error of the states to the error of the objective, by the
+# order of a singular arc. For a pulse of control whose duration is proportional to its effect on
+# the state, the objective changes with the third power of that effect at order 1 (a good mesh
+# leaves less: exponent 1/2), and with the fifth power at order 2.
 _FELT = {1: (4.0, 1 / 2), 2: (1.0, 1 / 5)}
 # Curvature relative to the objective, for a change over the whole range, that counts as zero.
 _FLAT = 1e-6
-# Slack that is zero up to rounding.
+# Least slack in a division: smaller slacks are zero up to rounding.
 _LEAST_SLACK = 1e-100
 
 
 def state_error(
     solution: Solution, error: ErrorEstimate, before: Solution | None, change: float
 ) -> float:
-    """Return an estimate of the states' distance from the optimal ones, relative to their sizes.
+    """Estimate the distance of the states from the optimal ones, relative to their magnitudes.
 
     The errors of all elements are added. The mesh restricts where a limit can become active or
     inactive; there the estimate includes the change since the last mesh, the violation of the
     limit, and the possible effect of a jump within a one-point element that was cut for it. On a
     singular arc only the objective determines the control, and the objective is flat about its
     optimum.
-    singular arc is held by the objective alone, which is flat about its optimum.
 
     Parameters
     ----------
     solution : Solution
     error : ErrorEstimate
     before : Solution, optional
-        Solution on the previous mesh, where the activity of limits changes.
+        Solution on the previous mesh; given if limits become active or inactive inside elements.
     change : float
         Relative change of the objective since a mesh with the same accuracy.
+
+    Returns
+    -------
+    float
     """
     moving = np.maximum(error.states, state_errors_as_interpolated(solution))
     own = max(error.largest, _UNSEEN * float(moving.sum(axis=0).max(initial=0.0)))
@@ -275,7 +296,10 @@ def singular_order(solution: Solution) -> int:
 
 
 def _barriers(solution: Solution) -> FloatArray:
-    """Return the barrier's curvature from the limits of algebraic variables, at each point."""
+    """Return the barrier's curvature from the bounds of algebraic variables, at each point.
+
+    Shape (n_points, n_algebraics), per unit of the fraction of the horizon.
+    """
     z, multipliers, bounds = solution.unknowns, solution.multipliers, solution.bounds
     lower = multipliers.lower / np.maximum(z - bounds.lower, _LEAST_SLACK)
     upper = multipliers.upper / np.maximum(bounds.upper - z, _LEAST_SLACK)
@@ -284,7 +308,11 @@ def _barriers(solution: Solution) -> FloatArray:
 
 
 def _is_between(solution: Solution) -> NDArray[np.bool_]:
-    """Return whether a control may be singular at each point."""
+    """Return for each collocation point whether a control may be singular there, (n_points,).
+
+    No path inequality and no bound of a state may be active there, and the element has more than
+    one point.
+    """
     layout = solution.program.layout
     states, algebraics = layout.n_states, layout.n_algebraics
     is_told = active_limits(solution)
@@ -297,9 +325,9 @@ def _is_between(solution: Solution) -> NDArray[np.bool_]:
 def _free_directions(
     program: Transcription, z: FloatArray, points: NDArray[np.intp], scale: FloatArray
 ) -> FloatArray:
-    """Return an orthonormal basis of the scaled rates and algebraic variables left free.
+    """Return an orthonormal basis of the changes of rates and controls that the equations allow.
 
-    Shape (n_points, n_free, n_rates + n_algebraics).
+    Shape (n_points, n_free, n_rates + n_algebraics), in units of the magnitudes `scale`.
     """
     n, rows = program.layout.n_states, np.flatnonzero(program.compiled.is_equality)
     chosen = np.r_[0:n, 2 * n : 2 * n + program.layout.n_algebraics]

@@ -1,4 +1,4 @@
-"""hp-adaptive refinement: solve, estimate the error, change the mesh, solve again."""
+"""hp-adaptive mesh refinement: solve, estimate the error, change the mesh, solve again."""
 
 from __future__ import annotations
 
@@ -38,17 +38,17 @@ if TYPE_CHECKING:
 
 # Change of the objective, in units of the tolerance, below which it counts as settled.
 _SETTLED = 0.5
-# A warm start that takes more iterations than this leaves its linear controls undetermined, and so
-# does an objective that has been settled for this many meshes. The damping is then increased by a
-# factor, up to a limit; after twice as many meshes without a limit.
+# Controls that enter linearly count as undetermined if a warm start takes more iterations than the
+# first number, or if the objective has been settled for the second number of meshes. Their damping
+# is then increased by a factor, up to a limit; after the third number of meshes without a limit.
 _MANY_ITERATIONS, _MANY_SETTLED, _TOO_MANY_SETTLED = 30, 4, 8
 _FIRMER, _FIRM, _FIRMEST = 5.0, 25.0, 125.0
-# Gap that the barrier then leaves: in units of the tolerance, and at most this part of the
-# objective.
+# Complementarity gap that the barrier then leaves: in units of the tolerance, and at most this
+# fraction of the objective.
 _GAP, _LARGEST_GAP = 0.03, 3e-7
-# Where limits move, the gap is this fraction of the last mesh's error, at least this fraction of
-# the tolerance, and at most this part of the objective: precision below the present error is not
-# useful.
+# With the option `limits_move`, the gap is this fraction of the last mesh's error, at least this
+# fraction of the tolerance, and at most this fraction of the objective: precision below the present
+# error is not useful.
 _INEXACT, _LEAST_INEXACT, _MOST_INEXACT = 0.3, 0.2, 1e-3
 # A refinement is abandoned after two consecutive solves with so many iterations, if the second
 # leaves more than this fraction of the error.
@@ -73,18 +73,23 @@ def refine(
     Parameters
     ----------
     solve : callable
-        (meshes, start, dampings, change=) -> solution, with one mesh and damping for each
-        horizon, and the expected change of the objective, None where unknown.
-    meshes : tuple
+        (meshes, start, dampings, change=) -> solution, with one mesh and damping for each horizon,
+        and the expected change of the objective, None where unknown.
+    meshes : tuple of Mesh
         Initial meshes, one for each horizon.
+    tolerance : float
+        Required relative error.
+    refinement : RefinementOptions
+    start : Start
+        Guess or warm start of the first solve.
     past_the_barrier : callable, optional
-        (dampings, solution) -> a solution on the same meshes with a smaller gap of the barrier.
+        (dampings, solution) -> a solution on the same meshes with a smaller complementarity gap.
 
     Returns
     -------
-    Outcome
-        `converged`, or `tolerance_not_met` with the smallest error reached in its message,
-        or the status of the solve that failed.
+    Solution or JointSolution
+        `converged`, or `tolerance_not_met` with the error that was reached in its message, or the
+        status of the solve that failed.
     """
     going = _Refinement(
         solve, meshes, tolerance, refinement, start, past_the_barrier, before=(None,) * len(meshes)
@@ -97,24 +102,32 @@ def refine(
 
 @dataclass
 class _Refinement(Generic[S]):
-    """State of a refinement: the next meshes with their start, and the results of the last ones.
+    """State of a refinement: the next meshes with their start, and the results of the last meshes.
 
     Attributes
     ----------
+    solve, sharpen : callable
+        See `refine`; `sharpen` is its argument `past_the_barrier`.
+    meshes : tuple of Mesh
+        The next meshes, one for each horizon.
+    tolerance : float
+    options : RefinementOptions
+    start : Start
+        Start of the next solve.
+    before : tuple
+        The last solution on each horizon, None before the first.
     records, tried : list
         One record per mesh, and the strategies that were tried.
     dampings : tuple
-        Damping for each horizon.
+        Damping of the controls for each horizon, None without.
     firmness : float
-        Strength of the damping.
+        Factor on the strength of the damping.
     settled : int
         Number of damped meshes on which the objective had settled.
     restarts : int
         Number of restarts by Pontryagin's principle.
     reached : _Reached, optional
-        The solution within tolerance before the last of them.
-    before : tuple
-        The last solution on each horizon.
+        The solution within tolerance before the last restart.
     """
 
     solve: Callable[..., S]
@@ -137,7 +150,7 @@ class _Refinement(Generic[S]):
         self.dampings = (None,) * len(self.meshes)
 
     def with_next_meshes(self) -> S | None:
-        """Solve on the next meshes; return the result of the refinement, None to go on."""
+        """Solve on the next meshes; return the refinement's result if it ends, None to continue."""
         solution, errors, has_failed = self._solved()
         if solution.status is not Status.CONVERGED:
             return _lost(solution, self.reached, self.tolerance) if has_failed else solution
@@ -159,7 +172,16 @@ class _Refinement(Generic[S]):
         return None
 
     def _solved(self) -> tuple[S, tuple[ErrorEstimate, ...], bool]:
-        """Return the next solution with its errors, and whether its solve failed."""
+        """Solve on the next meshes, and estimate the errors.
+
+        Returns
+        -------
+        Solution or JointSolution
+        tuple of ErrorEstimate
+            One for each horizon.
+        bool
+            Whether the solve failed.
+        """
         change = self._expected_change()
         search = _MeshSolve(self.solve, self.meshes, self.start, self.dampings, change, self.gap)
         solved = first_success(Scope.MESH, search)
@@ -173,10 +195,12 @@ class _Refinement(Generic[S]):
         return self._shown(solution), errors, solved.status.has_failed
 
     def _restarted(self, met: S) -> S | None:
-        """Return a solution within tolerance, None after a restart from better controls.
+        """Restart the refinement if Pontryagin's principle shows better controls.
 
-        A restart with a gain below the tolerance is the last: the Hamiltonian of a singular control
-        is so flat that rounding alone would produce lower values again and again.
+        The result is None after a restart, else the solution within tolerance, `met`, or the better
+        one from the last restart. A restart with a gain below the tolerance is the last: the
+        Hamiltonian of a singular control is so flat that rounding alone would produce lower values
+        again and again.
         """
         if self.reached is not None and self.reached.gain(met) <= self.tolerance:
             return self.reached.better(met)
@@ -199,7 +223,18 @@ class _Refinement(Generic[S]):
         *,
         is_damped: bool,
     ) -> None:
-        """Choose start and settings of the solve on the next meshes."""
+        """Choose warm start and damping of the solve on the next meshes, after a solution.
+
+        Parameters
+        ----------
+        solution : Solution or JointSolution
+            Solution on the present meshes.
+        errors : tuple of ErrorEstimate
+        finer : tuple of Mesh
+            The next meshes.
+        is_damped : bool
+            Whether controls were damped on the present meshes.
+        """
         self.settled += is_damped and self._has_settled(solution)
         is_stalled = self.settled >= _MANY_SETTLED
         if is_damped and (is_stalled or self.records[-1].iterations > _MANY_ITERATIONS):
@@ -213,17 +248,19 @@ class _Refinement(Generic[S]):
     def _begin_at(
         self, warm: Any, meshes: tuple[Mesh, ...], before: tuple[Solution | None, ...]
     ) -> None:
+        """Set warm start, meshes and previous solutions for the next solve of the refinement."""
         self.start, self.meshes, self.before = replace(self.start, warm=warm), meshes, before
 
     def _damped(self, parts: tuple[Solution, ...], **how: Any) -> tuple[Damping | None, ...]:
+        """Return the damping of controls towards the given solutions, one per horizon."""
         weight = self.firmness * self.options.damping * self.tolerance
         return tuple(damping_of(part, weight, **how) for part in parts)
 
     def _measured(self, solved: S) -> tuple[S, tuple[ErrorEstimate, ...]]:
         """Return a solution and its errors, with a smaller barrier gap if the gap limits them.
 
-        A gap that is left on purpose is smaller on the next mesh: it is reduced here only if all
-        other errors meet the tolerance.
+        A complementarity gap that is left on purpose is smaller on the next mesh: it is reduced
+        here only if all other errors meet the tolerance.
         """
         errors = self._errors(solved)
         is_left = any(d is not None and d.gap > 0.0 for d in self.dampings)
@@ -234,13 +271,16 @@ class _Refinement(Generic[S]):
         return solved, errors
 
     def _errors(self, solution: Outcome) -> tuple[ErrorEstimate, ...]:
-        """Return the errors on each horizon; with several, the gap is not assigned to any."""
+        """Return the error estimate on each horizon.
+
+        With several horizons the complementarity gap, which belongs to all, is set to 0.
+        """
         how: dict[str, Any] = {"tolerance": self.tolerance, "allowance": self.options.allowance}
         errors = tuple(estimate_error(part, **how) for part in solution.parts)
         return errors if len(errors) == 1 else tuple(replace(e, gap=0.0) for e in errors)
 
     def _with_state_error(self, solution: S, errors: tuple[ErrorEstimate, ...]) -> S:
-        """Return a solution with its estimated state error, over all horizons together."""
+        """Return a solution with its estimated state error, the largest over all horizons."""
         change = _objective_change(solution.parts[0], self.tolerance)
         change = change if np.isfinite(change) else 0.0
         parts = zip(solution.parts, errors, self.before, strict=True)
@@ -253,9 +293,10 @@ class _Refinement(Generic[S]):
     def _next_meshes(
         self, solution: Outcome, errors: tuple[ErrorEstimate, ...], *, is_damped: bool
     ) -> tuple[Mesh, ...] | None:
-        """Return the next meshes, None if the tolerance is met.
+        """Return the next meshes, or None if the tolerance is met.
 
-        The meshes may be unchanged as long as damping still changes the objective.
+        If controls are damped (penalised for their distance from those of the last mesh), the
+        meshes may be unchanged as long as the objective still changes.
         """
         parts = solution.parts
         junctions = [junction_elements(part) for part in parts]
@@ -277,10 +318,11 @@ class _Refinement(Generic[S]):
         return None if is_same and is_met and not is_damped else tuple(finer)
 
     def _has_settled(self, solution: Outcome) -> bool:
-        """Return whether the last mesh changed the objective by little."""
+        """Return whether the objective changed by less than half the tolerance on the last mesh."""
         return _objective_change(solution.parts[0], self.tolerance) <= _SETTLED * self.tolerance
 
     def _given_up(self, solution: S, error: float) -> S:
+        """Return a solution with the status and message of a refinement that stops too early."""
         records = self.records
         why = "allow more meshes, elements or a higher degree, or ask for less."
         if _is_lost(records):
@@ -298,14 +340,20 @@ class _Refinement(Generic[S]):
         )
 
     def _shown(self, solution: S) -> S:
-        """Pass a mesh's solution to `on_mesh`; if that returns False, mark it interrupted."""
+        """Pass a finished mesh's solution to the callback `on_mesh`.
+
+        If the callback returns False, the result is the solution marked as interrupted.
+        """
         is_finished = solution.status is Status.CONVERGED
         if is_finished and self.options.on_mesh and self.options.on_mesh(solution) is False:
             return solution.updated(status=Status.INTERRUPTED, message="stopped by the caller")
         return solution
 
     def _expected_change(self) -> float | None:
-        """Return the last change of the objective, which the next should not exceed."""
+        """Return the last change of the objective, in its unit, as a bound on the next change.
+
+        The result is None if unknown.
+        """
         last = self.before[0]
         if last is None:
             return None
@@ -313,7 +361,11 @@ class _Refinement(Generic[S]):
         return change * last.nominal_objective if math.isfinite(change) else None
 
     def _gap_to_leave(self, solution: Outcome, errors: tuple[ErrorEstimate, ...]) -> float:
-        """Return the relative complementarity gap to stop at where the active limits change."""
+        """Return the relative complementarity gap at which the next solve may stop.
+
+        Precision below the present error of the integrals is not useful while the times at which
+        limits become active change from mesh to mesh.
+        """
         unknown = max(e.of_integrals for e in errors)
         if any(part.restraint is not None for part in solution.parts):
             # Bounds between the points hide that the mesh is too coarse for the optimum.
@@ -322,7 +374,10 @@ class _Refinement(Generic[S]):
 
 
 def _firmer(firmness: float, settled: int) -> float:
-    """Return the next damping strength, larger the longer the objective has hardly changed."""
+    """Return the next factor on the damping (penalty) of the controls.
+
+    It grows with the number `settled` of meshes on which the objective hardly changed.
+    """
     most = _FIRMEST if settled >= _MANY_SETTLED else _FIRM
     most = math.inf if settled >= _TOO_MANY_SETTLED else most
     return max(firmness, min(_FIRMER * firmness, most))
@@ -330,7 +385,22 @@ def _firmer(firmness: float, settled: int) -> float:
 
 @dataclass
 class _MeshSolve(Search[S], Generic[S]):
-    """Search for the solution on the next meshes, with damping and expected change."""
+    """Search for the solution on the next meshes, by the strategies of the scope `MESH`.
+
+    Attributes
+    ----------
+    solve : callable
+        See `refine`.
+    meshes : tuple of Mesh
+    start : Start
+        Warm start from the last meshes, with the caller's guess.
+    dampings : tuple
+        Damping of the controls for each horizon, None without.
+    change : float or None
+        Expected change of the objective.
+    gap : float
+        Complementarity gap, relative to the objective, that a stronger damping leaves.
+    """
 
     solve: Callable[..., S]
     meshes: tuple[Mesh, ...]
@@ -340,13 +410,17 @@ class _MeshSolve(Search[S], Generic[S]):
     gap: float
 
     def holds(self, fact: Fact) -> bool:
-        """Return whether the condition of a strategy is met."""
+        """Return whether a condition (`Fact`) of a strategy in the table is true at present."""
         is_held = self.change is not None or _are_damped(self.dampings)
         has_warm = self.start.warm is not None
         return {Fact.WARM_START: has_warm, Fact.HELD: is_held, Fact.FREE: not is_held}[fact]
 
     def attempt(self, strategy: Strategy) -> S:
-        """Solve by one strategy."""
+        """Solve on the next meshes as a strategy of the table prescribes.
+
+        The strategy determines the start, the damping of the controls, and the budget of
+        iterations.
+        """
         if strategy.is_firm:
             self.dampings = tuple(d and d.firmer(_FIRM, self.gap) for d in self.dampings)
             self.change = None
@@ -357,7 +431,10 @@ class _MeshSolve(Search[S], Generic[S]):
 
 
 def _sharper(dampings: tuple[Damping | None, ...], tolerance: float) -> tuple[Damping | None, ...]:
-    """Return weaker dampings, whose share of the objective is below the tolerance."""
+    """Return the dampings of the controls with a smaller complementarity gap for the barrier.
+
+    The gap is reduced to a fraction of the tolerance.
+    """
     least = _LEAST_INEXACT * tolerance
     return tuple(
         d and replace(d, gap=min(least * d.solution.nominal_objective, d.gap)) for d in dampings
@@ -365,15 +442,17 @@ def _sharper(dampings: tuple[Damping | None, ...], tolerance: float) -> tuple[Da
 
 
 def _are_damped(dampings: tuple[Damping | None, ...]) -> bool:
+    """Return whether any controls are damped (penalised for changes from the last mesh)."""
     return any(damping is not None and damping.controls.size > 0 for damping in dampings)
 
 
 def _is_held_by_the_barrier(
     solution: Outcome, errors: tuple[ErrorEstimate, ...], tolerance: float, fine: float
 ) -> bool:
-    """Return whether the barrier, not the mesh, limits the accuracy.
+    """Return whether Ipopt's barrier, not the mesh, limits the accuracy of a solution.
 
-    It does if the gap exceeds the tolerance, and the error of no element exceeds `fine`.
+    It does if the complementarity gap exceeds the tolerance, and the error of no element exceeds
+    `fine`; or if the scaled objective is so small that Ipopt's convergence test does not see it.
     """
     (part,), (error,) = solution.parts, errors
     counted = replace(error, switches=0.0 * error.switches, costs=0.0 * error.costs)
@@ -391,11 +470,12 @@ class _Reached(Generic[S]):
     Attributes
     ----------
     solution : Outcome
+        The solution before the restart.
     shown : float, optional
         Lower bound on the gain that the restart has shown, relative to the objective: the largest
         gain of its solutions less their own errors; None before the first of them.
     earned : float
-        Gain over the solution before it, relative to the objective.
+        Gain of `solution` over the solution before it, relative to the objective.
     """
 
     solution: S
@@ -403,29 +483,29 @@ class _Reached(Generic[S]):
     earned: float = 0.0
 
     def gain(self, other: S) -> float:
-        """Return the gain of another solution, relative to the objective."""
+        """Return by how much another solution is better, relative to the objective."""
         first = self.solution.parts[0]
         earned = self.solution.objective - other.objective
         is_maximised = first.problem.compiled.declared.maximise
         return (-earned if is_maximised else earned) / first.nominal_objective
 
     def compare(self, other: S, error: float) -> None:
-        """Record the gain of the restart's solution, less its error."""
+        """Record by how much a solution after the restart is better, less its error."""
         shown = self.gain(other) - error
         self.shown = shown if self.shown is None else max(self.shown, shown)
 
     def better(self, other: S) -> S:
-        """Return the better of the two solutions."""
+        """Return the better of two solutions: that before the restart, or another."""
         if self.gain(other) >= 0.0:
             return other
         return self.solution.updated(history=other.parts[0].history)
 
 
 def _lost(ended: S, reached: _Reached[S] | None, tolerance: float) -> S:
-    """Return the result of a refinement above its tolerance, or the solution before a restart.
+    """Return the result of a refinement that ended above its tolerance.
 
-    The solution before the restart is returned with a warning if the restart has shown a better
-    solution, or has led to none.
+    If the refinement had been restarted, the result is the solution before the restart. It carries
+    a warning if the restart has shown that a better solution exists, or has led to no solution.
     """
     if reached is None:
         return ended
@@ -434,7 +514,7 @@ def _lost(ended: S, reached: _Reached[S] | None, tolerance: float) -> S:
 
 
 def _cut_off(reached: _Reached[S]) -> S:
-    """Return a restart's solution, with a doubt, if the following restart ran out of meshes.
+    """Return a restart's solution, with a warning, if the following restart ran out of meshes.
 
     Its error may be as large as the gain of that restart.
     """
@@ -454,14 +534,15 @@ def _doubted(solution: S) -> S:
 
 
 def _meshes(solution: Outcome) -> tuple[Mesh, ...]:
+    """Return the meshes of a solution, one for each horizon."""
     return tuple(part.mesh for part in solution.parts)
 
 
 def _objective_change(solution: Solution, tolerance: float) -> float:
     """Return the relative change of the objective since the previous mesh.
 
-    Or since any mesh that met the tolerance, if smaller: a mesh that did not, between two that
-    agree, is inconclusive.
+    Or since any earlier mesh that met the tolerance, if that change is smaller: a mesh that did not
+    meet it, between two that agree, is inconclusive. Infinite on the first mesh.
     """
     *before, now = solution.history
     met = [record for record in before[:-1] if record.error <= tolerance]
@@ -470,7 +551,10 @@ def _objective_change(solution: Solution, tolerance: float) -> float:
 
 
 def _is_lost(records: Sequence[MeshRecord]) -> bool:
-    """Return whether refinement should stop: two long solves, and hardly a smaller error."""
+    """Return whether refinement should stop because the last two solves were long and in vain.
+
+    Both took more than 150 iterations, and the second left more than half of the error.
+    """
     if len(records) < 3:
         return False
     last, now = records[-2:]
@@ -479,7 +563,10 @@ def _is_lost(records: Sequence[MeshRecord]) -> bool:
 
 
 def _most_moved(solution: Outcome, before: tuple[Solution | None, ...]) -> str:
-    """Return the control that changed most from the last mesh to this one, as text with time."""
+    """Return a phrase on the control that changed most from the last mesh to this one.
+
+    The phrase gives the control's name, the time and the change; "" if there is no control.
+    """
     found = []
     for part, last in zip(solution.parts, before, strict=True):
         if last is None or part.trajectory.algebraics.size == 0:
@@ -499,6 +586,7 @@ def _most_moved(solution: Outcome, before: tuple[Solution | None, ...]) -> str:
 
 
 def _record(solution: Outcome, error: float) -> MeshRecord:
+    """Return the `MeshRecord` of a solution, for the history of the refinement."""
     return MeshRecord(
         elements=sum(mesh.elements for mesh in _meshes(solution)),
         points=sum(mesh.points for mesh in _meshes(solution)),

@@ -1,4 +1,4 @@
-"""The next mesh: raise an element's degree, split it, lower its degree, or merge neighbours.
+"""Next mesh of a refinement: raise or lower degrees of elements, split and merge elements.
 
 Rules and sources: see docs/theory/refinement.md, eqs. (4) to (6) and (8).
 """
@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class RefinementOptions:
-    """Limits and thresholds of the refinement.
+    """Limits and thresholds of the mesh refinement.
 
     Attributes
     ----------
     first_elements, first_degree : int
-        The first mesh.
+        Number of elements and degree of the initial mesh.
     max_meshes : int
         Number of solves after which the refinement stops.
     min_degree, max_degree : int
@@ -44,15 +44,16 @@ class RefinementOptions:
     allowance : Allowance
         Tolerances for flying the controls in open loop.
     damping : float
-        Penalty for a control that enters linearly if it is a whole range away from the last mesh's
-        control, as a fraction of the objective and in units of the tolerance.
+        Penalty for a control that enters linearly if it differs by its whole range from the control
+        on the last mesh, as a fraction of the objective and in units of the tolerance.
     limits_move : bool
         For problems in which many limits become active and inactive. Most such junctions have no
         cost, so elements are split for them only after all other errors meet the tolerance, and the
-        barrier's gap is reduced only as far as the last mesh's error.
+        complementarity gap is reduced only as far as the last mesh's error.
     on_mesh : callable, optional
-        Called with the solution of each finished mesh, its error estimate and history included;
-        returning False ends the refinement, as interrupted, with the most accurate of them.
+        Called with the solution on each finished mesh, its error estimate and history included. If
+        it returns False, the refinement ends with the status interrupted, and with the solution on
+        the most accurate mesh.
     """
 
     first_elements: int = 10
@@ -70,13 +71,13 @@ class RefinementOptions:
 
     @property
     def breach_between_points(self) -> float:
-        """Allowed violation of bounds between the points, infinite if not imposed there."""
+        """Allowed relative violation of bounds between points, infinite if not imposed there."""
         allowed = min(self.allowance.control_breach, self.allowance.limit_breach)
         return 0.5 * allowed if self.limits_move and allowed > 0.0 else math.inf
 
     @property
     def first_mesh(self) -> Mesh:
-        """The initial mesh of a refinement."""
+        """Initial mesh of a refinement, of equally wide elements of one degree."""
         return Mesh.uniform(self.first_elements, self.first_degree)
 
 
@@ -93,9 +94,11 @@ _CHASING_MESHES, _CONSTANT_PARTS = 12, 8
 _CORNER_PARTS = 3
 _MOST_PARTS = 4
 _CORNER_DEGREE = 4
-# Nor does a degree above this where a limit on states becomes active or inactive.
+# Highest degree of parts in which a limit on states becomes active or inactive; a higher degree
+# does not help there either.
 _TOUCHING_DEGREE = 6
-# Curvature of states below this multiple of a limit's violation is attributed to the limit.
+# If the quadratic term of the states in an element is below this multiple of a limit's violation,
+# the limit alone causes it, and the states may be straight lines.
 _STRAIGHT = 3.0
 # One more degree makes the quadrature exact for polynomials of two more degrees.
 _QUADRATURE_GAIN = 2.0
@@ -105,7 +108,18 @@ _SLIVER = 0.02
 
 @dataclass(frozen=True)
 class _Piece:
-    """New element: end, degree, predicted error, and whether it was changed."""
+    """Element of the next mesh.
+
+    Attributes
+    ----------
+    end : float
+        Right end as a fraction of the horizon.
+    degree : int
+    error : float
+        Error of the element it was made from, or predicted error of a merged element.
+    is_changed : bool
+        Whether the element was refined; only unchanged elements are merged.
+    """
 
     end: float
     degree: int
@@ -115,9 +129,9 @@ class _Piece:
 
 @dataclass(frozen=True, kw_only=True)
 class Marks:
-    """Sets of elements to refine, and of elements that must keep their degree.
+    """Indices of elements to refine (`coarse`), and of elements that must keep their degree.
 
-    `are_kinked` tells that controls meet their limits at kinks, since none enters linearly.
+    `are_kinked` tells that controls meet their limits at kinks, because none enters linearly.
     """
 
     coarse: frozenset[int]
@@ -128,7 +142,23 @@ class Marks:
 def mesh_for_states(
     solution: Solution, tolerance: float, options: RefinementOptions, *, least_degree: int
 ) -> tuple[Mesh, float]:
-    """Return the next mesh for a solution whose states alone count, and their largest error.
+    """Return the next mesh for a solution if only the errors of its states count.
+
+    Parameters
+    ----------
+    solution : Solution
+    tolerance : float
+        Required relative error of the states.
+    options : RefinementOptions
+    least_degree : int
+        Lowest degree of an element of the result.
+
+    Returns
+    -------
+    Mesh
+        The next mesh, finer where the error exceeds the tolerance.
+    float
+        Largest estimated relative error of the states on the present mesh.
 
     Examples
     --------
@@ -156,9 +186,21 @@ def refined_mesh(
     tolerance: float,
     options: RefinementOptions,
 ) -> Mesh:
-    """Return the next mesh for a solution with known errors.
+    """Return the next mesh of a refinement, given a solution and its estimated errors.
 
-    The same mesh is returned if no further change is allowed.
+    Parameters
+    ----------
+    solution : Solution
+    error : ErrorEstimate
+    marks : Marks
+        Elements to refine, and elements that must keep their degree.
+    tolerance : float
+    options : RefinementOptions
+
+    Returns
+    -------
+    Mesh
+        The same mesh if no further change is allowed.
     """
     mesh = solution.mesh
     pieces: list[_Piece] = []
@@ -184,7 +226,7 @@ def refined_mesh(
 def _lowered(
     solution: Solution, e: int, error: float, tolerance: float, options: RefinementOptions
 ) -> _Piece:
-    """Keep an accurate element, at a lower degree if its highest terms are negligible."""
+    """Return an accurate element with a lower degree if its highest terms are negligible."""
     mesh = solution.mesh
     degree = mesh.degrees[e]
     if error < _MARGIN * tolerance:
@@ -195,7 +237,18 @@ def _lowered(
 
 
 def _switches(solution: Solution, marks: Marks) -> dict[int, float]:
-    """Return the time of a control's only kink, or else of its jump, for the elements with one."""
+    """Return the switches to isolate, by element: the only kink of a control, or else its jump.
+
+    Parameters
+    ----------
+    solution : Solution
+    marks : Marks
+
+    Returns
+    -------
+    dict
+        Time of the switch as a fraction of the horizon, for each coarse element with one.
+    """
     ends, found = np.asarray(solution.mesh.breakpoints)[1:], {}
     times = kinks(solution) if marks.are_kinked else np.zeros(0)
     elements = np.searchsorted(ends, times)
@@ -210,9 +263,20 @@ def _switches(solution: Solution, marks: Marks) -> dict[int, float]:
 def _isolated(mesh: Mesh, e: int, jump: float, size: float) -> list[_Piece]:
     """Split an element around a jump or kink of a control: before it, a sliver with it, the rest.
 
-    In the sliver of degree 1 the control is constant, so it cannot exceed limits that it satisfies
-    at its one point, and the sliver's state error decreases with its width squared. If an adjacent
-    sliver, cut for the same jump, did not contain all of it, the element is split into thirds.
+    In the sliver, a narrow element of degree 1, the control is constant, so it cannot exceed limits
+    that it satisfies at its only point, and the sliver's state error decreases with its width
+    squared. If an adjacent sliver, cut for the same jump, did not contain all of it, the element is
+    split into thirds.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    e : int
+        Index of the element.
+    jump : float
+        Time of the jump or kink as a fraction of the horizon.
+    size : float
+        Error of the element.
     """
     start, end, degree = mesh.breakpoints[e], mesh.breakpoints[e + 1], mesh.degrees[e]
     if 1 in (mesh.degrees[max(e - 1, 0)], mesh.degrees[min(e + 1, mesh.elements - 1)]):
@@ -234,6 +298,10 @@ def _finer(
     tolerance: float,
     options: RefinementOptions,
 ) -> list[_Piece]:
+    """Return the elements that replace an element whose error is too large.
+
+    Its degree is raised if the solution is smooth in it, else the element is split.
+    """
     mesh = solution.mesh
     degree, size = mesh.degrees[e], float(error.per_element[e])
     if mesh.widths[e] < 2.0 * options.smallest_width:
@@ -263,14 +331,17 @@ def _finer(
 
 
 def _parts(mesh: Mesh, e: int, count: int, degree: int, size: float) -> list[_Piece]:
-    """Split an element evenly."""
+    """Split an element into equally wide parts of one degree."""
     edges = np.linspace(mesh.breakpoints[e], mesh.breakpoints[e + 1], count + 1)
     ends = [*(float(b) for b in edges[1:-1]), mesh.breakpoints[e + 1]]
     return [_Piece(end, degree, size) for end in ends]
 
 
 def _merged(pieces: list[_Piece], solution: Solution, tolerance: float) -> list[_Piece]:
-    """Merge neighbours if the predicted error of the merged element is far below the tolerance."""
+    """Merge neighbouring elements if the predicted error is far below the tolerance.
+
+    Elements that were refined for this mesh, and boundaries that the problem requires, are kept.
+    """
     required = solution.problem.required_breakpoints(solution.instance)
     merged: list[_Piece] = []
     starts: list[float] = []
@@ -291,7 +362,10 @@ def _merged(pieces: list[_Piece], solution: Solution, tolerance: float) -> list[
 
 
 def _legendre_sizes(solution: Solution, e: int) -> FloatArray:
-    """Return the relative sizes of the states' Legendre coefficients, for the worst state."""
+    """Return the relative magnitudes of the states' Legendre coefficients in an element.
+
+    Shape (degree + 1,), the largest over the states for each order.
+    """
     mesh, states = solution.mesh, solution.trajectory.states
     first, last = mesh.first_node[e], mesh.first_node[e + 1]
     nodes = 2.0 * radau_rule(mesh.degrees[e]).nodes - 1.0
@@ -303,7 +377,10 @@ def _legendre_sizes(solution: Solution, e: int) -> FloatArray:
 
 
 def _integrand_sizes(solution: Solution, e: int) -> FloatArray:
-    """Return the relative sizes of the integrands' Legendre coefficients, worst integral each."""
+    """Return the relative magnitudes of the integrands' Legendre coefficients in an element.
+
+    Shape (degree,), the largest over the integrals for each order.
+    """
     mesh, program = solution.mesh, solution.program
     points = slice(mesh.first_node[e], mesh.first_node[e + 1])
     held = program.rows_at_points(solution.unknowns)[points, program.compiled.n_equations :]
@@ -327,7 +404,10 @@ def _decay(sizes: FloatArray) -> float:
 
 
 def _jump(solution: Solution, e: int) -> float | None:
-    """Return the time of a bounded control's jump in an element, as a fraction of the horizon."""
+    """Return the time of a bounded control's jump in an element, as a fraction of the horizon.
+
+    The result is None if no control jumps, or the problem requires a boundary of the element.
+    """
     mesh = solution.mesh
     if known_boundaries(solution)[e : e + 2].any():
         return None

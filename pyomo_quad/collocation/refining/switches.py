@@ -1,4 +1,4 @@
-"""Possible loss in the objective from a control that switches within an element."""
+"""Possible loss in the objective if a control switches at a wrong time within an element."""
 
 from __future__ import annotations
 
@@ -21,28 +21,30 @@ _SAME_WIDTH = 1.0 + 1e-9
 
 
 def misplaced_switches(solution: Solution) -> FloatArray:
-    """Bound the cost of each element's misplaced switch, in units of the objective.
+    """Bound the increase of the objective by a misplaced control switch in each element.
 
     Let J(s) be the least objective with a control that switches at time s. If the switch is later
-    by ds, the Hamiltonian before the switch, H-, applies for ds instead of the one after, H+, and
-    the costates are the derivatives of the objective by the changed states: dJ/ds = H- - H+. At the
-    optimal switch the Hamiltonian does not jump (Weierstrass and Erdmann). A mesh determines the
-    element of the switch but not its place inside: the polynomials, or the single point of a
-    sliver, put the switch anywhere in the width w. Neither the equations between the points nor a
-    comparison with the last mesh, which may have had the same sliver, determine the place. The jump
-    of the Hamiltonian decreases towards the optimal switch, which is at most w away, so that J is
-    too large by at most |H- - H+| w.
+    by ds, the Hamiltonian before the switch, H-, applies for ds instead of the Hamiltonian after
+    the switch, H+, and the costates are the derivatives of the objective with respect to the
+    changed states: dJ/ds = H- - H+. At the optimal switch the Hamiltonian does not jump
+    (Weierstrass and Erdmann). A mesh determines the element of the switch but not its place inside:
+    the polynomials, or the single point of a sliver (a narrow element cut around a switch), put the
+    switch anywhere in the width w. Neither the equations between the points nor a comparison with
+    the last mesh, which may have had the same sliver, determine the place. The jump of the
+    Hamiltonian decreases towards the optimal switch, which is at most w away, so that J is too
+    large by at most |H- - H+| w.
 
-    The Hamiltonian of an equation that reads time changes without a switch: each pair of
-    neighbouring points is compared at the times of both.  A jump between two elements counts for
-    the narrower, which was cut for it.  The costates come in two ways, as multipliers and
-    integrated through the element; where the polynomials cannot follow them, these differ, and
-    the smaller jump counts.
+    If an equation depends on time explicitly, the Hamiltonian changes without a switch: each pair
+    of neighbouring points is therefore compared at the times of both. A jump between two elements
+    counts for the narrower element, which was cut for that jump. Costates are computed in two ways,
+    directly as multipliers, and by integration through the element; where the polynomials cannot
+    follow the costates, the two differ, and the smaller jump counts.
 
     Returns
     -------
     ndarray, shape (n_elements,)
-        Zero where no limit on an algebraic variable begins or ceases to hold, or none jumps.
+        In units of the objective. Zero in elements where no limit on an algebraic variable becomes
+        active or inactive, or no algebraic variable jumps.
     """
     mesh, chosen = solution.mesh, switch_elements(solution) & _jumping_elements(solution)
     jumps = np.zeros((2, mesh.elements))
@@ -73,7 +75,10 @@ def misplaced_switches(solution: Solution) -> FloatArray:
 
 
 def _jumping_elements(solution: Solution) -> frozenset[int]:
-    """Return the elements in or beside which an algebraic variable changes by much of its range."""
+    """Return the indices of elements in or beside which an algebraic variable jumps.
+
+    A change by more than a quarter of the variable's range counts as a jump.
+    """
     held, ranges = solution.trajectory.algebraics, solution.algebraic_ranges
     first = solution.mesh.first_node
     found = []
@@ -87,11 +92,21 @@ def _jumping_elements(solution: Solution) -> frozenset[int]:
 def _hamiltonians(
     solution: Solution, points: NDArray[np.intp], fractions: FloatArray
 ) -> FloatArray:
-    """Return the Hamiltonian at collocation points, with the data of other times.
+    """Return the Hamiltonian at collocation points, with time-dependent data of other times.
 
-    Shape (2, n_points). Row 0 takes the costates integrated through the elements, row 1 the
-    costates as multipliers of the equations at the points. States, rates and controls are those
-    of `points`; parameters over time are read at `fractions` of the horizon instead.
+    Parameters
+    ----------
+    solution : Solution
+    points : ndarray of int, shape (n,)
+        Collocation points at which states, rates, controls and costates are taken.
+    fractions : ndarray, shape (n,)
+        Fractions of the horizon at which the time-dependent parameters are taken.
+
+    Returns
+    -------
+    ndarray, shape (2, n)
+        Row 0 uses the costates integrated through the elements, row 1 the costates directly from
+        the multipliers. Per unit of the fraction of the horizon.
     """
     program, n = solution.program, solution.program.layout.n_states
     variables = program.path_variables(solution.unknowns)[points]

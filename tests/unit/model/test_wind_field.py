@@ -9,7 +9,7 @@ from pyomo_quad.collocation import compile as compile_model
 from pyomo_quad.collocation.reading.tables import Spline
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.plan import PlanStatus
-from pyomo_quad.flight.proof import exactly, refuse_unproven
+from pyomo_quad.flight.proof import refuse_unproven
 from pyomo_quad.model import build_model
 from pyomo_quad.model.wind import still_air
 from pyomo_quad.model.wind_field import unknown_wind
@@ -156,7 +156,7 @@ def test_a_plan_through_a_cell_without_wind_is_refused_or_held(tmp_path):
             refused.trajectories,
             refused.energy,
             (),
-            exactly(FIGURES[Accuracy.PROOF]),
+            FIGURES[Accuracy.PROOF],
             refused.dynamics,
         )
     assert (

@@ -10,7 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from pyomo_quad.report import Figures, gallery
-from pyomo_quad.report.document import Drawing, save_drawings
+from pyomo_quad.report.document import Drawing, drawn_meanwhile
 from pyomo_quad.report.gallery import plan_drawings
 from pyomo_quad.report.labels import Label, write_labels
 from pyomo_quad.report.report import write_run_report, write_solve_report
@@ -35,7 +35,8 @@ def blank(name):
 
 def drawn(drawings, folder):
     folder.mkdir()
-    save_drawings(drawings, folder)
+    with drawn_meanwhile(drawings, folder):
+        pass
     files = sorted((folder / "figures").iterdir())
     return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
 

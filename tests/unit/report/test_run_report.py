@@ -15,7 +15,7 @@ from pyomo_quad.flight.baselines import OPEN_LOOP, baseline_name
 from pyomo_quad.flight.columns import TIME
 from pyomo_quad.flight.flight import Resolve
 from pyomo_quad.report import Figures
-from pyomo_quad.report.document import save_drawings
+from pyomo_quad.report.document import drawn_meanwhile
 from pyomo_quad.report.gallery import adaptation_drawing, plan_drawings
 from pyomo_quad.report.page import render_html
 from pyomo_quad.report.paths import leaving_paths
@@ -168,7 +168,8 @@ def test_adaptation_adds_its_figure(tmp_path):
     time = np.linspace(0.0, 10.0, 50)
     study = pd.DataFrame({TIME: time, ERROR_WITH: np.exp(-time), ERROR_WITHOUT: 0.3 + 0 * time})
     study = study.assign(**dict.fromkeys((*TRUE, *ESTIMATED), 1.0))
-    save_drawings([adaptation_drawing(study)], tmp_path)
+    with drawn_meanwhile([adaptation_drawing(study)], tmp_path):
+        pass
     assert [file.name for file in (tmp_path / "figures").iterdir()] == ["adaptation.svg"]
 
 

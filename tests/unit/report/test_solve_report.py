@@ -10,7 +10,7 @@ import pytest
 from pyomo_quad.flight import PlanStatus
 from pyomo_quad.flight.orders import OrderSearch
 from pyomo_quad.report import style
-from pyomo_quad.report.document import save_drawings
+from pyomo_quad.report.document import drawn_meanwhile
 from pyomo_quad.report.gallery import plan_drawings
 from pyomo_quad.report.paths import distinct_paths
 from pyomo_quad.report.render import environment
@@ -131,7 +131,9 @@ def test_tables_and_text_are_the_same_bytes_each_time(report, run, tmp_path):
 
 def test_figures_are_the_same_bytes_each_time_and_hold_no_date(report, run, tmp_path):
     flights = styled_flights([plan_flight(run.plan)])
-    save_drawings([d for d in plan_drawings(run.plan, flights) if d.name in DRAWN], tmp_path)
+    drawings = [d for d in plan_drawings(run.plan, flights) if d.name in DRAWN]
+    with drawn_meanwhile(drawings, tmp_path):
+        pass
     files = list((tmp_path / "figures").iterdir())
     assert len(files) == len(DRAWN)
     for file in files:
