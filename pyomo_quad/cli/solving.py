@@ -190,8 +190,8 @@ def _kept(plan: Plan, folder: Path) -> str:
 def plan_to_continue(run: Path, overrides: Sequence[str]) -> tuple[Plan, Scenario]:
     """Load a stored plan, and choose the accuracy to which its solve continues.
 
-    The accuracy is the override `solver.accuracy`. Without it, the accuracy is the one that the
-    plan was to reach, if it was not reached, and otherwise the next higher one.
+    An override `solver.accuracy` sets the accuracy. Without this override, the accuracy is the next
+    higher level if the stored plan is verified, and otherwise the level that its scenario required.
 
     Parameters
     ----------

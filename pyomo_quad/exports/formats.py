@@ -298,8 +298,8 @@ class Export:
     yaw_error_rad : float or None
         Largest deviation of the heading; None if the autopilot chooses the heading.
     is_paper_plan : bool
-        Whether the plan was made without margins for a risk, so that a controller that corrects
-        disturbances may break a limit.
+        Whether the scenario states no risk (`mission.risk`), so that the plan keeps no margins
+        from its limits, and a controller that corrects disturbances may break a limit.
     """
 
     path: str
@@ -377,8 +377,8 @@ def export_plan(
         Format of the export.
     out : str or Path, optional
         File to write, for ROS 2 a folder; by default named after the scenario, in the working
-        folder. An earlier export is replaced, any other existing file is not. A device or a FIFO is
-        written to.
+        folder. An existing file is replaced only if it is an earlier export. The output may also be
+        a device or a FIFO, such as ``/dev/stdout``.
     origin : str, optional
         Position of the plan's origin on earth, "LAT,LON,ALT" in degrees and in metres above the
         sea; by default the mission's own. Missions of ground stations need an origin.

@@ -157,10 +157,11 @@ def examination(study: PaperStudy) -> dict[str, Any]:
 
 
 def _bound_of_printed_optimum(study: PaperStudy) -> float:
-    """Return the bound on the rotor acceleration at which the least energy is the printed one.
+    """Return the bound on the rotor acceleration that the printed optimum of Yacef et al. implies.
 
-    The least energy is that of any flight with the bare polynomial of the efficiency f_r; the
-    printed energy is that of the optimum of Yacef et al. The bound is in rad/s².
+    The least energy of any flight under the bare polynomial of the efficiency f_r falls as the
+    bound rises. At the returned bound [rad/s²] it equals the energy that Yacef et al. print for
+    their optimum.
     """
     bounds, energies = study.floors[Reading.LITERAL].T
     finite = np.isfinite(energies)

@@ -88,8 +88,8 @@ def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawin
     """List the figures of a plan, and of flights that are drawn together with it.
 
     A figure is left out if the table of the plan lacks its columns (because a user's model does not
-    declare them), if a failed solve has no finite values for it, or if it would show the wind of
-    calm air.
+    declare them), or if a failed solve has no finite values for it. The figure of the wind is left
+    out in calm air.
 
     Parameters
     ----------

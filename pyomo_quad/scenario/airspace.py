@@ -35,12 +35,16 @@ class Shape(StrEnum):
 
 
 class Ball(NamedTuple):
-    """Set of places within a radius of a centre, in two or three coordinates or in one.
+    """Set of places within a radius of a centre, the distance measured in one to three coordinates.
 
     In three coordinates the set is a sphere, in x and y a vertical cylinder without ends, and in
-    one coordinate an interval. Every keep-out zone is an intersection of balls: a cylinder of a
-    disk in x and y and an interval of z, a sphere of one ball in all three axes, a box of one
-    interval per axis, and a convex polygon of an interval across each edge and one of z.
+    one coordinate an interval. Every keep-out zone is an intersection of balls:
+
+    zone | balls
+    sphere | one ball in x, y and z
+    cylinder | a ball in x and y, and an interval of z
+    box | an interval of x, of y and of z
+    prism over a convex polygon | for each edge an interval along its normal, and an interval of z
 
     Attributes
     ----------

@@ -42,9 +42,10 @@ _ONE_LINE = r"^[^\x00-\x1f\x7f-\x9f\u2028\u2029]*$"
 
 
 class Sound(NamedTuple):
-    """Plausible range of a number, with the reason in words.
+    """Plausible range of a scenario field with a number, and the reason for the range in words.
 
-    A number outside the range is a typing error or has a wrong unit, and might cause overflow.
+    A number outside the range is refused: it is a typing error or has a wrong unit, and might cause
+    overflow.
 
     Attributes
     ----------
@@ -170,7 +171,8 @@ def quantity(
         Whether the field is newer than some records (stored scenarios). A record without the field
         has its default, and new records leave the field out while it has this value.
     initial : object, optional
-        Value of a scenario file without the field, if it differs from the default of records.
+        Value that a scenario gets if its file leaves the field out, where this differs from
+        `default`; `default` then is only the value of stored scenarios (records) without the field.
     unit_keys : mapping, optional
         Further keys by which a file may give the field in another unit; each with the factor from
         that unit to `unit`.
@@ -252,9 +254,9 @@ def other_names_of(model: type[BaseModel], name: str) -> tuple[str, ...]:
 
 
 def initial_of(model: type[BaseModel], name: str) -> Any:  # noqa: ANN401
-    """Return the value of a field that a scenario file leaves out, if it is not the default.
+    """Return the value that a scenario gets if its file leaves a field out; see `quantity`.
 
-    None if it is the default.
+    None if this value is the field's default, as for most fields.
 
     Parameters
     ----------
