@@ -248,6 +248,11 @@ def mean_wind(scenario: Scenario) -> tuple[float, float]:
 
     A wind that depends on height is taken at the reference height of 10 m; a wind field is averaged
     over all places that have wind.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Scenario whose wind is a formula, a measured series or a field.
     """
     wind = scenario.wind
     if wind.grid is not None:

@@ -97,6 +97,13 @@ def draw_held(held: Held, planner: Planner) -> Figure:
     """Draw measured and computed powers of a library vehicle.
 
     The power is drawn over airspeed or, if all measurements are in hover, over payload.
+
+    Parameters
+    ----------
+    held : Held
+        Vehicle with measured and computed powers.
+    planner : Planner
+        Keeps compiled models between figures.
     """
     figure, axes = full_width(3.2, top=0.96, bottom=0.15)
     points = held.points
