@@ -150,7 +150,7 @@ def draw_map(flights: Sequence[StyledFlight], mission: Scenario) -> Figure:
         _draw_wind_field(axes, mission.wind.grid, mission.wind.field_scale)
     axes.set_xlabel(axis_label(POSITION[0]))
     # So near, the label fits beside numbers such as -300.
-    axes.set_ylabel(axis_label(POSITION[1]), labelpad=-2.0)
+    axes.set_ylabel(axis_label(POSITION[1]), labelpad=0.0)
     legend_below(figure, axes)
     return figure
 
