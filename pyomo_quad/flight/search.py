@@ -34,9 +34,8 @@ _PROMISING = FIGURES[Accuracy.QUICK].breach
 # and to find a better one.
 _PATIENCE_S, _SHARE, _SHARE_FOR_BETTER = 2.0, 0.2, 0.05
 # A flyable trajectory near a coarse solution, which takes seconds to compute, is sought after this
-# multiple of that time, when most searches have a better plan, or after this fraction of the time
-# limit.
-_LONG, _SHARE_OF_LIMIT = 7.5, 0.3
+# multiple of that time, or after this fraction of the time limit.
+_LONG, _SHARE_OF_LIMIT = 5.0, 0.3
 # Number of coarse meshes from which a usable plan is sought.
 _MOST_SEARCHES = 2
 

@@ -1,13 +1,10 @@
 """Accuracies, and the best usable plan of a search that is stopped."""
 
-from types import SimpleNamespace
-
 import pytest
 
 from pyomo_quad import Plan
 from pyomo_quad.collocation import Mesh
 from pyomo_quad.flight import PlanStatus, search
-from pyomo_quad.flight.deadline import Deadline
 from pyomo_quad.flight.mission_problem import MissionProblem
 from pyomo_quad.flight.planning import Planner
 from pyomo_quad.flight.usable import flyable_from
@@ -56,20 +53,6 @@ def test_a_search_that_is_stopped_ends_with_its_usable_plan(monkeypatch, tmp_pat
     assert stopped.verification.terminal_miss_m <= FIGURES[Accuracy.QUICK].miss
     stopped.save(tmp_path / "plan.npz")
     assert Plan.load(tmp_path / "plan.npz").status is PlanStatus.USABLE
-
-
-@pytest.mark.parametrize(("limit_s", "spent_s", "is_sought"), [(300, 12, False), (20, 7, True)])
-def test_a_usable_plan_is_sought_early_only_where_the_time_limit_is_near(
-    monkeypatch, limit_s, spent_s, is_sought
-):
-    clock = [0.0]
-    monkeypatch.setattr(search.time, "thread_time", lambda: clock[0])
-    with Deadline(load_scenario(PAPER_CALM, [f"solver.time_limit={limit_s}"])) as deadline:
-        going, sought = search.Search(deadline), []
-        clock[0] = spent_s
-        coarse = SimpleNamespace(error_estimate=1.0)
-        going.finished(coarse, PROVEN_J, flown=None, flyable=lambda s: sought.append(s) or ())
-    assert bool(sought) is is_sought
 
 
 def test_what_leads_on_from_a_coarse_mesh_can_be_flown():
