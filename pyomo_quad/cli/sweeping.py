@@ -180,12 +180,12 @@ class _Listener:
         self._began = monotonic()
 
     def start(self, total: int, already_ended: int) -> None:
-        """Record the number of all cases, and of cases that ended in earlier runs."""
+        """Record the number of all cases of the sweep, and of cases that ended in earlier runs."""
         self.total, self.done = total, already_ended
         self._show()
 
     def case_ended(self, case: "Case", outcome: "CaseOutcome", done: int) -> None:
-        """Count a case whose result was stored."""
+        """Count a case of the sweep whose result was stored."""
         self.done = done
         self._solved += 1
         self.failed += not outcome.is_finished

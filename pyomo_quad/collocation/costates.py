@@ -176,7 +176,7 @@ def costates_of(
 def _products(
     program: Transcription, z: FloatArray, weights: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return sums of weighted derivatives of the path equations, by rates and by states.
+    """Return sums of weighted derivatives of the path equations, at each collocation point.
 
     Parameters
     ----------
@@ -189,7 +189,8 @@ def _products(
     Returns
     -------
     ndarray, ndarray
-        Sums over the path equations at each point, both of shape (n_points, n_states).
+        Sums of derivatives with respect to the rates, and to the states, both of shape (n_points,
+        n_states).
     """
     n, rows = program.layout.n_states, np.arange(weights.shape[1])
     slopes = program.path_slopes(

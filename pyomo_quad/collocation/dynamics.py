@@ -49,7 +49,7 @@ class Instants:
         Rates, states, algebraic variables, static variables and data (fraction of the horizon and
         parameters).
     read : callable
-        (keys, *inputs) -> values of components, shape (n, n_keys); an `Evaluator`.
+        ``(keys, *inputs)`` -> values of components, shape (n, n_keys); an `Evaluator`.
     numbers : callable
         (data, parameters by full name) -> data with new values of these parameters.
     """
@@ -122,8 +122,8 @@ class Dynamics:
         Its inputs are states, controls, static variables and data (fraction of the horizon and
         parameters). Its first output holds the rates and the algebraic variables that equations
         determine. Its second output holds the objective's integrand and the span, the derivative of
-        time by the fraction of the horizon. Rates and integrand are per unit of the fraction;
-        dividing by the span makes them per unit of time.
+        time with respect to the fraction of the horizon. Rates and integrand are per unit of the
+        fraction; dividing by the span makes them per unit of time.
         """
         declared = self._formulation.compiled.declared
         equations = [e for e in declared.equations if e.is_equality]
@@ -148,7 +148,7 @@ class Dynamics:
         return casadi.Function("right_hand_side", inputs, [casadi.densify(o) for o in outputs])
 
     def _implicit_side(self, core: _Core, inputs: list[Any]) -> Any:
-        """Return the right-hand side of implicit equations, by Newton's method to its tolerance."""
+        """Return the right-hand side of implicit equations, solved by CasADi's Newton method."""
         newton = casadi.rootfinder("slopes", "newton", core.residual, {"abstol": _NEWTON_TOLERANCE})
         symbols = [casadi.MX.sym(f"i{k}", i.shape[0]) for k, i in enumerate(inputs)]
         stacked = casadi.vertcat(*symbols)
@@ -166,9 +166,18 @@ class Dynamics:
         return _WithoutIterations(self._formulation, self._instance, self._statics)
 
     def control_limits(self, breach: float = 0.0) -> tuple[FloatArray, FloatArray]:
-        """Return constant lower and upper limits of the controls, shape (n_controls,) each.
+        """Return constant lower and upper limits of the controls.
 
-        `breach` widens both limits by breach * max(1, abs(limit)).
+        Parameters
+        ----------
+        breach : float, default 0
+            Both limits are widened by breach * max(1, abs(limit)).
+
+        Returns
+        -------
+        ndarray, ndarray
+            Shape (n_controls,) each; infinite where a control has no limit, or one that varies with
+            time.
         """
         names = [s.name for s in self._formulation.compiled.declared.algebraics]
         chosen = [names.index(name) for name in self.control_names]
@@ -180,11 +189,31 @@ class Dynamics:
 
         At a time t at which a parameter jumps, the equations take the value before the jump; at the
         returned time they take the value after it.
+
+        Parameters
+        ----------
+        t : float
+            Physical time.
+
+        Returns
+        -------
+        float
         """
         return t + 2.0 * BESIDE * float(self.timeline.spans.max()) if self._instance.jumps else t
 
     def steps_between(self, start: float, end: float) -> list[float]:
-        """Return the times between two times at which parameters given as `Steps` jump."""
+        """Return the times at which parameters given as `Steps` (piecewise constant) jump.
+
+        Parameters
+        ----------
+        start, end : float
+            Physical times between which the jumps lie.
+
+        Returns
+        -------
+        list of float
+            In rising order.
+        """
         given = [v for v in self._instance.overrides.values() if isinstance(v, Steps)]
         return sorted({edge for steps in given for edge in steps.edges(start, end)})
 
@@ -197,26 +226,55 @@ class Dynamics:
         return tuple(slot.name for slot in self._formulation.compiled.declared.signals)
 
     def moment(self, t: float) -> list[float]:
-        """Return the time-dependent inputs of the equations at a time, as a list of numbers.
+        """Return the time-dependent inputs of the equations at a time.
 
-        They are the fraction of the horizon, the time-dependent parameters, and numbers that select
-        the branch of rules that branch on time.
+        Parameters
+        ----------
+        t : float
+            Physical time.
+
+        Returns
+        -------
+        list of float
+            The fraction of the horizon, the time-dependent parameters, and numbers that select the
+            branch of rules that branch on time.
         """
         fraction = float(self.timeline.fraction(t))
         return [fraction, *self._signals(fraction)]
 
     def symbol(self, name: str, size: int) -> Any:
-        """Return a column of CasADi symbols of the type (SX or MX) that `written` accepts."""
+        """Return a column of CasADi symbols of the type (SX or MX) that `written` accepts.
+
+        Parameters
+        ----------
+        name : str
+        size : int
+            Number of symbols.
+        """
         is_explicit = self._right_hand_side.is_a("SXFunction")
         return (casadi.SX if is_explicit else casadi.MX).sym(name, size)
 
     def parameter_column(self, changed: Mapping[str, Any]) -> Any:
-        """Return the constant parameters as a column; `changed` replaces some, by full name."""
+        """Return the constant parameters as a CasADi column, some of them replaced.
+
+        Parameters
+        ----------
+        changed : mapping
+            Full name of a parameter -> symbol that replaces its value.
+        """
         pairs = zip(self.parameter_names, self._instance.parameters.tolist(), strict=True)
         return casadi.vertcat(*(changed.get(name, value) for name, value in pairs))
 
     def moment_column(self, moment: Any, changed: Mapping[str, Any]) -> Any:
-        """Return the time-dependent inputs; `changed` replaces parameters in them, by full name."""
+        """Return the time-dependent inputs of the equations, some parameters in them replaced.
+
+        Parameters
+        ----------
+        moment : casadi.SX or casadi.MX
+            Column of inputs, in the order of the method `moment`.
+        changed : mapping
+            Full name of a time-dependent parameter -> symbol that replaces it.
+        """
         own = casadi.vertsplit(moment)
         for k, name in enumerate(self.signal_names, start=1):
             own[k] = changed.get(name, own[k])
@@ -287,18 +345,49 @@ class Dynamics:
         return self._at_one(x[None, :], u[None, :], self._statics[None, :], row[None, :])
 
     def rates(self, t: float, x: FloatArray, u: FloatArray) -> FloatArray:
-        """Return dx/dt at time t, states x and controls u, shape (n_states,)."""
+        """Return the right-hand side dx/dt at a time.
+
+        Parameters
+        ----------
+        t : float
+            Physical time.
+        x : ndarray, shape (n_states,)
+        u : ndarray, shape (n_controls,)
+
+        Returns
+        -------
+        ndarray, shape (n_states,)
+        """
         return self.rates_and_integrand(t, x, u)[0]
 
     def rates_and_integrand(
         self, t: float, x: FloatArray, u: FloatArray
     ) -> tuple[FloatArray, float]:
-        """Return dx/dt, shape (n_states,), and the objective's integrand per unit of time."""
+        """Return the right-hand side dx/dt and the objective's integrand in one evaluation.
+
+        Parameters
+        ----------
+        t, x, u
+            As in `rates`.
+
+        Returns
+        -------
+        ndarray, shape (n_states,)
+            dx/dt.
+        float
+            Integrand per unit of physical time.
+        """
         unknowns, ((density, span),) = self._solve(t, x, u)
         return unknowns[0, : x.size] / span, float(density / span)
 
     def integrand(self, t: float, x: FloatArray, u: FloatArray) -> float:
-        """Return the objective's integrand per unit of physical time."""
+        """Return the objective's integrand per unit of physical time.
+
+        Parameters
+        ----------
+        t, x, u
+            As in `rates`.
+        """
         return self.rates_and_integrand(t, x, u)[1]
 
     def solved(
@@ -323,7 +412,7 @@ class Dynamics:
         Instants
         """
         n = len(t)
-        # Flights side by side share their times, and signals are read one by one.
+        # Several flights may share their times; evaluate time-dependent parameters once per time.
         times, which = np.unique(np.asarray(t, dtype=float), return_inverse=True)
         fractions = self.timeline.fraction(times)
         signals = self._formulation.signals(self._instance, fractions)[which]
@@ -409,7 +498,7 @@ class Dynamics:
     def states_used_up(self) -> tuple[str, ...]:
         """Names of states with a given start and a free end, such as the charge of a battery."""
         declared = self._formulation.compiled.declared
-        # An objective that reads the end of a state leaves it free.
+        # A state at the end remains free if only the objective depends on it.
         priced = symbol_names(declared.objective)
         points = [p for p in declared.point_symbols if p.symbol.name() not in priced]
         given = {(p.slot, p.fraction) for p in points} | set(declared.fixed)
@@ -437,11 +526,23 @@ class Dynamics:
         return {name: values.get(0.0, 0.0) for name, values in held.items()}
 
     def has(self, name: str) -> bool:
-        """Return whether the model has a component of this name."""
+        """Return whether the model has a component of this name.
+
+        Parameters
+        ----------
+        name : str
+            Full name.
+        """
         return self._formulation.source.has(name)
 
     def unit(self, name: str) -> str:
-        """Return the unit of a constraint or variable by name, "" if it has none."""
+        """Return the unit of a constraint or variable, "" if it has none.
+
+        Parameters
+        ----------
+        name : str
+            Full name.
+        """
         return self._formulation.source.unit(name)
 
     def violations(
@@ -461,9 +562,19 @@ class Dynamics:
         return found
 
     def violations_of(self, instants: Instants, t: FloatArray) -> list[tuple[Violation, ...]]:
-        """Return the `violations` of several flights that share the same n times.
+        """Return the worst violation of every limit for several flights with the same times.
 
-        `instants` holds the flights one after another, n times each.
+        Parameters
+        ----------
+        instants : Instants
+            The flights one after another, n times each.
+        t : ndarray, shape (n,)
+            Physical times.
+
+        Returns
+        -------
+        list of tuple of Violation
+            The `violations` of each flight, the worst first.
         """
         limits = self.limits_of(instants)
         flights = (slice(k, k + len(t)) for k in range(0, len(instants.inputs[0]), len(t)))
@@ -478,7 +589,17 @@ class Dynamics:
         ]
 
     def limits_of(self, instants: Instants) -> list[LimitValues]:
-        """Return values and bounds of each path inequality and bound over time along a flight."""
+        """Return values and bounds of each path inequality and bound over time along a flight.
+
+        Parameters
+        ----------
+        instants : Instants
+            States, controls, rates and algebraic variables of the flight, as from `solved`.
+
+        Returns
+        -------
+        list of LimitValues
+        """
         compiled = self._formulation.compiled
         declared, n_states = compiled.declared, len(compiled.declared.states)
         rates, all_states, algebraics, statics, data = instants.inputs
@@ -608,8 +729,9 @@ class _Core:
     residual : casadi.Function
         (inner unknowns, all inputs as one column) -> residual of the nonlinear part.
     known : casadi.Function
-        (inner unknowns, all inputs as one column) -> all unknowns, and (objective's integrand,
-        derivative of time by the fraction of the horizon).
+        (inner unknowns, all inputs as one column) -> all unknowns, and a column of two: the
+        objective's integrand, and the derivative of time with respect to the fraction of the
+        horizon.
     """
 
     inner: Any
@@ -654,6 +776,7 @@ class _WithoutIterations(Dynamics):
     """Right-hand side whose implicit equations are solved by 20 Newton steps, as expressions."""
 
     def _implicit_side(self, core: _Core, inputs: list[Any]) -> Any:
+        """Return the right-hand side with Newton's steps written out as CasADi expressions."""
         stacked = casadi.vertcat(*inputs)
         residual = core.residual(core.inner, stacked)
         slope = casadi.Function(
@@ -892,7 +1015,7 @@ class ClosedLoop:
     def _compiled(self, law: Law, sizes: tuple[int, int, int]) -> Any:
         """Return the function (time-dependent inputs, joint state, command) -> rates, controls."""
         symbols, rates, controls = closed(self._dynamics, law, sizes, {})
-        # To tell whether two calls are the same, CasADi writes each table down in full.
+        # To find common subexpressions, CasADi would write out the data of each table in full.
         has_tables = bool(self._dynamics.tables_read)
         options = {"cse": not has_tables}
         return casadi.Function("closed_loop", symbols, [rates, controls], options)
@@ -928,14 +1051,15 @@ class ClosedLoop:
         ----------
         t : ndarray, shape (n,)
         joint : ndarray, shape (n, n_joint)
+            States of vehicle and law, and the integral of the objective's integrand.
         command : ndarray, shape (n, n_command)
 
         Returns
         -------
         ndarray, shape (n, n_joint, n_moment)
-            Derivatives by the time-dependent inputs of the equations.
+            Derivatives with respect to the time-dependent inputs of the equations.
         ndarray, shape (n, n_joint, n_joint)
-            Derivatives by the joint state.
+            Derivatives with respect to the joint state.
         """
         names = self._function.name_in()
         jacobians = [f"jac:{self._function.name_out(0)}:{names[k]}" for k in (0, 1)]
@@ -953,9 +1077,20 @@ class ClosedLoop:
         )
 
     def controls(self, t: FloatArray, joint: FloatArray, command: FloatArray) -> FloatArray:
-        """Return the controls that the law applies at n times, shape (n, n_controls).
+        """Return the controls that the law applies at n times.
 
-        `joint` has the shape (n, n_joint), `command` the shape (n, n_command).
+        Parameters
+        ----------
+        t : ndarray, shape (n,)
+            Physical times.
+        joint : ndarray, shape (n, n_joint)
+            States of vehicle and law, and the integral of the objective's integrand.
+        command : ndarray, shape (n, n_command)
+            Values that the law is to follow.
+
+        Returns
+        -------
+        ndarray, shape (n, n_controls)
         """
         moments = np.array([self._dynamics.moment(float(time)) for time in t])
         return MappedFunction(self._function, len(t))(moments, joint, command)[1]

@@ -88,6 +88,14 @@ _OPERATIONS: dict[int, Callable[..., Interval]] = {
 def symbols(*names: str) -> list[Any]:
     """Return CasADi symbols with the given names, for `Dynamics.expressions` and `Enclosure`.
 
+    Parameters
+    ----------
+    *names : str
+
+    Returns
+    -------
+    list of casadi.SX
+
     Examples
     --------
     >>> import numpy as np
@@ -144,9 +152,17 @@ class Enclosure:
         return self._all.over(low, high, numbers)
 
     def at(self, points: FloatArray, numbers: ArrayLike) -> FloatArray:
-        """Return the values of the expressions at n points, shape (n_expressions, n).
+        """Return the values of the expressions at n points.
 
-        `points` has the shape (n_variables, n), `numbers` the shape (n_numbers,).
+        Parameters
+        ----------
+        points : ndarray, shape (n_variables, n)
+        numbers : array_like, shape (n_numbers,)
+            Values of the symbols with single values.
+
+        Returns
+        -------
+        ndarray, shape (n_expressions, n)
         """
         ((values, _),) = self._values.over(points, points, numbers)
         return values

@@ -93,7 +93,7 @@ class FirstSolve(Search[S], Generic[S]):
         return self.first
 
     def holds(self, fact: Fact) -> bool:
-        """Return whether a fact is true at present; a strategy may require it to be tried."""
+        """Return whether a condition (`Fact`) of a strategy in the table is true at present."""
         is_judged = self.first is not None and self.judged.status is not Status.INTERRUPTED
         if fact is Fact.POSSIBLE:
             return is_judged and self.judged.status is not Status.INFEASIBLE
@@ -146,7 +146,10 @@ class FirstSolve(Search[S], Generic[S]):
         )
 
     def failure(self, last: S) -> S:
-        """Return the failed requested solve with its feasibility verdict; no strategy succeeded."""
+        """Return the result if all strategies failed: the requested solve, with a verdict.
+
+        The verdict tells whether the problem is infeasible near the last iterate.
+        """
         del last
         return self.judged
 
@@ -180,7 +183,7 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     is_mesh_free: bool
 
     def holds(self, fact: Fact) -> bool:
-        """Return whether a fact is true at present; a strategy may require it to be tried."""
+        """Return whether a condition (`Fact`) of a strategy in the table is true at present."""
         known = {
             Fact.ONE_HORIZON: True,
             Fact.OVERDETERMINED: self.is_overdetermined and self.first is None,
@@ -213,7 +216,10 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
         return self._ended(self.finish(own, mesh, Start(guess=path))) if path else None
 
     def _simulated(self) -> Any:
-        """Return the simulated trajectory, or None if the problem has free variables or a guess."""
+        """Return a trajectory simulated from the initial states, None if variables are free.
+
+        None also if the caller gave a guess.
+        """
         return self.simulate and self.simulate()
 
     def _ended(self, found: Solution) -> Solution:

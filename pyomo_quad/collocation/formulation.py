@@ -205,6 +205,7 @@ class Evaluator:
 
 
 def _unpacked(kept: Packed) -> Evaluator:
+    """Return the evaluator that a pickle contains."""
     inputs, written = kept.unpacked()
     return Evaluator(inputs, WrittenComponents(written))
 
@@ -240,15 +241,15 @@ class OutputStates:
         self._starts = self._start_function(declared)
 
     def __len__(self) -> int:
-        """Return the number of output states."""
+        """Return the number of output states, the states that nothing else depends on."""
         return len(self._slots)
 
     @staticmethod
     def _start_function(declared: Declarations) -> Any:
         """Return the CasADi function from parameters to initial values of the output states.
 
-        An initial value comes from the condition that the model declares for the output state at
-        the start; NaN if there is none.
+        Output states are states that nothing else depends on. An initial value comes from the
+        condition that the model declares for the state at the start; NaN if there is none.
         """
         parameters = stacked([s.symbol for s in declared.parameters])
         values = []
@@ -266,9 +267,12 @@ class OutputStates:
     def start(self, parameters: FloatArray, fixed: dict[tuple[str, float], float]) -> FloatArray:
         """Return the initial values of the output states, shape (n_outputs,).
 
+        Output states are states that nothing else depends on.
+
         Parameters
         ----------
         parameters : ndarray, shape (n_parameters,)
+            Values of the parameters without time.
         fixed : dict
             Fixed values of variables by (name, fraction of the horizon); they take precedence over
             initial conditions.
@@ -283,10 +287,13 @@ class OutputStates:
     ) -> FloatArray:
         """Solve the collocation equations of the output states by Newton's method.
 
+        Output states are states that nothing else depends on, and no unknowns of the nonlinear
+        program.
+
         Parameters
         ----------
         layout : Layout
-            Index arithmetic of the mesh, with its differentiation matrix.
+            Positions of variables on the mesh, with its differentiation matrix.
         start : ndarray, shape (n_outputs,)
             Initial values.
         path_variables : ndarray, shape (n_points, n_variables)
@@ -325,7 +332,10 @@ class OutputStates:
     @staticmethod
     def _blocks(values: FloatArray, n: int) -> csr_matrix:
         # CasADi stores a point's matrix by columns.
-        """Return a block-diagonal matrix of the n x n matrices of all points, given as rows."""
+        """Return a block-diagonal sparse matrix with an n x n block per point.
+
+        `values` holds one block per row, as CasADi returns it.
+        """
         matrices = values.reshape(-1, n, n).transpose(0, 2, 1)
         count = len(matrices)
         return bsr_matrix((matrices, np.arange(count), np.arange(count + 1))).tocsr()
@@ -361,6 +371,7 @@ class Formulation:
     def _hold(
         self, compiled: CompiledModel, source: LiveModel | ModelSnapshot, evaluator: Evaluator
     ) -> None:
+        """Set all attributes, from the compiled equations and the source of the model's data."""
         self.compiled = compiled
         self.source = source
         self.evaluator = evaluator
@@ -543,12 +554,14 @@ def _restored(
     source: ModelSnapshot,
     evaluator: Evaluator,
 ) -> Formulation:
+    """Return the formulation that a pickle contains, without its Pyomo model."""
     formulation = object.__new__(kind)
     formulation._hold(compiled, source, evaluator)
     return formulation
 
 
-# Highest index that is solved without reformulation: an equation of states implies a control.
+# Highest index that is solved as declared; at index 2, an equation among states determines a
+# control.
 _HIGHEST = 2
 _ABSENT = -1e6
 _ORDERS = {2: "second", 3: "third", 4: "fourth", 5: "fifth"}
@@ -563,7 +576,8 @@ class StructuralIndex:
     index : int
         0 for an ODE.
     differentiated : dict
-        Number of time derivatives by the name of an equation; equations with 0 are left out.
+        Name of an equation -> number of differentiations with respect to time; equations that need
+        none are left out.
     """
 
     index: int

@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 
 TIME_COLUMN = "time"
 
-#: A mapping from slot name to a function of time, a constant, or samples over `TIME_COLUMN`; a
-#: pandas frame with a time column and one column per slot is a mapping of this kind. Or a complete
-#: trajectory on any mesh.
+#: A mapping from the name of a variable, as in ``rotors.omega[1]``, to a function of time, a
+#: constant, or samples at the times in `TIME_COLUMN`; a pandas frame with a time column and one
+#: column per variable is a mapping of this kind. Or a complete trajectory on any mesh.
 Guess: TypeAlias = "Mapping[str, Any] | pd.DataFrame | Trajectory"
 
 

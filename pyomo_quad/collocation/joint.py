@@ -96,14 +96,23 @@ class JointSolution(Outcome):
         return tuple(part.updated(**whole) for part in self.horizons.values())
 
     def updated(self, **changes: Any) -> JointSolution:
-        """Return a copy with other values of the given attributes, shared by its `parts`."""
+        """Return a copy with other values of the given attributes, shared by its `parts`.
+
+        Parameters
+        ----------
+        **changes
+            Attributes by name, as in `status` or `message`.
+        """
         other = replace(self, **changes)
         horizons = zip(self.horizons, other.parts, strict=True)
         return replace(other, horizons=dict(horizons))
 
     @property
     def warm_start(self) -> tuple[WarmStart, ...]:
-        """Warm start for another solve: one part per horizon, and one for the coupling."""
+        """Warm start for another solve: one part per horizon, and one for the coupling.
+
+        The coupling consists of the objective, and of the constraints on several horizons or none.
+        """
         return tuple(part.warm_start for part in (*self.horizons.values(), self.coupling))
 
     @property
@@ -138,7 +147,24 @@ class JointSolution(Outcome):
     def value(self, component: Any, t: Any = None, index: Any = None) -> Any:
         """Return the value of a variable or expression, at times if it depends on time.
 
-        The arguments and errors are those of `Solution.value`.
+        Parameters
+        ----------
+        component : Var, DerivativeVar, Expression or str
+            A component of the model or its full name.
+        t : float or array, optional
+            Physical times; omitted for a static variable or an integral.
+        index : optional
+            The component's index without time.
+
+        Returns
+        -------
+        float or ndarray
+            In the shape of `t`.
+
+        Raises
+        ------
+        TranscriptionError
+            If the model has no such component, or a time lies outside its horizon.
         """
         if t is not None:
             return self.on(component, index).value(component, t, index)
@@ -150,9 +176,22 @@ class JointSolution(Outcome):
         return self.coupling.value(component, index=index)
 
     def costate(self, state: Any, t: Any, index: Any = None) -> Any:
-        """Return a state's costate at times: the derivative of the optimal cost by the state.
+        """Return a state's costate: the derivative of the optimal cost with respect to the state.
 
-        The arguments and errors are those of `Solution.costate`.
+        Parameters
+        ----------
+        state, t, index
+            As in `Solution.costate`, on the horizon of the state.
+
+        Returns
+        -------
+        float or ndarray
+            In the shape of `t`.
+
+        Raises
+        ------
+        TranscriptionError
+            If the model has no such state, or a time lies outside its horizon.
         """
         return self.on(state, index).costate(state, t, index)
 
@@ -316,11 +355,14 @@ class JointProblem(Summarised):
 
     @property
     def _parts(self) -> list[Formulation]:
-        """Formulations of the horizons, followed by that of the coupling."""
+        """Formulations of the horizons, followed by that of the coupling.
+
+        The coupling consists of the objective, and of the constraints on several horizons or none.
+        """
         return [*self.horizons.values(), self.coupling]
 
     def _guesses(self, guess: Mapping[str, Any] | None) -> list[Any]:
-        """Return the guess of each horizon and of the coupling.
+        """Return the guess for the variables of each horizon, and for those of no horizon.
 
         Raises
         ------
@@ -341,7 +383,14 @@ class JointProblem(Summarised):
     def union(self, meshes: Sequence[Mesh | None], instances: Sequence[Instance]) -> Union:
         """Return the nonlinear programs of all horizons and of the coupling, joined in a `Union`.
 
-        `meshes` and `instances` (data of the solve) have an item for each horizon and the coupling.
+        The coupling consists of the objective, and of the constraints on several horizons or none.
+
+        Parameters
+        ----------
+        meshes : sequence of Mesh or None
+            Mesh of each horizon, and None for the coupling.
+        instances : sequence of Instance
+            Parameter values and horizon of the solve, for each of them.
         """
         programs = [
             part.program(mesh, instance)
@@ -364,8 +413,16 @@ class JointProblem(Summarised):
     ) -> JointSolution:
         """Solve the joint nonlinear program once, with a given mesh per horizon.
 
-        The arguments are those of `Problem.solve_on_mesh`, with a mesh, a damping and an `Instance`
-        for each horizon.
+        Parameters
+        ----------
+        meshes : sequence of Mesh
+        start : Start
+        dampings : tuple of Damping or None
+            Penalty on the distance of the controls from those of the last mesh, for each horizon.
+        instances : list of Instance
+            Parameter values, for each horizon and the coupling of the horizons.
+        options, progress, is_scaled, change, most
+            As in `Problem.solve_on_mesh`.
         """
         parts = self._parts
         chosen = [
@@ -450,7 +507,7 @@ class JointProblem(Summarised):
         bounds: Bounds,
         scaling: Scaling,
     ) -> JointSolution:
-        """Split Ipopt's result into a solution for each horizon and the coupling."""
+        """Return the `JointSolution` of Ipopt's result, with a solution on each horizon."""
         found = [
             solution_from(
                 part,
@@ -479,7 +536,10 @@ class JointProblem(Summarised):
     def _first_point(
         self, union: Union, bounds: Bounds, start: Start
     ) -> tuple[FloatArray, Multipliers | None]:
-        """Return the initial unknowns, and the initial multipliers of a warm start."""
+        """Return the initial point of the joint program, and the multipliers of a warm start.
+
+        The multipliers are None without a warm start.
+        """
         if start.warm is not None:
             starts = zip(start.warm, union.programs, strict=True)
             points, multipliers = zip(*[transfer(*pair) for pair in starts], strict=True)
@@ -496,7 +556,7 @@ class JointProblem(Summarised):
         return np.clip(z, bounds.lower, bounds.upper), None
 
     def _set_links(self, union: Union, program: Transcription, z: FloatArray, places: Any) -> None:
-        """Set the static variables that equal values of a horizon to these values, in `z`."""
+        """Set the static variables that stand for values of a horizon to these values, in `z`."""
         if program.mesh is None:
             return
         conditions = [c.name for c in program.compiled.declared.conditions]
@@ -520,6 +580,15 @@ class JointProblem(Summarised):
 
         Duals, reduced costs and costates are loaded into the suffixes `dual`, `rc` and `costate`,
         if the model declares them as imported suffixes.
+
+        Parameters
+        ----------
+        solution : JointSolution
+
+        Raises
+        ------
+        TranscriptionError
+            If the problem was pickled; a pickle does not contain the model.
         """
         load_values(*solution.horizons.values(), solution.coupling)
 

@@ -28,7 +28,7 @@ class Violation:
 
 @dataclass(frozen=True)
 class LimitValues:
-    """Values of a limited quantity at n instants, with the lower and upper bounds there.
+    """Values of a limited quantity at n times, with the lower and upper bounds at these times.
 
     The three arrays have shape (n,); a bound that does not exist is infinite.
     """
@@ -39,14 +39,14 @@ class LimitValues:
     upper: FloatArray
 
     def worst(self, chosen: slice, t: FloatArray) -> Violation:
-        """Return the worst violation of the limit among a range of instants.
+        """Return the worst violation of the limit among a range of times.
 
         Parameters
         ----------
         chosen : slice
-            Instants to examine.
+            Positions of these times among all n times.
         t : ndarray
-            Times of the chosen instants.
+            The chosen times.
 
         Returns
         -------

@@ -213,15 +213,46 @@ class Trajectory:
     statics: FloatArray
 
     def states_at(self, fractions: FloatArray) -> FloatArray:
-        """Evaluate the state polynomials at fractions of the horizon: (n_fractions, n_states)."""
+        """Evaluate the state polynomials.
+
+        Parameters
+        ----------
+        fractions : ndarray, shape (n,)
+            Times as fractions of the horizon.
+
+        Returns
+        -------
+        ndarray, shape (n, n_states)
+        """
         return interpolate(self.mesh, self.states, fractions, with_start=True)
 
     def rates_at(self, fractions: FloatArray) -> FloatArray:
-        """Evaluate d state / d fraction of the horizon, shape (n_fractions, n_states)."""
+        """Evaluate the derivatives of the state polynomials with respect to the fraction.
+
+        Parameters
+        ----------
+        fractions : ndarray, shape (n,)
+            Times as fractions of the horizon.
+
+        Returns
+        -------
+        ndarray, shape (n, n_states)
+            d state / d fraction of the horizon.
+        """
         return interpolate_rates(self.mesh, self.states, fractions)
 
     def algebraics_at(self, fractions: FloatArray) -> FloatArray:
-        """Evaluate the polynomials through the algebraic variables, (n_fractions, n_algebraics)."""
+        """Evaluate the polynomials through the algebraic variables (controls included).
+
+        Parameters
+        ----------
+        fractions : ndarray, shape (n,)
+            Times as fractions of the horizon.
+
+        Returns
+        -------
+        ndarray, shape (n, n_algebraics)
+        """
         return interpolate(self.mesh, self.algebraics, fractions, with_start=False)
 
 
@@ -248,18 +279,50 @@ class Timeline:
         return np.diff(self.times) / np.diff(self.fractions)
 
     def span_at(self, fractions: FloatArray) -> FloatArray:
-        """Return the derivative of physical time by the fraction, at fractions of the horizon."""
+        """Return the derivative of physical time with respect to the fraction of the horizon.
+
+        Parameters
+        ----------
+        fractions : ndarray
+            Fractions of the horizon at which it is evaluated.
+
+        Returns
+        -------
+        ndarray
+            In the shape of `fractions`.
+        """
         return self.spans[np.searchsorted(self.fractions[1:-1], fractions)]
 
     def time(self, fractions: Any) -> Any:
-        """Return the physical times at fractions of the declared horizon, in the same shape."""
+        """Return the physical times at fractions of the declared horizon.
+
+        Parameters
+        ----------
+        fractions : float or ndarray
+
+        Returns
+        -------
+        ndarray
+            In the shape of `fractions`.
+        """
         phase = np.searchsorted(self.fractions[1:-1], fractions)
         inside = self.spans[phase] * (fractions - self.fractions[phase])
         ends = fractions == self.fractions[phase + 1]
         return np.where(ends, self.times[phase + 1], self.times[phase] + inside)
 
     def fraction(self, times: Any) -> Any:
-        """Return the fractions of the declared horizon at physical times, in the same shape."""
+        """Return the fractions of the declared horizon at physical times.
+
+        Parameters
+        ----------
+        times : float or ndarray
+            Physical times.
+
+        Returns
+        -------
+        float or ndarray
+            In the shape of `times`.
+        """
         if len(self.times) == 2:
             return (times - self.times[0]) / (self.times[1] - self.times[0])
         phase = np.searchsorted(self.times[1:-1], times)
@@ -442,7 +505,7 @@ class Summarised(ABC):
         """Main properties of the object, as text by label."""
 
     def __repr__(self) -> str:
-        """Return the summary in one line."""
+        """Return the class name and the summary in one line."""
         told = ", ".join(f"{name}: {text}" for name, text in self.summary.items())
         return f"<{type(self).__name__} {told}>"
 
@@ -509,10 +572,17 @@ class Mesh(Summarised):
     def uniform(cls, elements: int, degree: int) -> Mesh:
         """Return a mesh of equally wide elements of the same degree.
 
+        Parameters
+        ----------
+        elements : int
+            Number of elements, at least 1.
+        degree : int
+            Collocation points per element, at least 1.
+
         Raises
         ------
         TranscriptionError
-            If the number of elements or the degree is below 1.
+            If either number is below 1.
         """
         if elements < 1:
             raise TranscriptionError(f"mesh: {elements} elements; must be at least 1.")
@@ -521,7 +591,12 @@ class Mesh(Summarised):
 
     @classmethod
     def from_arrays(cls, held: Mapping[str, NDArray[Any]]) -> Mesh:
-        """Read a mesh from the arrays "breakpoints" and "degrees" of an untrusted mapping.
+        """Read a mesh from untrusted arrays.
+
+        Parameters
+        ----------
+        held : mapping
+            Arrays by name: "breakpoints", real numbers, and "degrees", whole numbers.
 
         Raises
         ------
@@ -540,10 +615,15 @@ class Mesh(Summarised):
         )
 
     def with_breakpoints(self, fractions: Iterable[float]) -> Mesh:
-        """Return this mesh with additional element boundaries at fractions of the horizon.
+        """Return this mesh with additional element boundaries.
 
         Both parts of an element that is split keep its degree; existing boundaries are not
         repeated.
+
+        Parameters
+        ----------
+        fractions : iterable of float
+            The boundaries as fractions of the horizon.
         """
         breakpoints, degrees = list(self.breakpoints), list(self.degrees)
         for fraction in sorted(fractions):
@@ -606,9 +686,19 @@ class Mesh(Summarised):
         )
 
     def locate(self, fractions: FloatArray) -> NDArray[np.intp]:
-        """Return the index of the element that contains each fraction of the horizon.
+        """Return the index of the element that contains each of several times.
 
         A boundary belongs to the element that ends there.
+
+        Parameters
+        ----------
+        fractions : ndarray
+            The times as fractions of the horizon.
+
+        Returns
+        -------
+        ndarray of int
+            In the shape of `fractions`.
         """
         inner = np.asarray(self.breakpoints)[1:-1]
         return np.searchsorted(inner, fractions, side="left").astype(np.intp)

@@ -242,13 +242,14 @@ class Problem(Summarised, Formulation):
         return first_success(Scope.FIRST, search)
 
     def _simulated(self, mesh: Mesh, instance: Instance) -> Trajectory | None:
-        """Simulate the model from its initial states, as an initial guess for a pure simulation.
+        """Simulate a model without controls from its initial states, as an initial guess.
 
         Returns
         -------
         Trajectory or None
-            States clipped to 1e12 in magnitude; None if the model has controls, output states or a
-            free initial state, or if the simulated states are not finite.
+            States clipped to 1e12 in magnitude; None if the model has controls, a free initial
+            state or output states (states that nothing else depends on), or if the simulated states
+            are not finite.
         """
         mesh = mesh.with_breakpoints(self.required_breakpoints(instance))
         program, declared = self.program(mesh, instance), self.compiled.declared
@@ -478,6 +479,15 @@ class Problem(Summarised, Formulation):
 
         Duals, reduced costs and costates are loaded into the suffixes `dual`, `rc` and `costate`,
         if the model declares them as imported suffixes.
+
+        Parameters
+        ----------
+        solution : Solution
+
+        Raises
+        ------
+        TranscriptionError
+            If the problem was pickled; a pickle does not contain the model.
         """
         load_values(solution)
 

@@ -71,7 +71,13 @@ class PyomoSolver:
 
     @staticmethod
     def available(exception_flag: bool = False) -> bool:
-        """Return True, as the solver is always available: Ipopt is a dependency of the package."""
+        """Return True, as the solver is always available: Ipopt is a dependency of the package.
+
+        Parameters
+        ----------
+        exception_flag : bool, default False
+            Part of Pyomo's interface; without effect.
+        """
         del exception_flag
         return True
 

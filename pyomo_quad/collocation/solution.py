@@ -189,7 +189,13 @@ class Outcome(Summarised):
         """Warm start for another solve, independent of this solution's problem."""
 
     def updated(self, **changes: Any) -> Self:
-        """Return a copy of this solution with other values of the given attributes."""
+        """Return a copy of this solution with other values of the given attributes.
+
+        Parameters
+        ----------
+        **changes
+            Attributes by name, as in `status` or `message`.
+        """
         return replace(self, **changes)
 
 
@@ -202,7 +208,7 @@ class Solution(Outcome):
     problem : Formulation
         Compiled problem that was solved.
     program : Transcription
-        The nonlinear program of the last mesh, with this solution's own data.
+        The nonlinear program of the last mesh, with the parameter values of this solution.
     instance : Instance
         Parameter values, horizon and fixed variables of the solve.
     trajectory : Trajectory
@@ -337,7 +343,7 @@ class Solution(Outcome):
 
     @property
     def dynamics(self) -> Dynamics:
-        """Right-hand side of the model's equations, with the parameters of the solution."""
+        """Right-hand side dx/dt = f(t, x, u) of the model, with the parameters of the solution."""
         return Dynamics(self.problem, self.instance, self.trajectory.statics)
 
     @cached_property
@@ -346,7 +352,17 @@ class Solution(Outcome):
         return np.asarray(self.timeline.time(self.mesh.node_fractions))
 
     def fractions(self, times: Any) -> FloatArray:
-        """Return physical times as fractions of the horizon, flattened to shape (n_times,).
+        """Return physical times as fractions of the horizon.
+
+        Parameters
+        ----------
+        times : float or array
+            Physical times.
+
+        Returns
+        -------
+        ndarray, shape (n_times,)
+            Flattened, whatever the shape of `times`.
 
         Raises
         ------
@@ -443,7 +459,7 @@ class Solution(Outcome):
         )
 
     def costate(self, state: Any, t: Any, index: Any = None) -> Any:
-        """Return a state's costate at times: the derivative of the optimal cost by the state.
+        """Return a state's costate: the derivative of the optimal cost with respect to the state.
 
         Parameters
         ----------
@@ -457,7 +473,8 @@ class Solution(Outcome):
         Returns
         -------
         float or ndarray
-            In the shape of `t`; for the minimised objective, that is, its negative if maximised.
+            In the shape of `t`. The cost is the minimised objective: the negative of the declared
+            objective if that is maximised.
 
         Raises
         ------
@@ -499,9 +516,24 @@ class Solution(Outcome):
         return (*self.notes, *hamiltonian_warnings(self)) if self.is_converged else ()
 
     def hamiltonian(self, t: Any) -> Any:
-        """Return the Hamiltonian H = L + p . dx/dt at physical times, in the shape of `t`.
+        """Return the Hamiltonian H = L + p . dx/dt at physical times.
 
         L is the integrand of the minimised objective, p the costates, and x the states.
+
+        Parameters
+        ----------
+        t : float or array
+            Physical times.
+
+        Returns
+        -------
+        float or ndarray
+            In the shape of `t`.
+
+        Raises
+        ------
+        TranscriptionError
+            If a time lies outside the horizon, or the model has no states.
         """
         held = self.costates.hamiltonian[:, None]
         values = interpolate(self.mesh, held, self.fractions(t), with_start=False)[:, 0]
@@ -544,6 +576,9 @@ class Solution(Outcome):
 
     def to_frame(self, times: Any = None) -> pd.DataFrame:
         """Return states, output states and algebraic variables as a table over time.
+
+        Output states are states that nothing else depends on, and no unknowns of the nonlinear
+        program.
 
         Parameters
         ----------

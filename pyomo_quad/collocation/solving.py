@@ -66,13 +66,19 @@ class _WholeSolve(Search[S], Generic[S]):
     has_ended: bool = False
 
     def holds(self, fact: Fact) -> bool:
-        """Return whether a warm start was given, or whether the cold start after it has failed."""
+        """Return whether a condition (`Fact`) of a strategy in the table is true at present.
+
+        It is that a warm start was given, or that the solve from the guess failed after it.
+        """
         return (fact is Fact.WARM_START and self.start.warm is not None) or (
             fact is Fact.COLD_FAILED and self.warm is not None
         )
 
     def attempt(self, strategy: Strategy) -> S:
-        """Solve from the warm start, from the guess, or from the last iterate of the warm start."""
+        """Solve from the warm start, from the guess, or from the last iterate of the warm start.
+
+        The strategy determines which of them, and whether the iterations are limited.
+        """
         known = self.known if strategy.iterations is None else None
         limits = (known.first, known.iterations) if known else (inf, inf)
         effort = Effort(limits=limits, progress=self.progress)
@@ -99,7 +105,10 @@ class _WholeSolve(Search[S], Generic[S]):
         return cold.updated(cold_start=took, message=message)
 
     def is_final(self, found: S) -> bool:
-        """Return whether the last result ends the search: any, unless it exceeded its budget."""
+        """Return whether a result ends the search: any, unless the solve exceeded its budget.
+
+        The budget is a limit of iterations.
+        """
         del found
         return self.has_ended
 

@@ -45,7 +45,7 @@ class ColdStart:
 
     @property
     def array(self) -> FloatArray:
-        """Record as an array of its three numbers, which `from_arrays` reads."""
+        """The record as an array of three numbers, which `from_arrays` reads."""
         return np.array([float(self.first), float(self.iterations), self.tolerance])
 
     @classmethod
@@ -114,6 +114,10 @@ class WarmStart:
         """Return whether the warm start belongs to the same equations as a compiled model.
 
         Fingerprint and array sizes are compared.
+
+        Parameters
+        ----------
+        compiled : CompiledModel
         """
         held, declared = self.trajectory, compiled.declared
         return (
@@ -188,7 +192,12 @@ class WarmStart:
 
     @classmethod
     def from_arrays(cls, held: Mapping[str, NDArray[Any]]) -> WarmStart:
-        """Read a warm start from a mapping of array names to untrusted arrays.
+        """Read a warm start from untrusted arrays.
+
+        Parameters
+        ----------
+        held : mapping
+            Arrays by name, as `arrays` returns them.
 
         Raises
         ------
@@ -314,7 +323,7 @@ class Start:
 
     @classmethod
     def of(cls, given: Any, guess: Any = None) -> Start:
-        """Return the start for the arguments `warm_start` and `guess` of a solve.
+        """Return the `Start` of a solve from its arguments `warm_start` and `guess`.
 
         `given` is None, a warm start, or an object with an attribute `warm_start`: a solution or a
         plan.
@@ -328,7 +337,7 @@ class Start:
 
     @property
     def cold_start(self) -> ColdStart | None:
-        """Iterations of the solve from a guess, as the warm start records them, or None."""
+        """Record of the iterations of the solve from a guess; None if the warm start has none."""
         first = self.warm[0] if isinstance(self.warm, tuple) else self.warm
         return first and first.cold_start
 

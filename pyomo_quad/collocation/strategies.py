@@ -146,7 +146,7 @@ RESTART = "restart from the least Hamiltonian"
 
 _W, _F, _M, _R = Scope.WHOLE, Scope.FIRST, Scope.MESH, Scope.RESTART
 _POSSIBLE, _FREE = {Fact.POSSIBLE}, {Fact.JUDGED, Fact.FREE_MESH, Fact.FREE_GUESS}
-# A first mesh may be too coarse for the limits, or too fine for the error of the first point.
+# A first mesh may be too coarse for the limits, or too fine for the error of the initial point.
 STRATEGIES = (
     Strategy(_W, "warm start", {Fact.WARM_START}, iterations=None),
     Strategy(_W, "cold start", first=First.GUESS),
@@ -184,7 +184,7 @@ class Search(ABC, Generic[S]):
 
     @abstractmethod
     def holds(self, fact: Fact) -> bool:
-        """Return whether a fact is true at present; a strategy may require it to be tried."""
+        """Return whether a condition (`Fact`) of a strategy in the table is true at present."""
 
     @abstractmethod
     def attempt(self, strategy: Strategy) -> S | None:
@@ -195,7 +195,7 @@ class Search(ABC, Generic[S]):
         return not found.status.has_failed
 
     def failure(self, last: S) -> S:
-        """Return the result if no strategy has succeeded: by default the last failed result."""
+        """Return the result if no strategy has succeeded: by default that of the last strategy."""
         return last
 
 

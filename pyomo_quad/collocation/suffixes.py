@@ -1,7 +1,7 @@
 """Pyomo's suffixes `dual`, `rc` and `costate`: derivatives of the objective from multipliers.
 
-`dual` holds derivatives by the constant side of constraints, `rc` (reduced costs) by bounds of
-variables, and `costate` by states.
+`dual` holds the derivatives with respect to the constant sides of constraints, `rc` (reduced costs)
+those with respect to bounds of variables, and `costate` those with respect to states.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Sensitivities:
-    """Derivatives of the declared objective by constraints, bounds or states, by component name.
+    """Derivatives of the declared objective with respect to constraints, bounds or states.
 
     Attributes
     ----------
     over_time : dict
-        For a component over time: a function of declared time [unit of time of the model], which
-        returns the derivative per unit of time (for a state: the costate).
+        Name of a component over time -> function of declared time, in the model's unit of time,
+        that returns the derivative per unit of time (for a state: the costate).
     once : dict
-        For a component without time: the derivative.
+        Name of a component without time -> derivative.
     """
 
     over_time: dict[str, Callable[[float], float]] = field(default_factory=dict)
@@ -55,10 +55,11 @@ class Sensitivities:
 def load_suffixes(*solutions: Solution) -> None:
     """Fill the suffixes `dual`, `rc` and `costate` of a model that imports them.
 
-    The suffixes hold derivatives of the declared objective: by the constant side of a constraint
-    (`dual`), by a bound of a variable (`rc`), and by a state (`costate`). For a constraint or bound
-    over time, the derivative is per unit of time. A model with several horizons has one solution
-    per horizon. Nothing is done for a problem that was pickled, which has no model.
+    The suffixes hold derivatives of the declared objective: with respect to the constant side of a
+    constraint (`dual`), to a bound of a variable (`rc`), and to a state (`costate`). For a
+    constraint or bound over time, the derivative is per unit of time. A model with several horizons
+    has one solution per horizon. Nothing is done for a problem that was pickled, which has no
+    model.
     """
     source = solutions[0].problem.source
     if not isinstance(source, LiveModel):
@@ -76,7 +77,7 @@ def load_suffixes(*solutions: Solution) -> None:
 
 
 def _suffixes(solution: Solution) -> dict[str, Sensitivities]:
-    """Return the derivatives of the objective by the name of the suffix that receives them."""
+    """Return the contents of the suffixes `dual`, `rc` and `costate`, as a dictionary."""
     problem = solution.problem
     dual, reduced = _sensitivities(solution)
     costates = Sensitivities()
@@ -112,13 +113,13 @@ def _function(solution: Solution, density: FloatArray) -> Callable[[float], floa
 
 
 def _fraction(solution: Solution, time: float) -> FloatArray:
-    """Return declared time as a fraction of the declared horizon, an array of shape (1,)."""
+    """Return a declared time as a fraction of the declared horizon, an array of shape (1,)."""
     first, last = solution.problem.values.declared_horizon
     return np.array([(time - first) / (last - first)])
 
 
 def _sensitivities(solution: Solution) -> tuple[Sensitivities, Sensitivities]:
-    """Return the derivatives of the objective by constraints, and those by bounds of variables."""
+    """Return the derivatives of the objective with respect to constraints, and to bounds."""
     program, multipliers = solution.program, solution.multipliers
     declared = program.compiled.declared
     sign = -1.0 if program.is_negated else 1.0

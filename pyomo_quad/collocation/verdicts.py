@@ -22,7 +22,7 @@ S = TypeVar("S", bound=Outcome)
 
 
 def without_bound(solution: Solution) -> Solution:
-    """Return a diverged solution with a message that names the variable without bound."""
+    """Return a diverged solution with a message that names the diverging variable."""
     program, sizes = solution.program, np.abs(solution.unknowns) * solution.scaling.unknowns
     name = unknown_place(program, int(np.nanargmax(sizes))).name
     objective = program.compiled.declared.objective_name

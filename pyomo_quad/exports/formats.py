@@ -244,6 +244,11 @@ def _wrapped(angle: FloatArray) -> FloatArray:
 def origin_of(text: str) -> GeodeticOrigin:
     """Read the option `--origin`: LAT,LON,ALT in degrees and in metres above the sea.
 
+    Parameters
+    ----------
+    text : str
+        Value of the option, such as "47.3977,8.5456,488".
+
     Raises
     ------
     ScenarioError

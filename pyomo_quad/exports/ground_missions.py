@@ -221,7 +221,7 @@ def _number(value: object, where: str, low: float, high: float) -> float:
 
 
 def _on_globe(place: Sequence[object], where: str) -> tuple[float, float]:
-    """Return the latitude and longitude at the beginning of a list of coordinates."""
+    """Return the latitude and longitude [deg] with which a list of coordinates begins."""
     if len(place) < 2:
         _refuse(where, "a place needs latitude and longitude")
     found = []
@@ -326,7 +326,7 @@ def _waypoint_file(text: str, source: str) -> _File:
 
 
 def _places(read: _File, notes: Counter[str]) -> Iterator[_Place]:
-    """Yield the places of a mission in order.
+    """Yield the places that a mission flies to, in order.
 
     Successive places that are less than a millimetre apart are merged.
     """
@@ -362,7 +362,7 @@ def _apart(home: GeodeticOrigin, *places: _Place) -> float:
 def _place_of(
     item: _Item, read: _File, first: _Place | None, last: _Place | None, notes: Counter[str]
 ) -> _Place | None:
-    """Return the place that a command flies to; None for a command without a place."""
+    """Return the place that a mission's command flies to; None for a command without a place."""
     if item.command == Command.RETURN_TO_LAUNCH and first is not None:
         return _Place(position=dict(first.position))
     if item.command == Command.DO_JUMP:
@@ -398,7 +398,7 @@ def _towards(heading: float | None) -> float | None:
 
 
 def _height(item: _Item, home: GeodeticOrigin, notes: Counter[str]) -> float:
-    """Return the height of a command's place above home [m]."""
+    """Return the height of the place of a mission's command above home [m]."""
     written = item.params[6]
     if item.frame in _ABOVE_SEA and written is not None:
         return written - home.altitude
@@ -414,7 +414,7 @@ def _height(item: _Item, home: GeodeticOrigin, notes: Counter[str]) -> float:
 
 
 def _apply(item: _Item, place: _Place, notes: Counter[str]) -> None:
-    """Apply a command without a place of its own, such as a delay, to the last place."""
+    """Apply a mission's command without a place, such as a delay, to the place before it."""
     if item.command == Command.DELAY:
         place.hold += _number(item.param(0), item.where, 0.0, _LONGEST_S)
     elif item.command == Command.DO_GRIPPER and item.param(1) == GRIPPER_OPENED:

@@ -143,7 +143,7 @@ def thin(motion: Motion, path_error_m: float) -> Legs:
 
 
 def _passing_times(motion: Motion) -> list[float]:
-    """Return the times within the flight at which waypoints are reached and left [s]."""
+    """Return the times [s] at which a plan reaches and leaves the mission's waypoints."""
     waypoints = motion.mission.mission.waypoints
     reached = [(w.at, w.hold) for w in waypoints if w.at is not None]
     times = [time for at, hold in reached for time in (at, at + hold)]
@@ -231,7 +231,7 @@ def _speeds(legs: Legs) -> FloatArray:
 
 
 def _releases(legs: Legs, scenario: Scenario) -> set[int]:
-    """Return the indices of the positions at which a part of the payload is released."""
+    """Return the indices of the legs' ends at which a part of the payload is released."""
     passed = [(w.at, w.hold) for w in scenario.mission.waypoints if w.release and w.at is not None]
     return {int(np.abs(legs.times - (at + hold)).argmin()) for at, hold in passed}
 

@@ -85,6 +85,11 @@ def draw_energies(found: Identification) -> Figure:
     """Draw computed against measured energy of each flight, and the relative errors.
 
     Each flight's energy is computed by a fit without this flight.
+
+    Parameters
+    ----------
+    found : Identification
+        Vehicle fitted to flights.
     """
     table = energies(found.frame, found.cross_validated)
     payload = found.frame.groupby(FLIGHT, sort=False)[PAYLOAD].first().to_numpy()
@@ -128,6 +133,11 @@ def draw_power(found: Identification) -> Figure:
     """Draw the measured and the computed power of three flights over time.
 
     The power is computed by fits without the drawn flight.
+
+    Parameters
+    ----------
+    found : Identification
+        Vehicle fitted to flights.
     """
     chosen = shown_flights(found.frame)
     size = 1.7 * len(chosen) + 0.6
@@ -151,7 +161,15 @@ def draw_power(found: Identification) -> Figure:
 
 
 def draw_voltages(found: Identification, pack: PackIdentification) -> Figure:
-    """Draw measured and computed cell voltage of three flights, and the error of each flight."""
+    """Draw measured and computed cell voltage of three flights, and the error of each flight.
+
+    Parameters
+    ----------
+    found : Identification
+        Vehicle fitted to flights.
+    pack : PackIdentification
+        Battery fitted to the same flights.
+    """
     figure, (left, right) = full_width(3.4, (1, 2), top=0.92, bottom=0.15, wspace=0.28)
     known = set(pack.flights[FLIGHT])
     shown = [flight for flight in shown_flights(found.frame) if flight in known]
@@ -185,6 +203,11 @@ def draw_curve(found: Identification) -> Figure:
 
     The curves are computed by the fitted model, in the mean air density of the flights. Dots are
     mean measured powers in cruise at each airspeed.
+
+    Parameters
+    ----------
+    found : Identification
+        Vehicle fitted to flights.
     """
     is_cruise = (found.frame[PHASE] == CRUISE).to_numpy()
     frame, airspeed = found.frame[is_cruise], found.airspeeds[is_cruise]

@@ -273,9 +273,14 @@ class Fit:
         return _robust(residual, self.base if start is None else start, self.bounds)
 
     def slopes(self, values: FloatArray) -> FloatArray:
-        """Return the derivatives of the windows' mean power by each parameter.
+        """Return the derivatives of the computed power by each fitted parameter.
 
-        They are computed by finite differences at the given values.
+        The power is averaged over time windows of the log. The derivatives are finite differences.
+
+        Parameters
+        ----------
+        values : ndarray, shape (n,)
+            Values of the parameters at which the derivatives are taken.
 
         Returns
         -------
@@ -410,6 +415,11 @@ def undetermined(fit: Fit) -> tuple[str, ...]:
     A parameter is not determined if the effect of a change on the power can be compensated by
     changes of the other parameters. The weakest parameter is removed until all others are
     determined.
+
+    Parameters
+    ----------
+    fit : Fit
+        Least-squares problem with all parameters that are to be fitted.
     """
     slopes = fit.slopes(fit.base)
     slopes *= _SHARE * np.maximum(np.abs(fit.base), _size(fit))
@@ -578,6 +588,11 @@ def _base_source(scenario: Scenario, field: str) -> str:
 
 def changes(identification: Identification) -> Mapping[str, tuple[float, str]]:
     """Return the fitted fields of the vehicle that the flights determine.
+
+    Parameters
+    ----------
+    identification : Identification
+        Result of a fit.
 
     Returns
     -------

@@ -466,6 +466,16 @@ def with_circuit(scenario: Scenario) -> Scenario:
 
     The circuit has a slow part of the resistance (relaxation), a temperature, and a state of
     health.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Scenario whose battery may have a single resistance only.
+
+    Returns
+    -------
+    Scenario
+        Copy whose battery has all fields of the circuit.
     """
     pack = scenario.battery
     tables: dict[str, Any] = {}

@@ -79,7 +79,15 @@ def write_steady(folder: Path, found: SteadyFit, base: str, figures: Figures) ->
 
 
 def point_table(points: pd.DataFrame, power: np.ndarray) -> pd.DataFrame:
-    """Return the table of steady flight points with computed powers [W] and errors [percent]."""
+    """Return the table of steady flight points with computed powers [W] and errors [percent].
+
+    Parameters
+    ----------
+    points : DataFrame
+        Measured points of steady flight.
+    power : ndarray, shape (n_points,)
+        Computed power of each point [W].
+    """
     return points.assign(**{COMPUTED: power, ERROR: 100.0 * (power / points[POWER] - 1.0)})
 
 
@@ -95,7 +103,7 @@ def draw_points(scenario: Scenario, points: pd.DataFrame, planner: Planner) -> F
     points : DataFrame
         Measured points.
     planner : Planner
-        Planner of the vehicle's model.
+        Keeps compiled models between figures.
     """
     figure, axes = full_width(3.2, top=0.96, bottom=0.15)
     if points[AIRSPEED].max() == 0.0:

@@ -200,6 +200,11 @@ def trials(frame: pd.DataFrame, fitted: Fitted) -> tuple[Trial, ...]:
 def cruise_speeds(frame: pd.DataFrame) -> FloatArray:
     """Return the usual ground speed in cruise of each row's flight, in steps of 2 m/s.
 
+    Parameters
+    ----------
+    frame : DataFrame
+        Rows of all flights.
+
     Returns
     -------
     ndarray, shape (n_rows,)

@@ -124,6 +124,11 @@ def full_speed_energy(experiment: Experiment) -> float:
 
     The power is computed with the efficiency f_r of Yacef et al. To use more energy, the rotors
     would have to accelerate and brake all the time.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Flight in calm air or in wind.
     """
     scenario = paper_scenario(experiment, {"power.model": PowerModel.EFFICIENCY})
     steady = Planner().steady_flight(scenario)

@@ -155,7 +155,13 @@ def mesh_trials(*, is_quick: bool = False) -> tuple[MeshTrial, ...]:
 
 
 def run_trial(trial: MeshTrial) -> TrialOutcome:
-    """Solve the experiment in calm air on one mesh, and simulate the controls."""
+    """Solve the experiment in calm air on one mesh, and simulate the controls.
+
+    Parameters
+    ----------
+    trial : MeshTrial
+        Interpretation of the efficiency f_r, bound on the rotor acceleration, and mesh.
+    """
     scenario = paper_scenario(
         Experiment.CALM,
         trial.reading.values() | {"limits.rotor_acceleration_max": trial.bound},

@@ -90,6 +90,11 @@ def campaign_words(campaign: Campaign) -> list[str]:
 
     The sentence gives the number of flights, their total time and energy, and the reason why no
     further flight was possible.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        Flights of one or more battery charges.
     """
     said = []
     for charge, (count, ending) in enumerate(
@@ -109,6 +114,11 @@ def draw_campaign(campaign: Campaign) -> Figure:
     """Draw a campaign: state of charge and lowest pack voltage of each flight, in two panels.
 
     Each battery charge has its own line. Dashed lines mark the limits.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        Flights of one or more battery charges.
     """
     figure, panels = panel_grid(2, 1, panel_height=1.7, left=0.6, legend_entries=campaign.charges)
     charge_panel, voltage_panel = panels[:, 0]

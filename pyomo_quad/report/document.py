@@ -56,7 +56,15 @@ class Drawing:
 
 
 def wanted_drawings(drawings: Iterable[Drawing], figures: Figures) -> tuple[Drawing, ...]:
-    """Return the figures with the requested file formats, or no figures for `Figures.NONE`."""
+    """Return the figures with the requested file formats, or no figures for `Figures.NONE`.
+
+    Parameters
+    ----------
+    drawings : iterable of Drawing
+        Figures of a report.
+    figures : Figures
+        Which figures the user requests, and in which file formats.
+    """
     if figures is Figures.NONE:
         return ()
     return tuple(replace(drawing, formats=figures.formats) for drawing in drawings)

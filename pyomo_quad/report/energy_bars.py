@@ -129,7 +129,15 @@ def bar_look(flight: StyledFlight) -> dict[str, Any]:
 
 
 def annotate_bars(axes: Axes, values: Sequence[float]) -> None:
-    """Print each value to the right of its horizontal bar, with room for the numbers."""
+    """Print each value to the right of its horizontal bar, with room for the numbers.
+
+    Parameters
+    ----------
+    axes : Axes
+        Panel with the bars.
+    values : sequence of float
+        Lengths of the bars, from the top.
+    """
     _write_values(axes, values, [max(value, 0.0) for value in values])
     _make_room(axes, values)
 

@@ -189,6 +189,11 @@ def draw_bands(flown: Ensemble) -> Figure:
     """Draw the median and the band of 90 % of an ensemble's flights over time, in four panels.
 
     The panels show distance from the reference path, speed, tilt and energy.
+
+    Parameters
+    ----------
+    flown : Ensemble
+        Flights of one mission in random winds.
     """
     figure, panels = panel_grid(2, 2, panel_height=1.9)
     t, color = flown.flown.t, SERIES_STYLES[0].color

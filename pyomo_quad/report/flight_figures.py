@@ -119,6 +119,11 @@ def draw_battery(flights: Sequence[StyledFlight]) -> Figure:
     """Draw battery voltage, current and state of charge of flights over time.
 
     If all flights have these columns, relaxation voltage and temperature are drawn too.
+
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        Flights to draw; the first is the plan.
     """
     further = [own for own in CIRCUIT if all(own.name in one.frame for one in flights)]
     figure, panels = panel_grid(
@@ -138,7 +143,13 @@ def draw_battery(flights: Sequence[StyledFlight]) -> Figure:
 
 
 def draw_controls(flights: Sequence[StyledFlight]) -> Figure:
-    """Draw the angular acceleration of each rotor over time, one panel per rotor on one scale."""
+    """Draw the angular acceleration of each rotor over time, one panel per rotor on one scale.
+
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        Flights to draw; the first is the plan.
+    """
     figure, panels = panel_grid(2, 2, panel_height=1.25, legend_entries=len(flights))
     draw_panels(panels.flat, ROTOR_ACCELERATION, flights)
     for axes in panels.flat:
@@ -261,7 +272,13 @@ def draw_above_hover(axes: Axes, flights: Sequence[StyledFlight], hover_power_W:
 
 
 def cut_flights(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
-    """Return the flights with short power peaks that the power panel cuts off."""
+    """Return the flights with short power peaks that the power panel cuts off.
+
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        Flights drawn in one panel; the first is the plan, which is never cut off.
+    """
     window = _power_window(flights)
     if window is None:
         return ()
@@ -490,7 +507,13 @@ def draw_front(front: pd.DataFrame) -> Figure:
 
 
 def draw_rotors(flight: StyledFlight) -> Figure:
-    """Draw speed, torque, current and voltage of a flight's four motors, one panel for each."""
+    """Draw speed, torque, current and voltage of a flight's four motors, one panel for each.
+
+    Parameters
+    ----------
+    flight : StyledFlight
+        Flight to draw.
+    """
     figure, panels = panel_grid(2, 2, panel_height=1.45, legend_entries=len(ROTORS))
     for axes, signals in zip(panels.flat, MOTOR, strict=True):
         for rotor, signal, style in zip(ROTORS, signals, ROTOR_STYLES, strict=True):
@@ -506,6 +529,11 @@ def draw_states(flights: Sequence[StyledFlight]) -> Figure:
     """Draw all sixteen states of flights, one panel each.
 
     The rows show position, velocity, attitude and body rates; the last column shows rotor speeds.
+
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        Flights to draw; the first is the plan.
     """
     figure, panels = panel_grid(
         4, 4, panel_height=1.15, gap=0.52, left=0.42, legend_entries=len(flights)
@@ -518,7 +546,15 @@ def draw_states(flights: Sequence[StyledFlight]) -> Figure:
 
 
 def draw_column(flight: StyledFlight, column: str) -> Figure:
-    """Draw one column of a flight's table against time, in the unit of the column."""
+    """Draw one column of a flight's table against time, in the unit of the column.
+
+    Parameters
+    ----------
+    flight : StyledFlight
+        Flight to draw.
+    column : str
+        Name of the column.
+    """
     figure, panels = panel_grid(1, 1, panel_height=2.6)
     (axes,) = panels.flat
     axes.plot(TIME.of(flight.frame), flight.frame[column], label=flight.name, **flight.style.line)

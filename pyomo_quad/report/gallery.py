@@ -151,7 +151,15 @@ def flight_drawings(
 
 
 def column_drawing(flight: StyledFlight, column: str) -> Drawing:
-    """Return the figure of one column of a flight's table against time."""
+    """Return the figure of one column of a flight's table against time.
+
+    Parameters
+    ----------
+    flight : StyledFlight
+        Flight to draw.
+    column : str
+        Name of the column.
+    """
     return Drawing(column, column, "", partial(draw_column, flight, column))
 
 

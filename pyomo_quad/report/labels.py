@@ -40,6 +40,13 @@ def write_labels(axes: Axes, labels: Sequence[Label]) -> None:
 
     The candidates are ten places around each point, tried label by label. The limits of the axes
     must be final. The point of each label counts as a marker that no label may cover.
+
+    Parameters
+    ----------
+    axes : Axes
+        Panel, after all curves are drawn.
+    labels : sequence of Label
+        Texts with their points.
     """
     axes.apply_aspect()
     per_inch = _POINTS_PER_INCH / axes.figure.dpi

@@ -72,6 +72,8 @@ _BESIDE: dict[str, Any] = {
 }
 # Height of the map [inches], length of its wind arrow [inches], least wind with an arrow [m/s].
 _MAP_HEIGHT, _ARROW, _CALM = 3.1, 0.55, 0.05
+# Share of a map's height above its axes for the key of a wind field.
+_ROOM_OF_KEY = 0.06
 # Largest number of arrows of a wind field along each axis.
 _MOST_ARROWS = 25
 WIND_COLOR = "#3a6ea5"  # as in the page's view
@@ -127,6 +129,8 @@ def draw_map(flights: Sequence[StyledFlight], mission: Scenario) -> Figure:
     """
     figure = Figure(figsize=(FULL_WIDTH, _MAP_HEIGHT))
     left, below, wide, high = 0.075, 0.21, 0.915, 0.76
+    if mission.wind.grid is not None:
+        high -= _ROOM_OF_KEY
     axes = figure.add_axes((left, below, wide, high))
     limits = _limits(flights, mission)[:2]
     room = np.array([wide * FULL_WIDTH, high * _MAP_HEIGHT])

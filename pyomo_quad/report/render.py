@@ -45,6 +45,13 @@ def fixed(value: float, digits: int = 2) -> str:
     """Format a number with a fixed number of decimals, "0.00" instead of "-0.00".
 
     Returns "n/a" if the number is not finite.
+
+    Parameters
+    ----------
+    value : float
+        The number.
+    digits : int, optional
+        Number of decimals.
     """
     if not isfinite(value):
         return NOTHING
@@ -53,7 +60,15 @@ def fixed(value: float, digits: int = 2) -> str:
 
 
 def rough(value: float, digits: int = 2) -> str:
-    """Format a number with the given significant digits; "n/a" if it is not finite."""
+    """Format a number with the given significant digits; "n/a" if it is not finite.
+
+    Parameters
+    ----------
+    value : float
+        The number.
+    digits : int, optional
+        Number of significant digits.
+    """
     return f"{value:.{digits}g}" if isfinite(value) else NOTHING
 
 
@@ -76,8 +91,8 @@ def visible(text: str) -> str:
     r"""Replace the invisible characters of a text by Python escapes such as ``\u200b``.
 
     Control characters, direction marks, zero-width characters and lone surrogates are replaced;
-    blanks and line breaks are kept. Otherwise a name could look like another name in a message or
-    report.
+    blanks and line breaks are kept. Thus no name in a message or report can look like a different
+    name.
     """
     return "".join(
         letter

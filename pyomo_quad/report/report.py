@@ -330,7 +330,18 @@ def _free_climb(plan: "Plan") -> FreeClimb | None:
 
 
 def climb_of(scenario: "Scenario") -> tuple[float, float]:
-    """Return the height that a mission climbs [m] and the potential energy it adds [J]."""
+    """Return the height that a mission climbs [m] and the potential energy it adds [J].
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Scenario with start, goal and vehicle.
+
+    Returns
+    -------
+    tuple of float
+        Height of the goal above the start [m], and potential energy of vehicle and payload [J].
+    """
     mission = scenario.mission
     height = mission.goal.position[2] - mission.start.position[2]
     return height, scenario.vehicle.total_mass * scenario.gravity * height

@@ -376,7 +376,15 @@ def label_time(panels: Iterable[Axes], duration: float) -> None:
 
 
 def legend_below(figure: Figure, axes: Axes) -> None:
-    """Draw a legend below all panels, for the curves of one panel; none for a single curve."""
+    """Draw a legend below all panels, for the curves of one panel; none for a single curve.
+
+    Parameters
+    ----------
+    figure : Figure
+        Figure with the panels.
+    axes : Axes
+        Panel whose curves the legend names.
+    """
     handles, labels = axes.get_legend_handles_labels()
     if len(labels) > 1:
         figure.legend(handles, labels, loc="lower center", ncols=min(LEGEND_COLUMNS, len(labels)))
@@ -417,7 +425,18 @@ def plan_flight(plan: "Plan") -> "Flight":
 
 
 def styled_flights(flights: Sequence["Flight"]) -> tuple[StyledFlight, ...]:
-    """Attach line styles to flights, in the same order."""
+    """Attach line styles to flights, in the same order.
+
+    Parameters
+    ----------
+    flights : sequence of Flight
+        Flights, the plan first.
+
+    Returns
+    -------
+    tuple of StyledFlight
+        The flights with names, tables and line styles for figures.
+    """
     styles = flight_styles(tuple(flight.name for flight in flights))
     return tuple(
         StyledFlight(
@@ -467,6 +486,11 @@ def fair_pair(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
 
     The plan is the first of the given flights. The baseline, `FAIR_BASELINE`, follows a smooth
     reference trajectory; if it was not flown, the plan is returned alone.
+
+    Parameters
+    ----------
+    flights : sequence of StyledFlight
+        Flights, the plan first.
     """
     return tuple(
         flight for index, flight in enumerate(flights) if index == 0 or flight.name == FAIR_BASELINE

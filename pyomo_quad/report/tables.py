@@ -47,7 +47,15 @@ Table: TypeAlias = "pd.DataFrame | Mapping[str, Iterable[object]]"
 
 
 def write_table(table: Table, path: Path) -> None:
-    """Write a table to a CSV file, numbers with twelve significant digits, NaN as empty cells."""
+    """Write a table to a CSV file, numbers with twelve significant digits, NaN as empty cells.
+
+    Parameters
+    ----------
+    table : DataFrame or mapping
+        The table, or its columns by name.
+    path : Path
+        File to write.
+    """
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow([neutral_cell(name) for name, _ in table.items()])

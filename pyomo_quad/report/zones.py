@@ -44,6 +44,11 @@ def outline(zone: KeepOut, directions: tuple[int, int], clearance: float = 0.0) 
 def box_around(zone: KeepOut) -> FloatArray:
     """Return the two extreme corners of the smallest axis-parallel box around a zone.
 
+    Parameters
+    ----------
+    zone : KeepOut
+        The zone.
+
     Returns
     -------
     ndarray, shape (2, 3)

@@ -255,6 +255,13 @@ def initial_of(model: type[BaseModel], name: str) -> Any:  # noqa: ANN401
     """Return the value of a field that a scenario file leaves out, if it is not the default.
 
     None if it is the default.
+
+    Parameters
+    ----------
+    model : type of BaseModel
+        Model of the table.
+    name : str
+        Name of the field.
     """
     return _declared_with(model, name, "default") or None
 
@@ -264,6 +271,11 @@ def unit_keys_of(model: type[BaseModel]) -> dict[str, tuple[str, float]]:
     """Return the keys by which a table's fields may be given in other units.
 
     An angle NAME in radians may be given in degrees as NAME_deg.
+
+    Parameters
+    ----------
+    model : type of BaseModel
+        Model of the table.
 
     Returns
     -------
@@ -359,7 +371,15 @@ def depth(value: object, allowed: int) -> int:
 
 
 def leaves(tree: Mapping[str, Any], prefix: FieldPath = ()) -> Iterator[tuple[FieldPath, Any]]:
-    """Yield path and value of each entry of nested tables that is not itself a table."""
+    """Yield path and value of each entry of nested tables that is not itself a table.
+
+    Parameters
+    ----------
+    tree : mapping
+        Nested tables.
+    prefix : tuple, optional
+        Path of the outer table, put before each path.
+    """
     for key, value in tree.items():
         if isinstance(value, Mapping):
             yield from leaves(value, (*prefix, key))
@@ -404,6 +424,15 @@ def merge(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]:
 
 def set_value(tree: object, path: FieldPath, value: object) -> Any:  # noqa: ANN401
     """Return a copy of nested tables and lists with the value at one path replaced.
+
+    Parameters
+    ----------
+    tree : object
+        Nested tables and lists.
+    path : tuple of str and int
+        Keys and list indices; missing tables are created.
+    value : object
+        New value.
 
     Raises
     ------

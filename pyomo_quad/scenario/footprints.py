@@ -1,9 +1,9 @@
 """Zones with polygonal ground plan: division into convex parts, and import from GeoJSON.
 
-Keep-out zones must be convex, because a zone's limit is the largest distance from its faces.  A
-concave polygon is divided into convex zones NAME-1, NAME-2 and so on, which share edges without
-gaps.  A concave fence becomes its convex hull, and the parts of the hull outside of the fence
-become zones fence-1, fence-2 and so on.
+Keep-out zones must be convex, because a plan keeps out of a zone by a limit on the largest distance
+beyond its faces.  A concave polygon is divided into convex zones NAME-1, NAME-2 and so on, which
+share edges without gaps.  A concave fence becomes its convex hull, and the parts of the hull
+outside of the fence become zones fence-1, fence-2 and so on.
 """
 
 import json

@@ -121,7 +121,15 @@ def _without_branches(path: FieldPath, model: type[BaseModel]) -> FieldPath:
 
 
 def words_of(model: type[BaseModel], name: str) -> tuple[str, ...]:
-    """Return the words that a field accepts instead of a number, such as "free" for a duration."""
+    """Return the words that a field accepts instead of a number, such as "free" for a duration.
+
+    Parameters
+    ----------
+    model : type of BaseModel
+        Model of the table that has the field.
+    name : str
+        Name of the field.
+    """
     field = model.model_fields.get(name)
     annotation: Any = field.annotation if field is not None else None
     literals = [part for part in get_args(annotation) if get_origin(part) is Literal]
@@ -274,14 +282,19 @@ def _example(model: type[BaseModel], name: str) -> str:
 
 
 def table_of(model: type[BaseModel], name: str) -> type[BaseModel] | None:
-    """Return the model of the table, or of the list of tables, that a field holds; or None.
+    """Return the class of the table, or of the tables in the list, that a field holds.
 
     Parameters
     ----------
     model : type of BaseModel
-        Model of the table that has the field.
+        Class of the table that has the field.
     name : str
         Name of the field.
+
+    Returns
+    -------
+    type of BaseModel or None
+        None if the field holds anything else.
     """
     field = model.model_fields.get(name)
     annotation: Any = field.annotation if field is not None else None

@@ -124,7 +124,15 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def refuse_deep(tables: Mapping[str, Any], source: str) -> None:
-    """Raise ScenarioError for tables that are nested deeper than any scenario."""
+    """Raise ScenarioError for tables that are nested deeper than any scenario.
+
+    Parameters
+    ----------
+    tables : mapping
+        Nested tables.
+    source : str
+        Start of the message: the name of the file.
+    """
     if depth(tables, DEEPEST_NESTING) > DEEPEST_NESTING:
         raise ScenarioError(
             f"{source}: nested deeper than {DEEPEST_NESTING} levels; a scenario is a shallow file."
@@ -515,7 +523,17 @@ def _initial_values(model: type[BaseModel]) -> dict[str, Any]:
 
 
 def whose(origin: ScenarioSource, provenance: Mapping[str, str], path: FieldPath) -> str:
-    """Return the origin of a field's value (file, library entry or option), to begin a message."""
+    """Return the origin of a field's value (file, library entry or option), to begin a message.
+
+    Parameters
+    ----------
+    origin : ScenarioSource
+        The scenario as written.
+    provenance : mapping
+        Origin of each value, by dotted path.
+    path : tuple of str and int
+        Path of the field.
+    """
     for length in range(len(path), 0, -1):
         said = provenance.get(spell(path[:length]))
         if said is not None:
@@ -637,7 +655,7 @@ class _Filled:
         return f"{whose(self.origin, self.provenance, path)}: {spell(path)} = {shown(file)}"
 
     def on_earth(self) -> GeodeticOrigin | None:
-        """Return the position of x = y = z = 0 on earth, None if the mission gives none."""
+        """Return the position of x = y = z = 0 on earth; None if the mission gives no origin."""
         return origin_of_mission(self.tables, self.origin.source)
 
     def add_footprints(self) -> None:

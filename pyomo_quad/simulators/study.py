@@ -253,7 +253,7 @@ class Flown(NamedTuple):
 
 @dataclass(frozen=True)
 class _Mission:
-    """Planned mission of the study, with methods that make its possible flights."""
+    """Planned mission of the comparison with RotorPy, with methods that make its flights."""
 
     case: str
     scenario: Scenario

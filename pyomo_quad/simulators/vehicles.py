@@ -31,6 +31,11 @@ class Said(NamedTuple):
 def rotorpy_parameters(name: str) -> dict[str, Any]:
     """Return a parameter set of RotorPy by name, in RotorPy's own keys and units.
 
+    Parameters
+    ----------
+    name : str
+        Name of the set, from `NAMES`.
+
     Raises
     ------
     ScenarioError
@@ -90,7 +95,13 @@ def vehicle_fields(name: str) -> dict[str, Said]:
 
 
 def vehicle_file(name: str) -> str:
-    """Return the text of a vehicle file for a parameter set of RotorPy, numbers with sources."""
+    """Return the text of a vehicle file for a parameter set of RotorPy, numbers with sources.
+
+    Parameters
+    ----------
+    name : str
+        Name of the set, from `NAMES`.
+    """
     lines = [
         f"# {MARK}: the {name} of RotorPy. RotorPy has no motor constants and no",
         "# pack: the estimates of the library's vehicle of that name are used here.",

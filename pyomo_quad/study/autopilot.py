@@ -5,6 +5,10 @@ limit on acceleration and one on jerk (`flight.routes`).  A saving over it says 
 three settings are good ones.  Nelder and Mead's method therefore searches for the settings of least
 energy, over simulated flights under the controller; a flight that breaks a limit of the vehicle or
 misses the goal is penalised.  One triple of settings serves the whole mission.
+
+Where all legs are long compared with the way in which a flight reaches its speed, the energy is
+nearly that of steady flight: the search begins at the speed of its least energy per metre, and
+tries speeds near it.
 """
 
 from dataclasses import dataclass, replace
@@ -19,6 +23,7 @@ from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import Dynamics, EngineError
 from pyomo_quad.flight import Flight, Plan, Planner
 from pyomo_quad.flight.baselines import (
+    RATE_HZ,
     Integrator,
     baseline_name,
     broken_under_control,
@@ -32,7 +37,9 @@ from pyomo_quad.flight.flight import (
     VELOCITY_STATES,
     Flown,
 )
+from pyomo_quad.flight.long_flight import best_speed
 from pyomo_quad.flight.routes import SETTLINGS_S, cruise_at, reached
+from pyomo_quad.flight.steady import SteadyFlight
 from pyomo_quad.flight.weather import vehicle_flown
 from pyomo_quad.scenario import Reference, Scenario, ScenarioError
 from pyomo_quad.scenario.tables import CruiseSettings
@@ -53,7 +60,12 @@ _RANGES = ((0.3, 20.0), (0.3, 15.0), (0.1, 80.0))
 # factors on each that give the other corners of its first simplex.
 _FIRST = (6.0, 3.0, 4.0)
 _FACTORS = (1.5, 1.5, 2.0)
+# Where legs are longer than this multiple of the way to reach the speed of steady flight, the
+# search starts there, with this factor on it: a larger one would only be taken back.
+_LONG, _FACTOR_ON_STEADY = 20.0, 1.15
 _FLIGHTS = 30
+# Most samples of a flight of the search: limits change slowly in long flights.
+_MOST_SAMPLES = 5000
 # The search ends when the costs of its simplex differ by this share.
 _COST_TOLERANCE = 2e-4
 # Cost of settings whose flight fails: finite, because the search subtracts costs [J].
@@ -223,17 +235,20 @@ def tune_cruise(scenario: Scenario, plan: Plan | None, planner: Planner) -> Tuni
 def _search(scenario: Scenario, plan: Plan | None, planner: Planner) -> tuple[TriedCruise, ...]:
     """Return the settings that Nelder and Mead's method tries, in order, each with its flight."""
     fly = partial(_tried, scenario, plan=plan, planner=planner)
-    tried: list[TriedCruise] = []
+    tried: dict[tuple[float, ...], TriedCruise] = {}
     bounds = np.log(_RANGES)
     bounds[0, 1] = min(bounds[0, 1], log(scenario.limits.speed_max or inf))
 
     def cost(x: FloatArray) -> float:
-        speed, acceleration, jerk = np.exp(x).tolist()
-        tried.append(fly(CruiseSettings(speed=speed, acceleration=acceleration, jerk=jerk)))
-        return min(tried[-1].cost_J, _FAILED_J)
+        speed, acceleration, jerk = settings = tuple(np.exp(x).tolist())
+        if settings not in tried:
+            told = CruiseSettings(speed=speed, acceleration=acceleration, jerk=jerk)
+            tried[settings] = fly(told)
+        return min(tried[settings].cost_J, _FAILED_J)
 
-    first = np.clip(np.log(_FIRST), *bounds.T)
-    simplex = np.vstack([first, first + np.diag(np.log(_FACTORS))])
+    settings, factors = _start_of_search(scenario, planner)
+    first = np.clip(np.log(settings), *bounds.T)
+    simplex = np.vstack([first, first + np.diag(np.log(factors))])
     scale = cost(first)
     minimize(
         cost,
@@ -247,7 +262,24 @@ def _search(scenario: Scenario, plan: Plan | None, planner: Planner) -> tuple[Tr
             "fatol": _COST_TOLERANCE * scale,
         },
     )
-    return tuple(tried[1:])
+    return tuple(tried.values())
+
+
+def _start_of_search(
+    scenario: Scenario, planner: Planner
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return the settings at which the search starts, and the factors of its other first ones."""
+    places = np.array(scenario.mission.positions)
+    lengths = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    _, acceleration, jerk = _FIRST
+    if min(lengths) < _LONG * _FIRST[0] ** 2 / acceleration:
+        return _FIRST, _FACTORS
+    steady = SteadyFlight(scenario, planner.dynamics(scenario))
+    course = (places[-1] - places[-2]) / lengths[-1]
+    speed = min(best_speed(steady, course, 0.0), scenario.limits.speed_max or inf)
+    if min(lengths) < _LONG * speed**2 / acceleration:
+        return _FIRST, _FACTORS
+    return (speed, acceleration, jerk), (_FACTOR_ON_STEADY, *_FACTORS[1:])
 
 
 def _tried(
@@ -261,6 +293,7 @@ def _tried(
             Reference.CRUISE,
             dynamics=dynamics,
             integrator=Integrator.MULTISTEP,
+            rate_hz=min(RATE_HZ, _MOST_SAMPLES / longest.mission.fixed_duration),
             tolerance=_TOLERANCE,
         ).flown
     except EngineError:

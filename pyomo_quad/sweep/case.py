@@ -192,6 +192,11 @@ def perform(task: CaseTask) -> CaseOutcome:
     An exception in the case solver becomes a row with the status `FAILED`, so that a fault in one
     case does not end the sweep.
 
+    Parameters
+    ----------
+    task : CaseTask
+        The case's scenario, what to do, and the initial guess.
+
     Returns
     -------
     CaseOutcome
@@ -333,6 +338,11 @@ def _of_a_baseline(reference: Reference) -> _Columns:
 
 def unit_of_column(name: str) -> str:
     """Return the unit of an output column of a sweep, spelled as in the column's name.
+
+    Parameters
+    ----------
+    name : str
+        Name of the column.
 
     Returns
     -------

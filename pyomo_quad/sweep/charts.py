@@ -285,6 +285,13 @@ def rose_range(curves: Sequence[Curve], quantity: Quantity) -> tuple[float, floa
     """Return the least and the greatest value of a quantity over all curves of a wind rose.
 
     Both are in the quantity's printed unit.
+
+    Parameters
+    ----------
+    curves : sequence of Curve
+        Finished cases over the wind direction, one curve for each combination of the other fields.
+    quantity : Quantity
+        Output column.
     """
     values = pd.concat([quantity.of(curve.rows) for curve in curves])
     return float(values.min()), float(values.max())

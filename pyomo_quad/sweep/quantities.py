@@ -58,14 +58,26 @@ class Quantity:
 
 
 def field_quantity(path: str) -> Quantity:
-    """Return the printed name, unit and scale of a scenario field, given by its dotted path."""
+    """Return the printed name, unit and scale of a scenario field, given by its dotted path.
+
+    Parameters
+    ----------
+    path : str
+        Dotted path of the field.
+    """
     unit = field_unit(path)
     name = " ".join(path.split(".")[-2:]).replace("_", " ")
     return _quantity(path, name, _PRINTED.get(unit, unit))
 
 
 def output_quantity(column: str) -> Quantity:
-    """Return the printed name, unit and scale of an output column of a sweep, given by its name."""
+    """Return the printed name, unit and scale of an output column of a sweep, given by its name.
+
+    Parameters
+    ----------
+    column : str
+        Name of the column.
+    """
     unit = unit_of_column(column)
     name = column.removesuffix(f"_{unit}").replace("_", " ")
     return _quantity(column, name, _PRINTED.get(unit, unit))

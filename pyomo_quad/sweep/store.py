@@ -126,6 +126,11 @@ def opened_to_read(file: Path) -> Iterator[sqlite3.Connection]:
     read-only disk, database and log are copied to a temporary folder and read there, so that rows
     that are only in the log are not missed.
 
+    Parameters
+    ----------
+    file : Path
+        File of the database.
+
     Raises
     ------
     StoreError
@@ -175,6 +180,13 @@ def create_if_new(connection: sqlite3.Connection, notes: Mapping[str, str]) -> N
 def check_format(connection: sqlite3.Connection, file: Path) -> None:
     """Check that a database is a result store of the present format.
 
+    Parameters
+    ----------
+    connection : sqlite3.Connection
+        Connection to the database.
+    file : Path
+        File of the database, for messages.
+
     Raises
     ------
     StoreError
@@ -223,6 +235,11 @@ def damaged(file: Path, what: str) -> StoreError:
 def discard(file: Path) -> None:
     """Delete a result store, if there is one, with the log and index files that SQLite adds.
 
+    Parameters
+    ----------
+    file : Path
+        File of the store.
+
     Raises
     ------
     StoreError
@@ -264,6 +281,11 @@ def _refused(file: Path, error: sqlite3.DatabaseError) -> StoreError:
 
 def refuse_kept_results(folder: Path) -> None:
     """Raise an error if a folder has results of a sweep but cannot be written.
+
+    Parameters
+    ----------
+    folder : Path
+        Output folder of a sweep.
 
     Raises
     ------
@@ -431,7 +453,7 @@ class ResultStore:
         self._design = design
 
     def statuses(self) -> dict[str, CaseStatus]:
-        """Return the status (finished, failed or lost) of each stored case, by the case's key."""
+        """Return the status (finished, failed or lost) of each stored case of the sweep, by key."""
         return {key: row.status for key, row in self.rows().items()}
 
     def rows(self) -> dict[str, StoredCase]:

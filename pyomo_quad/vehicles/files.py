@@ -59,6 +59,11 @@ def scenario_of(vehicle: EstimatedVehicle) -> Scenario:
     """Make a scenario with an estimated vehicle: a flight of 40 m in calm air.
 
     The power model is `momentum`, for which the vehicle's numbers are estimated.
+
+    Parameters
+    ----------
+    vehicle : EstimatedVehicle
+        The vehicle.
     """
     tables: dict[str, Any] = {
         "name": vehicle.known.name,

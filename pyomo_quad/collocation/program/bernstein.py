@@ -6,7 +6,7 @@ coefficients restricts the solution more than necessary. The multipliers of thes
 cost of the restriction: see docs/theory/transcription.md, eqs. (6) and (7).
 
 .. [1] Farouki, "The Bernstein polynomial basis: a centennial retrospective", Computer Aided
-Geometric Design 29 (2012).
+   Geometric Design 29 (2012).
 """
 
 from __future__ import annotations
@@ -109,7 +109,10 @@ class BernsteinRows:
         return ExtendedProgram(program=program, terms=terms)
 
     def scales(self, own: Scaling) -> FloatArray:
-        """Return the scaling factors of these constraints, given the scaling of the unknowns."""
+        """Return the scaling factors of these constraints, given the scaling of the unknowns.
+
+        The largest coefficient of each constraint in scaled unknowns becomes 1.
+        """
         rows = self.coefficients
         entries = np.abs(rows.data) / own.unknowns[rows.indices]
         return np.asarray(1.0 / np.maximum.reduceat(entries, rows.indptr[:-1]))

@@ -98,7 +98,17 @@ def bounds_of(
 def limits_of(
     program: Transcription, start_data: FloatArray, fixed: dict[tuple[str, float], float]
 ) -> list[Limit]:
-    """Return the bounds on unknowns by the declaration that imposes them; see `bounds_of`."""
+    """Return the bounds that each variable or constraint of the model imposes on unknowns.
+
+    Parameters
+    ----------
+    program, start_data, fixed
+        As in `bounds_of`.
+
+    Returns
+    -------
+    list of Limit
+    """
     found = list(limits_at_points(program))
     if program.mesh is not None:
         found.extend(_over_time(program, start_data))
@@ -222,7 +232,10 @@ def _refuse_crossed_rows(program: Transcription, lower: FloatArray, upper: Float
 
 
 def crossed(place: object, lower: float, upper: float) -> TranscriptionError:
-    """Return the error for a lower bound above its upper bound at a place of the model."""
+    """Return the error for a lower bound above its upper bound.
+
+    `place` is the variable or constraint with its time, for the message.
+    """
     return TranscriptionError(
         f"{place}: lower bound {lower:g} is above upper bound {upper:g}; relax one of the two."
     )
@@ -266,9 +279,9 @@ def scaling_by(program: NonlinearProgram, nominal: FloatArray, z: FloatArray) ->
 
 
 def _largest_slopes(program: NonlinearProgram, nominal: FloatArray, z: FloatArray) -> FloatArray:
-    """Return the largest derivative of each constraint, by unknowns in units of their magnitudes.
+    """Return the largest derivative of each constraint in scaled unknowns, shape (n_rows,).
 
-    Shape (n_rows,), evaluated at the point `z`.
+    The unknowns are in units of their magnitudes `nominal`; derivatives are taken at the point `z`.
     """
     rows, columns = program.jacobianstructure()
     with np.errstate(all="ignore"):

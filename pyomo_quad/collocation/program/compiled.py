@@ -62,7 +62,7 @@ class MappedFunction:
             self._chunks.append((slice(start, start + size), *made[size]))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle without the buffers, which each copy allocates anew."""
+        """Pickle the constructor's arguments without buffers, which each copy allocates anew."""
         return type(self), self._arguments
 
     def __call__(self, *inputs: FloatArray) -> list[FloatArray]:
@@ -122,12 +122,15 @@ def set_outputs_aside(declared: Declarations) -> Declarations:
 
 
 def _names_at(declared: Declarations, slot: Slot) -> frozenset[str]:
-    """Return the names of the symbols for a variable's values at declared times."""
+    """Return the names of the symbols that stand for a variable's values at declared times."""
     return frozenset(p.symbol.name() for p in declared.point_symbols if p.slot == slot.name)
 
 
 def _one_output(declared: Declarations) -> tuple[Slot, PathEquation] | None:
-    """Return an output state and its equation, or None; see `set_outputs_aside`."""
+    """Return a state that nothing else depends on, with its equation, or None.
+
+    The criteria are those of `set_outputs_aside`.
+    """
     uses = Counter[str]()
     for equation in declared.equations:
         uses.update(
@@ -158,7 +161,7 @@ def _one_output(declared: Declarations) -> tuple[Slot, PathEquation] | None:
 
 
 def _held_at_start_only(declared: Declarations, slot: Slot) -> bool:
-    """Return whether a state is fixed at the start, and at no other time and by nothing else."""
+    """Return whether a state is fixed at the start and appears in no other condition."""
     names = _names_at(declared, slot)
     if names & symbol_names(declared.objective):
         return False
@@ -272,7 +275,7 @@ class DerivedFunctions:
     values : casadi.Function
         (variables, data) -> column of values.
     jacobian : casadi.Function
-        (variables, data) -> nonzeros of the Jacobian by the variables.
+        (variables, data) -> nonzeros of the Jacobian with respect to the variables.
     hessian : casadi.Function
         (variables, data, weights) -> nonzeros of the lower triangle of the Hessian of weights .
         values.
@@ -379,7 +382,10 @@ class CompiledModel:
         return self
 
     def scaled(self, magnitudes: Mapping[str, float]) -> CompiledModel:
-        """Return the model with other magnitudes (for scaling) of its variables, by name."""
+        """Return the model with other magnitudes of its variables, on which the scaling depends.
+
+        `magnitudes` maps names of variables or components to magnitudes.
+        """
         d = self.declared
         kinds = (d.states, d.algebraics, d.statics)
         states, algebraics, statics = (
@@ -412,14 +418,16 @@ class CompiledModel:
 
 
 def _unpacked(parts: Packed) -> CompiledModel:
+    """Return the compiled model that a pickle contains."""
     return CompiledModel(**parts.unpacked())
 
 
 def compile_declarations(declared: Declarations) -> CompiledModel:
     """Compile the declarations of a model to CasADi functions.
 
-    Output states are set aside, constraints on a single variable become bounds, and integrals that
-    conditions use become static variables with a defining constraint.
+    States that nothing depends on are set aside to be solved for afterwards, constraints on a
+    single variable become bounds, and integrals that conditions use become static variables with a
+    constraint that defines them.
     """
     if symbol_names(declared.objective) & _point_symbols(declared).keys():
         declared = set_outputs_aside(declared)
@@ -444,7 +452,8 @@ def compile_declarations(declared: Declarations) -> CompiledModel:
     point_rows = [c.expression for c in conditions] + [declared.objective]
     path = stacked(rows), stacked(path_variables.values()), path_data
     points = stacked(point_rows), stacked(point_variables.values()), parameters
-    # Before there are derivatives: CasADi keeps those of a spline in it, and serialises them.
+    # Computed before derivatives exist: CasADi stores them in a spline's function, and would
+    # serialise them too.
     fingerprint = _fingerprint(declared, [_values("path", *path), _values("points", *points)])
     return CompiledModel(
         declared=declared,
@@ -471,7 +480,7 @@ def compile_declarations(declared: Declarations) -> CompiledModel:
 
 
 def _times(declared: Declarations, parameters: Any) -> Any:
-    """Return the function (static variables, parameters) -> times that bound the phases."""
+    """Return the CasADi function (static variables, parameters) -> times that bound the phases."""
     inputs = [_symbols(declared.statics), parameters]
     return casadi.Function("times", inputs, [stacked(declared.clock.times)])
 
@@ -540,7 +549,7 @@ def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> l
 
 
 def _unless(unbounded: Any, none: Any) -> Any:
-    """Return a side of zero, or the infinite side `none` where `unbounded` is true."""
+    """Return 0 as the side of a limit, or the infinite side `none` where the limit is absent."""
     zero = casadi.SX(0)
     return zero if unbounded.is_zero() else casadi.if_else(unbounded, none, zero)
 
@@ -577,7 +586,7 @@ def _table_arguments(
     ):
         symbols = stacked(variables.values())
         known = symbol_names(casadi.vertcat(symbols, data))
-        # An argument in an equation that was dropped holds symbols that no function has; skip it.
+        # Skip arguments in equations that were left out: no function has their symbols as inputs.
         uses = tuple(u for u in declared.table_uses if symbol_names(u.expression) <= known)
         rows = stacked([u.expression for u in uses])
         made += [uses, casadi.Function("table_arguments", [symbols, data], [rows])]
@@ -599,7 +608,11 @@ def _values(name: str, rows: Any, variables: Any, data: Any) -> Any:
 
 
 def _anonymous(function: Any) -> str:
-    """Return the code of a function with anonymous symbols, whose names depend on time."""
+    """Return the text of a CasADi function with anonymous symbols instead of the model's symbols.
+
+    The names of the model's symbols contain declared times, as ``x[0.5]``, on which the text must
+    not depend.
+    """
     symbols = [casadi.SX.sym(f"i{k}", function.size1_in(k)) for k in range(function.n_in())]
     return str(casadi.Function("f", symbols, function.call(symbols)).serialize())
 
@@ -644,7 +657,10 @@ def _point_symbols(declared: Declarations) -> dict[str, Any]:
 
 
 def _boundable_at_points(declared: Declarations) -> frozenset[str]:
-    """Return the names of values that a condition may bound: of states at times, and statics."""
+    """Return the names of quantities in conditions that the nonlinear program can bound.
+
+    They are values of states at declared times, and static variables.
+    """
     states = {s.name for s in declared.states}
     at_points = {
         p.symbol.name() for p in declared.point_symbols if p.slot in states and not p.is_rate
@@ -678,7 +694,7 @@ def _with_integral_variables(declared: Declarations) -> Declarations:
 
 
 def _derive(name: str, rows: Any, variables: Any, data: Any) -> DerivedFunctions:
-    """Return a column of expressions with its derivatives by the variables, as CasADi functions."""
+    """Return CasADi functions of a column of expressions and of its derivatives."""
     jacobian = casadi.jacobian(rows, variables)
     weights = casadi.SX.sym("weights", rows.shape[0])
     hessian = casadi.tril(casadi.hessian(casadi.dot(weights, rows), variables)[0])

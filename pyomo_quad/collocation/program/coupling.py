@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Link:
-    """Static variable of the coupling that equals a value of one horizon.
+    """Static variable that stands for a value of a horizon in constraints on several horizons.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class Link:
 
     @property
     def condition(self) -> PointCondition:
-        """Condition on the horizon that the static variable equals the value."""
+        """Condition of the horizon's program: the static variable equals the horizon's value."""
         zero, difference = casadi.SX(0), casadi.SX(self.value) - self.slot.symbol
         return PointCondition(name=self.slot.name, expression=difference, lower=zero, upper=zero)
 
@@ -100,9 +100,9 @@ class CouplingWriter(TemplateWriter):
         return casadi.SX(self.write(objective.expr, objective.name))
 
     def leaf(self, data: Any) -> Any:
-        """Return the symbol for a Pyomo variable or parameter in the coupling.
+        """Return the symbol for a Pyomo variable or parameter in a constraint on several horizons.
 
-        For a value of a horizon this is the static variable that equals it.
+        For a value of a horizon this is the symbol of the static variable that equals it.
         """
         over = self.copy.other_of(data.parent_component())
         if over is None:
@@ -131,7 +131,7 @@ class CouplingWriter(TemplateWriter):
         return self.links[data.name].slot.symbol
 
     def _refuse_interior(self, reader: ModelReader, data: Any) -> None:
-        """Raise an error for a value of a horizon that cannot appear in the coupling.
+        """Raise an error for a value of a horizon that cannot appear in what couples horizons.
 
         These are parameters at a single time, and values at interior times in a constraint.
         """
@@ -244,9 +244,19 @@ def read_horizons(model: Any, times: FreeTimes | None) -> CoupledDeclarations:
 def _refuse_gaps(
     conditions: list[PointCondition], links: list[Link], free: dict[str, dict[float, Any]]
 ) -> None:
-    """Raise an error if a condition continues a horizon in another that starts at a later time.
+    """Raise an error for a condition that links a horizon's end to another's later start.
 
-    `free` holds, by continuous set, the declared times that static variables replace.
+    Such a condition is meant to continue one phase in the next, but the declared times leave a gap
+    between them. A gap is accepted if a static variable replaces one of the two times.
+
+    Parameters
+    ----------
+    conditions : list of PointCondition
+        Conditions on several horizons.
+    links : list of Link
+        Static variables that stand for values of the horizons in them.
+    free : dict
+        Name of a continuous set -> declared time -> static variable that replaces it.
     """
     for condition in conditions:
         names = symbol_names(condition.expression)
@@ -280,7 +290,10 @@ def _own_cost(reader: ModelReader, cost: Any, in_conditions: frozenset[str]) -> 
 
 
 def _integrals_in(reader: ModelReader, names: frozenset[str]) -> list[Slot]:
-    """Return static variables for the integrals of a horizon whose names the coupling uses."""
+    """Return static variables for a horizon's integrals that are used outside the horizon.
+
+    `names` are the names of the symbols in objective and constraints on several horizons.
+    """
     return [
         integral.slot
         for integral in reader.writer.integrals.values()
@@ -295,7 +308,7 @@ def _with(declared: Declarations, statics: list[Slot]) -> Declarations:
 
 @dataclass(frozen=True, kw_only=True)
 class StateValue:
-    """State of one of several programs at a given fraction of its horizon.
+    """State of one horizon's nonlinear program at a node of its mesh.
 
     Attributes
     ----------
@@ -304,7 +317,7 @@ class StateValue:
     state : str
         Name of the state.
     fraction : float
-        Fraction of the horizon, at which the mesh has a node.
+        Fraction of the horizon at which the mesh has the node.
     """
 
     program: int
@@ -399,7 +412,7 @@ class Union:
         )
 
     def part(self, whole: Part, k: int) -> Part:
-        """Return the part of the k-th program from joint bounds, scaling or result of Ipopt."""
+        """Return the part of bounds, scaling or Ipopt's result that belongs to the k-th program."""
         return whole.part(self.places[k], self.rows[k])
 
     def nominal(self, whole: Bounds, z: FloatArray) -> FloatArray:
@@ -436,7 +449,7 @@ class CoupledProgram:
     programs: tuple[NonlinearProgram, ...]
 
     def _parts(self, z: FloatArray) -> list[tuple[NonlinearProgram, FloatArray]]:
-        """Return each program with its own unknowns."""
+        """Return each program together with its own unknowns, taken from the joint unknowns `z`."""
         held = (z[places] for places in self.union.places)
         return list(zip(self.programs, held, strict=True))
 

@@ -66,7 +66,7 @@ _BEGUN = 1e-8
 _BEGUN_FAR, _FAR_INSIDE = 1e-5, 1e-4
 # Change of the scaled objective above which a warm start begins well inside its bounds.
 _LARGE_CHANGE = 1e-6
-# Barrier parameter, in units of Ipopt's tolerance, above which no solve ends.
+# Ipopt ends a solve only at a barrier parameter below this multiple of its tolerance.
 _ABOVE = 10.0
 # Initial barrier parameter of a warm start that is expected to change little.
 _LOW_BARRIER = 1e-10
@@ -80,7 +80,10 @@ _PUSHES = (
 
 
 class Way(Enum):
-    """Expected distance of a warm start from the point of the central path that is to be found."""
+    """Expected distance of a warm start from its solution, which lies on the central path.
+
+    The central path is the curve of optima for positive barrier parameters.
+    """
 
     NONE = "none"
     SHORT = "short"
@@ -113,13 +116,24 @@ class SolverOptions:
         """Return settings whose `tol` is well below the tolerance of the mesh refinement.
 
         A tolerance that the caller gave is kept.
+
+        Parameters
+        ----------
+        tolerance : float
+            Tolerance of the mesh refinement.
         """
         if self.tolerance is not None:
             return self
         return replace(self, tolerance=float(np.clip(1e-3 * tolerance, 1e-11, _TOLERANCE)))
 
     def at_most(self, iterations: float) -> SolverOptions:
-        """Return the settings with a limit of iterations; a lower limit in them is kept."""
+        """Return the settings with a limit of iterations; a lower limit in them is kept.
+
+        Parameters
+        ----------
+        iterations : float
+            The limit; infinite for none.
+        """
         return replace(self, max_iterations=int(min(self.max_iterations, iterations)))
 
     def for_phases(self) -> SolverOptions:
@@ -322,7 +336,7 @@ class IpoptResult:
         return self.status is Status.CONVERGED
 
     def part(self, columns: Any, rows: Any) -> IpoptResult:
-        """Return the result restricted to the chosen unknowns and constraints of the program."""
+        """Return the result restricted to chosen unknowns (`columns`) and constraints (`rows`)."""
         return replace(self, z=self.z[columns], multipliers=self.multipliers.part(columns, rows))
 
 
@@ -371,6 +385,7 @@ class _Callbacks:
     # Cached, because a program may rebuild its structure at each call.
     @cached_property
     def _sizes(self) -> dict[str, int]:
+        """Numbers of constraints, of nonzeros of the Jacobian, and of nonzeros of the Hessian."""
         program = self.program
         return {
             "constraints": program.n_rows,
@@ -388,25 +403,32 @@ class _Callbacks:
         return np.full(self._sizes.get(name, z.size), np.nan)
 
     def objective(self, z: FloatArray) -> float:
+        """Return the objective to minimise, for Ipopt."""
         return float(self._guarded("objective", z).flat[0])
 
     def gradient(self, z: FloatArray) -> FloatArray:
+        """Return the gradient of the objective to minimise, for Ipopt."""
         return self._guarded("gradient", z)
 
     def constraints(self, z: FloatArray) -> FloatArray:
+        """Return the values of the constraints, for Ipopt."""
         return self._guarded("constraints", z)
 
     def jacobianstructure(self) -> tuple[Any, Any]:
+        """Return row and column indices of the nonzeros of the constraints' Jacobian, for Ipopt."""
         return self.program.jacobianstructure()
 
     def jacobian(self, z: FloatArray) -> FloatArray:
+        """Return the nonzeros of the constraints' Jacobian, and record the iterate."""
         self.iterate = np.array(z)
         return self._guarded("jacobian", z)
 
     def hessianstructure(self) -> tuple[Any, Any]:
+        """Return row and column indices of the lower triangle of the Lagrangian's Hessian."""
         return self.program.hessianstructure()
 
     def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
+        """Return the nonzeros of the Lagrangian's Hessian, for Ipopt."""
         return self._guarded("hessian", z, multipliers, factor)
 
     def intermediate(
@@ -419,6 +441,11 @@ class _Callbacks:
         barrier: float,
         *_rest: Any,
     ) -> bool:
+        """Record an iteration and the best iterate; return False to stop Ipopt.
+
+        Ipopt stops after an exception, at the request of the caller's callback, or if the problem
+        is unbounded.
+        """
         if self.error is not None:
             return False
         line = Iteration(
@@ -692,7 +719,15 @@ def _set_options(problem: Any, options: SolverOptions, *, is_warm: bool) -> None
 def _result(
     callbacks: _Callbacks, z: FloatArray, info: dict[str, Any], wall: float, *, stopped: bool
 ) -> IpoptResult:
-    """Return Ipopt's result; a failed solve gives the iterate with the least violation."""
+    """Return the outcome of Ipopt as an `IpoptResult`.
+
+    A failed solve gives the iterate with the least constraint violation.
+
+    Raises
+    ------
+    MemoryError
+        If Ipopt ran out of memory.
+    """
     code = _STOPPED if stopped else int(info["status"])
     if code == _NO_MEMORY:
         raise MemoryError("Ipopt: not enough memory for the matrices of this mesh")

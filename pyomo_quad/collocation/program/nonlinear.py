@@ -54,7 +54,7 @@ class Bounds:
         )
 
     def part(self, columns: Any, rows: Any) -> Bounds:
-        """Return the bounds of the chosen unknowns and constraints."""
+        """Return the bounds of chosen unknowns (`columns`) and constraints (`rows`)."""
         return Bounds(
             lower=self.lower[columns],
             upper=self.upper[columns],
@@ -101,7 +101,7 @@ class Scaling:
         )
 
     def part(self, columns: Any, rows: Any) -> Scaling:
-        """Return the factors of the chosen unknowns and constraints."""
+        """Return the factors of chosen unknowns (`columns`) and constraints (`rows`)."""
         return replace(self, unknowns=self.unknowns[columns], rows=self.rows[rows])
 
     def extended(self, unknowns: int = 0, rows: FloatArray = _NONE) -> Scaling:
@@ -130,7 +130,7 @@ class Multipliers:
     upper: FloatArray
 
     def part(self, columns: Any, rows: Any) -> Multipliers:
-        """Return the multipliers of the chosen unknowns and constraints."""
+        """Return the multipliers of chosen unknowns (`columns`) and constraints (`rows`)."""
         return Multipliers(
             rows=self.rows[rows], lower=self.lower[columns], upper=self.upper[columns]
         )

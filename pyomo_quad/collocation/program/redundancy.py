@@ -137,7 +137,11 @@ def redundant_conditions(
 def _slopes_of(
     candidates: list[Candidate], slopes: coo_array, free: NDArray[np.intp]
 ) -> list[FloatArray]:
-    """Return the scaled gradient of each condition by the free unknowns, shape (n_free,) each."""
+    """Return the scaled gradients of conditions with respect to the free unknowns.
+
+    A condition is a constraint at a declared time. Each gradient has the shape (n_free,); a
+    condition that fixes an unknown has a unit vector.
+    """
     at = {int(column): k for k, column in enumerate(free)}
     found = []
     for candidate in candidates:

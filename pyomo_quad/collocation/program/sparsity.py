@@ -116,8 +116,8 @@ class Layout:
     def slope_matrix(self) -> csr_matrix:
         """Differentiation matrix from states at the nodes to rates at the collocation points.
 
-        Sparse, shape (n_points, n_points + 1); rates are derivatives by the fraction of the
-        horizon.
+        Sparse, shape (n_points, n_points + 1); rates are derivatives with respect to the fraction
+        of the horizon.
         """
         if self.mesh is None:
             return csr_matrix((0, 1))
@@ -199,7 +199,7 @@ class Layout:
 
 
 def _nonzero(columns: IndexArray, weights: FloatArray) -> tuple[IndexArray, FloatArray]:
-    """Return the positions and weights with nonzero weights."""
+    """Return positions of unknowns and their interpolation weights without the zero weights."""
     kept = weights != 0.0
     return columns[kept], weights[kept]
 
@@ -221,7 +221,20 @@ class Contributions:
         self._parts: list[tuple[NDArray[Any], ...]] = []
 
     def add(self, rows: Any, columns: Any, sources: Any, weights: Any) -> None:
-        """Add contributions; the arrays of rows, columns, sources and weights are broadcast."""
+        """Add entries (row, column) += weight * source, a source being a value that CasADi returns.
+
+        Parameters
+        ----------
+        rows, columns : array_like of int
+            Position of each entry in the assembled matrix.
+        sources : array_like of int
+            Position of each source among the values that CasADi returns.
+        weights : array_like
+
+        Notes
+        -----
+        The arrays are broadcast against each other.
+        """
         rows, columns, sources, weights = np.broadcast_arrays(rows, columns, sources, weights)
         kept = weights != 0.0
         places = (entry[kept].astype(np.int32) for entry in (rows, columns, sources))
@@ -230,7 +243,7 @@ class Contributions:
     def add_slopes(
         self, variables: csr_matrix, rows: Any, of: IndexArray, sources: Any, weights: Any
     ) -> None:
-        """Add derivatives by variables that are linear combinations of the unknowns.
+        """Add derivatives with respect to variables that are linear combinations of the unknowns.
 
         Parameters
         ----------
@@ -241,7 +254,7 @@ class Contributions:
         of : ndarray of int
             Variable of each derivative.
         sources, weights : ndarray
-            Source of each derivative, and the factor that multiplies it.
+            Position of each derivative among the values that CasADi returns, and its factor.
         """
         rows, of, sources, weights = (
             held.ravel() for held in np.broadcast_arrays(rows, of, sources, weights)
@@ -253,7 +266,7 @@ class Contributions:
     def add_curvatures(
         self, variables: csr_matrix, first: IndexArray, second: IndexArray, sources: IndexArray
     ) -> None:
-        """Add second derivatives by pairs of variables, each pair given once.
+        """Add second derivatives with respect to pairs of variables, each pair given once.
 
         Parameters
         ----------
@@ -262,7 +275,7 @@ class Contributions:
         first, second : ndarray of int
             Variables of each second derivative.
         sources : ndarray of int
-            Source of each second derivative.
+            Position of each second derivative among the values that CasADi returns.
 
         Notes
         -----
@@ -282,7 +295,7 @@ class Contributions:
         self.add(np.maximum(a, b), np.minimum(a, b), sources[pair], weights)
 
     def scatter(self, n_columns: int, n_sources: int) -> Scatter:
-        """Return the sparsity pattern, with the matrix that maps sources to its nonzeros."""
+        """Return the sparsity pattern and the matrix that maps CasADi's values to its nonzeros."""
         empty = (np.zeros(0, dtype=np.int32),) * 3 + (np.zeros(0),)
         rows, columns, sources, weights = (
             np.concatenate(held) for held in zip(empty, *self._parts, strict=True)
@@ -296,14 +309,14 @@ class Contributions:
 
 @dataclass(frozen=True, kw_only=True)
 class Scatter:
-    """Sparsity pattern, with the linear map from sources (evaluated derivatives) to its nonzeros.
+    """Sparsity pattern, with the linear map from CasADi's values at points to its nonzeros.
 
     Attributes
     ----------
     rows, columns : ndarray of int, shape (n_nonzeros,)
         Positions of the nonzeros.
     matrix : csr_matrix, shape (n_nonzeros, n_sources)
-        The linear map.
+        The linear map; a source is a value that CasADi returns.
     """
 
     rows: Places
@@ -311,7 +324,7 @@ class Scatter:
     matrix: csr_matrix
 
     def values(self, sources: FloatArray) -> FloatArray:
-        """Return the values of the nonzeros, given the sources, shape (n_sources,)."""
+        """Return the values of the nonzeros from the values that CasADi returned, (n_sources,)."""
         return np.asarray(self.matrix @ sources, dtype=float)
 
 
@@ -324,12 +337,12 @@ class JacobianScatter:
     rows : Scatter
         Jacobian of the constraints.
     objective : Scatter
-        Gradient of the objective by values at declared times and static variables.
+        Gradient of the objective with respect to unknowns, apart from its integrals.
     integrals : tuple of Scatter
         Gradients of the integrals that enter the objective directly.
     slope_sources, slope_integrals : ndarray of int
-        Sources that are derivatives of the objective by such integrals, and these integrals'
-        positions.
+        Sources that are derivatives of the objective with respect to such integrals, and the
+        positions of these integrals.
     n_integrals : int
         Number of such integrals.
     n_path_sources : int
@@ -348,7 +361,7 @@ class JacobianScatter:
     unknowns: int
 
     def objective_slopes(self, point_sources: FloatArray) -> FloatArray:
-        """Return derivatives of the objective by the integrals that enter it directly.
+        """Return derivatives of the objective with respect to integrals that enter it directly.
 
         `point_sources` are the sources after those of path equations; the result has shape
         (n_integrals,).
@@ -360,7 +373,8 @@ class JacobianScatter:
     def gradient(self, sources: FloatArray, slopes: FloatArray) -> FloatArray:
         """Return the dense gradient of the objective, shape (n_unknowns,).
 
-        `slopes` are the derivatives of the objective by the integrals that enter it directly.
+        `slopes` are the derivatives of the objective with respect to integrals that enter it
+        directly.
         """
         dense = np.zeros(self.unknowns)
         dense[self.objective.columns] = self.objective.values(sources)
@@ -370,10 +384,11 @@ class JacobianScatter:
 
 
 def jacobian_scatter(compiled: CompiledModel, layout: Layout) -> JacobianScatter:
-    """Return the assembly of Jacobian and gradient from the derivatives at the points.
+    """Return the linear maps that assemble Jacobian and gradient from derivatives at points.
 
-    The sources are the nonzeros of the path equations' and integrands' Jacobian, point by point,
-    then those of the conditions' and objective's Jacobian, and a final 1.
+    Their inputs (sources) are the values that CasADi returns at each evaluation: the nonzeros of
+    the path equations' and integrands' Jacobian, point by point, then those of the conditions' and
+    objective's Jacobian, and a final 1.
     """
     path, points = compiled.path, compiled.points
     n_path = layout.points * len(path.jacobian_rows)
@@ -422,10 +437,11 @@ def jacobian_scatter(compiled: CompiledModel, layout: Layout) -> JacobianScatter
 
 
 def hessian_scatter(compiled: CompiledModel, layout: Layout) -> Scatter:
-    """Return the assembly of the lower triangle of the Lagrangian's Hessian.
+    """Return the linear map that assembles the Lagrangian's Hessian from derivatives at points.
 
-    The sources are the nonzeros of the Hessians of the path equations, point by point, then those
-    of the Hessian of conditions and objective.
+    It gives the nonzeros of the lower triangle. Its inputs (sources) are the values that CasADi
+    returns at each evaluation: the nonzeros of the Hessians of the path equations, point by point,
+    then those of the Hessian of conditions and objective.
     """
     into, path, points = Contributions(), compiled.path, compiled.points
     n_path, count = layout.points * len(path.hessian_rows), len(path.hessian_rows)

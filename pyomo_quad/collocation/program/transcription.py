@@ -55,7 +55,7 @@ class Place:
 
 
 def _at_point(program: Transcription, name: str, point: int) -> Place:
-    """Return the place of a component at a collocation point, given by its index on the mesh."""
+    """Return the `Place` of a component at a collocation point, given the point's index."""
     mesh = program.mesh
     if mesh is None:
         return Place(name=name)
@@ -69,7 +69,10 @@ def _at_point(program: Transcription, name: str, point: int) -> Place:
 
 
 def row_place(program: Transcription, row: int) -> Place:
-    """Return the equation, time, element and collocation point of a constraint of the program."""
+    """Return the place in the model of a constraint of the program, given its index `row`.
+
+    The place consists of the equation's name, time, element and collocation point.
+    """
     compiled = program.compiled
     declared = compiled.declared
     if row < program.first_condition_row:
@@ -82,7 +85,10 @@ def row_place(program: Transcription, row: int) -> Place:
 
 
 def unknown_place(program: Transcription, column: int) -> Place:
-    """Return the variable, time, element and collocation point of an unknown of the program."""
+    """Return the place in the model of an unknown of the program, given its index `column`.
+
+    The place consists of the variable's name, time, element and collocation point.
+    """
     layout, declared = program.layout, program.compiled.declared
     if column >= layout.unknowns - layout.n_statics:
         return Place(name=declared.statics[column - (layout.unknowns - layout.n_statics)].name)
@@ -155,7 +161,7 @@ class Transcription:
         self._hold(data)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the arguments of the constructor."""
+        """Pickle the arguments of the constructor, from which a copy is built anew."""
         return type(self), (self.compiled, self.mesh, self.data)
 
     def with_data(self, data: Data) -> Transcription:
@@ -167,6 +173,7 @@ class Transcription:
         return other
 
     def _hold(self, data: Data) -> None:
+        """Set the parameter values, and discard what was cached for other values."""
         self.data = data
         self._path_data = data.at_points()
         self._point_data = data.parameters[None, :]
@@ -207,7 +214,7 @@ class Transcription:
 
     @property
     def first_integral_row(self) -> int:
-        """Position of the first definition of an integral among the constraints."""
+        """Position, among the constraints, of the first equality of a static and an integral."""
         return self.first_condition_row + len(self.compiled.declared.conditions)
 
     @property
@@ -235,7 +242,7 @@ class Transcription:
     def path_variables(self, z: FloatArray) -> FloatArray:
         """Return rates, states, algebraic and static variables at the points, one row per point.
 
-        Rates are derivatives by the fraction of the horizon.
+        Rates are derivatives with respect to the fraction of the horizon.
         """
         layout = self.layout
         states = z[layout.state_columns]
@@ -280,7 +287,7 @@ class Transcription:
         return max(abs(self.objective(z)), parts)
 
     def _objective_slopes(self, z: FloatArray) -> FloatArray:
-        """Return derivatives of the objective by the integrals that enter it directly."""
+        """Return derivatives of the objective with respect to integrals that enter it directly."""
         sources = self._point[1](self.point_variables(z), self._point_data)[0].ravel()
         return self._jacobian.objective_slopes(sources)
 
@@ -289,7 +296,11 @@ class Transcription:
         return self.mesh.quadrature_weights if self.mesh else np.zeros(0)
 
     def point_variables(self, z: FloatArray) -> FloatArray:
-        """Return values at declared times, static variables and direct integrals, shape (1, n)."""
+        """Return the variables of conditions and objective as one row.
+
+        They are values at declared times, static variables, and the integrals that enter the
+        objective directly.
+        """
         layout = self.layout
         direct = self.integrals(z)[list(self.compiled.row_integrals)]
         values = layout.point_values @ z
@@ -384,7 +395,7 @@ class Transcription:
         return weights
 
     def path_curvatures(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
-        """Return the Lagrangian's second derivative by each variable of a point.
+        """Return second derivatives of the Lagrangian with respect to each variable of a point.
 
         Shape (n_points, n_variables), in the order of `path_variables`, per unit of the fraction of
         the horizon.
@@ -397,7 +408,7 @@ class Transcription:
         return curvatures
 
     def path_hessians(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
-        """Return the Hessian of the Lagrangian by the variables of each point.
+        """Return the Hessian of the Lagrangian with respect to the variables of each point.
 
         Shape (n_points, n_variables, n_variables), in the order of `path_variables`, per unit of
         the fraction of the horizon.
@@ -418,12 +429,12 @@ class Transcription:
     def path_slopes(
         self, variables: FloatArray, data: FloatArray, rows: IndexArray, columns: IndexArray
     ) -> FloatArray:
-        """Return derivatives of chosen path equations by chosen variables, at n points.
+        """Return derivatives of chosen path equations with respect to chosen variables.
 
         Parameters
         ----------
         variables : ndarray, shape (n, n_variables)
-            Rates, states, algebraic and static variables.
+            Rates, states, algebraic and static variables at n points.
         data : ndarray, shape (n, n_data)
             Fraction of the horizon and parameters.
         rows, columns : ndarray of int
@@ -451,7 +462,7 @@ class Transcription:
 
 @dataclass(frozen=True, kw_only=True)
 class Linearised:
-    """Partial derivatives of the differential equations by rates and states, at points.
+    """Partial derivatives of the differential equations with respect to rates and states.
 
     Attributes
     ----------

@@ -74,7 +74,7 @@ class PhaseTimes:
 
     @cached_property
     def _spans(self) -> list[Any]:
-        """Derivatives of physical time by the fraction of the horizon, one for each phase."""
+        """CasADi expressions for d (physical time) / d (fraction of the horizon), one per phase."""
         ends = zip(pairwise(self.times), pairwise(self.fractions), strict=True)
         return [(after - before) / (last - first) for (before, after), (first, last) in ends]
 
@@ -85,7 +85,10 @@ class PhaseTimes:
 
     @cached_property
     def span(self) -> Any:
-        """Derivative of physical time by the fraction of the horizon, as a CasADi expression."""
+        """Derivative of physical time with respect to the fraction of the horizon.
+
+        A CasADi expression that holds in all phases.
+        """
         return sum(p * span for p, span in zip(self._holds, self._spans, strict=True))
 
     @cached_property
@@ -99,11 +102,11 @@ class PhaseTimes:
         )
 
     def span_at(self, time: float) -> Any:
-        """Return the derivative of physical time by the fraction, just before a declared time."""
+        """Return d (physical time) / d (fraction of the horizon) just before a declared time."""
         return self._spans[self.phase_of(time)]
 
     def time_at(self, time: float) -> Any:
-        """Return the physical time, as a CasADi expression, to which a declared time is mapped."""
+        """Return the physical time of a declared time, as a CasADi expression of the free times."""
         k = self.phase_of(time)
         return self.times[k] + self._spans[k] * (self.fraction_of(time) - self.fractions[k])
 
@@ -191,7 +194,7 @@ def _only(sets: tuple[Any, ...], argument: str) -> Any:
 
 
 def _called(sets: tuple[Any, ...], name: str) -> Any:
-    """Return the continuous set of a given name; raise an error if there is none."""
+    """Return the continuous set of the given name; raise an error if the model has none."""
     for time in sets:
         if time.name == name:
             return time
@@ -203,7 +206,7 @@ def _called(sets: tuple[Any, ...], name: str) -> Any:
 
 
 def _declared(time: Any, at: Any) -> float:
-    """Return a declared time of a continuous set; raise an error if it is not declared."""
+    """Return the declared time that equals a number; raise an error if there is none."""
     found = [float(t) for t in time if t == at]
     if not found:
         known = ", ".join(f"{t:g}" for t in sorted(time))

@@ -73,8 +73,8 @@ class WorkingCopy:
     def takes(self, component: Any, data: Any) -> bool:
         """Return whether a constraint belongs to this horizon, or to the coupling of horizons.
 
-        A constraint on values of one horizon only belongs to that horizon; every other constraint
-        belongs to the coupling.
+        A constraint on values of one horizon only belongs to that horizon; every other constraint,
+        on values of several horizons or none, belongs to the coupling.
 
         Parameters
         ----------
@@ -186,7 +186,7 @@ _EXPANDED = (Var, DerivativeVar, Param, Constraint, Expression, Integral, Suffix
 
 
 def _drop_unexpanded(copy: Any, time: Any) -> None:
-    """Delete inactive components of unknown type that cannot be expanded to another time."""
+    """Delete inactive components over time for which Pyomo cannot make a member at another time."""
     for component in list(copy.component_objects(descend_into=True)):
         is_unknown = isinstance(component, IndexedComponent) and component.ctype not in _EXPANDED
         if is_unknown and is_over(component, time):
@@ -196,7 +196,7 @@ def _drop_unexpanded(copy: Any, time: Any) -> None:
 def _refuse_piecewise(model: Any, times: tuple[Any, ...]) -> None:
     """Raise an error for piecewise functions that need integers or are indexed by time.
 
-    All other piecewise functions consist of linear constraints.
+    All other piecewise functions consist of linear constraints, and are accepted.
     """
     for block in model.component_objects(Block, active=True, descend_into=True):
         if isinstance(block, Piecewise) and (
@@ -295,7 +295,10 @@ def copies_with_template_times(model: Any) -> tuple[WorkingCopy, ...]:
 
 
 def _culprit(error: Exception, copies: list[WorkingCopy]) -> str:
-    """Return the name of the component whose rule failed, else the names of the continuous sets."""
+    """Return the name of the component whose rule raised an error, for the message.
+
+    If it cannot be told from the traceback, the names of the continuous sets are returned.
+    """
     frames = [frame for frame, _ in walk_tb(error.__traceback__)]
     made = [frame.f_locals.get("self") for frame in frames]
     names = [held.name for held in made if isinstance(held, Component)]
@@ -303,7 +306,9 @@ def _culprit(error: Exception, copies: list[WorkingCopy]) -> str:
 
 
 def _expand(copy: Any, copies: list[WorkingCopy]) -> None:
-    """Add the member at the template time to each component, by calling the component's rule.
+    """Make the members of all components at the template times, by calling their rules.
+
+    A template time is the interior time added to a continuous set, at which equations are read.
 
     Raises
     ------

@@ -42,14 +42,18 @@ _VALUE_SLOPE_BEND = 3
 
 @dataclass(frozen=True, kw_only=True)
 class LocalSpline:
-    """Tensor-product B-spline that is linear in the first and last interval of each axis.
+    """Tensor-product B-spline in a form whose evaluation cost does not depend on its size.
+
+    The spline is linear in the first and last interval of each axis. A CasADi function returns
+    value, gradient and Hessian at a place near the arguments, to which they are rounded; a Taylor
+    polynomial of degree two gives the value at the arguments themselves.
 
     Attributes
     ----------
     roundings : tuple of float
-        Rounding of each argument of the call.
+        Rounding of each argument to the place.
     ends : tuple of (float, float)
-        Least and greatest value of each argument of the call.
+        Least and greatest value of each coordinate of the place.
     function : casadi.Function
         From a place to value, gradient and the upper triangle of the Hessian.
     kept : tuple of casadi.Function
@@ -64,7 +68,16 @@ class LocalSpline:
 
     @classmethod
     def of(cls, knots: Sequence[FloatArray], coefficients: FloatArray, degree: int) -> Self:
-        """Return the local form of a spline, from knots and coefficients of its B-splines."""
+        """Return a B-spline in the form of a `LocalSpline`.
+
+        Parameters
+        ----------
+        knots : sequence of ndarray
+            Knots along each axis.
+        coefficients : ndarray
+            One axis per argument.
+        degree : int
+        """
         place: Any = casadi.MX.sym("place", len(knots))
         found = casadi.vertcat(*_jet(place, knots, coefficients, degree))
         # CasADi would otherwise differentiate the call itself.
@@ -91,7 +104,7 @@ class LocalSpline:
 
     def written(self, arguments: Sequence[Any]) -> Any:
         """Return the spline's value at CasADi expressions of its arguments, as an expression."""
-        # CasADi's look-up fails at a place that is not a number; the expression is none there.
+        # CasADi's look-up fails at NaN, so fmax replaces NaN; `away` makes the result NaN again.
         rounded = [
             casadi.fmin(casadi.fmax(step * (casadi.floor(argument / step) + _ASIDE), low), high)
             for argument, step, (low, high) in zip(
@@ -109,7 +122,7 @@ class LocalSpline:
 
 
 def _pairs(count: int) -> list[tuple[int, int]]:
-    """Return the pairs (i, j), i <= j, of axes: the upper triangle of a Hessian, row by row."""
+    """Return the pairs (i, j) with i <= j: the upper triangle of a Hessian, row after row."""
     return list(combinations_with_replacement(range(count), 2))
 
 
@@ -145,7 +158,7 @@ def _jet(
     at = casadi.MX.sym("at", len(knots))
     entry = casadi.Function("entry", [at], [_looked_up(at, axes, table)])
     first = casadi.vertcat(*index)
-    # The first of the axes counts fastest.
+    # The offset along the first axis varies fastest.
     offsets = product(range(order), repeat=len(knots) - cells)
     parts: dict[tuple[int, ...], Any] = {
         (): casadi.vertcat(*[entry(first + casadi.DM([0] * cells + [*o][::-1])) for o in offsets])
@@ -222,7 +235,10 @@ class _Pieces:
 
     @classmethod
     def of(cls, knots: FloatArray, degree: int) -> Self:
-        """Return a basis's polynomials; the first and last continue their neighbours linearly."""
+        """Return the polynomials of the B-spline basis with given knots, in each cell.
+
+        The first and last cell continue value and slope of their neighbours linearly.
+        """
         from scipy.interpolate import BSpline  # noqa: PLC0415  few models have tables
 
         breaks, powers = np.unique(knots), np.arange(degree + 1)

@@ -58,7 +58,7 @@ class RelationReader:
         self.symbols = writer.symbols
 
     def constraints(self) -> tuple[list[PathEquation], list[PointCondition]]:
-        """Return equations over time and conditions at declared times, in declared order."""
+        """Return equations over time, and conditions (constraints at declared times), in order."""
         equations: list[PathEquation] = []
         conditions: list[PointCondition] = []
         for component in self.copy.model.component_objects(
@@ -95,15 +95,17 @@ class RelationReader:
         equations: list[PathEquation],
         conditions: list[PointCondition],
     ) -> None:
-        """Read a constraint's members with equal index: as an equation over time, or as conditions.
+        """Read the members of a constraint that differ in time only.
+
+        They become an equation over time, or conditions (constraints at declared times).
 
         Parameters
         ----------
         component : Constraint
         index : tuple
-            Index without time.
+            Index without time, which the members share.
         instances : dict
-            Active members by time, the template time included.
+            Active members by time, with that at the interior time at which equations are read.
         equations, conditions : list
             Lists to which the result is added.
         """
@@ -151,7 +153,7 @@ class RelationReader:
             self._refuse_alike(component, members)
 
     def _relation(self, data: Any, name: str) -> tuple[Any, Any, Any]:
-        """Return expression, lower and upper bound of a constraint's member in CasADi symbols."""
+        """Return a constraint's member as CasADi expressions: body, lower and upper bound."""
         lower, body, upper = data.to_bounded_expression()
         expression = casadi.SX(self._writer.write(body, name))
         if data.equality:
@@ -163,12 +165,15 @@ class RelationReader:
         )
 
     def _condition(self, data: Any) -> PointCondition:
-        """Return a constraint's member at a declared time as a condition."""
+        """Return a constraint's member at a declared time as a `PointCondition`."""
         expression, lower, upper = self._relation(self._writer.at_instant(data), data.name)
         return PointCondition(name=data.name, expression=expression, lower=lower, upper=upper)
 
     def _imposed(self, condition: PointCondition) -> PointCondition:
-        """Return a condition; raise an error if it reads a parameter over time at one time."""
+        """Return a condition unchanged; raise an error if it reads a parameter over time.
+
+        Such a parameter at a single time is not supported in a condition.
+        """
         signals = {symbol.name() for symbol in self.symbols.signal_points.values()}
         read = signals & symbol_names(condition.expression)
         if read:
@@ -181,7 +186,7 @@ class RelationReader:
     def _start_and_end(
         self, equation: PathEquation, instances: dict[Any, Any]
     ) -> list[PointCondition]:
-        """Return the conditions that the end members of a constraint add to its path equation.
+        """Return the conditions that a constraint's members at start and end add to its equation.
 
         The collocation points include the end but not the start. At the start an equation among
         states only is imposed as a condition; an equation with rates or algebraic variables has no
@@ -330,7 +335,7 @@ class RelationReader:
         return fixed
 
     def _rates(self) -> Iterator[Slot]:
-        """Yield derivatives over time with their bounds, in the form of variables."""
+        """Yield the derivatives with respect to time, with their bounds, as `Slot` objects."""
         for derivative in self.copy.model.component_objects(DerivativeVar, descend_into=True):
             for position, data in derivative.items():
                 address = self.addresses.split(derivative, position)
@@ -359,7 +364,7 @@ class RelationReader:
                 )
 
     def _held(self, data: Any) -> PointCondition:
-        """Return the condition that an algebraic variable has the value that a user fixed."""
+        """Return the condition that an algebraic variable equals the value fixed at a time."""
         number = self.symbols.fixed_value(data)
         expression = casadi.SX(self._writer.write(data, data.name)) - number
         return PointCondition(
@@ -368,7 +373,7 @@ class RelationReader:
 
 
 def _is_met_as_fixed(data: Any) -> bool:
-    """Return whether a constraint contains fixed variables only and is satisfied."""
+    """Return whether all variables in a constraint are fixed and the constraint is satisfied."""
     if not all(v.fixed and v.value is not None for v in identify_variables(data.body)):
         return False
     return bool(data.slack() >= -_MET * (1.0 + abs(value(data.body))))
@@ -487,7 +492,10 @@ class ModelReader:
         )
 
     def _read_expressions(self) -> None:
-        """Translate every named expression over time once, which registers the parameters in it."""
+        """Translate every named expression over time once, so that its parameters are registered.
+
+        A solution can then be asked for expressions that no equation uses.
+        """
         for component in self.copy.model.component_objects(
             Expression, active=True, descend_into=True
         ):
@@ -505,7 +513,7 @@ class ModelReader:
         return {name: s for name, s in self.symbols.algebraics.items() if name in used}
 
     def _require_variables(self) -> None:
-        """Raise an error for a model without free variables."""
+        """Raise an error if the model has no variable to solve for."""
         table = self.symbols
         if not (table.states or table.algebraics or table.statics):
             where = self.copy.time.name if self.copy.others else "model"

@@ -116,7 +116,7 @@ class LiveModel:
         self._addresses = AddressBook(time)
 
     def of(self, model: Any) -> LiveModel:
-        """Return a source that reads another model with the same declarations."""
+        """Return a `LiveModel` of another Pyomo model with the same declarations."""
         time = None if self._time is None else model.find_component(self._time.name)
         return LiveModel(model, time, self.schedules)
 
@@ -212,7 +212,7 @@ class LiveModel:
         return said
 
     def _member(self, component: Any, slot: Slot, time: float | None = None) -> Any:
-        """Return the Pyomo data object of a variable or parameter, at a time if given."""
+        """Return the Pyomo data object of a variable or parameter, at a declared time if given."""
         if time is not None:
             return component[self._addresses.join(component, slot.index, time)]
         if not slot.index:
@@ -248,7 +248,17 @@ class LiveModel:
         return signal
 
     def load(self, slot: Slot, time: float | None, number: float) -> None:
-        """Set the model's variable to a solved value, unless a user fixed the variable there."""
+        """Set a variable of the Pyomo model to a solved value, unless the user fixed it.
+
+        Parameters
+        ----------
+        slot : Slot
+            The variable.
+        time : float or None
+            Declared time, None for a variable without time.
+        number : float
+            The value.
+        """
         component = self.model.find_component(slot.component)
         if component.ctype is Var:
             data = self._member(component, slot, time)
@@ -268,7 +278,10 @@ class LiveModel:
                     derivative[position].set_value(number, skip_validation=True)
 
     def load_integrals(self, totals: Mapping[str, float]) -> None:
-        """Set the model's integrals, by full name, to their solved values; their rules are kept."""
+        """Set the integrals of the Pyomo model to their solved values.
+
+        `totals` maps full names to values. The rules that hold the integrands are kept.
+        """
         for integral in self.model.component_objects(Integral, descend_into=True):
             for data in integral.values():
                 if data.name in totals:
@@ -342,7 +355,7 @@ class LiveModel:
     def _signal_kept(
         self, slot: Slot, horizon: tuple[float, float], asked: list[float]
     ) -> Interpolant:
-        """Return a parameter over time as piecewise polynomials, or why there are none."""
+        """Return a parameter over time as an `Interpolant` for a pickle, maybe without pieces."""
         try:
             return _kept(slot, self.signal(slot), horizon, asked)
         except TranscriptionError as error:
@@ -398,7 +411,7 @@ class ModelSnapshot:
     schedules: tuple[Interpolant, ...]
 
     def _refuse(self, *_given: Any) -> NoReturn:
-        """Raise an error: the model and its rules are not in a pickled problem."""
+        """Raise an error for operations that need the Pyomo model, which is not pickled."""
         raise TranscriptionError(
             "model: a pickled problem keeps the model's equations and numbers, not the model; "
             "compile the model again to load values into it."
@@ -428,14 +441,17 @@ class ModelSnapshot:
         return self.guesses.get(slot.name)
 
     def signal(self, slot: Slot) -> Interpolant:
-        """Return a parameter over time as a function of time."""
+        """Return a parameter over time as a function of time, as the pickle holds it."""
         return self.signals[slot.name]
 
     def snapshot(self, declared: Declarations, horizon: tuple[float, float]) -> ModelSnapshot:  # noqa: ARG002
-        """Return the snapshot itself."""
+        """Return the snapshot itself; the arguments are those of `LiveModel.snapshot`."""
         return self
 
 
 def as_reading(signal: Callable[[float], float], time: float) -> Reading:
-    """Return the value of a function of time as a `Reading` (a rule's result) without a key."""
+    """Return the value of a function at a time in the form of a rule's result, a `Reading`.
+
+    It has no key, since a function has no forms; `jumps` can then be applied to it.
+    """
     return Reading(None, (signal(time),))

@@ -1,4 +1,4 @@
-"""The objective of a model: at most one, without sums over declared times for an integral."""
+"""Reading of a model's objective, and refusal of sums over declared times in place of integrals."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def _refuse_sum(objective: Any, time: Any, copy: WorkingCopy) -> None:
 def _is_alike(cost: Any, key: Any, first: dict[Any, Any], other: dict[Any, Any]) -> bool:
     """Return whether the objective depends on a variable in the same way at two declared times.
 
-    The derivatives of the objective by the variable at both times are compared.
+    The derivatives of the objective with respect to the variable at either time are compared.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def _is_alike(cost: Any, key: Any, first: dict[Any, Any], other: dict[Any, Any])
     key : (str, tuple)
         Component name and index without time of the variable.
     first, other : dict
-        Symbols of all variables at either time, by such keys.
+        Symbols of all variables at either time, with such keys.
     """
     if key not in other:
         return False

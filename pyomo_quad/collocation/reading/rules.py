@@ -144,7 +144,10 @@ def refuse_changed_members(copy: Any) -> None:
 
 
 def _is_same(held: Any, stated: Any) -> bool:
-    """Return whether an expression equals what its rule returns; external functions as text."""
+    """Return whether a member's expression equals the expression that its rule returns now.
+
+    Expressions with external functions are compared as text.
+    """
     return bool(compare_expressions(held, stated)) or str(held) == str(stated)
 
 
@@ -167,7 +170,11 @@ class _Translator:
         self._functions: dict[FunctionType, FunctionType] = {}
 
     def translate(self, value: Any) -> Any:
-        """Return a value in which components of the model are replaced by those of the clone."""
+        """Return a copy of a value that refers to the clone's components instead of the model's.
+
+        Components, functions and collections of them are translated; other values are returned
+        unchanged.
+        """
         if isinstance(value, Component | ComponentData):
             return self._component(value)
         if isinstance(value, FunctionType | MethodType | partial):
@@ -216,7 +223,7 @@ class _Translator:
         return translated
 
     def _global(self, value: Any, function: FunctionType) -> Any:
-        """Return the value for a function's global name; functions of other modules are kept."""
+        """Return the counterpart of a function's global variable; imported functions are kept."""
         is_foreign = isinstance(value, FunctionType) and (
             value.__globals__ is not function.__globals__
         )
@@ -230,7 +237,7 @@ def _global_names(code: CodeType) -> set[str]:
 
 
 def refusal(name: str, error: Exception) -> TranscriptionError:
-    """Return the error for a rule that fails between the declared times."""
+    """Return the error for a rule that fails at a time that the model did not declare."""
     return TranscriptionError(
         f"{name}: its rule fails at a time that the model did not declare ({raised(error)}); let "
         "it read nothing but its time and components of the model."

@@ -174,13 +174,16 @@ class Schedule:
         self.slots = (*self._chosen, *(s for slots in self._numbers for s in slots))
 
     def _slot(self, what: str) -> Slot:
-        """Return a new time-dependent quantity with its own CasADi symbol."""
+        """Return a new quantity over time, with its CasADi symbol, as data for compiled equations.
+
+        `what` completes its name: the form that it selects, or the number that it supplies.
+        """
         name = f"{self.name} ({what})"
         return Slot(name=name, component=self.name, index=(), symbol=casadi.SX.sym(name))
 
     @property
     def is_equality(self) -> bool:
-        """Whether the rule states an equality at all times."""
+        """Whether the rule of the constraint returns an equality at all times."""
         return all(f.statement.is_equality for f in self._forms.values())
 
     def reading(self, time: float) -> Reading:
@@ -204,7 +207,15 @@ class Schedule:
         return found
 
     def _sort(self, found: Reading, statement: Statement, time: float) -> None:
-        """Register the form of a result; after compilation, refuse a form that is not known."""
+        """Assign the result of a rule to its form, and register a new form.
+
+        After compilation, a form that is not known is refused.
+
+        Raises
+        ------
+        TranscriptionError
+            If there are too many forms, or the form was not known when the model was compiled.
+        """
         form = self._forms.get(found.key)
         if not self._is_compiled:
             if form is None:
@@ -243,6 +254,8 @@ class Schedule:
 
     def written(self, write: Callable[[Any, Iterator[Any]], Any], absent: Sequence[Any]) -> Any:
         """Return the parts of the rule's result as CasADi expressions of the slots.
+
+        The slots are data that select the form of the result and supply its numbers.
 
         Parameters
         ----------
@@ -295,7 +308,7 @@ class Phases:
         self._clock = clock
 
     def reading(self, time: float) -> Reading:
-        """Return the position of the phase that contains a declared time, as a `Reading`."""
+        """Return a `Reading` whose key is the position of the phase at a declared time."""
         return Reading(self._clock.phase_of(time), ())
 
     def row(self, time: float) -> list[float]:
@@ -304,19 +317,22 @@ class Phases:
 
 
 def _is_linear(expression: Any) -> bool:
-    """Return whether a CasADi expression is linear in its symbols."""
+    """Return whether a CasADi expression is linear in all of its symbols together."""
     symbols = casadi.symvar(expression)
     return bool(casadi.is_linear(expression, casadi.vertcat(casadi.SX(0, 1), *symbols)))
 
 
 def _either(holds: Any, first: Any, second: Any) -> Any:
-    """Return the first expression where `holds` is 1, else the second."""
+    """Return the expression `first` where the factor `holds` is 1, and `second` where it is 0."""
     is_same = casadi.is_equal(first, second, 1_000)
     return first if is_same else casadi.if_else(holds, first, second)
 
 
 def _structure(part: Any, numbers: list[float]) -> Any:
-    """Return a key of an expression without its numbers, and append the numbers to a list."""
+    """Return a hashable key of a Pyomo expression's structure without its numbers.
+
+    The numbers are appended to the list `numbers` in the order of their appearance.
+    """
     if part is None:
         return None
     if part.__class__ in native_types:
@@ -328,7 +344,10 @@ def _structure(part: Any, numbers: list[float]) -> Any:
 
 
 def probes(times: Sequence[float]) -> list[float]:
-    """Return times between the declared times, and on both sides of each declared time."""
+    """Return the times at which a rule is called to find its forms and jumps.
+
+    They are 64 times spread over the horizon, and times just before and after each declared time.
+    """
     span = times[-1] - times[0]
     between = np.linspace(times[0], times[-1], _PROBES + 1)[:-1] + 0.618 * span / _PROBES
     sides = [t + sign * BESIDE * span for t in times for sign in (-1.0, 1.0)]
@@ -342,7 +361,8 @@ def jumps(reading: Callable[[float], Reading], times: Sequence[float]) -> Iterat
     Parameters
     ----------
     reading : callable
-        Time -> `Reading`.
+        Time -> `Reading`: numbers, and a key. A change of the key is a jump, and so is a change of
+        a number that bisection does not reduce.
     times : sequence of float
         Times in rising order between which jumps are searched by bisection.
     """
@@ -431,7 +451,18 @@ class Steps:
         return self.values[min(max(step, 0), len(self.values) - 1)]
 
     def edges(self, start: float, end: float) -> list[float]:
-        """Return the times between two given times at which a step begins, in rising order."""
+        """Return the times at which a step begins.
+
+        Parameters
+        ----------
+        start, end : float
+            Times between which the steps begin.
+
+        Returns
+        -------
+        list of float
+            In rising order.
+        """
         first = floor((start - self.start) / self.step) + 1
         last = min(ceil((end - self.start) / self.step), len(self.values))
         return [self.start + k * self.step for k in range(max(first, 1), last)]
@@ -482,7 +513,7 @@ class Interpolant:
         return np.asarray(chebyshev.chebval(local, self.pieces[k])).tolist()
 
     def reading(self, time: float) -> Reading:
-        """Return the values at a time as a `Reading` without a key."""
+        """Return the values at a time as a `Reading` without a key, for the function `jumps`."""
         return Reading(None, tuple(self.row(time)))
 
     def __call__(self, time: float) -> float:
@@ -545,7 +576,15 @@ def interpolant(
 def _fitted(
     row: Callable[[float], Sequence[float]], first: float, last: float
 ) -> tuple[FloatArray, bool]:
-    """Return the polynomial through functions at Chebyshev nodes, and whether it is accurate."""
+    """Fit a polynomial to functions of time between two times.
+
+    Returns
+    -------
+    ndarray, shape (degree + 1, n_functions)
+        Chebyshev coefficients of the polynomial through the values at 13 Chebyshev nodes.
+    bool
+        Whether it agrees with the functions between the nodes to 1e-13.
+    """
     local = np.concatenate([_NODES, _COMPARED])
     times = 0.5 * (first + last) + 0.5 * (last - first) * local
     values = np.array([row(float(t)) for t in times])

@@ -2,7 +2,7 @@
 
 The engine reads equations over time at a single interior time, the template time, which is added to
 the continuous set of a clone of the model. The members of constraints at that time hold for all
-times.
+times. Declared times are the members of the continuous set that the user gave it.
 """
 
 from __future__ import annotations
@@ -30,10 +30,11 @@ if TYPE_CHECKING:
 
 
 class TimeSymbol:
-    """Symbol for time that is passed to a rule of the model, so that the rule can be read once.
+    """Symbol for time that is passed to a rule of the model, so that one call serves all times.
 
-    As an index it equals the template time, so that ``m.x[t]`` is the member at that time. In
-    arithmetic it is a Pyomo parameter that stands for physical time.
+    As an index it equals the template time (the added interior time at which equations are read),
+    so that ``m.x[t]`` is the member at that time. In arithmetic it is a Pyomo parameter that stands
+    for physical time.
 
     Parameters
     ----------
@@ -49,8 +50,8 @@ class TimeSymbol:
     Attributes
     ----------
     is_read : bool
-        Whether the rule read the number, other than to compare it with a declared time. The rule
-        then cannot be read once for all times.
+        Whether the rule read the number, other than to compare it with a declared time. The result
+        of the call then does not serve all times.
     """
 
     def __init__(
@@ -73,7 +74,10 @@ class TimeSymbol:
         return self.template == other
 
     def _compare(self, relation: Callable[[Any, Any], Any], other: Any) -> bool:
-        """Return how the number compares with another, and record whether that reads the number."""
+        """Compare the symbol's number with another number, as a rule of the model requests.
+
+        A comparison with a number that is no declared time counts as reading the symbol's number.
+        """
         # Pyomo compares two symbols when an Integral sorts its times.
         if isinstance(other, TimeSymbol):
             return bool(relation(self._number, other._number))  # noqa: SLF001
@@ -98,7 +102,7 @@ class TimeSymbol:
         return self._number
 
     def __call__(self, *, exception: bool = True) -> float:
-        """Return the number, as Pyomo's function `value` asks for it."""
+        """Return the symbol's number, as Pyomo's function `value` requires."""
         del exception
         return float(self)
 
@@ -142,15 +146,16 @@ for _operation in (
 class Instant(float):
     """Time with which a rule is called as a number, but which equals the template time as an index.
 
-    A rule that branches on time is called with several instants; the members that it returns are
-    always those at the template time.
+    The template time is the added interior time at which equations are read. A rule that branches
+    on time is called with several instants; the variables in its results are always the members at
+    the template time.
     """
 
     __slots__ = ("template",)
     template: float
 
     def __new__(cls, time: float, template: float) -> Self:
-        """Return the number, which compares equal to the template time."""
+        """Return a number that equals, as an index, the time at which equations are read."""
         made = super().__new__(cls, time)
         made.template = template
         return made
@@ -184,6 +189,7 @@ class _TrapezoidProbe:
         self._symbol = symbol
 
     def find_component(self, name: str) -> Any:
+        """Return two equal times for the name of the continuous set, else the block's component."""
         if name == self._set_name:
             return [self._symbol, self._symbol]
         return self._block.find_component(name)
@@ -200,10 +206,17 @@ def time_parameter() -> Any:
 
 
 def integrand(integral: Any, index: Any, symbol: TimeSymbol | Instant) -> Any:
-    """Return the integrand of a `pyomo.dae.Integral` at a time symbol or an instant.
+    """Return the integrand of a `pyomo.dae.Integral` at a time.
 
     `pyomo.dae.Integral` keeps no integrand, only a rule that sums trapezoids. For a single
     trapezoid of unit width between equal times, that rule returns the integrand.
+
+    Parameters
+    ----------
+    integral : Integral
+    index : index of the integral, or None
+    symbol : TimeSymbol or Instant
+        The time: a symbol, or a number that selects the members at the template time.
     """
     probe = _TrapezoidProbe(integral.parent_block(), integral.get_continuousset(), symbol)
     return integral._rule(probe, index)  # noqa: SLF001
@@ -323,7 +336,7 @@ class Slot:
     nominal : float, optional
         Declared magnitude, for scaling.
     rate : casadi.SX, optional
-        Symbol of a state's derivative by the fraction of the horizon.
+        Symbol of a state's derivative with respect to the fraction of the horizon.
     """
 
     name: str
@@ -370,7 +383,7 @@ class PointSymbol:
     fraction : float
         Declared time as a fraction of the horizon.
     is_rate : bool
-        Whether the symbol stands for the derivative by the fraction of the horizon.
+        Whether the symbol stands for the derivative with respect to the fraction of the horizon.
     symbol : casadi.SX
     """
 
@@ -471,17 +484,21 @@ class Declarations:
 
     @property
     def has_signals(self) -> bool:
-        """Whether any parameter or rule varies with time without a formula."""
+        """Whether parameters over time, or rules that branch on time, need values at points."""
         return bool(self.signals or self.scheduled)
 
     @property
     def varying(self) -> tuple[Slot, ...]:
-        """All variables over time: states, output states, then algebraic variables."""
+        """All variables over time: states, states that nothing depends on, algebraic variables."""
         return (*self.states, *self.outputs, *self.algebraics)
 
     @property
     def path_data(self) -> tuple[Any, ...]:
-        """Symbols of a point's data: fraction of the horizon, signals, schedules, parameters."""
+        """Symbols of the data of a collocation point, in order.
+
+        They are the fraction of the horizon, parameters over time, data of rules that branch on
+        time, and parameters without time.
+        """
         slots = (*self.signals, *self.scheduled, *self.parameters)
         return (self.clock.fraction, *(s.symbol for s in slots))
 
@@ -489,14 +506,16 @@ class Declarations:
 class SymbolTable:
     """Table of the CasADi symbols of a model's variables and parameters, made at first use.
 
-    In an equation over time, a variable at the template time gets the symbol of the function of
-    time; a variable at any other time gets a symbol for its value at that time.
+    Equations over time are read at the template time, an interior time added to the continuous set.
+    A variable at that time gets the symbol of the function of time; a variable at any other time
+    gets a symbol for its value at that time.
 
     Parameters
     ----------
     copy : WorkingCopy
         Clone of the model with the template time.
     addresses : AddressBook
+        Splitter of indices into time and the other indices.
     free : mapping
         Declared time -> static variable that replaces it.
     statics : dict
@@ -526,7 +545,10 @@ class SymbolTable:
         self.clock = self._clock(free)
 
     def _clock(self, free: Mapping[float, Any]) -> PhaseTimes:
-        """Return the declared times of the model in symbols; static variables may replace some."""
+        """Return the declared times of the horizon in CasADi symbols, as `PhaseTimes`.
+
+        The static variables in `free` replace some of these times.
+        """
         declared = self._copy.declared_times or (0.0, 1.0)
         ends = {declared[0]: "horizon.start", declared[-1]: "horizon.end"}
         times = tuple(sorted(ends.keys() | free.keys()))
@@ -576,7 +598,10 @@ class SymbolTable:
             )
 
     def _scalar(self, table: dict[str, Slot], data: Any, name: str, **more: Any) -> Any:
-        """Return the symbol of a scalar from a table, adding it at first use."""
+        """Return the symbol of a variable or parameter without time, made at first use.
+
+        `table` is the dictionary of slots by name in which the symbol is kept.
+        """
         if name not in table:
             address = self._addresses.of(data)
             table[name] = Slot(
@@ -589,11 +614,17 @@ class SymbolTable:
         return table[name].symbol
 
     def fixed_value(self, data: Any) -> Any:
-        """Return the symbol of a parameter that holds the value of a fixed variable."""
+        """Return the symbol of a new parameter that holds the value of a fixed variable.
+
+        The value can then change between solves without another compilation.
+        """
         return self._scalar(self.parameters, data, f"{data.name} (fixed)")
 
     def _static(self, data: Any) -> Any:
-        """Return the symbol of a variable without time: a parameter if it is fixed."""
+        """Return the symbol of a variable without time.
+
+        A fixed variable becomes a parameter.
+        """
         if data.fixed:
             return self._scalar(self.parameters, data, data.name)
         return self._scalar(self.statics, data, data.name, lower=data.lower, upper=data.upper)
@@ -634,7 +665,7 @@ class SymbolTable:
         return self.signals[name].symbol
 
     def _physical_time(self, time: float) -> Any:
-        """Return physical time at the template time or a declared time, as a CasADi expression."""
+        """Return physical time as a CasADi expression, at any time or at a declared time."""
         return self.clock.time if time == self._copy.template_time else self.clock.time_at(time)
 
     def _varying(self, data: Any, address: Any) -> Any:
@@ -661,7 +692,7 @@ class SymbolTable:
         return symbol / self.clock.span_at(address.time) if is_rate else symbol
 
     def _slot(self, variable: Any, address: Any) -> Slot | None:
-        """Return the slot of a variable over time, None if it is fixed at all declared times."""
+        """Return the `Slot` of a variable over time; None if it is fixed at all declared times."""
         name = indexed_name(variable.name, address.index)
         for table in (self.states, self.algebraics):
             if name in table:

@@ -87,7 +87,7 @@ class Spline:
 
     @cached_property
     def _local(self) -> LocalSpline:
-        """Form of the spline whose evaluation cost does not depend on the size of the table."""
+        """The spline as a `LocalSpline`, whose cost does not depend on the table's size."""
         return LocalSpline.of(self.knots, self.coefficients, self.degree)
 
     @cached_property
@@ -273,7 +273,7 @@ def external(node: Any, arguments: Sequence[Any], owner: str, uses: list[TableUs
 
 
 def _symbolic(function: Any, inputs: Sequence[Any], stated: Sequence[Any]) -> Any:
-    """Return a Python function evaluated on symbols, None if it needs numbers."""
+    """Return a Python function evaluated on CasADi symbols, None if it needs numbers."""
     if function._fcn is None:  # noqa: SLF001
         return None
     symbols = casadi.SX.sym("arguments", len(inputs))

@@ -70,7 +70,7 @@ class Instance:
     def _kept(
         self, name: str, given: float | Callable[[float], float]
     ) -> float | Interpolant | Steps:
-        """Return a parameter's value in a form that can be pickled."""
+        """Return a parameter's value for a pickle; a function becomes piecewise polynomials."""
         if not callable(given) or isinstance(given, Interpolant | Steps):
             return given
         start, end = self.horizon
@@ -204,7 +204,11 @@ class ModelValues:
         return tuple(f for k, f in enumerate(fractions) if k == 0 or f - fractions[k - 1] > BESIDE)
 
     def _rule_horizon(self, horizon: tuple[float, float]) -> tuple[float, float]:
-        """Return the horizon for calls of rules: as declared if any time is free, else as given."""
+        """Return the horizon at which rules are called.
+
+        It is the declared horizon if any time is free, because a rule knows declared times only;
+        else the horizon of the solve. The widest horizon so far is recorded for a pickle.
+        """
         found = self.declared_horizon if self._declared.clock.is_free else horizon
         self._widest = min(self._widest[0], found[0]), max(self._widest[1], found[1])
         return found
@@ -217,7 +221,10 @@ class ModelValues:
         return [self._signal(slot, named) for slot in self._declared.signals]
 
     def _signal(self, slot: Slot, named: dict[str, Any]) -> Callable[[float], float]:
-        """Return a parameter over time as a function of time, from the caller or the model."""
+        """Return a parameter over time as a function of time.
+
+        The caller's value or function takes precedence over the rule in the model.
+        """
         if slot.name in named:
             given = named[slot.name]
             if isinstance(given, Steps):
@@ -226,7 +233,10 @@ class ModelValues:
         return self._source.signal(slot)
 
     def fixed(self) -> dict[tuple[str, float], float]:
-        """Return values fixed by a user at declared times, by (name, fraction of the horizon)."""
+        """Return the values of variables that a user fixed at declared times.
+
+        The keys are (variable name, fraction of the horizon).
+        """
         first, last = self.declared_horizon
         slots = {s.name: s for s in self._declared.varying}
         found: dict[tuple[str, float], float] = {}
@@ -236,7 +246,10 @@ class ModelValues:
         return found
 
     def _declared_time(self, first: float, last: float, fraction: float) -> float:
-        """Return the declared time nearest to a fraction of the horizon from `first` to `last`."""
+        """Return the member of the continuous set nearest to a fraction of its range.
+
+        `first` and `last` are the ends of that range.
+        """
         wanted = first + (last - first) * fraction
         return min(self._source.times, key=lambda t: abs(t - wanted))
 
@@ -305,7 +318,7 @@ class ModelValues:
 
 
 def _present(name: str, number: float | None) -> float:
-    """Return a number; raise an error that names the component if it is None."""
+    """Return the value of a component; raise an error that names it if it has no value."""
     if number is None:
         raise TranscriptionError(f"{name}: has no value; give it one before the solve.")
     return number

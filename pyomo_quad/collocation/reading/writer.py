@@ -56,6 +56,7 @@ _UNARY: dict[str, Callable[[Any], Any]] = {
 
 
 def _sum(*terms: Any) -> Any:
+    """Return the sum of CasADi expressions."""
     return reduce(operator.add, terms)
 
 
@@ -115,12 +116,24 @@ class ExpressionWriter:
         return self._visitor.walk_expression(expression)
 
     def _initialize(self, expression: Any) -> tuple[bool, Any]:
-        """Return whether Pyomo's walker is to descend into an expression, else its result."""
+        """Tell Pyomo's expression walker whether to descend into an expression.
+
+        Returns
+        -------
+        (bool, Any)
+            True and the expression to descend; else False and its CasADi expression.
+        """
         go_on, value = self._before_child(None, expression, 0)
         return go_on, expression if go_on else value
 
     def _before_child(self, _parent: Any, child: Any, _index: int) -> tuple[bool, Any]:
-        """Return whether Pyomo's walker is to descend into a child, else the child's result."""
+        """Tell Pyomo's expression walker whether to descend into the argument of an operation.
+
+        Returns
+        -------
+        (bool, Any)
+            True and None to descend; else False and the argument's CasADi expression.
+        """
         if child.__class__ in native_types:
             return False, child
         if not child.is_expression_type():
@@ -206,10 +219,11 @@ _ABSENT = (-casadi.inf, 0.0, casadi.inf)
 
 
 class TemplateWriter:
-    """Translator of the components of a working copy, in the symbols of the template time.
+    """Translator of a model's components to CasADi expressions, for all times.
 
-    A working copy is a clone of the user's model with an additional time, the template time;
-    equations there serve for all times. Each named expression and integral is translated once.
+    The components are those of a working copy, a clone of the user's model with an additional time,
+    the template time; equations there serve for all times. Each named expression and integral is
+    translated once.
 
     Parameters
     ----------
@@ -360,7 +374,7 @@ class TemplateWriter:
         return tuple(member.bounds)
 
     def _member(self, slot: Slot, time: float) -> Any:
-        """Return a variable's Pyomo data object at a time."""
+        """Return the member (Pyomo data object) of a variable over time at a given time."""
         variable = self.copy.model.find_component(slot.component)
         return variable[self.addresses.join(variable, slot.index, time)]
 
@@ -382,7 +396,7 @@ class TemplateWriter:
         if statement is not None and not symbol.is_read:
             parts = zip(statement.parts, _ABSENT, strict=False)
             return [self._part(p, name, absent) for p, absent in parts], statement.is_equality
-        # Where times are free, a rule knows only between which declared times its own lies.
+        # If times are free, a rule may depend only on the declared times before and after its time.
         place = self._within if self.symbols.clock.is_free else float
         schedule = Schedule(
             name, partial(self._statement_at, name, say), self.copy.declared_times, place
@@ -395,7 +409,13 @@ class TemplateWriter:
         return schedule.written(write, _ABSENT), schedule.is_equality
 
     def _statement_at(self, name: str, say: Callable[[Any], Statement], time: float) -> Statement:
-        """Return the result of a component's rule at one time, as a `Statement`."""
+        """Call a component's rule at one time, and return its result as a `Statement`.
+
+        Raises
+        ------
+        TranscriptionError
+            If the rule fails, or reads a free time as a number.
+        """
         template = self.copy.template_time
         if self.symbols.clock.is_free:
             declared = self.copy.declared_times
@@ -464,11 +484,11 @@ class TemplateWriter:
         return 0.5 * (declared[after - 1] + declared[after])
 
     def _part(self, part: Any, name: str, absent: Any) -> Any:
-        """Return a part of a rule's result as a CasADi expression, or `absent` if it is None."""
+        """Return the CasADi expression of a bound or body from a rule; `absent` replaces None."""
         return casadi.SX(absent if part is None else self.write(part, name, over_time=True))
 
     def _with_numbers(self, part: Any, numbers: Iterator[Any], name: str) -> Any:
-        """Translate an expression with its numbers replaced by those of an iterator, in order."""
+        """Translate an expression to CasADi, with its numbers replaced by symbols in order."""
         if part.__class__ in native_types:
             return next(numbers)
         if not part.is_expression_type() or part.is_named_expression_type():
@@ -477,7 +497,7 @@ class TemplateWriter:
         return self._writer.apply(part, arguments, name)
 
     def over_time(self, name: str, index: tuple[Any, ...]) -> Any:
-        """Return a component over time in the symbols of the template time, by full name.
+        """Return a component as a CasADi expression that holds at any time, by full name.
 
         The result is None if the model has no component over time of this name. `index` is the
         index without time.
@@ -493,7 +513,7 @@ class TemplateWriter:
         return self.write_at_template(found, index)
 
     def components_over_time(self) -> Iterator[tuple[str, tuple[Any, ...]]]:
-        """Yield full name and index without time of each component for `over_time`."""
+        """Yield the components that `over_time` can translate, as (name, index without time)."""
         kinds = (Var, DerivativeVar, Param, Expression)
         for component in self.copy.model.component_objects(kinds, descend_into=True):
             if self.addresses.time_position(component) is not None:
@@ -503,7 +523,10 @@ class TemplateWriter:
                         yield component.name, address.index
 
     def write_at_template(self, component: Any, index: tuple[Any, ...]) -> Any:
-        """Return a variable or expression over time in the symbols of the template time."""
+        """Return a variable or expression over time as a CasADi expression that holds at any time.
+
+        `index` is the index without time.
+        """
         position = self.addresses.join(component, index, self.copy.template_time)
         return casadi.SX(self.write(component[position], component.name, over_time=True))
 
@@ -543,7 +566,10 @@ class TemplateWriter:
         return self._expression(component, address.index, rule)
 
     def _expression(self, component: Any, index: tuple[Any, ...], rule: Any) -> Any:
-        """Return the result of an expression's rule as a function of time, read once."""
+        """Return a named expression over time as a CasADi expression, as its rule states it.
+
+        The rule is read once, and the expression is cached by name.
+        """
         name, block = indexed_name(component.name, index), component.parent_block()
         if name in self._by_rule:
             return self._by_rule[name]
@@ -591,7 +617,7 @@ class TemplateWriter:
 
 
 def _attempt(say: Callable[[Any], Statement], symbol: TimeSymbol) -> Statement | None:
-    """Return the result of a rule for a symbol of time, None if the rule needs a number."""
+    """Return the result of calling a rule with a symbol in place of time; None if that fails."""
     try:
         # Hide Pyomo's log of this failure: the second reading of the rule recovers from it.
         with LoggingIntercept(None, "pyomo.core"):
@@ -610,7 +636,7 @@ def _refuse_number(name: str, error: Exception | None = None) -> NoReturn:
 
 
 def _as_numeric(statement: Statement) -> Statement:
-    """Return a rule's result with the time symbol replaced by its parameter."""
+    """Return a rule's result, in which the symbol of time is replaced by a Pyomo parameter."""
     parts = (p.as_numeric() if isinstance(p, TimeSymbol) else p for p in statement.parts)
     return replace(statement, parts=tuple(parts))
 

@@ -66,10 +66,10 @@ def _changing(
 
 
 def known_boundaries(solution: Solution) -> NDArray[np.bool_]:
-    """Return for each breakpoint of the mesh whether the problem requires it, (n_elements + 1,).
+    """Return whether the problem requires each breakpoint of the mesh.
 
-    A breakpoint is required at start and end, where a condition is imposed, and where a parameter
-    jumps.
+    Shape (n_elements + 1,). A breakpoint is required at start and end, where a condition is
+    imposed, and where a parameter jumps.
     """
     required = solution.problem.required_breakpoints(solution.instance)
     starts = np.asarray(solution.mesh.breakpoints)

@@ -45,8 +45,8 @@ class Damping:
         Complementarity gap that the barrier is to leave, in the unit of the objective; zero for the
         least that Ipopt reaches.
     is_still : bool
-        Whether the objective has settled; the penalty then draws the controls to their own values,
-        smoothed within each element.
+        Whether the objective hardly changes from mesh to mesh any more; the penalty then draws the
+        controls to their own values, smoothed within each element.
     """
 
     solution: Solution
@@ -130,9 +130,10 @@ def damping_of(
 ) -> Damping | None:
     """Return the damping of a solution's controls for the solve on the next mesh.
 
-    A control is damped if it is bounded and the Lagrangian has little curvature in it, so that it
-    enters nearly linearly. Next to a corner of the cost, which has curvature at the corner only, a
-    control chatters like a control that enters linearly.
+    Damping is a penalty on the distance from the controls of the solution. A control is damped if
+    it is bounded and the Lagrangian has little curvature in it, so that it enters nearly linearly.
+    Next to a corner of the cost, which has curvature at the corner only, a control chatters like a
+    control that enters linearly.
 
     Parameters
     ----------
@@ -143,7 +144,8 @@ def damping_of(
     gap : float, optional
         Complementarity gap, as a fraction of the objective, that the barrier is to leave.
     is_still : bool, optional
-        Whether the objective has settled, so that controls are damped toward their values.
+        Whether the objective hardly changes from mesh to mesh any more; controls are then damped
+        toward their own smoothed values instead of the means over elements.
 
     Returns
     -------

@@ -78,7 +78,7 @@ def _transition(solution: Solution, equations: Linearised, e: int) -> FloatArray
     return np.asarray(moved[-n:])
 
 
-# Relative violation of a control's clipping limit that rounding may cause.
+# Violation of the limit to which a control is clipped, relative to it, that rounding may cause.
 _ROUNDING = 1e-9
 # Samples per collocation point at which limits are checked.
 _SAMPLES = 4
@@ -258,10 +258,10 @@ _LEAST_UNIT = 1e-4
 
 
 def _unit(solution: Solution) -> float:
-    """Return the reference magnitude of the objective's relative error: its size, or at most 1.
+    """Return the reference magnitude for relative errors of the objective, in its unit.
 
-    An objective near zero is compared with 1, or with the inverse of its scaling factor if that is
-    smaller.
+    It is the objective's magnitude. An objective near zero is compared with 1 instead, or with the
+    inverse of its scaling factor if that is smaller.
     """
     scaled = 1.0 / solution.scaling.objective
     return max(abs(solution.objective), min(1.0, scaled), _LEAST_UNIT * scaled)
@@ -402,7 +402,10 @@ def _sampled(
 def _held(
     program: Transcription, samples: _Samples, limits: tuple[FloatArray, FloatArray]
 ) -> _Samples:
-    """Return samples of the path equations with algebraic variables clipped to their limits."""
+    """Return samples of the path equations with the controls clipped to their limits.
+
+    `limits` are lower and upper limits of the algebraic variables, shape (n_algebraics,) each.
+    """
     layout, variables = program.layout, samples.variables.copy()
     chosen = slice(2 * layout.n_states, 2 * layout.n_states + layout.n_algebraics)
     variables[:, chosen] = np.clip(variables[:, chosen], *limits)
@@ -453,7 +456,11 @@ def _held_corrections(
 
 
 def _relative(solution: Solution, moved: list[FloatArray]) -> FloatArray:
-    """Return the largest state correction in each element, relative to the states' magnitudes."""
+    """Return the largest state correction in each element, relative to the states' magnitudes.
+
+    `moved` has an array of shape (degree + 1, n_states) per element; the result has shape
+    (n_elements, n_states).
+    """
     return np.array([np.abs(m).max(axis=0) / state_sizes(solution) for m in moved])
 
 
@@ -488,7 +495,11 @@ def _restraints(solution: Solution) -> FloatArray:
 
 
 def _of_all(shares: FloatArray) -> FloatArray:
-    """Return, for each element, its error times the number of elements, at most the sum of all."""
+    """Return the error of the whole horizon if all elements had the error of a given element.
+
+    That is its error times the number of elements, but at most the sum over all elements. `shares`
+    and the result have one entry per element.
+    """
     return np.asarray(np.minimum(len(shares) * shares, shares.sum(axis=0)))
 
 
@@ -605,7 +616,10 @@ def violations(program: Transcription, samples: _Samples) -> tuple[FloatArray, .
 
 
 def _outside(values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Return by how much values lie outside their bounds, relative to max(1, abs(bound))."""
+    """Return by how much values lie outside their bounds, relative to max(1, abs(bound)).
+
+    The result is 0 inside the bounds.
+    """
     with np.errstate(invalid="ignore"):
         below = (lower - values) / np.maximum(1.0, np.abs(lower))
         above = (values - upper) / np.maximum(1.0, np.abs(upper))

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 # Number of values of a control tried at each point, from bound to bound.
 _TRIED = 17
-# Violation of a path constraint, relative to its scale, that another value may cause.
+# Violation of a path constraint, relative to its scale, that a tried value may cause.
 _KEPT = 1e-9
 
 
@@ -203,7 +203,7 @@ _SAMPLES = 4
 _FELT = {1: (4.0, 1 / 2), 2: (1.0, 1 / 5)}
 # Curvature relative to the objective, for a change over the whole range, that counts as zero.
 _FLAT = 1e-6
-# Slack that is zero up to rounding.
+# Least slack in a division: smaller slacks are zero up to rounding.
 _LEAST_SLACK = 1e-100
 
 

@@ -38,9 +38,9 @@ if TYPE_CHECKING:
 
 # Change of the objective, in units of the tolerance, below which it counts as settled.
 _SETTLED = 0.5
-# A warm start that takes more iterations than this leaves its linear controls undetermined, and so
-# does an objective that has been settled for this many meshes. The damping is then increased by a
-# factor, up to a limit; after twice as many meshes without a limit.
+# Controls that enter linearly count as undetermined if a warm start takes more iterations than the
+# first number, or if the objective has been settled for the second number of meshes. Their damping
+# is then increased by a factor, up to a limit; after the third number of meshes without a limit.
 _MANY_ITERATIONS, _MANY_SETTLED, _TOO_MANY_SETTLED = 30, 4, 8
 _FIRMER, _FIRM, _FIRMEST = 5.0, 25.0, 125.0
 # Complementarity gap that the barrier then leaves: in units of the tolerance, and at most this
@@ -248,11 +248,11 @@ class _Refinement(Generic[S]):
     def _begin_at(
         self, warm: Any, meshes: tuple[Mesh, ...], before: tuple[Solution | None, ...]
     ) -> None:
-        """Set warm start, meshes and previous solutions of the next solve."""
+        """Set warm start, meshes and previous solutions for the next solve of the refinement."""
         self.start, self.meshes, self.before = replace(self.start, warm=warm), meshes, before
 
     def _damped(self, parts: tuple[Solution, ...], **how: Any) -> tuple[Damping | None, ...]:
-        """Return the damping of the controls towards each of several solutions."""
+        """Return the damping of controls towards the given solutions, one per horizon."""
         weight = self.firmness * self.options.damping * self.tolerance
         return tuple(damping_of(part, weight, **how) for part in parts)
 
@@ -295,7 +295,8 @@ class _Refinement(Generic[S]):
     ) -> tuple[Mesh, ...] | None:
         """Return the next meshes, or None if the tolerance is met.
 
-        The meshes may be unchanged as long as damping still changes the objective.
+        If controls are damped (penalised for their distance from those of the last mesh), the
+        meshes may be unchanged as long as the objective still changes.
         """
         parts = solution.parts
         junctions = [junction_elements(part) for part in parts]
@@ -372,9 +373,9 @@ class _Refinement(Generic[S]):
 
 
 def _firmer(firmness: float, settled: int) -> float:
-    """Return the next damping strength, larger the longer the objective has hardly changed.
+    """Return the next factor on the damping (penalty) of the controls.
 
-    `settled` is the number of damped meshes on which the objective had settled.
+    It grows with the number `settled` of meshes on which the objective hardly changed.
     """
     most = _FIRMEST if settled >= _MANY_SETTLED else _FIRM
     most = math.inf if settled >= _TOO_MANY_SETTLED else most
@@ -408,13 +409,17 @@ class _MeshSolve(Search[S], Generic[S]):
     gap: float
 
     def holds(self, fact: Fact) -> bool:
-        """Return whether a fact is true at present; a strategy may require it to be tried."""
+        """Return whether a condition (`Fact`) of a strategy in the table is true at present."""
         is_held = self.change is not None or _are_damped(self.dampings)
         has_warm = self.start.warm is not None
         return {Fact.WARM_START: has_warm, Fact.HELD: is_held, Fact.FREE: not is_held}[fact]
 
     def attempt(self, strategy: Strategy) -> S:
-        """Solve on the next meshes with the start, damping and budget of a strategy."""
+        """Solve on the next meshes as a strategy of the table prescribes.
+
+        The strategy determines the start, the damping of the controls, and the budget of
+        iterations.
+        """
         if strategy.is_firm:
             self.dampings = tuple(d and d.firmer(_FIRM, self.gap) for d in self.dampings)
             self.change = None
@@ -425,7 +430,10 @@ class _MeshSolve(Search[S], Generic[S]):
 
 
 def _sharper(dampings: tuple[Damping | None, ...], tolerance: float) -> tuple[Damping | None, ...]:
-    """Return dampings that leave a smaller complementarity gap, a fraction of the tolerance."""
+    """Return the dampings of the controls with a smaller complementarity gap for the barrier.
+
+    The gap is reduced to a fraction of the tolerance.
+    """
     least = _LEAST_INEXACT * tolerance
     return tuple(
         d and replace(d, gap=min(least * d.solution.nominal_objective, d.gap)) for d in dampings
@@ -433,7 +441,7 @@ def _sharper(dampings: tuple[Damping | None, ...], tolerance: float) -> tuple[Da
 
 
 def _are_damped(dampings: tuple[Damping | None, ...]) -> bool:
-    """Return whether controls are damped on any horizon."""
+    """Return whether any controls are damped (penalised for changes from the last mesh)."""
     return any(damping is not None and damping.controls.size > 0 for damping in dampings)
 
 
@@ -481,12 +489,12 @@ class _Reached(Generic[S]):
         return (-earned if is_maximised else earned) / first.nominal_objective
 
     def compare(self, other: S, error: float) -> None:
-        """Record the gain of the restart's solution, less the error of that solution."""
+        """Record by how much a solution after the restart is better, less its error."""
         shown = self.gain(other) - error
         self.shown = shown if self.shown is None else max(self.shown, shown)
 
     def better(self, other: S) -> S:
-        """Return the better of the kept solution and another solution."""
+        """Return the better of two solutions: that before the restart, or another."""
         if self.gain(other) >= 0.0:
             return other
         return self.solution.updated(history=other.parts[0].history)
@@ -542,7 +550,10 @@ def _objective_change(solution: Solution, tolerance: float) -> float:
 
 
 def _is_lost(records: Sequence[MeshRecord]) -> bool:
-    """Return whether refinement should stop: two long solves, and hardly a smaller error."""
+    """Return whether refinement should stop because the last two solves were long and in vain.
+
+    Both took more than 150 iterations, and the second left more than half of the error.
+    """
     if len(records) < 3:
         return False
     last, now = records[-2:]
@@ -574,7 +585,7 @@ def _most_moved(solution: Outcome, before: tuple[Solution | None, ...]) -> str:
 
 
 def _record(solution: Outcome, error: float) -> MeshRecord:
-    """Return the record of a mesh, for the history of a solution."""
+    """Return the `MeshRecord` of a solution, for the history of the refinement."""
     return MeshRecord(
         elements=sum(mesh.elements for mesh in _meshes(solution)),
         points=sum(mesh.points for mesh in _meshes(solution)),

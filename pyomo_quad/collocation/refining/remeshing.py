@@ -94,7 +94,8 @@ _CHASING_MESHES, _CONSTANT_PARTS = 12, 8
 _CORNER_PARTS = 3
 _MOST_PARTS = 4
 _CORNER_DEGREE = 4
-# Nor does a degree above this where a limit on states becomes active or inactive.
+# Highest degree of parts in which a limit on states becomes active or inactive; a higher degree
+# does not help there either.
 _TOUCHING_DEGREE = 6
 # A change of a control by more than this fraction of its range counts as a jump.
 _JUMP_SHARE = 0.25
@@ -223,7 +224,7 @@ def refined_mesh(
 def _lowered(
     solution: Solution, e: int, error: float, tolerance: float, options: RefinementOptions
 ) -> _Piece:
-    """Keep an accurate element, at a lower degree if its highest Legendre terms are negligible."""
+    """Return an accurate element with a lower degree if its highest terms are negligible."""
     mesh = solution.mesh
     degree = mesh.degrees[e]
     if error < _MARGIN * tolerance:
@@ -311,7 +312,10 @@ def _parts(mesh: Mesh, e: int, count: int, degree: int, size: float) -> list[_Pi
 
 
 def _merged(pieces: list[_Piece], solution: Solution, tolerance: float) -> list[_Piece]:
-    """Merge neighbours if the predicted error of the merged element is far below the tolerance."""
+    """Merge neighbouring elements if the predicted error is far below the tolerance.
+
+    Elements that were refined for this mesh, and boundaries that the problem requires, are kept.
+    """
     required = solution.problem.required_breakpoints(solution.instance)
     merged: list[_Piece] = []
     starts: list[float] = []

@@ -1,4 +1,4 @@
-"""Possible loss in the objective from a control that switches at a wrong time in an element."""
+"""Possible loss in the objective if a control switches at a wrong time within an element."""
 
 from __future__ import annotations
 
@@ -27,13 +27,14 @@ def misplaced_switches(solution: Solution) -> FloatArray:
 
     Let J(s) be the least objective with a control that switches at time s. If the switch is later
     by ds, the Hamiltonian before the switch, H-, applies for ds instead of the Hamiltonian after
-    the switch, H+, and the costates are the derivatives of the objective by the changed states:
-    dJ/ds = H- - H+. At the optimal switch the Hamiltonian does not jump (Weierstrass and Erdmann).
-    A mesh determines the element of the switch but not its place inside: the polynomials, or the
-    single point of a sliver (a narrow element cut around a switch), put the switch anywhere in the
-    width w. Neither the equations between the points nor a comparison with the last mesh, which may
-    have had the same sliver, determine the place. The jump of the Hamiltonian decreases towards the
-    optimal switch, which is at most w away, so that J is too large by at most |H- - H+| w.
+    the switch, H+, and the costates are the derivatives of the objective with respect to the
+    changed states: dJ/ds = H- - H+. At the optimal switch the Hamiltonian does not jump
+    (Weierstrass and Erdmann). A mesh determines the element of the switch but not its place inside:
+    the polynomials, or the single point of a sliver (a narrow element cut around a switch), put the
+    switch anywhere in the width w. Neither the equations between the points nor a comparison with
+    the last mesh, which may have had the same sliver, determine the place. The jump of the
+    Hamiltonian decreases towards the optimal switch, which is at most w away, so that J is too
+    large by at most |H- - H+| w.
 
     If an equation depends on time explicitly, the Hamiltonian changes without a switch: each pair
     of neighbouring points is therefore compared at the times of both. A jump between two elements

@@ -222,3 +222,24 @@ def test_an_autopilot_without_any_flight_within_the_limits_says_so(monkeypatch):
     monkeypatch.setattr(autopilot, "fly_cruise", lambda *_: broken)
     with pytest.raises(ScenarioError, match="settings of the autopilot arrives within the limits"):
         tune_cruise(mission(), None, PLANNER)
+
+
+def test_long_legs_are_tuned_from_the_speed_of_steady_flight_and_each_setting_is_flown_once(
+    monkeypatch,
+):
+    """A stub flight costs the energy of steady flight alone."""
+    far = {"goal": {"position": [2000.0, 0.0, 2.0]}, "duration": "free"}
+    told = mission(mission=far, limits={"speed_max": 9.0})
+    steady, flown = PLANNER.steady_flight(told), []
+
+    def flight(_told, settings, **_):
+        flown.append(settings.speed)
+        power = steady.trim((settings.speed, 0.0, 0.0)).power_W
+        return SimpleNamespace(settings=settings, cost_J=2000.0 * power / settings.speed)
+
+    monkeypatch.setattr(autopilot, "_tried", flight)
+    tried = autopilot._search(told, None, PLANNER)
+    assert len(flown) == len({one.settings for one in tried})
+    speeds = np.linspace(1.0, 9.0, 17)
+    per_metre = [steady.trim((speed, 0.0, 0.0)).power_W / speed for speed in speeds]
+    assert tried[0].cost_J == pytest.approx(2000.0 * min(per_metre), rel=1e-3)

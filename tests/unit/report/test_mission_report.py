@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.patches import Circle, Rectangle
 from matplotlib.quiver import Quiver, QuiverKey
 from PIL import Image
@@ -345,3 +346,13 @@ def test_the_map_shows_a_wind_field_in_place_of_its_mean(run):
     assert drawn == pytest.approx(Planner().winds_at(told, place)[0], abs=1e-9)
     assert pytest.approx(np.hypot(arrows.U, arrows.V).max()) == key.U
     assert "m/s" in key.text.get_text()
+
+
+def test_the_key_of_a_wind_field_lies_within_the_figure(run):
+    figure = draw_map(styled_flights(run.flights), load_scenario("scenarios/street.toml"))
+    FigureCanvasAgg(figure).draw()
+    (axes,) = figure.axes
+    (key,) = (drawn for drawn in axes.artists if isinstance(drawn, QuiverKey))
+    label = key.text.get_window_extent()
+    assert label.ymax < figure.bbox.ymax
+    assert label.ymin > axes.bbox.ymax
