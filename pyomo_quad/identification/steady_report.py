@@ -103,7 +103,7 @@ def draw_points(scenario: Scenario, points: pd.DataFrame, planner: Planner) -> F
     points : DataFrame
         Measured points.
     planner : Planner
-        Planner of the vehicle's model.
+        Keeps compiled models between figures.
     """
     figure, axes = full_width(3.2, top=0.96, bottom=0.15)
     if points[AIRSPEED].max() == 0.0:
