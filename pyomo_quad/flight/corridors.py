@@ -190,10 +190,10 @@ class LineCosts:
 
 
 def has_corridors(told: Scenario) -> bool:
-    """Return whether the wind makes a route's energy depend on where it leads over the ground.
+    """Return whether the energy of a route depends on its horizontal position in the wind.
 
-    That is so in a wind field that varies over the ground, if the wind acts by the airspeed, on
-    which the table of powers depends.
+    This requires a wind field that varies over the ground and acts through the airspeed
+    (`wind.coupling = "drag"`).
     """
     if told.wind.grid is None or told.wind.coupling is not WindCoupling.DRAG:
         return False

@@ -198,7 +198,8 @@ class Course:
     belief : Belief
         Mass and wind that the plan assumes.
     estimate : ndarray, shape (3,)
-        Unexplained acceleration that the belief accounts for [m/s^2].
+        Estimated acceleration that the equations do not explain, from which the belief was
+        computed [m/s^2].
     """
 
     plan: Trajectories
@@ -392,7 +393,8 @@ class Replanner:
         belief : Belief
             Mass and wind that it assumes.
         estimate : ndarray, shape (3,)
-            Unexplained acceleration that the belief accounts for [m/s^2].
+            Estimated acceleration that the equations do not explain, from which the belief was
+            computed [m/s^2].
         """
         plan, rest = trajectories_of(solution), self.at(solution.horizon[0])
         flow = rest.problem.dynamics(parameters=self._with(belief, rest), horizon=plan.horizon)

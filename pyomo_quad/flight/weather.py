@@ -42,7 +42,8 @@ def vehicle_flown(planner: Planner, scenario: Scenario) -> Dynamics:
     Returns
     -------
     Dynamics
-        Without turbulence in the scenario those of the planner.
+        With the states of the turbulence filters; if the scenario has no turbulence, the planner's
+        own dynamics.
     """
     if scenario.wind.turbulence is None:
         return planner.dynamics(scenario)

@@ -225,7 +225,10 @@ def _frame(ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _places_along(zone: KeepOut, reach: float, near: FloatArray) -> FloatArray:
-    """Return points at a distance outside a polygon: corners, and points nearest to ``near``."""
+    """Return points on the outline of a zone enlarged by ``reach``, shape (m, 2) [m].
+
+    They are its corners and, on each edge, the points nearest to the places ``near``.
+    """
     ring = zone.ring(reach)
     following = np.roll(ring, -1, axis=0)
     along = following - ring

@@ -280,7 +280,10 @@ class _Mission:
         pilot: Pilot,
         followed: Reference = Reference.PLAN,
     ) -> Flown:
-        """Return a flight in RotorPy under a given controller, not simulated yet."""
+        """Return a flight in RotorPy under a given controller, not simulated yet.
+
+        `plant` simulates the vehicle; `at` names this vehicle in the table of the study.
+        """
         return Flown(at, pilot, followed, partial(fly_outside, plant, pilot, followed, self.plan))
 
     def under(
@@ -292,7 +295,12 @@ class _Mission:
         followed: Reference,
         stiffness: float = 1.0,
     ) -> Flown:
-        """Return a flight in RotorPy under a variant of the controller SE3, not simulated yet."""
+        """Return a flight in RotorPy under a variant of the controller SE3, not simulated yet.
+
+        `plant` simulates the vehicle; `at` names this vehicle, `name` the variant and `followed`
+        the reference in the table of the study. The controller follows `path`, with its position
+        gain multiplied by `stiffness`.
+        """
         law = se3_law(plant, path, stiffness=stiffness)
         return Flown(at, name, followed, partial(fly_under, plant, name, law, self.plan))
 

@@ -1,4 +1,4 @@
-"""Sentences on the limits that each flight of a run breaks, and on the plan's risk for them.
+"""Sentences on the limits that each flight of a run breaks, compared with the plan's risk.
 
 The risk of a plan is the share of its flights in turbulence that may break a limit.
 """
@@ -23,7 +23,7 @@ _WITHOUT_RISK = "planned without a risk, which leaves nothing to the controller"
 
 
 def limit_lines(plan: Plan, flights: Sequence[Flight]) -> Iterator[str]:
-    """Yield a sentence for each flight of a run: the limits that it breaks, and the risk of that.
+    """Yield a sentence for each flight of a run: the limits that it breaks, and the plan's risk.
 
     Parameters
     ----------
