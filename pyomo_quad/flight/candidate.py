@@ -47,7 +47,7 @@ _TIGHTER = 0.1
 
 @dataclass(frozen=True)
 class AlongShortest:
-    """Start of the search for a plan: a solution along the shortest route, on one mesh."""
+    """Solution along the shortest route, on one mesh, from which the search for a plan starts."""
 
     flight: Solution
 

@@ -98,7 +98,7 @@ class BodyFrame:
     """Rotation from RotorPy's body axes to the declared axes, and the order of the rotors."""
 
     turn: float = 0.0
-    """Angle from our body x to theirs [rad]."""
+    """Angle from the declared body x axis to RotorPy's [rad]."""
     order: tuple[int, ...] = (0, 1, 2, 3)
     """Number of the declared rotor for each of RotorPy's rotors."""
 

@@ -44,7 +44,7 @@ class Setpoint(NamedTuple):
     place: Sequence[float]
     """Position in world axes, m, and yaw, rad."""
     rate: Sequence[float]
-    """m/s and rad/s."""
+    """Velocity, m/s, and yaw rate, rad/s."""
     acceleration: Sequence[float]
     """Acceleration by the rotors, m/s^2 and rad/s^2: the derivative of the rate, less the
     acceleration that the reference expects from the air."""

@@ -120,7 +120,7 @@ class Remainder:
     passages: tuple[float, ...]
     """Times at which the waypoints of its plans are reached and left [s]."""
     end: float
-    """End time of its plans [s]: during the next hover at a waypoint, or that of the mission."""
+    """End time of its plans [s]: in the next hover at a waypoint, or the end of the mission."""
     is_holding: bool
     """Whether the vehicle hovers at the next waypoint."""
     released: float
@@ -216,7 +216,7 @@ class Replanner:
     scenario : Scenario
         The mission, and the vehicle as assumed by the controller.
     knowledge : Knowledge
-        What the solver knows of the wind: the actual wind, an estimate, or nothing.
+        Knowledge of the wind in the re-plans: the actual wind, an estimate, or none.
     planner : Planner
         Holds the compiled equations.
     margins : mapping, optional

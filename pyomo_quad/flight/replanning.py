@@ -83,8 +83,8 @@ _TOLERANCE = 1e-6
 def replanned_name(knowledge: Knowledge) -> str:
     """Return the name of a flight with re-planning, such as "mpc/told".
 
-    `knowledge` is what the planner knows of the wind. In such a flight, the plan is replaced
-    repeatedly by a new one.
+    In such a flight, the plan is replaced repeatedly by a new plan. `knowledge` says whether the
+    planner uses the actual wind, an estimate of the wind, or no wind.
     """
     return f"mpc/{knowledge.value}"
 
@@ -354,7 +354,7 @@ def fly_replanned(
     scenario : Scenario
         The mission, and the vehicle as assumed by controller and re-plans.
     knowledge : Knowledge
-        What the re-plans know of the wind: the actual wind, an estimate, or nothing.
+        Knowledge of the wind in the re-plans: the actual wind, an estimate, or none.
     dynamics : Dynamics
         The simulated vehicle, in the actual wind.
     planner : Planner

@@ -605,7 +605,8 @@ def _missed_least(tried: _Tried) -> tuple[float, float]:
 def _planned_at(plan: Plan, spread: Spread) -> tuple[FloatArray, FloatArray]:
     """Return states and controls of a plan at the times of its flights' covariance.
 
-    The states are in the order of the spread's dynamics, shape (n, n_states).
+    At each of the spread's n times, the states are in the order of its dynamics: shape (n,
+    n_states).
     """
     held, dynamics = plan.trajectories, spread.dynamics
     names = list(held.state_names)

@@ -93,7 +93,7 @@ class Route:
         return self.label or ", ".join(words) or "straight"
 
     def places_at(self, shares: FloatArray) -> FloatArray:
-        """Return the points of the route at fractions of its length, shape (n, 3) [m]."""
+        """Return the points of the route at n fractions of its length, shape (n, 3) [m]."""
         steps = np.linalg.norm(np.diff(self.places, axis=0), axis=1)
         reached = np.concatenate([[0.0], np.cumsum(steps)])
         at = np.asarray(shares) * reached[-1]
@@ -388,9 +388,9 @@ class SpeedProfile(NamedTuple):
     distances: FloatArray
     """Distances from the start, m."""
     speeds: FloatArray
-    """m/s."""
+    """Speeds along the line, m/s."""
     accelerations: FloatArray
-    """m/s^2."""
+    """Accelerations along the line, m/s^2."""
 
 
 def speed_profile(distance: float, speed: float, acceleration: float, jerk: float) -> SpeedProfile:

@@ -164,7 +164,7 @@ class SteadyFlight:
         return Trim(states=states, controls=controls, power_W=float(power))
 
     def reading(self, names: tuple[str, ...], trim: Trim) -> FloatArray:
-        """Return the values of named model components in a steady flight, shape (n,), in order."""
+        """Return the values of n named model components in a steady flight, shape (n,)."""
         return self._rows(tuple((n, None) for n in names), trim.states[None], trim.controls[None])[
             0
         ]

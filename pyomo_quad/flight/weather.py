@@ -125,7 +125,7 @@ def problem_in_turbulence(scenario: Scenario) -> Problem:
 
 
 def as_expected(scenario: Scenario) -> Scenario:
-    """Return the scenario with the wind that plans assume: forecast and turbulence."""
+    """Return the scenario with forecast wind and turbulence, the conditions that plans expect."""
     told = scenario.as_forecast()
     turbulence = {"turbulence": scenario.wind.turbulence}
     return told.model_copy(update={"wind": told.wind.model_copy(update=turbulence)})

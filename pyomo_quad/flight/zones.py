@@ -61,7 +61,7 @@ def zones_hit(zones: Sequence[KeepOut], places: FloatArray, clearance: float) ->
 def are_blocked(
     zone: KeepOut, starts: FloatArray, ends: FloatArray, clearance: float
 ) -> NDArray[np.bool_]:
-    """Return which of several straight lines intersect a zone with its clearance.
+    """Return which of n straight lines intersect a zone with its clearance.
 
     `starts` and `ends` have shape (n, 3), m; the result has shape (n,).
     """
@@ -72,7 +72,7 @@ def are_blocked(
 def _spans_inside(
     zone: KeepOut, starts: FloatArray, ends: FloatArray, clearance: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the fractions of extended straight lines at which they enter and leave a zone.
+    """Return the fractions of n extended straight lines at which they enter and leave a zone.
 
     Each has shape (n,). If a line misses the zone, the second fraction is smaller than the first.
     """
@@ -86,7 +86,7 @@ def _spans_inside(
 def _span_inside(
     ball: Ball, starts: FloatArray, ends: FloatArray, clearance: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the fractions of extended straight lines at which they enter and leave a ball.
+    """Return the fractions of n extended straight lines at which they enter and leave a ball.
 
     Each has shape (n,). If a line misses the ball, they are 1 and 0.
     """

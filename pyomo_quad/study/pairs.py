@@ -348,7 +348,7 @@ class Pairs:
     def _box(
         self, low: FloatArray, high: FloatArray, numbers: Sequence[float]
     ) -> tuple[FloatArray, float, NDArray[np.int_]]:
-        """Bound the function H from below in boxes of the search.
+        """Bound the function H from below in n boxes of the search.
 
         Returns
         -------
@@ -396,7 +396,7 @@ def _halved(
 
 
 def wind_of(dynamics: Dynamics, times: FloatArray) -> FloatArray:
-    """Return the wind at given times in world axes [m/s], shape (n, 3).
+    """Return the wind at n given times in world axes [m/s], shape (n, 3).
 
     The times are in seconds; a component that the model lacks is zero.
     """
