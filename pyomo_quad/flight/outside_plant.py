@@ -409,7 +409,8 @@ class OutsidePlant:
     ) -> Callable[[float, FloatArray], FloatArray]:
         """Return the time derivative of the joint state as a function of time and joint state.
 
-        The function raises a SolveError if the vehicle tumbles.
+        It raises a SolveError if the vehicle tumbles in the time up to `last` [s]. Before `inside`
+        [s] it is evaluated at `inside`, because the law may jump at the start of the period.
         """
         guard = TumblingGuard("RotorPy", last - inside)
 

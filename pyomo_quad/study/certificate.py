@@ -164,7 +164,7 @@ def _gauss(duration: float, panels: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _weights(times: FloatArray, rate: FloatArray, duration: float) -> tuple[FloatArray, FloatArray]:
-    """Return the weights of docs/theory/bound.md, eqs. (2) and (4), at given times, each (n, 3).
+    """Return the weights of docs/theory/bound.md, eqs. (2) and (4), at n times, each (n, 3).
 
     `rate` is drag over mass [1/s] along each axis, `duration` that of the flight [s].
     """
