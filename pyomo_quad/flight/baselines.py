@@ -218,7 +218,7 @@ class ClosedLoopFlight:
     flown : Flown
         Samples of the vehicle; its controls are the rotor accelerations applied.
     controller_states : ndarray, shape (n, 22)
-        The `CONTROLLER_STATES` at the same times.
+        The `CONTROLLER_STATES` at the n times of `flown`.
     evaluations : int
         Evaluations of the right-hand side.
     """

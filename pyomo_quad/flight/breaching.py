@@ -39,23 +39,26 @@ THERE, AT_REST = "distance from the goal at the end", "speed at the end"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Approach:
-    """Distance of flights in turbulence from one end of a limit over time (the room).
+    """Statistics over time of the distance of flights in turbulence from one bound of a constraint.
+
+    The constraint is a path constraint ("limit") with a lower bound, an upper bound or both, such
+    as that on the roll angle. Arrays hold n times.
 
     Attributes
     ----------
     name : str
-        Name of the limit in the declared model.
+        Name of the path constraint in the declared model.
     field : str
-        Scenario field that sets this end of the limit.
+        Scenario field that sets this bound.
     room : ndarray, shape (n,)
-        Distance of the flight without gusts from the limit, in its unit, before any margin (amount
-        by which a plan stays inside it).
+        Distance of the mean flight (without gusts) from the bound, in the unit of the bound. The
+        bound is the scenario's, without the margin that a plan keeps from it.
     planned : ndarray, shape (n,)
-        Distance of the plan from the limit.
+        Distance of the plan from the bound.
     deviation : ndarray, shape (n,)
-        Standard deviation of the distance of flights.
+        Standard deviation of the distance over the flights.
     correlation : ndarray, shape (n - 1,)
-        Correlation of the distances at one time and at the next.
+        Correlation between the distances at one time and at the next.
     """
 
     name: str
@@ -130,19 +133,19 @@ def _crossing(room: FloatArray, deviation: FloatArray, correlation: FloatArray) 
 
 
 def approaches(spread: Spread, states: FloatArray, controls: FloatArray) -> Iterator[Approach]:
-    """Yield the distance of flights from each end of a limit that a scenario field sets.
+    """Yield the distance of flights from each bound of a path constraint set by a scenario field.
 
     Parameters
     ----------
     spread : Spread
         Distribution of flights about a plan.
     states, controls : ndarray, shapes (n, n_states), (n, n_controls)
-        The plan at the times of the spread.
+        The plan at the n times of the spread.
 
     Yields
     ------
     Approach
-        One for each end of a limit over time.
+        One for each finite lower or upper bound.
     """
     dynamics = spread.dynamics
     gradients = _gradients(spread)
@@ -170,12 +173,12 @@ def approaches(spread: Spread, states: FloatArray, controls: FloatArray) -> Iter
 
 
 def _gradients(spread: Spread) -> dict[str, FloatArray]:
-    """Return the derivatives of all limits by the states over time, by finite differences.
+    """Return the derivatives of all path constraints by the states, by finite differences.
 
     Returns
     -------
     dict
-        Name of a limit -> ndarray, shape (n, n_states).
+        Name of a constraint -> ndarray, shape (n, n_states), at the n times of the spread.
     """
     dynamics, n_states = spread.dynamics, spread.states.shape[1]
     last = len(spread.t) - 1
@@ -203,14 +206,16 @@ def _gradients(spread: Spread) -> dict[str, FloatArray]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Miss:
-    """Distance of flights in turbulence from a place, or speed there, at the instants of its limit.
+    """Samples of the distance from goal or waypoint, or of the speed there, in turbulence.
+
+    They are taken at the instants at which the mission limits the distance or the speed.
 
     Attributes
     ----------
     words : str
         The limit in words.
     field : str
-        Margin that makes the miss rarer; empty if only a reserve of thrust does.
+        Scenario field whose margin makes the miss rarer; empty if only a reserve of thrust does.
     off : ndarray, shape (n_instants, n_samples)
         Samples of the distance [m] or the speed [m/s].
     within : float
@@ -231,13 +236,13 @@ class Miss:
         return float(min((self.off > self.within).mean(axis=1).sum(), 1.0))
 
     def shrunk(self, share: float) -> "Miss":
-        """Return a copy with all distances or speeds multiplied by a factor (weaker turbulence)."""
+        """Return a copy with all distances or speeds times `share`, as in weaker turbulence."""
         return replace(self, off=share * self.off)
 
     def excess(self, share: float) -> float:
-        """Return the decrease of distance [m] or speed [m/s] that would make the miss rare enough.
+        """Return by how much distance [m] or speed [m/s] must decrease for a rare miss.
 
-        `share` is the allowed probability of the miss.
+        `share` is the probability of the miss that is allowed.
         """
         most = np.quantile(self.off, 1.0 - share / len(self.off), axis=1).max()
         return max(float(most) - self.within, 0.0)

@@ -47,7 +47,7 @@ _TIGHTER = 0.1
 
 @dataclass(frozen=True)
 class AlongShortest:
-    """Start of the search for a plan: a solution along the shortest route, on one mesh."""
+    """Solution along the shortest route, on one mesh, from which the search for a plan starts."""
 
     flight: Solution
 
@@ -425,9 +425,9 @@ class Candidate:
         self._began += self.flown.timings.get("verify", 0.0)
 
     def is_astray(self) -> bool:
-        """Return whether simulation did not confirm a converged solution although the battery can.
+        """Return whether simulation fails to confirm a converged solution that the battery can fly.
 
-        A finer mesh may then help.
+        A finer mesh may then help; it would not help against a lack of battery power.
         """
         plan = self.flown
         if plan is None or plan.is_verified or self.found.status is not Status.CONVERGED:

@@ -53,8 +53,8 @@ def over_the_ground(places: FloatArray, airspace: Airspace) -> FloatArray:
 def _summits(ends: FloatArray, airspace: Airspace, floor: float) -> FloatArray:
     """Return the corners that raise one leg of a route over terrain, without its ends.
 
-    `ends` has shape (2, 3), `floor` is the least height above the ground [m]; the result has shape
-    (n, 3), n <= 2.
+    `ends` has shape (2, 3), `floor` is the least height above the ground [m]; the result has a row
+    for each of the n corners, at most two, shape (n, 3).
     """
     length = float(np.linalg.norm(np.diff(ends[:, :2], axis=0)))
     step = airspace.ground.least_step if airspace.ground is not None else np.inf

@@ -1,10 +1,10 @@
-"""Adaptive backstepping controller, the stand-in for the controller that the paper cites.
+"""Adaptive backstepping controller, in place of the one that the paper (Yacef et al.) cites.
 
 Law, Lyapunov proof and limits: see docs/theory/controller.md, eqs. (1) to (11).
 
-The control law is written once, with arithmetic and NumPy's functions of single numbers and without
-branching on any of them: called with numbers it gives numbers, called with the engine's symbols it
-is compiled together with the vehicle.
+The control law is written once, with arithmetic and NumPy's functions of single numbers, and has no
+branch that depends on a value: called with numbers it gives numbers, called with the engine's
+symbols it is compiled together with the vehicle.
 """
 
 from collections.abc import Iterable, Sequence
@@ -45,7 +45,7 @@ class AttitudeKinematics(Protocol):
 
 
 class EquatedRates:
-    """Kinematics of the paper's eq. (9), which equates angle rates and body rates."""
+    """Kinematics of eq. (9) of the paper (Yacef et al.), which equates angle and body rates."""
 
     def angle_rates(self, _attitude: Vector, body_rates: Vector) -> Vector:
         """Return the body rates unchanged, as the rates of roll, pitch and yaw [rad/s]."""
@@ -303,7 +303,7 @@ def bend(magnitude: float, limit: float) -> float:
 
 
 def braking_rate(error: float, gain: float, acceleration_max: float) -> float:
-    """Return the largest rate of closing an error that limited acceleration can still stop.
+    """Return the rate at which to reduce an error so that limited deceleration can stop at zero.
 
     Parameters
     ----------
@@ -554,7 +554,7 @@ class ThrustEnvelope:
     gravity : float
         m/s^2.
     acceleration_max : float
-        Largest thrust over mass, above gravity, m/s^2.
+        Largest thrust over mass, which must exceed `gravity`, m/s^2.
     tilt_max : float
         Largest tilt of the thrust, rad.
     """

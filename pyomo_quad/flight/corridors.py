@@ -96,9 +96,10 @@ class WindMap:
         )
 
     def at(self, places: FloatArray, times: FloatArray) -> FloatArray:
-        """Return the horizontal wind [m/s] at places (n, 3) and times in flight (n,), shape (n, 2).
+        """Return the horizontal wind [m/s] at n places and times in flight, shape (n, 2).
 
-        It is NaN where the field has no wind.
+        `places` has shape (n, 3), m, and `times` shape (n,), s. The wind is NaN where the field has
+        no wind.
         """
         grid, when = self._grid, times + self._offset
         columns = [*places[:, :2].T]
@@ -174,7 +175,7 @@ class LineCosts:
         return costs, times
 
     def _passed(self, places: FloatArray) -> FloatArray:
-        """Return the times at which a flight at constant speed passes places [s], shape (n,)."""
+        """Return the time at which a flight at constant speed passes each of n places [s]."""
         way = self.ends[1] - self.ends[0]
         share = (places - self.ends[0]) @ way / max(way @ way, 1.0)
         return self.duration * np.clip(share, 0.0, 1.0)
@@ -190,10 +191,10 @@ class LineCosts:
 
 
 def has_corridors(told: Scenario) -> bool:
-    """Return whether the wind makes a route's energy depend on where it leads over the ground.
+    """Return whether the energy of a route depends on its horizontal position in the wind.
 
-    That is so in a wind field that varies over the ground, if the wind acts by the airspeed, on
-    which the table of powers depends.
+    This requires a wind field that varies over the ground and acts through the airspeed
+    (`wind.coupling = "drag"`).
     """
     if told.wind.grid is None or told.wind.coupling is not WindCoupling.DRAG:
         return False
@@ -317,7 +318,7 @@ def _grid(
     Returns
     -------
     places : ndarray, shape (n, 3)
-        Start, goal, and grid points [m].
+        Start, goal, and grid points [m], n in all.
     first, last : ndarray of int, shape (n_lines,)
         Indices of the ends of each line.
     """
@@ -450,7 +451,7 @@ class _Search:
 
 
 def _distance(places: FloatArray, route: FloatArray) -> FloatArray:
-    """Return the distances of places (n, 3) from a polygonal route, shape (n,) [m]."""
+    """Return the distance of each of n places (n, 3) from a polygonal route, shape (n,) [m]."""
     starts, way = route[:-1], np.diff(route, axis=0)
     lengths = np.maximum(np.sum(way**2, axis=1), np.finfo(float).tiny)
     away = places[:, None] - starts

@@ -46,7 +46,7 @@ _LOST = 1e6
 
 @dataclass(frozen=True, kw_only=True)
 class Spread:
-    """Normal distribution over time of the states of flights in turbulence.
+    """Normal distribution of the states of flights in turbulence, at n times.
 
     Attributes
     ----------
@@ -70,12 +70,12 @@ class Spread:
     dynamics: Dynamics
 
     def of(self, *names: str) -> FloatArray:
-        """Return the covariance matrices of some states over time, shape (n, n_names, n_names)."""
+        """Return the covariance of some states at the n times, shape (n, n_names, n_names)."""
         chosen = [self.dynamics.state_names.index(name) for name in names]
         return self.covariance[:, chosen][:, :, chosen]
 
     def deviation(self, name: str) -> FloatArray:
-        """Return the standard deviation of a state over time, shape (n,)."""
+        """Return the standard deviation of a state at each of the n times, shape (n,)."""
         return np.sqrt(self.of(name)[:, 0, 0])
 
 
@@ -130,7 +130,7 @@ def discrete(A: FloatArray, B: FloatArray, step: float) -> tuple[FloatArray, Flo
     Parameters
     ----------
     A, B : ndarray, shapes (n, n_x, n_x), (n, n_x, n_u)
-        Matrices of dx/dt = A x + B u, constant over each step.
+        Matrices of dx/dt = A x + B u, constant over each of the n steps.
     step : float
         Length of a step [s].
 
@@ -239,7 +239,7 @@ class _MeanFlight:
         )
 
     def flown(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the joint states and the controller's commands at given times [s].
+        """Return the joint states and the controller's commands at n given times [s].
 
         Their shapes are (n, n_joint) and (n, `COMMAND_SIZE`). A joint state holds the states of
         vehicle, turbulence filters and controller, and the energy.

@@ -41,7 +41,7 @@ AIR_FORCE = tuple(f"aerodynamics.force_{axis}" for axis in "xyz")
 
 @dataclass(frozen=True, kw_only=True)
 class Flown:
-    """Samples of a simulated flight: times, states, controls and energy.
+    """Samples of a simulated flight at n times: states, controls and energy.
 
     Attributes
     ----------

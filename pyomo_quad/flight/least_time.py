@@ -127,7 +127,7 @@ class Approach:
     solve : callable
         Solves a scenario with a solution as the start; returns a plan.
     search : Search
-        Limits the effort of each solve.
+        Stops each solve at a limit of effort, the iterations times the mesh points.
     plans : list of Plan
         Plans made so far, in order of decreasing duration.
     """

@@ -1,7 +1,7 @@
-"""Names and amounts of limits as reports and messages print them.
+"""Names and amounts of limits (path constraints) as reports and messages print them.
 
-Declared limits get the words of a user and familiar units; limits of a user's own model keep the
-names and units that the user gave them.
+Limits that the package declares are named in words, with familiar units; limits of a user's own
+model keep the names and units that the user gave them.
 """
 
 from math import sqrt

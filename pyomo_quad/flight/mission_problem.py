@@ -199,9 +199,10 @@ class MissionProblem:
         return self.solve(mesh=reached.mesh, warm_start=reached), first
 
     def _as_far_as(self, stopped: Solution) -> Solution:
-        """Return an interrupted solve with easier parameters as an iterate of the mission.
+        """Return the last point of an interrupted solve, evaluated with the mission's parameters.
 
-        Its energy and errors are thus those of the mission's own parameters.
+        The interrupted solve had easier parameters; energy and errors of the returned solution are
+        those of the mission.
         """
         read = self.unsolved(mesh=stopped.mesh, warm_start=stopped)
         return replace(read, status=stopped.status, message=stopped.message)

@@ -255,7 +255,9 @@ def least_cost(costs: FloatArray, reached: float) -> float:
 
 
 def _made_symmetric(costs: FloatArray, finite: FloatArray) -> FloatArray:
-    """Return symmetric costs of the legs for a lower bound: the cheaper direction, less potentials.
+    """Return symmetric costs of the legs: those of the cheaper direction, less potentials.
+
+    From them follows a lower bound on the cost of all orders.
 
     A leg is the flight from one place to another. A potential is a number for each place, whose
     difference is subtracted from the cost of a leg; the cost of an order does not depend on

@@ -98,7 +98,7 @@ class BodyFrame:
     """Rotation from RotorPy's body axes to the declared axes, and the order of the rotors."""
 
     turn: float = 0.0
-    """Angle from our body x to theirs [rad]."""
+    """Angle from the declared body x axis to RotorPy's [rad]."""
     order: tuple[int, ...] = (0, 1, 2, 3)
     """Number of the declared rotor for each of RotorPy's rotors."""
 
@@ -409,7 +409,8 @@ class OutsidePlant:
     ) -> Callable[[float, FloatArray], FloatArray]:
         """Return the time derivative of the joint state as a function of time and joint state.
 
-        The function raises a SolveError if the vehicle tumbles.
+        It raises a SolveError if the vehicle tumbles in the time up to `last` [s]. Before `inside`
+        [s] it is evaluated at `inside`, because the law may jump at the start of the period.
         """
         guard = TumblingGuard("RotorPy", last - inside)
 
@@ -422,8 +423,8 @@ class OutsidePlant:
     def _held(self, law: OutsideLaw, t: float, joint: FloatArray) -> OutsideLaw:
         """Return a law with the constant rotor command that ``law`` gives at time t.
 
-        The motors follow the command with their lag. It is how RotorPy simulates a period of its
-        controller.
+        The motors follow the command with their lag. RotorPy simulates each period of its
+        controller in this way.
         """
         x, lag = self.read(joint), self.parameters["tau_m"]
         command = x[self._rotors] + lag * np.asarray(law(t, x, self.own(joint))[0], dtype=float)
@@ -457,9 +458,10 @@ def _wind_of(scenario: Scenario, dynamics: Dynamics) -> Callable[[float, FloatAr
 
 
 def refuse_pushing_wind(scenario: Scenario) -> None:
-    """Raise a ScenarioError for a wind that acts as an acceleration, eq. (9) as printed.
+    """Raise a ScenarioError for a wind that acts as an acceleration (`wind.coupling`).
 
-    RotorPy has no counterpart: its wind acts on the airspeed.
+    Eq. (9) of the paper (Yacef et al.) has such a wind. RotorPy has no counterpart: its wind
+    changes the airspeed.
     """
     wind = scenario.wind
     is_steady = bool(wind.speed or wind.vertical)

@@ -94,13 +94,13 @@ class Trajectories:
         return np.clip((np.asarray(t, dtype=float) - start) / (end - start), 0.0, 1.0)
 
     def states_at(self, t: FloatArray) -> FloatArray:
-        """Evaluate the state polynomials at given times [s], shape (n, n_states)."""
+        """Evaluate the state polynomials at n given times [s]; the result is (n, n_states)."""
         return interpolate(self.mesh, self.states, self.fractions(t), with_start=True)
 
     def controls_at(
         self, t: FloatArray, limits: tuple[FloatArray, FloatArray] | None = None
     ) -> FloatArray:
-        """Evaluate the control polynomials at given times [s], shape (n, n_controls).
+        """Evaluate the control polynomials at n given times [s]; the result is (n, n_controls).
 
         `limits` are lower and upper limits, each of shape (n_controls,), to which the values are
         clipped; None for no clipping.
@@ -109,7 +109,7 @@ class Trajectories:
         return controls if limits is None else np.clip(controls, *limits)
 
     def energy_at(self, t: FloatArray) -> FloatArray:
-        """Return the energy spent until given times [J], shape (n,)."""
+        """Return the energy spent from the start until each of n given times [J], shape (n,)."""
         held = interpolate(self.mesh, self.energy[:, None], self.fractions(t), with_start=True)
         return held[:, 0]
 
@@ -445,9 +445,9 @@ class Plan(Summarised):
     flown : Flown or None
         The simulated flight of the verification.
     risk : RiskTaken or None
-        Share of flights in turbulence that may break a limit, for which the plan stays inside its
-        limits by margins; None for a plan without margins, which leaves no thrust to a controller
-        (a paper plan).
+        Risk for which the plan was made, with its margins and test flights. The risk is the share
+        of flights in turbulence that may break a limit. None for a plan without margins, which
+        leaves no thrust to a controller (a paper plan).
     """
 
     scenario: Scenario
@@ -604,11 +604,11 @@ class Plan(Summarised):
     def owed_energy(self, final: Mapping[str, float]) -> float:
         """Estimate the energy to complete the mission from an end state off the goal [J].
 
-        The costate is the decrease of the least energy per unit by which the end state is further
-        on. Its product with the distance from the planned end is therefore the missing energy, to
-        first order. If the least energy is convex in the end state, the true value is not larger:
-        with this estimate added, no flight is below the optimum, and hence none below the lower
-        bound.
+        The estimate is the product of the final costate with the deviation of the end state from
+        the planned end state: to first order, the energy that a mission to this end state would
+        save against the planned mission. If the least energy is convex in the end state, such a
+        mission needs at least the planned energy less this estimate. With the estimate added,
+        therefore, no flight takes less energy than the optimum, nor less than the lower bound.
 
         Parameters
         ----------
@@ -716,7 +716,7 @@ class Plan(Summarised):
 
     @property
     def mesh_where_broken(self) -> Mesh:
-        """Mesh of the plan, with the elements split in which the simulated flight broke a limit."""
+        """Mesh of the plan after splitting the elements in which its simulation broke a limit."""
         held = self.trajectories
         if self.flown is None:
             return held.mesh

@@ -98,7 +98,8 @@ class Problems:
     ) -> SteadyFlight:
         """Return the cached steady flight (hover, cruise) of a scenario's vehicle in still air.
 
-        `known` gives initial values of a user's states that only a plan knows, by state name.
+        `known` gives the initial values, by name, of those states of a user's own model that the
+        mission does not define.
         """
         steady = self._steady.get(scenario)
         if steady is None:

@@ -12,7 +12,8 @@ the difference from the forecast. The other references ignore the wind.
 
 The quintic minimises the integral of the squared jerk, the polynomial of degree 7 that of the
 squared snap [1]_.  Both go straight from start to goal in the duration of the mission, or as
-splines of these degrees through its waypoints, and stay there afterwards; yaw follows.
+splines of these degrees through its waypoints, and stay at the goal afterwards.  Yaw has
+the same polynomials.
 
 .. [1] Mellinger and Kumar, "Minimum snap trajectory generation and control for quadrotors",
    ICRA 2011.
@@ -43,7 +44,7 @@ class Setpoint(NamedTuple):
     place: Sequence[float]
     """Position in world axes, m, and yaw, rad."""
     rate: Sequence[float]
-    """m/s and rad/s."""
+    """Velocity, m/s, and yaw rate, rad/s."""
     acceleration: Sequence[float]
     """Acceleration by the rotors, m/s^2 and rad/s^2: the derivative of the rate, less the
     acceleration that the reference expects from the air."""

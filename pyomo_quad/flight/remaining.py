@@ -125,7 +125,7 @@ class Remainder:
     passages: tuple[float, ...]
     """Times at which the waypoints of its plans are reached and left [s]."""
     end: float
-    """End time of its plans [s]: during the next hover at a waypoint, or that of the mission."""
+    """End time of its plans [s]: in the next hover at a waypoint, or the end of the mission."""
     is_holding: bool
     """Whether the vehicle hovers at the next waypoint."""
     released: float
@@ -205,7 +205,8 @@ class Course:
     belief : Belief
         Mass and wind that the plan assumes.
     estimate : ndarray, shape (3,)
-        Unexplained acceleration that the belief accounts for [m/s^2].
+        Estimated acceleration that the equations do not explain, from which the belief was
+        computed [m/s^2].
     """
 
     plan: Trajectories
@@ -222,7 +223,7 @@ class Replanner:
     scenario : Scenario
         The mission, and the vehicle as assumed by the controller.
     knowledge : Knowledge
-        What the solver knows of the wind: the actual wind, an estimate, or nothing.
+        Knowledge of the wind in the re-plans: the actual wind, an estimate, or none.
     planner : Planner
         Holds the compiled equations.
     margins : mapping, optional
@@ -402,7 +403,8 @@ class Replanner:
         belief : Belief
             Mass and wind that it assumes.
         estimate : ndarray, shape (3,)
-            Unexplained acceleration that the belief accounts for [m/s^2].
+            Estimated acceleration that the equations do not explain, from which the belief was
+            computed [m/s^2].
         """
         plan, rest = trajectories_of(solution), self.at(solution.horizon[0])
         flow = rest.problem.dynamics(parameters=self._with(belief, rest), horizon=plan.horizon)

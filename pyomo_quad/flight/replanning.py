@@ -7,15 +7,15 @@ the first re-plan, and from the middle of each hover at a waypoint to the next r
 the plan made before take-off.
 
 If the flight is near its plan, a re-plan starts at the plan's own state, because the controller
-corrects the deviation; otherwise it starts at the state nearest to the plan's that the flight is
-near (tube-based predictive control).  The limits are soft, so that a re-plan exists from every
-state that rotors and battery can leave.  If a solve fails nevertheless, the last plan remains in
-use as long as the flight deviates from it by less than the margins of the limits; beyond them the
-solve is repeated with as many iterations as it needs, and is late.
+corrects the deviation; otherwise it starts at the nearest state within that deviation (tube-based
+predictive control).  The limits are soft (violations are penalised), so that a re-plan exists from
+every state from which rotors and battery can reach the goal.  If a solve fails nevertheless, the
+last plan remains in use as long as the flight deviates from it by less than the margins of the
+limits; beyond them the solve is repeated with as many iterations as it needs, and is late.
 
 The last seconds before the goal, a waypoint and a hover are not planned again: there, a plan that
-must meet a place exactly would counteract every gust at any cost, based on a forecast whose error
-is as large as the gust's change.  Waypoints are passed at their times.
+must meet a place exactly would counteract every gust at any cost, although its prediction of the
+gust is no better than the gust's own change.  Waypoints are passed at their times.
 
 A wind that differs from the forecast, or a mass that differs from the assumed mass, causes an
 acceleration that the equations do not explain.  The identifier of the adaptive law estimates it,
@@ -83,8 +83,8 @@ _TOLERANCE = 1e-6
 def replanned_name(knowledge: Knowledge) -> str:
     """Return the name of a flight with re-planning, such as "mpc/told".
 
-    `knowledge` is what the planner knows of the wind. In such a flight, the plan is replaced
-    repeatedly by a new one.
+    In such a flight, the plan is replaced repeatedly by a new plan. `knowledge` says whether the
+    planner uses the actual wind, an estimate of the wind, or no wind.
     """
     return f"mpc/{knowledge.value}"
 
@@ -311,9 +311,9 @@ class _ReplannedFlight:
     def flown_twice(self) -> list[tuple[Flown, Flown]]:
         """Simulate each part again with the other integrator, from the same initial state.
 
-        A second simulation of the whole flight would not do: each new plan made in flight depends
-        on rounding errors of the state, and following plans of a flight with other rounding errors
-        amounts to flight without feedback, which deviates within seconds.
+        The whole flight cannot be simulated a second time for comparison. Each plan made in flight
+        depends on the rounding errors of the measured state. A second flight that followed the
+        plans of the first would have no feedback, and would deviate within seconds.
 
         Returns
         -------
@@ -354,7 +354,7 @@ def fly_replanned(
     scenario : Scenario
         The mission, and the vehicle as assumed by controller and re-plans.
     knowledge : Knowledge
-        What the re-plans know of the wind: the actual wind, an estimate, or nothing.
+        Knowledge of the wind in the re-plans: the actual wind, an estimate, or none.
     dynamics : Dynamics
         The simulated vehicle, in the actual wind.
     planner : Planner

@@ -224,7 +224,7 @@ class _Tried:
 
     @property
     def astray(self) -> float:
-        """Distance of the mean flight, that without gusts, from the goal at its end [m]."""
+        """Distance between the goal and the end of the mean flight, without gusts [m]."""
         columns = [self.spread.dynamics.state_names.index(name) for name in POSITION_STATES]
         goal = np.array(self.plan.scenario.mission.goal.position)
         return float(np.linalg.norm(self.spread.states[-1, columns] - goal))
@@ -465,9 +465,9 @@ class _Search:
         """Return the margins with which flights about a plan would keep the allowed risk.
 
         Margins are the amounts by which the plan stays inside its limits; the risk is the
-        probability that a flight in turbulence breaks any limit. The risk is shared equally among
-        the limits that need a margin, after the parts that the goal and limits far from the plan
-        use have been subtracted.
+        probability that a flight in turbulence breaks any limit. The probabilities of missing the
+        goal and of breaking limits that need no margin are first subtracted from the allowed risk;
+        the limits that need a margin share the rest equally.
         """
         held = tried.margins
         alone = {a: a.probability(held.get(a.field, 0.0), 0.0) for a in tried.near}
@@ -497,8 +497,8 @@ class _Search:
     def _agree(self, held: Mapping[str, float], wanted: Mapping[str, float]) -> bool:
         """Return whether the margins of a plan are close to those that its flights need.
 
-        `held` are the margins of the plan, `wanted` the others: scenario field -> amount. They are
-        amounts by which the plan stays inside its limits.
+        `held` are the margins of the plan, `wanted` those that its flights need: scenario field ->
+        amount by which the plan stays inside the limit.
         """
         for name in {*held, *wanted}:
             one, other = held.get(name, 0.0), wanted.get(name, 0.0)
@@ -605,7 +605,8 @@ def _missed_least(tried: _Tried) -> tuple[float, float]:
 def _planned_at(plan: Plan, spread: Spread) -> tuple[FloatArray, FloatArray]:
     """Return states and controls of a plan at the times of its flights' covariance.
 
-    The states are in the order of the spread's dynamics, shape (n, n_states).
+    At each of the spread's n times, the states are in the order of its dynamics: shape (n,
+    n_states).
     """
     held, dynamics = plan.trajectories, spread.dynamics
     names = list(held.state_names)

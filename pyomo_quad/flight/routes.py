@@ -68,7 +68,7 @@ class Route:
     sides : tuple of (str, Side)
         Name of each zone between start and goal, and the side on which it is passed.
     label : str
-        Name of a route that sides do not distinguish from others.
+        Name to use instead of the sides, for routes through a wind field ("corridor 1").
     estimate_J : float or None
         Energy in steady flight through a wind field.
     """
@@ -93,7 +93,7 @@ class Route:
         return self.label or ", ".join(words) or "straight"
 
     def places_at(self, shares: FloatArray) -> FloatArray:
-        """Return the points of the route at fractions of its length, shape (n, 3) [m]."""
+        """Return the points of the route at n fractions of its length, shape (n, 3) [m]."""
         steps = np.linalg.norm(np.diff(self.places, axis=0), axis=1)
         reached = np.concatenate([[0.0], np.cumsum(steps)])
         at = np.asarray(shares) * reached[-1]
@@ -146,8 +146,8 @@ def find_routes(
 def zones_that_block(airspace: Airspace, start: Place, goal: Place) -> tuple[str, ...]:
     """Return the names of zones that leave no route between two places.
 
-    These are the zones of which removing any single one opens a route. If there is no such zone,
-    they are a set of zones that must all be removed together.
+    If the removal of a single zone opens a route, these are all zones with this property.
+    Otherwise they are a set of zones that must all be removed together.
     """
     zones = airspace.keep_out
 
@@ -377,9 +377,10 @@ _INSTANT = 1e-9
 
 
 class SpeedProfile(NamedTuple):
-    """Rest-to-rest motion along a straight leg, at the ends of its phases of constant jerk.
+    """Samples of a motion from rest to rest along a straight line, in phases of constant jerk.
 
-    Arrays of shape (n,).
+    The n = 8 samples are the start of the motion and the ends of its seven phases; each array has
+    shape (n,).
     """
 
     times: FloatArray
@@ -387,25 +388,26 @@ class SpeedProfile(NamedTuple):
     distances: FloatArray
     """Distances from the start, m."""
     speeds: FloatArray
-    """m/s."""
+    """Speeds along the line, m/s."""
     accelerations: FloatArray
-    """m/s^2."""
+    """Accelerations along the line, m/s^2."""
 
 
 def speed_profile(distance: float, speed: float, acceleration: float, jerk: float) -> SpeedProfile:
-    """Return the fastest rest-to-rest motion over a distance within three limits.
+    """Return the fastest motion from rest to rest over a distance, of limited jerk.
 
     Parameters
     ----------
     distance : float
         m, positive.
     speed, acceleration, jerk : float
-        Largest magnitudes, m/s, m/s^2 and m/s^3.
+        Limits on their magnitudes, m/s, m/s^2 and m/s^3.
 
     Returns
     -------
     SpeedProfile
-        At the ends of its seven phases, n = 8; some phases may have zero duration.
+        Samples at the start and at the ends of the seven phases, of which some may have zero
+        duration.
     """
     peak = min(speed, _peak_speed(distance, acceleration, jerk))
     bending = min(acceleration / jerk, sqrt(peak / jerk))
@@ -430,7 +432,10 @@ def speed_profile(distance: float, speed: float, acceleration: float, jerk: floa
 
 
 def _peak_speed(distance: float, acceleration: float, jerk: float) -> float:
-    """Return the peak speed of a rest-to-rest motion over a distance without speed limit [m/s]."""
+    """Return the peak speed of the fastest motion from rest to rest over a distance [m/s].
+
+    Acceleration and jerk are limited, the speed is not.
+    """
     unbent = acceleration / jerk
     reached = acceleration / 2 * (sqrt(unbent**2 + 4 * distance / acceleration) - unbent)
     if reached >= acceleration * unbent:

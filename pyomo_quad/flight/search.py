@@ -177,7 +177,7 @@ class Search:
         flown : callable
             Takes a solution; returns its plan with the result of the simulation.
         flyable : callable
-            Takes a solution that is not flyable itself; yields such plans for trajectories near it.
+            Takes a coarse solution that is not flyable; yields flyable plans near it.
         """
         self._note(energy_J)
         if solution.error_estimate > _PROMISING:

@@ -164,7 +164,7 @@ class SteadyFlight:
         return Trim(states=states, controls=controls, power_W=float(power))
 
     def reading(self, names: tuple[str, ...], trim: Trim) -> FloatArray:
-        """Return the values of named model components in a steady flight, shape (n,), in order."""
+        """Return the values of n named model components in a steady flight, shape (n,)."""
         return self._rows(tuple((n, None) for n in names), trim.states[None], trim.controls[None])[
             0
         ]
@@ -188,7 +188,7 @@ class SteadyFlight:
     def charge_rates(
         self, trim: Trim, drawn: FloatArray, circuit: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return charge per second and remaining power of a steady flight, by charge drawn.
+        """Return the charge rate and remaining power of a steady flight at given charges drawn.
 
         Parameters
         ----------
@@ -244,10 +244,11 @@ class SteadyFlight:
         return [k for k, n in enumerate(self._dynamics.state_names) if n in CIRCUIT_STATES]
 
     def _circuit_under_load(self, trim: Trim, drawn: FloatArray) -> FloatArray | None:
-        """Return relaxation voltage [V] and temperature [K] under a steady load, by charge drawn.
+        """Return relaxation voltage [V] and temperature [K] of the pack under a steady load.
 
-        The result has shape (n, n_circuit). Beyond the last charge that the pack can give, the rows
-        repeat those of this charge. None if neither is modelled.
+        The result has a row for each of the n charges `drawn`, shape (n, n_circuit). Beyond the
+        last charge that the pack can give, the rows repeat those of this charge. None if the model
+        has neither quantity.
         """
         own, charge = self._circuit, self._dynamics.state_names.index(CHARGE_STATE)
         if not own:
@@ -445,7 +446,7 @@ class MomentumDemand:
     Attributes
     ----------
     mass, drag : ndarray, shape (3,)
-        Force per acceleration [kg] and per velocity [kg/s] along each world axis.
+        Thrust required per acceleration [kg] and per velocity [kg/s] along each world axis.
     is_linear : bool
         Whether the balance is linear in the velocity and separable by axes; otherwise `drag` has no
         meaning.
@@ -484,9 +485,9 @@ class MomentumDemand:
         return np.asarray(self._dynamics.rates(time, states, self._controls)[self._velocity])
 
     def _mass(self, axis: int) -> float:
-        """Return the apparent mass along a world axis [kg]: thrust over acceleration.
+        """Return the mass that the equations of motion imply along a world axis [kg].
 
-        The vehicle is evaluated with its thrust along this axis.
+        It is a test thrust along this axis, divided by the acceleration that the thrust adds.
         """
         names, start = self._dynamics.state_names, self._dynamics.start
         states = self._at_rest.copy()

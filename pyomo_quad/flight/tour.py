@@ -127,7 +127,7 @@ class LegTable:
 
         Returns
         -------
-        ndarray, shape (n, n)
+        ndarray, shape (n_places, n_places)
             Infinite for legs that no order may use.
         """
         missing = [leg for leg in self.legs if leg not in self._known]

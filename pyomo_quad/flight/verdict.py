@@ -38,7 +38,7 @@ def plan_of(
     solution : Solution
         Result of the engine, of any status.
     timings : dict
-        Seconds of the phases before.
+        Seconds spent so far, by phase, such as build and compile.
     hover_energy : float
         Energy of hovering for the same time [J].
 

@@ -306,11 +306,11 @@ _PART_OF_CELL = 1 / 20
 def _samples_near_zones(
     airspace: Airspace, dynamics: Dynamics, mesh: Mesh, states: FloatArray, spacing: float
 ) -> list[FloatArray]:
-    """Return samples in each element that are dense enough to check zones and ground.
+    """Return times of samples in each element, dense where zones or ground are near.
 
-    Between two nodes, samples are at most `spacing` [m] apart where a path as long as their
-    distance may reach a zone, and a small part of a cell of the terrain where it may reach a limit
-    of the height above the ground: in a cell, the surface that limits the flight is one polynomial.
+    Between two nodes from which the path may reach a zone, samples are at most `spacing` [m] apart.
+    Where it may reach a limit of the height above the ground, their distance is a small fraction of
+    a cell of the terrain, because in each cell the limit is a single polynomial surface.
 
     Parameters
     ----------

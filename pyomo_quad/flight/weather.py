@@ -37,7 +37,8 @@ def vehicle_flown(planner: Planner, scenario: Scenario) -> Dynamics:
     Returns
     -------
     Dynamics
-        Without turbulence in the scenario those of the planner.
+        With the states of the turbulence filters; if the scenario has no turbulence, the planner's
+        own dynamics.
     """
     if scenario.wind.turbulence is None:
         return planner.dynamics(scenario)
@@ -119,7 +120,7 @@ def problem_in_turbulence(scenario: Scenario) -> Problem:
 
 
 def as_expected(scenario: Scenario) -> Scenario:
-    """Return the scenario with the wind that plans assume: forecast and turbulence."""
+    """Return the scenario with forecast wind and turbulence, the conditions that plans expect."""
     told = scenario.as_forecast()
     turbulence = {"turbulence": scenario.wind.turbulence}
     return told.model_copy(update={"wind": told.wind.model_copy(update=turbulence)})

@@ -61,7 +61,7 @@ def zones_hit(zones: Sequence[KeepOut], places: FloatArray, clearance: float) ->
 def are_blocked(
     zone: KeepOut, starts: FloatArray, ends: FloatArray, clearance: float
 ) -> NDArray[np.bool_]:
-    """Return which of several straight lines intersect a zone with its clearance.
+    """Return which of n straight lines intersect a zone with its clearance.
 
     `starts` and `ends` have shape (n, 3), m; the result has shape (n,).
     """
@@ -72,7 +72,7 @@ def are_blocked(
 def _spans_inside(
     zone: KeepOut, starts: FloatArray, ends: FloatArray, clearance: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the fractions of extended straight lines at which they enter and leave a zone.
+    """Return the fractions of n extended straight lines at which they enter and leave a zone.
 
     Each has shape (n,). If a line misses the zone, the second fraction is smaller than the first.
     """
@@ -86,7 +86,7 @@ def _spans_inside(
 def _span_inside(
     ball: Ball, starts: FloatArray, ends: FloatArray, clearance: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the fractions of extended straight lines at which they enter and leave a ball.
+    """Return the fractions of n extended straight lines at which they enter and leave a ball.
 
     Each has shape (n,). If a line misses the ball, they are 1 and 0.
     """
@@ -225,7 +225,10 @@ def _frame(ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _places_along(zone: KeepOut, reach: float, near: FloatArray) -> FloatArray:
-    """Return points at a distance outside a polygon: corners, and points nearest to ``near``."""
+    """Return points on the outline of a zone enlarged by ``reach``, shape (m, 2) [m].
+
+    They are its corners and, on each edge, the points nearest to the places ``near``.
+    """
     ring = zone.ring(reach)
     following = np.roll(ring, -1, axis=0)
     along = following - ring

@@ -145,7 +145,7 @@ class Identification:
     cross_validated : ndarray, shape (n_rows,)
         Computed power of each row by a fit without the row's flight [W].
     trials : tuple of Trial
-        Errors of fits to some flights on different flights.
+        Errors of extrapolations: of fits to slow flights on fast flights, for example.
     together : tuple of (str, str)
         Each parameter that is not determined, with the parameter that has the same effect.
     cautions : tuple of str

@@ -497,7 +497,7 @@ def with_circuit(scenario: Scenario) -> Scenario:
 
 
 def _as_given(scenario: Scenario) -> list[float]:
-    """Return the fitted fields of the battery with their values before the fit.
+    """Return the values before the fit of those battery fields that are fitted, in their order.
 
     A tiny number stands for zero, because the fields are fitted as logarithms.
     """

@@ -231,7 +231,7 @@ def level_powers(scenario: Scenario, airspeeds: Sequence[float], planner: Planne
     scenario : Scenario
         Scenario with the vehicle.
     airspeeds : sequence of float
-        Airspeeds [m/s].
+        Airspeeds [m/s], n of them.
     planner : Planner
         Keeps the compiled model between calls.
 

@@ -67,7 +67,7 @@ class Trial:
     fitted_on, tried_on : str
         Payload or speed of the fitted flights, and of the flights that are computed.
     scores : Scores
-        Errors on the latter.
+        Errors on the flights that are computed.
     """
 
     name: str

@@ -2,7 +2,8 @@
 
 There are two couplings of the wind to the vehicle:
 
-`acceleration` is eq. (9) of the paper as printed, which adds the wind velocity to an acceleration.
+`acceleration` is eq. (9) of the paper (Yacef et al.) as printed, which adds the wind velocity to an
+acceleration.
 The implied coefficient of 1 1/s is declared with its unit. The vehicle's own velocity does not
 enter.
 

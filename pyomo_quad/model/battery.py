@@ -1,4 +1,4 @@
-"""Battery, eq. (4)-(5) of the paper: equal cells in series and parallel, as a circuit.
+"""Battery, eqs. (4), (5) of Yacef et al.: equal cells in series and parallel, as a circuit.
 
 symbol | name | unit | meaning
 int i_bat | charge_drawn | A h | charge drawn from the full pack, a state

@@ -1,8 +1,9 @@
-"""Limits on attitude, rotors, thrust and moments, eq. (10) of the paper, and on the battery.
+"""Limits on attitude, rotors, thrust and moments, and on the battery.
 
-The paper writes |u_k| <= u_max for k = 1, 2, 3; u_1 has its own limit, so the moments are k = 2, 3,
-4. The limit on the rotor accelerations is not in the paper; without it, the paper's problem with
-its own efficiency function has no minimum.
+They are those of eq. (10) of the paper (Yacef et al.), with two changes. The paper limits the
+moments as |u_k| <= u_max for k = 1, 2, 3, but u_1 is the thrust, with its own limit: k = 2, 3, 4 is
+meant. The limit on the rotor accelerations is not in the paper; without it, the paper's problem
+with its own efficiency function has no minimum.
 
 Plans leave a fraction of the largest rotor speed and thrust, `reserve`, to the controller that
 will fly them. A motor with lag accelerates its rotor by at most (rotor_speed_max - speed) / time

@@ -2,8 +2,8 @@
 
 A passage is the instant at which the flight is at a waypoint; its time is a variable of the plan.
 
-The paper gives every rotor 912 rad/s at both ends, 0.07 % short of balancing the weight. Here it is
-the exact speed at which 4 kappa_b omega^2 = m g.
+The paper (Yacef et al.) gives every rotor 912 rad/s at both ends, whose thrust is 0.07 % less than
+the weight. Here the rotor speed is the exact one at which 4 kappa_b omega^2 = m g.
 """
 
 from collections.abc import Callable, Hashable, Mapping

@@ -2,8 +2,9 @@
 
 Each model is a function that declares the power of every rotor without regard to regeneration.
 Regeneration then decides whether braking returns its full power or none. The energy of the flight
-is the integral of the sum, eq. (8). The paper's second sum, over every speed for every rotor, is
-read as one sum over the four rotors.
+is the integral of the sum, eq. (8) of the paper (Yacef et al.). The paper's second sum, over every
+speed for every rotor, is read as one sum over the four rotors. In the table, v and i are voltage
+and current of the motor, tau its torque, omega the rotor speed and alpha the rotor acceleration:
 
 name | power of one rotor | convex in alpha | convex in thrust in steady flight
 motor | v i | yes | yes
@@ -209,8 +210,9 @@ def declare_motor_power(m: ConcreteModel, name: str) -> None:
     """Declare the power model `motor`: terminal voltage times current of each motor, eq. (2)-(3).
 
     Valid wherever the motor runs: copper loss grows with the square of the torque, so the power is
-    convex in alpha and in thrust. With regeneration, braking returns its power less the loss in the
-    winding. The rotor has no profile drag, so the hover power is half that of a real aircraft.
+    convex in the rotor acceleration alpha and in thrust. With regeneration, braking returns its
+    power less the loss in the winding. The rotor has no profile drag, so the hover power is half
+    that of a real aircraft.
     """
     b = m.power
 
@@ -228,8 +230,8 @@ def declare_shaft_power(m: ConcreteModel, name: str) -> None:
     """Declare the power model `shaft`: mechanical power of each rotor, torque times speed.
 
     A lower bound of every other model: it has no loss in motor or converter, and with regeneration
-    braking returns all its power. Linear in alpha, so alpha needs its bound; convex in thrust
-    (power 3/2).
+    braking returns all its power. Linear in the rotor acceleration, which therefore needs a
+    bound; convex in thrust (power 3/2).
     """
 
     @_power_of_each_rotor(m, name, doc="eq. (8) with f_r = 1: shaft power [W]")
@@ -241,8 +243,8 @@ def declare_shaft_power(m: ConcreteModel, name: str) -> None:
 def declare_constant_efficiency_power(m: ConcreteModel, name: str) -> None:
     """Declare the power model `constant_efficiency`: shaft power divided by a constant efficiency.
 
-    Valid near the operating point at which the efficiency was measured. Convex in alpha and in
-    thrust. Non-negative unless regeneration is enabled.
+    Valid near the operating point at which the efficiency was measured. Convex in the rotor
+    acceleration and in thrust. Non-negative unless regeneration is enabled.
     """
 
     @_power_of_each_rotor(m, name, doc="eq. (8) with constant f_r [W]")
@@ -254,12 +256,13 @@ def declare_constant_efficiency_power(m: ConcreteModel, name: str) -> None:
 def declare_efficiency_power(m: ConcreteModel, name: str) -> None:
     """Declare the power model `efficiency`: shaft power divided by f_r(tau, omega), eq. (8).
 
-    f_r is the paper's efficiency polynomial with its coefficients as recovered. Valid only with its
-    regularisation: f_r has zeros at moderate braking torque below some 780 rad/s. It is therefore
-    evaluated at a torque of at least `torque_floor`, is bounded below by `efficiency_floor`, and
-    braking returns nothing unless regeneration is enabled. Not convex in alpha: below 858 rad/s,
-    alternating acceleration and coasting is cheaper than steady flight, so an optimum depends on
-    the bound on alpha and on the mesh. Non-negative without regeneration.
+    f_r is the efficiency polynomial of the paper (Yacef et al.) in torque and rotor speed, with its
+    coefficients as recovered. Valid only with its regularisation: f_r has zeros at moderate braking
+    torque below some 780 rad/s. It is therefore evaluated at a torque of at least `torque_floor`,
+    is bounded below by `efficiency_floor`, and braking returns nothing unless regeneration is
+    enabled. Not convex in the rotor acceleration: below 858 rad/s, alternating acceleration and
+    coasting is cheaper than steady flight, so an optimum depends on the bound on the acceleration
+    and on the mesh. Non-negative without regeneration.
     """
     b = m.power
 
@@ -293,9 +296,9 @@ def declare_efficiency_power(m: ConcreteModel, name: str) -> None:
 def declare_motor_power_with_friction(m: ConcreteModel, name: str) -> None:
     """Declare the power model `motor_with_friction`: v i with dry and viscous friction.
 
-    After Morbidi et al. (2016). Valid in form, and convex in alpha; the published friction
-    constants seem ten times too high (hover at 1.3 kW). Not convex in thrust: the viscous and dry
-    friction make the first newton the most expensive.
+    After Morbidi et al. (2016). Valid in form, and convex in the rotor acceleration; the published
+    friction constants seem ten times too high (hover at 1.3 kW). Not convex in thrust: the viscous
+    and dry friction make the first newton the most expensive.
     """
     b = m.power
 
@@ -343,8 +346,8 @@ _FASTEST_INDUCED = 20.0
 def declare_momentum_power(m: ConcreteModel, name: str) -> None:
     """Declare the power model `momentum`: induced, profile, climb and rotor-acceleration power.
 
-    Valid in hover, climb, forward flight and slow descent. Convex in alpha and in thrust. The
-    docstring of this module has the equations.
+    Valid in hover, climb, forward flight and slow descent. Convex in the rotor acceleration and in
+    thrust. The docstring of this module has the equations.
     """
     b = m.power
     b.disc_area = Expression(

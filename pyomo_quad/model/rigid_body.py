@@ -1,4 +1,4 @@
-"""The rigid body: translation and rotation, eq. (6) of the paper and its state form, eq. (9).
+"""The rigid body: translation and rotation, eq. (6) of Yacef et al. and its state form, eq. (9).
 
 symbol | name | unit | meaning
 x, y, z | x, y, z | m | position in world axes, z up
@@ -253,8 +253,8 @@ def _declare_tilting_balances(b: Block, m: ConcreteModel) -> None:
 def _declare_yaw_balance(b: Block, m: ConcreteModel, attitude: Attitude) -> None:
     """Declare the moment balance about body z.
 
-    Under exact Euler rates, the balance has the reaction of the body to accelerating rotors, which
-    the paper omits.
+    With the exact attitude kinematics (`vehicle.attitude = "euler"`), it includes the yaw moment by
+    which accelerating rotors turn the body. The paper (Yacef et al.) omits this moment.
     """
     is_exact = attitude is Attitude.EULER
     what = " with the rotors' reaction: body z" if is_exact else ": moment balance about body z"

@@ -1,4 +1,4 @@
-"""The rotors and their brushless motors, eq. (1)-(3) and (7) of the paper.
+"""The rotors and their brushless motors, eq. (1)-(3) and (7) of Yacef et al.
 
 The motors are modelled as direct-current motors.
 """

@@ -113,7 +113,7 @@ def turbulence_values(scenario: Scenario) -> dict[str, float]:
 def horizontal_length(height: Any) -> Any:
     """Return the length scale L_u = L_v at a height [m]: MIL-F-8785C, figure 10.
 
-    That of MIL-HDBK-1797 is half of it for L_v.
+    MIL-HDBK-1797 has half of this length for L_v.
     """
     return height / (0.177 + 0.000823 * height / _FOOT) ** 1.2
 

@@ -1,4 +1,4 @@
-"""The declared equations as LaTeX in the paper's symbols, generated from the Pyomo model."""
+"""The declared equations as LaTeX, in the symbols of Yacef et al., from the Pyomo model."""
 
 import tomllib
 from collections.abc import Hashable, Iterator

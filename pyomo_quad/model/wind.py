@@ -1,4 +1,4 @@
-"""Wind in world axes: eq. (11)-(12) of the paper, a measured table, or a field over places.
+"""Wind in world axes: eq. (11)-(12) of Yacef et al., a measured table, or a field over places.
 
 symbol | name | unit | meaning
 v_0 | mean | m/s | mean value, with the scenario's steady wind added

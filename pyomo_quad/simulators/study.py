@@ -76,7 +76,7 @@ _NO_SLEW_LIMIT = {"limits.rotor_acceleration_max": 1e7}
 _MOST_SAMPLES = 250
 
 Track = tuple[np.ndarray, np.ndarray]
-"""Distance of a flight from its plan over time: times [s] and distances [m], shape (n,) each."""
+"""Distance of a flight from its plan over time: n times [s] and n distances [m]."""
 
 
 class Plant(StrEnum):

@@ -1,8 +1,8 @@
 """Least energy compared with least charge: the same mission solved for each of the two objectives.
 
 The energy that leaves the battery is not all that the battery loses: swings of power heat its
-resistance. `mission.aim` selects the objective; this module solves for the other one on the same
-mesh and tabulates both.
+resistance. `mission.aim` selects the objective; this module solves for the other objective on the
+same mesh and tabulates both plans.
 """
 
 from typing import TYPE_CHECKING

@@ -1,14 +1,15 @@
 """Autopilot baseline on straight legs: its simulated flight, and tuning of its settings.
 
 A leg is the straight line between two waypoints. An autopilot flies the legs at one speed, with one
-limit on acceleration and one on jerk (`flight.routes`).  A saving over it says little unless these
-three settings are good ones.  Nelder and Mead's method therefore searches for the settings of least
-energy, over simulated flights under the controller; a flight that breaks a limit of the vehicle or
-misses the goal is penalised.  One triple of settings serves the whole mission.
+limit on acceleration and one on jerk (`flight.routes`).  The saving of a plan over an autopilot
+says little unless these three settings are good.  Nelder and Mead's method therefore searches for
+the settings of least energy, over simulated flights under the controller; a flight that breaks a
+limit of the vehicle or misses the goal is penalised.  One triple of settings serves the whole
+mission.
 
-Where all legs are long compared with the way in which a flight reaches its speed, the energy is
-nearly that of steady flight: the search begins at the speed of its least energy per metre, and
-tries speeds near it.
+Where all legs are long compared with the distance over which the vehicle reaches its speed, the
+energy is nearly that of steady flight. There the search begins at the speed of least energy per
+metre in steady flight, and tries speeds near it.
 """
 
 from dataclasses import dataclass, replace
@@ -268,7 +269,11 @@ def _search(scenario: Scenario, plan: Plan | None, planner: Planner) -> tuple[Tr
 def _start_of_search(
     scenario: Scenario, planner: Planner
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the settings at which the search starts, and the factors of its other first ones."""
+    """Return the initial simplex of the search: first settings, and a factor on each setting.
+
+    The settings are speed, acceleration and jerk. Each other vertex of the simplex has one of them
+    multiplied by its factor.
+    """
     places = np.array(scenario.mission.positions)
     lengths = np.linalg.norm(np.diff(places, axis=0), axis=1)
     _, acceleration, jerk = _FIRST

@@ -231,7 +231,7 @@ def _flight(charge: int, number: int, plan: Plan) -> CampaignFlight:
 
 
 def _obstacle(told: Scenario, last: Plan | None, planner: Planner) -> str:
-    """Return the limits that repeating the last plan would break on the charge that is left.
+    """Return the limits that another flight of the last plan would break on the remaining charge.
 
     The limits are in words, separated by commas; the text is empty if none is broken or there is no
     last plan.

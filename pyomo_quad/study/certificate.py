@@ -37,11 +37,11 @@ _QUADRATURE_ERROR = 1e-10
 
 
 class ThrustMoments:
-    """Weighted integrals of the thrust over a flight that its boundary conditions fix.
+    """Weighted integrals of the thrust over a flight, fixed by the boundary conditions alone.
 
-    Every flight from rest to rest over a displacement in a given time has the same integrals, of
-    which momentum balance and displacement are the two causes. The lower bound on energy and the
-    least thrust that a mission needs follow from them.
+    Every flight from rest to rest over a displacement in a given time has the same two integrals:
+    one follows from the momentum balance, the other from the displacement. They give a lower bound
+    on the energy and on the largest thrust of every flight.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def _gauss(duration: float, panels: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _weights(times: FloatArray, rate: FloatArray, duration: float) -> tuple[FloatArray, FloatArray]:
-    """Return the weights of docs/theory/bound.md, eqs. (2) and (4), at given times, each (n, 3).
+    """Return the weights of docs/theory/bound.md, eqs. (2) and (4), at n times, each (n, 3).
 
     `rate` is drag over mass [1/s] along each axis, `duration` that of the flight [s].
     """
@@ -539,8 +539,8 @@ def _best_bound(moments: ThrustMoments, power: _SteadyPower, ceiling: float) -> 
 class _SteadyPower:
     """Total thrust and power at equal, constant rotor speeds over their allowed range.
 
-    The power is the declared one before its smooth lower limit of zero, which can only increase it:
-    a lower bound on energy stays valid.
+    Power here may be negative. The declared power has a smooth lower limit of zero, which can only
+    increase the power, so that a lower bound on the energy stays valid.
 
     Attributes
     ----------

@@ -523,10 +523,10 @@ def plan_cautions(plan: "Plan", *, planner: "Planner | None" = None) -> tuple[st
 
 
 def _attitude_cautions(plan: "Plan", planner: "Planner | None") -> Iterator[str]:
-    """Yield a caution if a plan with the paper's attitude equations fails with exact ones.
+    """Yield a caution if a plan with the paper's attitude equations fails with exact equations.
 
-    The paper sets the Euler rates equal to the body rates. The plan's controls are simulated with
-    exact Euler rates, and fail if they miss the goal.
+    The paper (Yacef et al.) sets the Euler rates equal to the body rates. The plan's controls are
+    simulated with exact Euler rates, and fail if they miss the goal.
     """
     told = plan.scenario.as_forecast()
     is_printed = told.vehicle.attitude is Attitude.PAPER

@@ -132,7 +132,7 @@ class Ensemble(Summarised):
     def of_flights(self, quantity: str) -> FloatArray:
         """Return one attribute of `Ending`, the result of a flight, for every flight.
 
-        The result has shape (n,).
+        The result has one value for each flight, shape (count,).
         """
         return np.array([getattr(ending, quantity) for ending in self.flown.endings])
 

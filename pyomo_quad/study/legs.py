@@ -181,7 +181,7 @@ class Itinerary:
         gained, spent : ndarray, shape (n_legs,)
             A_k [J s] and G_k [W] of the docstring of this module.
         jumped : float
-            What the jumps of the prices subtract from the bound, J, not positive.
+            Term by which the jumps of the prices lower the bound, J, not positive.
         slopes : ndarray, shape (2 n_legs + 1, n_prices, 3)
             Gradients of A_k, of G_k and of `jumped`.
         """

@@ -1,4 +1,4 @@
-"""Sentences on the limits that each flight of a run breaks, and on the plan's risk for them.
+"""Sentences on the limits that each flight of a run breaks, compared with the plan's risk.
 
 The risk of a plan is the share of its flights in turbulence that may break a limit.
 """

@@ -22,7 +22,8 @@ the largest sum of the price terms is known: that sum is the sum of the singular
 (u + f) p' + v q' with q = w - eta s.  Three numbers remain.  The least H over them is bounded from
 below by branch and bound: the compiled equations are enclosed over boxes with their slopes, and a
 box is halved until H is proven not to undercut the best point found by more than a tolerance.
-Under `momentum` the first number is the induced velocity; the declared balance gives the thrust.
+With the power model `momentum` the first number is not the thrust but the induced velocity, from
+which the declared balance gives the thrust.
 
 If a rotor's profile power increases with its thrust T, rotors with unequal thrusts take no less
 power in all than rotors with equal thrusts.  If it decreases, at high airspeed and low thrust, they
@@ -106,9 +107,9 @@ class MotionPrices:
 class Pairs:
     """All pairs of thrust and airspeed of a vehicle, with their power by the compiled equations.
 
-    A pair has three coordinates: rotor speed (induced velocity under `momentum`), and airspeed
-    along and across the thrust.  The class finds and proves the least value over all pairs of the
-    function H (docstring of this module), from which a lower bound on the energy follows.
+    A pair has three coordinates: rotor speed (induced velocity for the power model `momentum`), and
+    airspeed along and across the thrust.  The class finds and proves the least value over all pairs
+    of the function H (docstring of this module), from which a lower bound on the energy follows.
 
     Parameters
     ----------
@@ -347,7 +348,7 @@ class Pairs:
     def _box(
         self, low: FloatArray, high: FloatArray, numbers: Sequence[float]
     ) -> tuple[FloatArray, float, NDArray[np.int_]]:
-        """Bound the function H from below in boxes of the search.
+        """Bound the function H from below in n boxes of the search.
 
         Returns
         -------
@@ -395,7 +396,7 @@ def _halved(
 
 
 def wind_of(dynamics: Dynamics, times: FloatArray) -> FloatArray:
-    """Return the wind at given times in world axes [m/s], shape (n, 3).
+    """Return the wind at n given times in world axes [m/s], shape (n, 3).
 
     The times are in seconds; a component that the model lacks is zero.
     """

@@ -62,8 +62,9 @@ class RunResult(Summarised):
     aims : DataFrame
         Least energy against least charge, see `study.aims`; empty under the paper's equations.
     timings : mapping
-        Seconds of the plan's phases, of the certificate, of the front, and of flights and cautions
-        beyond these.
+        Seconds by name: those of the plan, "certify" for the lower bound, "front" for energy
+        against time and the objectives, "fly" for flights and cautions without the time of these
+        two, which run in parallel.
     warnings : tuple of str
         Cautions about the results, one line each.
     tuning : Tuning or None
@@ -233,8 +234,9 @@ def run_scenario(
 ) -> RunResult:
     """Plan a scenario, simulate and compare all flights, and compute the lower bound.
 
-    A solve or a flight that fails is part of the result, not an exception.  On Linux copies of the
-    process fly on all cores if BLAS has one thread (`OMP_NUM_THREADS=1`, as the commands set it).
+    A solve or a flight that fails is part of the result, not an exception.  On Linux, the flights
+    are simulated in parallel by copies of the process, one per core, if BLAS has one thread
+    (`OMP_NUM_THREADS=1`, as the commands set it).
 
     Parameters
     ----------
