@@ -513,9 +513,10 @@ def _lost(ended: S, reached: _Reached[S] | None, tolerance: float) -> S:
 
 
 def _cut_off(reached: _Reached[S]) -> S:
-    """Return a restart's solution, with a warning, if the following restart ran out of meshes.
+    """Return the solution before a restart that ran out of meshes, with a warning.
 
-    Its error may be as large as the gain of that restart.
+    If this solution itself came from an earlier restart, its error may be as large as the gain of
+    that restart.
     """
     own = reached.solution.parts[0].error_estimate
     return _doubted(reached.solution.updated(error_estimate=max(own, reached.earned)))
@@ -540,8 +541,9 @@ def _meshes(solution: Outcome) -> tuple[Mesh, ...]:
 def _objective_change(solution: Solution, tolerance: float) -> float:
     """Return the relative change of the objective since the previous mesh.
 
-    Or since any earlier mesh that met the tolerance, if that change is smaller: a mesh that did not
-    meet it, between two that agree, is inconclusive. Infinite on the first mesh.
+    If the objective agrees better with an earlier mesh that met the tolerance, the change since
+    that mesh is returned, because a mesh between them that did not meet the tolerance may have
+    another objective. Infinite on the first mesh.
     """
     *before, now = solution.history
     met = [record for record in before[:-1] if record.error <= tolerance]
