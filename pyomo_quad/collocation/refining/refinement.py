@@ -515,8 +515,8 @@ def _lost(ended: S, reached: _Reached[S] | None, tolerance: float) -> S:
 def _cut_off(reached: _Reached[S]) -> S:
     """Return the solution before a restart that ran out of meshes, with a warning.
 
-    If this solution itself came from an earlier restart, its error may be as large as the gain of
-    that restart.
+    The solution came from an earlier restart; its error may be as large as the gain of that
+    restart.
     """
     own = reached.solution.parts[0].error_estimate
     return _doubted(reached.solution.updated(error_estimate=max(own, reached.earned)))
