@@ -340,11 +340,12 @@ def _panelled_places(degree: int) -> FloatArray:
 
 
 def state_errors_as_interpolated(solution: Solution) -> FloatArray:
-    """Return the errors of the states if algebraic variables follow their own polynomials.
+    """Return the errors of the states with all algebraic variables taken from their polynomials.
 
-    If an equation defines an algebraic variable between the points, as in ``x' = r``, ``f = r +
-    r^3``, the equations may be satisfied everywhere although the control's own polynomial differs
-    from the optimal control. Shape (n_elements, n_states), relative to the states' magnitudes.
+    `estimate_error` computes an algebraic variable that an equation defines from that equation, as
+    r from f in ``x' = r``, ``f = r + r^3``. The equations may then be satisfied everywhere although
+    the polynomial of the variable differs from its optimal value. Shape (n_elements, n_states),
+    relative to the states' magnitudes.
     """
     (finer,) = _sampled(solution, _finer_places, is_defined=False)
     slopes = rate_corrections(solution.program, finer.variables, finer.data, finer.rows)
@@ -550,9 +551,11 @@ def _integrands(program: Transcription, samples: _Samples) -> FloatArray:
 
 
 def _missed(solution: Solution, moved: list[FloatArray], weight: float) -> FloatArray:
-    """Return each element's share of the error in the final states, times a weight.
+    """Return the error in the final states, attributed to elements in proportion, times a weight.
 
-    The element with the largest contribution gets the whole sum, so that it is refined first.
+    Only the final state with the largest error counts. The element that contributes most gets the
+    sum over all elements, and the others get values in proportion to their contributions. Shape
+    (n_elements,).
     """
     if weight == 0.0:
         return np.zeros(solution.mesh.elements)

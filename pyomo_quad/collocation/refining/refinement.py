@@ -257,10 +257,10 @@ class _Refinement(Generic[S]):
         return tuple(damping_of(part, weight, **how) for part in parts)
 
     def _measured(self, solved: S) -> tuple[S, tuple[ErrorEstimate, ...]]:
-        """Return a solution and its errors, with a smaller barrier gap if the gap limits them.
+        """Return a solution and its errors; reduce the barrier's gap first if it limits the errors.
 
-        A complementarity gap that is left on purpose is smaller on the next mesh: it is reduced
-        here only if all other errors meet the tolerance.
+        Damped solves leave a complementarity gap on purpose, and the next mesh has a smaller one.
+        Such a gap is reduced on the present mesh only if all other errors meet the tolerance.
         """
         errors = self._errors(solved)
         is_left = any(d is not None and d.gap > 0.0 for d in self.dampings)
