@@ -363,7 +363,7 @@ def _parameter_lines(
         The fitted parameters.
     together : sequence of (str, str)
         Pairs of parameters whose effects the measurements cannot distinguish; the line of the first
-        names the second.
+        names the second, which is "" if there is none.
     """
     partners = dict(together)
     for one in parameters:

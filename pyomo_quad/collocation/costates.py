@@ -55,8 +55,8 @@ class Costates:
     hamiltonian : ndarray, shape (n_points,)
         Hamiltonian of the minimised objective, per unit of time.
     sizes : ndarray, shape (n_states,)
-        Largest magnitude of each costate over the horizon; for a costate that is nearly zero, a
-        small fraction (1e-9) of objective / state instead.
+        Largest magnitude of each costate over the horizon, but at least 1e-9 times the magnitude of
+        the objective divided by that of the state.
     """
 
     mesh: Mesh

@@ -46,8 +46,8 @@ class SoftRows:
     family : ndarray of int, shape (n,)
         Position of each limit's family in `names`.
     row, column : ndarray of int, shape (n,)
-        Index of the limited constraint in the program and -1, or -1 and index of the limited
-        unknown.
+        For a limit on a constraint: index of the constraint in the program, and -1. For a limit on
+        an unknown: -1, and index of the unknown.
     sign : ndarray, shape (n,)
         1 for an upper limit, -1 for a lower one.
     limit : ndarray, shape (n,)

@@ -793,8 +793,9 @@ class _WithoutIterations(Dynamics):
 def _nonlinear_core(rows: Any, unknowns: Any) -> tuple[tuple[list[int], list[int]], ...]:
     """Separate equations and unknowns for Newton's method from those that remain linear.
 
-    If the unknowns that enter nonlinearly outnumber the equations in them, Newton's method solves
-    all equations.
+    Newton's method solves for the unknowns that enter nonlinearly, with the equations that contain
+    no other unknowns. If there are not as many of these equations as of these unknowns, Newton's
+    method solves all equations.
 
     Returns
     -------
@@ -902,8 +903,9 @@ def written_law(dynamics: Dynamics, law: Law, sizes: tuple[int, int, int]) -> An
     law : callable
         See `Law`.
     sizes : (int, int, int)
-        Numbers of time-dependent inputs, joint states and components of the command; the joint
-        state is that of vehicle and law, and the integral of the objective's integrand.
+        Numbers of time-dependent inputs, joint states and components of the command. The joint
+        state consists of the vehicle's states, the law's own states, and the integral of the
+        objective's integrand.
 
     Returns
     -------
@@ -1050,14 +1052,16 @@ class ClosedLoop:
         Parameters
         ----------
         t : ndarray, shape (n,)
+            Physical times.
         joint : ndarray, shape (n, n_joint)
             States of vehicle and law, and the integral of the objective's integrand.
         command : ndarray, shape (n, n_command)
+            Values that the law is to follow.
 
         Returns
         -------
         ndarray, shape (n, n_joint, n_moment)
-            Derivatives with respect to the time-dependent inputs of the equations.
+            Derivatives with respect to the n_moment time-dependent inputs of the equations.
         ndarray, shape (n, n_joint, n_joint)
             Derivatives with respect to the joint state.
         """

@@ -136,8 +136,9 @@ class FirstSolve(Search[S], Generic[S]):
     def is_final(self, found: S) -> bool:
         """Return whether a result ends the search.
 
-        A successful solve does. The failed solve that the caller requested does too if it diverged
-        (the problem is unbounded), or if the caller allows few iterations only.
+        Any successful result ends it. A failed solve ends it only if it is the solve that the
+        caller requested, and if that solve diverged (the problem is unbounded) or the caller allows
+        few iterations only.
         """
         is_hasty = self.options.max_iterations < PATIENCE
         is_first = found is self.first
@@ -163,7 +164,8 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     bounds_of : callable
         Transcription (nonlinear program on one mesh) -> its bounds, with all conditions imposed.
     simulate : callable, optional
-        Returns a trajectory simulated from the initial states, or None if any variable is free.
+        Returns a trajectory simulated from the initial states, or None if the model has controls or
+        free initial states, for which there is nothing to simulate; see `Problem._simulated`.
         Absent if the caller gave a guess.
     instance : Instance
         Parameter values, horizon and fixed variables of the solve.
@@ -216,9 +218,9 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
         return self._ended(self.finish(own, mesh, Start(guess=path))) if path else None
 
     def _simulated(self) -> Any:
-        """Return a trajectory simulated from the initial states, None if variables are free.
+        """Return a trajectory simulated from the initial states, or None.
 
-        None also if the caller gave a guess.
+        None if the model has controls or free initial states, or if the caller gave a guess.
         """
         return self.simulate and self.simulate()
 

@@ -589,8 +589,8 @@ def structural_index(declared: Declarations) -> StructuralIndex:
 
     The index is 0 for an ODE. It is also 0 where the method does not apply: there are no equations,
     more equations than variables, or no assignment of equations to variables. Controls count as
-    unknowns like any other algebraic variable, so that an equation among states that a control must
-    satisfy counts like one in a model without controls. Source: Pryce (2001), BIT Numerical
+    unknowns, like all algebraic variables; an equation among states therefore raises the index
+    whether the states are driven by controls or not. Source: Pryce (2001), BIT Numerical
     Mathematics 41, 364-394.
     """
     equations = [e for e in declared.equations if e.is_equality]

@@ -218,9 +218,11 @@ class _Known:
         return np.clip(moved, bounds.lower, bounds.upper) if np.all(np.isfinite(moved)) else z
 
     def order_times(self, z: FloatArray) -> None:
-        """Give free times without a value their declared times, and make all times increase.
+        """Set initial values of the free times, and make all times increase.
 
-        The array `z` of unknowns is changed in place.
+        A free time is a static variable that stands for a member of the continuous set, the
+        declared time. Without a value in model or guess, it gets the declared time. The array `z`
+        of unknowns is changed in place.
         """
         program, bounds = self.program, self.bounds
         statics, clock = program.compiled.declared.statics, program.compiled.declared.clock

@@ -205,7 +205,9 @@ class JointProblem(Summarised):
         With several ContinuousSets that are not discretised, each the horizon of its own variables.
         Values at their ends, integrals and static variables couple the horizons.
     times : mapping, optional
-        Name of the set -> declared time -> static variable that replaces it.
+        Free times of each horizon, as in {"flight": {1.0: m.T1}}, by the name of its continuous
+        set. A key of the inner mapping is a declared time, which is a member of the set; the solve
+        finds the physical time to which it corresponds, as the value of the static variable.
 
     Attributes
     ----------

@@ -45,8 +45,8 @@ class LimitValues:
         ----------
         chosen : slice
             Positions of these times among all n times.
-        t : ndarray
-            The chosen times.
+        t : ndarray, shape (n_chosen,)
+            The chosen times themselves.
 
         Returns
         -------

@@ -72,8 +72,9 @@ class Problem(Summarised, Formulation):
         Static variable of the model that becomes the end of the horizon; the end of the continuous
         set then only defines where boundary conditions are declared.
     times : mapping, optional
-        Declared time -> static variable that replaces it, as in {1.0: m.T1}; other declared times
-        keep their fraction of the phase in which they lie.
+        Free times, as in {1.0: m.T1}. A key is a declared time, which is a member of the continuous
+        set; the solve finds the physical time to which it corresponds, as the value of the static
+        variable. Other declared times keep their relative place between the free times.
 
     Raises
     ------

@@ -68,7 +68,8 @@ class _WholeSolve(Search[S], Generic[S]):
     def holds(self, fact: Fact) -> bool:
         """Return whether a condition (`Fact`) of a strategy in the table is true at present.
 
-        It is that a warm start was given, or that the solve from the guess failed after it.
+        `WARM_START`: a warm start was given. `COLD_FAILED`: a warm start was tried, and the solve
+        from the guess that followed has failed.
         """
         return (fact is Fact.WARM_START and self.start.warm is not None) or (
             fact is Fact.COLD_FAILED and self.warm is not None

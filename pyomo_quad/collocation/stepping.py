@@ -167,8 +167,9 @@ def _step(flow: Any, dynamics: Dynamics, sizes: tuple[int, int, int], n_varied: 
     Returns
     -------
     casadi.Function
-        (length, three time-dependent inputs, three commands, joint state, varied parameters) ->
-        joint state at the end of the step.
+        (length of the step, time-dependent inputs at its start, middle and end, commands at its
+        start, middle and end, joint state at its start, varied parameters) -> joint state at its
+        end.
     """
     n_moment, n_joint, n_command = sizes
     length = dynamics.symbol("length", 1)

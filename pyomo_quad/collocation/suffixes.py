@@ -31,8 +31,9 @@ class Sensitivities:
     Attributes
     ----------
     over_time : dict
-        Name of a component over time -> function of declared time, in the model's unit of time,
-        that returns the derivative per unit of time (for a state: the costate).
+        For each component over time, by name: a function of time that returns the derivative per
+        unit of time (for a state: the costate). Its argument is a time within the range of the
+        model's continuous set.
     once : dict
         Name of a component without time -> derivative.
     """

@@ -199,7 +199,7 @@ class Fit:
     scenario : Scenario
         Scenario with the vehicle before the fit: initial values, and all other fields.
     names : sequence of str
-        Fields to fit, from `FITTABLE`.
+        The n fields to fit, from `FITTABLE`; they are the parameters of the problem.
     """
 
     def __init__(self, motion: LoggedMotion, scenario: Scenario, names: Sequence[str]) -> None:
@@ -299,9 +299,9 @@ class Fit:
     def drawn_anew(self, values: FloatArray) -> FloatArray:
         """Return the parameters of bootstrap fits, for the uncertainty of the fit.
 
-        Each draw is as many flights as there are, with replacement. Each is a robust fit of the
-        equations linearised about the fit to all flights, which is exact for parameters that enter
-        linearly.
+        For each draw, as many flights as the log has are chosen at random, with replacement, and
+        the parameters are fitted to them robustly. The computed power is linearised about the fit
+        to all flights, which is exact for parameters that enter linearly.
 
         Parameters
         ----------
@@ -461,8 +461,9 @@ def confounded(fit: Fit, lost: Sequence[str]) -> tuple[tuple[str, str], ...]:
     Returns
     -------
     tuple of (str, str)
-        Name of each undetermined parameter, and name of the similar one; empty if the parameter has
-        no effect on the power, or no other has a similar effect.
+        Name of each undetermined parameter, and name of the similar parameter. The second name is
+        "" if the undetermined parameter has no effect on the power, or no other parameter has a
+        similar effect.
     """
     slopes = fit.slopes(fit.base)
     norms = np.linalg.norm(slopes, axis=0)

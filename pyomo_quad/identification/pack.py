@@ -206,8 +206,8 @@ class Record:
 class Circuit:
     """Simulation of the battery's equivalent circuit under the measured powers of flights.
 
-    Each flight has its own charge at the start and its own factor on the resistance. The fitted
-    fields are passed as logarithms, so that they remain positive.
+    Each flight has its own charge at the start and its own factor on the resistance. The n fitted
+    fields of the battery are passed as logarithms, so that they remain positive.
 
     Parameters
     ----------

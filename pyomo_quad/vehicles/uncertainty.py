@@ -42,7 +42,7 @@ class Cause:
         The uncertain quantity.
     measurement : str
         The measurement that would determine the quantity.
-    low, high : ndarray
+    low, high : ndarray, shape (len(AIRSPEEDS),)
         Powers at `AIRSPEEDS` with the quantity at the ends of its range [W]; NaN where the vehicle
         has no steady flight.
     """
@@ -59,7 +59,7 @@ class PowerBand:
 
     Attributes
     ----------
-    power, low, high : ndarray
+    power, low, high : ndarray, shape (len(AIRSPEEDS),)
         Power at `AIRSPEEDS`, and the ends of its range [W].
     causes : tuple of Cause
         Causes of the uncertainty.

@@ -336,6 +336,8 @@ class CompiledModel:
         and integrals, and of the parameters.
     path_bounds : casadi.Function
         Data of a point -> lower and upper bounds of the path equations.
+    limits : tuple of SimpleBound
+        Bounds of single variables over time.
     limits_over_time : casadi.Function
         Data of a point -> lower and upper bounds in `limits`.
     simple_point_bounds, simple_point_limits : tuple of SimpleBound, casadi.Function
@@ -549,7 +551,7 @@ def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> l
 
 
 def _unless(unbounded: Any, none: Any) -> Any:
-    """Return 0 as the side of a limit, or the infinite side `none` where the limit is absent."""
+    """Return the infinite number `none` where a limit is absent (`unbounded`), and 0 elsewhere."""
     zero = casadi.SX(0)
     return zero if unbounded.is_zero() else casadi.if_else(unbounded, none, zero)
 

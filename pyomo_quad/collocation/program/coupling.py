@@ -131,9 +131,10 @@ class CouplingWriter(TemplateWriter):
         return self.links[data.name].slot.symbol
 
     def _refuse_interior(self, reader: ModelReader, data: Any) -> None:
-        """Raise an error for a value of a horizon that cannot appear in what couples horizons.
+        """Raise an error for a value that a coupling of several horizons must not contain.
 
-        These are parameters at a single time, and values at interior times in a constraint.
+        The coupling (objective, and constraints on several horizons) must not contain a parameter
+        over time at a single time. Its constraints must not contain values at interior times.
         """
         declared, name = reader.copy.declared_times, reader.copy.time.name
         is_end = reader.addresses.of(data).time in (declared[0], declared[-1])
@@ -193,7 +194,7 @@ def read_horizons(model: Any, times: FreeTimes | None) -> CoupledDeclarations:
     ----------
     model : ConcreteModel
     times : mapping, optional
-        Name of the set -> declared time -> static variable that replaces it.
+        Free times by the name of the continuous set; see `JointProblem`.
 
     Raises
     ------
@@ -256,7 +257,7 @@ def _refuse_gaps(
     links : list of Link
         Static variables that stand for values of the horizons in them.
     free : dict
-        Name of a continuous set -> declared time -> static variable that replaces it.
+        Free times by the name of the continuous set; see `JointProblem`.
     """
     for condition in conditions:
         names = symbol_names(condition.expression)

@@ -186,10 +186,11 @@ class SolverOptions:
     def for_a_change(self, change: float, sides: int) -> SolverOptions:
         """Return the settings for a warm start whose objective is expected to change by an amount.
 
-        A barrier leaves a gap in the objective of its parameter times the number of bounds. A gap
-        larger than the expected change would first lead away from the warm start, and then back. A
-        parameter below Ipopt's own final one is replaced by the final one of the last solve: Ipopt
-        never changes a parameter that low, and the gap would differ from mesh to mesh.
+        A barrier leaves a gap in the objective: the barrier parameter times the number of bounds.
+        The first parameter is chosen so that this gap equals the expected change, because a larger
+        gap would first lead away from the warm start and then back. If this parameter is about as
+        small as the parameter at which Ipopt stops, the latter is taken: Ipopt would not change a
+        parameter that small any more, and the remaining gap would differ from mesh to mesh.
 
         A change that is not small shifts the times at which limits become active. A start on its
         bounds then blocks many iterations, and a start well inside the bounds does not.
@@ -232,8 +233,8 @@ class SolverOptions:
 
         The usual barrier parameter would first move away from a start that is nearly optimal. With
         a smaller parameter, controls on which the objective hardly depends stay near their values
-        on the last mesh: measured on a flight of 1 km against the wind, refined to five times as
-        many points.
+        on the last mesh. This was measured on a flight of 1 km against the wind, whose mesh was
+        refined to five times as many points.
         """
         pushes = tuple((name, _WELL_INSIDE) for name in _PUSHES)
         return replace(self, extra=(*self.extra, ("mu_init", _LOW_BARRIER), *pushes))

@@ -189,10 +189,10 @@ def _no_columns() -> NDArray[np.intp]:
 class ExtendedProgram:
     """Nonlinear program with further unknowns s, linear terms and quadratic costs added to it.
 
-    The unknowns are w = (z, s), where z are those of the original program. The extended program
-    minimises ``share f(z) + prices . s + weights / 2 . (w[columns] - near)**2``. Its constraints
-    are those of the original program, followed by further constraints that are zero, plus ``terms @
-    w``.
+    The unknowns are w = (z, s): the n unknowns z of the original program with n_rows constraints
+    c(z), and n_more further unknowns s. The extended program minimises ``share f(z) + prices . s +
+    weights / 2 . (w[columns] - near)**2``. The values of its constraints are ``(c(z), 0) + terms @
+    w``, where the zeros belong to n_more_rows further, linear constraints.
 
     Attributes
     ----------
@@ -202,9 +202,9 @@ class ExtendedProgram:
         Weight of the original objective; 0 leaves it out.
     prices : ndarray, shape (n_more,)
         Cost of each further unknown.
-    columns, weights, near : ndarray
-        Unknowns with a quadratic cost, each listed once; its weight, and the value at which it is
-        zero.
+    columns, weights, near : ndarray, shape (k,)
+        Positions in w of the k unknowns with a quadratic cost, each listed once; weight of each
+        cost; and value of the unknown at which the cost is zero.
     terms : csr_array, shape (n_rows + n_more_rows, n + n_more), optional
         Linear terms of all constraints, with no entry where the Jacobian of the original program
         has an entry.

@@ -49,8 +49,8 @@ class Candidate:
     key : str or (str, float)
         The condition's name, or the key of the fixed value in `Instance.fixed`.
     row, column : int
-        Index of the constraint in the program, or -1 if the condition fixes an unknown; index of
-        that unknown, or -1.
+        For a condition that is a constraint: index of the constraint in the program, and -1. For a
+        condition that fixes an unknown: -1, and index of the unknown.
     """
 
     name: str

@@ -1,5 +1,7 @@
 """Declared times of a horizon, some of which may be free, and the phases between them.
 
+A declared time is a member of the model's continuous set, at which the model can state conditions.
+It is free if a static variable gives the physical time to which it corresponds.
 Between two declared times, physical time is linear in the fraction of the horizon.
 """
 
@@ -155,7 +157,7 @@ def free_times(
     Returns
     -------
     dict
-        Name of the set -> declared time -> static variable.
+        For each set, by name: the static variable of each free declared time.
 
     Raises
     ------

@@ -1,10 +1,12 @@
 """Tensor-product B-splines in CasADi whose evaluation cost does not depend on the table's size.
 
-Around any place a spline is a polynomial. A single call finds the polynomial's coefficients and
-returns its value, gradient and Hessian. Along its first axes, as many as a table of moderate size
-allows, the table holds the coefficients of powers in each cell. Along the other axes it holds those
-of the B-spline, and the call finds the few that matter and the polynomials of the basis there.
-CasADi's B-spline of degree zero serves as the look-up: it neither copies nor searches its table.
+In each cell of its grid a spline is a polynomial. A single call finds the polynomial's coefficients
+and returns its value, gradient and Hessian. Where memory allows, a table holds these coefficients
+for every cell; it is computed once, along one axis after the other. Along axes for which the table
+would become too large, it holds the coefficients of the B-spline instead: the call then looks up
+the degree + 1 basis functions that are not zero in the cell, and multiplies their polynomials by
+their coefficients. CasADi's B-spline of degree zero serves as the look-up, because it neither
+copies nor searches its table.
 
 For CasADi's differentiation the call is a constant. It is made at a place that is rounded to 2**-38
 (4e-12) of the smallest cell, and the expression of the spline is the Taylor polynomial of degree
@@ -51,7 +53,7 @@ class LocalSpline:
     Attributes
     ----------
     roundings : tuple of float
-        Rounding of each argument to the place.
+        Step to whose multiples each argument is rounded; the rounded arguments are the place.
     ends : tuple of (float, float)
         Least and greatest value of each coordinate of the place.
     function : casadi.Function

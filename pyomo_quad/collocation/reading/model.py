@@ -391,7 +391,8 @@ def read_declarations(
     final_time : Var, optional
         Static variable of the model that becomes the end of the horizon.
     times : mapping, optional
-        Declared time -> static variable that replaces it.
+        Free times: declared time (a member of the continuous set) -> static variable that gives the
+        physical time; see `Problem`.
 
     Returns
     -------
@@ -542,8 +543,8 @@ class ModelReader:
     def _said_without_rates(self, states: list[Slot], read: list[frozenset[str]]) -> frozenset[str]:
         """Return the states that equations without derivatives determine, one equation per state.
 
-        A derivative in space uses up an equation as well: the equation that its discretisation
-        wrote.
+        If the model has derivatives in space, each of them is determined by the equation that its
+        discretisation added to the model; this equation then determines no state.
         """
         rates = {s.rate.name() for s in self.symbols.states.values()}
         algebraic = [names for names in read if not names & rates]

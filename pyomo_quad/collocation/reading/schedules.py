@@ -283,10 +283,10 @@ class Schedule:
         return result
 
     def _let_silent_ones_agree(self, forms: list[list[Any]]) -> None:
-        """Give forms without limits the linear body of a form with limits.
+        """Give forms in which the rule skips the constraint the linear body of another form.
 
-        A constraint on a single variable then remains a bound, although its rule skips it at some
-        times.
+        The skipped constraint has no limits, so that its body has no effect. With equal bodies in
+        all forms, a constraint on a single variable remains a bound of that variable.
         """
         is_silent = [f.statement.is_silent for f in self._forms.values()]
         if any(is_silent) and not all(is_silent):

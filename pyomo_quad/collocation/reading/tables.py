@@ -106,8 +106,10 @@ class Spline:
 def _going_on(at: FloatArray, values: FloatArray, degree: int) -> tuple[FloatArray, FloatArray]:
     """Return knots and coefficients of a spline that is extrapolated linearly beyond its data.
 
-    A knot of one less than full multiplicity at either end leaves value and slope continuous there;
-    the values at the averages of its knots determine the spline that does so.
+    A knot of multiplicity degree - 1 at the first and last data point keeps value and slope
+    continuous there, and permits the linear continuation. The spline is determined by its values at
+    the averages of its knots: those of the interpolating spline inside the range of the data, and
+    those of the straight continuation outside.
 
     Parameters
     ----------

@@ -337,15 +337,18 @@ class TemplateWriter:
         )
 
     def changed_bounds(self, slot: Slot) -> tuple[Any, Any] | None:
-        """Return the bounds that a user assigned at every declared time, None if unchanged.
+        """Return the bounds that a user assigned to a variable after its declaration, or None.
 
-        Bounds changed at the ends of a state alone may be meant for these two times. A fixed end
-        needs no bounds and does not count.
+        Equal bounds at every declared time are meant for all times. The result is None if at some
+        declared time the bounds are as declared, and for a state without fixed values whose bounds
+        differ from time to time, because they are meant for these times alone.
 
         Raises
         ------
         TranscriptionError
-            If the bounds between the declared times are ambiguous.
+            If the bounds were changed at every declared time and their meaning between these times
+            is ambiguous: equal bounds of a state without fixed values, which may be meant for these
+            times alone, and different bounds of any other variable.
         """
         members = [self._member(slot, time) for time in self.copy.declared_times]
         if any(m.bounds == self.declared_bounds(m) for m in members):

@@ -27,7 +27,8 @@ SAME = 1e-12
 def junction_elements(solution: Solution) -> frozenset[int]:
     """Return the indices of elements in or beside which a limit becomes active or inactive.
 
-    A change at a time at which the equations themselves may change is not counted.
+    Changes at breakpoints that the problem requires, where for example a parameter jumps, are not
+    counted.
     """
     active = active_limits(solution)
     return _changing(solution, np.ones(active.shape[1], dtype=bool), active)

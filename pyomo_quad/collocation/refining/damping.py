@@ -117,7 +117,10 @@ def _smoothed(mesh: Mesh, values: FloatArray, fractions: FloatArray) -> FloatArr
 
 
 def _element_means(mesh: Mesh, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the midpoints of the elements, and the element means of values at points."""
+    """Return the elements' midpoints, shape (n_elements,), and the means of values in them.
+
+    `values` has shape (n_points, k), the means have shape (n_elements, k).
+    """
     weights = mesh.quadrature_weights[:, None]
     columns = np.column_stack([mesh.point_fractions, values, np.ones(mesh.points)])
     sums = np.add.reduceat(weights * columns, mesh.first_node[:-1], axis=0)

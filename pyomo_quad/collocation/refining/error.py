@@ -1,7 +1,7 @@
-"""Errors of a solution between its collocation points, and their effect on the result.
+"""Errors of a solution between its collocation points, and their effect on the objective.
 
-The effect is that on the objective and on the final states. Derivations: see
-docs/theory/refinement.md, eqs. (1) to (3).
+The effect on the final states is estimated, too. Derivations: see docs/theory/refinement.md, eqs.
+(1) to (3).
 """
 
 from __future__ import annotations
@@ -118,6 +118,10 @@ class Allowance:
 class ErrorEstimate:
     """Estimated relative errors of a solution, element by element.
 
+    Some effects of an element's errors on the objective add up over the elements. For comparison
+    with the tolerance they are given as the effect on the whole horizon if all elements were as bad
+    as this element, but at most the sum over all elements ("extrapolated" below).
+
     Attributes
     ----------
     states : ndarray, shape (n_elements, n_states)
@@ -126,18 +130,18 @@ class ErrorEstimate:
     violation : ndarray, shape (n_elements,)
         Violation of path equations and bounds between the points, relative to max(1, abs(bound)).
     objective : ndarray, shape (n_elements,)
-        Change of the objective by an element's state errors, estimated from the costates, times the
-        number of elements but at most the sum over all elements, relative to the objective.
+        Change of the objective by an element's state errors, estimated from the costates,
+        extrapolated, relative to the objective's nominal magnitude (`Solution.nominal_objective`).
     switches : ndarray, shape (n_elements,)
-        Possible cost of control switches at a wrong time inside an element, summed in the same way,
-        relative to the objective's own magnitude. Counted only if all other errors are below the
-        tolerance.
+        Possible cost of control switches at a wrong time inside an element, extrapolated, relative
+        to the objective's own magnitude. Zero unless all other errors are below the tolerance.
     costs : ndarray, shape (n_elements,)
-        The same as `objective`, relative to the objective's own magnitude, and doubled for the
-        unknown error of the controls. Counted only if all other errors are below the tolerance.
+        The same as `objective`, but relative to the objective's own magnitude, and doubled to allow
+        for the unknown error of the controls. Zero unless all other errors are below the tolerance.
     restraint : ndarray, shape (n_elements,)
-        Cost of the bounds between the points, summed in the same way, in units of the fraction of
-        the tolerance available to it.
+        Cost of the bounds that are imposed between the points, extrapolated, relative to the
+        nominal magnitude of the objective. It is divided by the fraction of the tolerance that this
+        cost may use up, so that it too is compared with the whole tolerance.
     integrals : ndarray, shape (n_elements,)
         Error of the quadrature of the objective and of every integral, relative to the objective
         and to max(1, abs(integral)).
@@ -312,9 +316,9 @@ def _panelled(degree: int) -> tuple[FloatArray, FloatArray]:
 
 
 def densely_sampled(solution: Solution) -> _Samples:
-    """Sample the path equations densely in each element, where limits may be violated.
+    """Sample the path constraints densely, because they may be violated between collocation points.
 
-    Polynomials peak between the collocation points; each element has 4 (degree + 1) + 1 samples.
+    The polynomials of an element may peak there; each element has 4 (degree + 1) + 1 samples.
     """
     (samples,) = _sampled(solution, _dense_places)
     return samples
@@ -336,11 +340,12 @@ def _panelled_places(degree: int) -> FloatArray:
 
 
 def state_errors_as_interpolated(solution: Solution) -> FloatArray:
-    """Return the errors of the states if algebraic variables follow their own polynomials.
+    """Return the errors of the states with all algebraic variables taken from their polynomials.
 
-    If an equation defines an algebraic variable between the points, as in ``x' = r``, ``f = r +
-    r^3``, the equations may be satisfied everywhere although the control's own polynomial differs
-    from the optimal control. Shape (n_elements, n_states), relative to the states' magnitudes.
+    `estimate_error` computes an algebraic variable that an equation defines from that equation, as
+    r from f in ``x' = r``, ``f = r + r^3``. The equations may then be satisfied everywhere although
+    the polynomial of the variable differs from its optimal value. Shape (n_elements, n_states),
+    relative to the states' magnitudes.
     """
     (finer,) = _sampled(solution, _finer_places, is_defined=False)
     slopes = rate_corrections(solution.program, finer.variables, finer.data, finer.rows)
@@ -546,9 +551,11 @@ def _integrands(program: Transcription, samples: _Samples) -> FloatArray:
 
 
 def _missed(solution: Solution, moved: list[FloatArray], weight: float) -> FloatArray:
-    """Return each element's share of the error in the final states, times a weight.
+    """Return the error in the final states, attributed to elements in proportion, times a weight.
 
-    The element with the largest contribution gets the whole sum, so that it is refined first.
+    Only the final state with the largest error counts. The element that contributes most gets the
+    sum over all elements, and the others get values in proportion to their contributions. Shape
+    (n_elements,).
     """
     if weight == 0.0:
         return np.zeros(solution.mesh.elements)

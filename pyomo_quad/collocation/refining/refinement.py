@@ -257,10 +257,10 @@ class _Refinement(Generic[S]):
         return tuple(damping_of(part, weight, **how) for part in parts)
 
     def _measured(self, solved: S) -> tuple[S, tuple[ErrorEstimate, ...]]:
-        """Return a solution and its errors, with a smaller barrier gap if the gap limits them.
+        """Return a solution and its errors; reduce the barrier's gap first if it limits the errors.
 
-        A complementarity gap that is left on purpose is smaller on the next mesh: it is reduced
-        here only if all other errors meet the tolerance.
+        Damped solves leave a complementarity gap on purpose, and the next mesh has a smaller one.
+        Such a gap is reduced on the present mesh only if all other errors meet the tolerance.
         """
         errors = self._errors(solved)
         is_left = any(d is not None and d.gap > 0.0 for d in self.dampings)
@@ -514,9 +514,10 @@ def _lost(ended: S, reached: _Reached[S] | None, tolerance: float) -> S:
 
 
 def _cut_off(reached: _Reached[S]) -> S:
-    """Return a restart's solution, with a warning, if the following restart ran out of meshes.
+    """Return the solution before a restart that ran out of meshes, with a warning.
 
-    Its error may be as large as the gain of that restart.
+    The solution came from an earlier restart; its error may be as large as the gain of that
+    restart.
     """
     own = reached.solution.parts[0].error_estimate
     return _doubted(reached.solution.updated(error_estimate=max(own, reached.earned)))
@@ -541,8 +542,9 @@ def _meshes(solution: Outcome) -> tuple[Mesh, ...]:
 def _objective_change(solution: Solution, tolerance: float) -> float:
     """Return the relative change of the objective since the previous mesh.
 
-    Or since any earlier mesh that met the tolerance, if that change is smaller: a mesh that did not
-    meet it, between two that agree, is inconclusive. Infinite on the first mesh.
+    If the objective agrees better with an earlier mesh that met the tolerance, the change since
+    that mesh is returned, because a mesh between them that did not meet the tolerance may have
+    another objective. Infinite on the first mesh.
     """
     *before, now = solution.history
     met = [record for record in before[:-1] if record.error <= tolerance]

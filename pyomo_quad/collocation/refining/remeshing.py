@@ -44,8 +44,9 @@ class RefinementOptions:
     allowance : Allowance
         Tolerances for flying the controls in open loop.
     damping : float
-        Penalty for a control that enters linearly if it differs by its whole range from the control
-        on the last mesh, as a fraction of the objective and in units of the tolerance.
+        Strength of the penalty on controls that enter linearly, for their distance from the
+        controls on the last mesh. For a distance of a control's whole range, the penalty is
+        `damping` times the tolerance times the objective.
     limits_move : bool
         For problems in which many limits become active and inactive. Most such junctions have no
         cost, so elements are split for them only after all other errors meet the tolerance, and the
