@@ -150,7 +150,7 @@ def _refuse_both(own: Any, path: FieldPath, target: FieldPath, source: str) -> N
         return
     if _DIRECTION in table:
         raise ScenarioError(
-            f"{source}: {spell(target)} and {spell(path)} say the same angle; leave one out."
+            f"{source}: {spell(target)} and {spell(path)} give the same angle; leave one out."
         )
 
 

@@ -119,7 +119,7 @@ def test_places_and_angles_that_cannot_be_are_refused(overrides, line):
 
 def test_a_latitude_needs_an_origin():
     goal = {"position": ZURICH}
-    with pytest.raises(ScenarioError, match=r"has a latitude, and nothing says .*mission.origin"):
+    with pytest.raises(ScenarioError, match=r"has a latitude, which needs .*mission.origin"):
         told({"goal": goal})
 
 
