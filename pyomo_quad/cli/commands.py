@@ -30,13 +30,7 @@ from pyomo_quad.cli.studies import (
 )
 from pyomo_quad.cli.sweeping import sweep, sweep_report
 from pyomo_quad.cli.terminal import (
-    AllowCode,
-    AsJson,
-    FigureChoice,
-    Output,
-    Overrides,
-    Quiet,
-    ReportFolder,
+    Options,
     ScenarioFile,
     ScenarioFiles,
     Stopwatch,
@@ -47,11 +41,11 @@ from pyomo_quad.cli.terminal import (
     option,
     positive_count,
     real_number,
+    with_options,
 )
-from pyomo_quad.report import Figures
 from pyomo_quad.report.folder import discard_unfinished, output_folder, refuse_output_folder
 from pyomo_quad.report.tables import plan_summary, run_summary, write_summary
-from pyomo_quad.scenario import Scenario, load_scenario
+from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.messages import FeasibilityError, PyomoQuadError, ScenarioError
 from pyomo_quad.scenario.tables import Knowledge, Reference
 from pyomo_quad.version import __version__
@@ -127,6 +121,7 @@ _Cruises = Annotated[
 ]
 
 
+@with_options
 def fly(
     scenario: _Flown,
     *,
@@ -137,12 +132,7 @@ def fly(
     flights: _Flights = None,
     seed: _Seed = 0,
     cruise: _Cruises = None,
-    out: Output = None,
-    overrides: Overrides = None,
-    figures: FigureChoice = Figures.SVG,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
-    allow_code: AllowCode = False,
+    options: Options,
 ) -> int:
     """Simulate a flight: under feedback, in open loop, re-planned, or many times in random wind."""
     if flights is not None or is_plan(scenario):
@@ -155,36 +145,31 @@ def fly(
             flights or 1,
             seed=seed,
             cruises=cruise or (),
-            out=out,
-            overrides=overrides or (),
-            figures=figures,
-            is_quiet=quiet,
-            as_json=as_json,
-            is_code_allowed=allow_code,
+            options=options,
         )
     watch = Stopwatch()
     followed = _followed(controller, reference)
     _refuse_unfit(controller, plant)
-    resolved = load_scenario(scenario, overrides or ())
+    resolved = options.load(scenario)
     if controller is Controller.MPC and resolved.baseline.mpc is None:
         resolved = resolved.with_values({"baseline.mpc": {}})
     flown = [plant] if plant is Plant.ROTORPY else []
     # The folder's name contains the controller, so that a flight does not replace the report of the
     # run in reports/NAME.
     name = "-".join((resolved.name, *flown, controller, followed or knowledge))
-    folder = out or Path("reports") / name
+    folder = options.out or Path("reports") / name
     refuse_output_folder(folder)
     with watch.phase("import"):
         import_scipy_alone()
         from pyomo_quad.cli import flying, solving  # noqa: PLC0415  takes seconds
     if plant is Plant.ROTORPY:
         flying.refuse_outside(resolved)
-    planner = solving.planner_for(resolved, is_code_allowed=allow_code, is_quiet=quiet or as_json)
+    planner = solving.planner_for(resolved, options)
     resolved, flight = _flown(planner, resolved, controller, plant, followed, knowledge, watch)
     with output_folder(folder) as aside:
         summary = flying.write_flight(aside, planner, resolved, flight, watch.seconds)
     lines = [flying.verdict(resolved, flight)]
-    solving.answer(lines, summary, folder, is_quiet=quiet, as_json=as_json)
+    solving.answer(lines, summary, folder, options)
     return ExitCode.VERIFIED if flight.is_verified else ExitCode.NOT_VERIFIED
 
 
@@ -283,58 +268,42 @@ def _refuse_unfit(controller: Controller, plant: Plant) -> None:
 _COMPARISON_FOLDER = Path("reports") / "comparison"
 
 
-def run(
-    scenario: ScenarioFile,
-    *,
-    out: Output = None,
-    overrides: Overrides = None,
-    figures: FigureChoice = Figures.SVG,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
-    allow_code: AllowCode = False,
-) -> int:
+@with_options
+def run(scenario: ScenarioFile, *, options: Options) -> int:
     """Plan a scenario, compare the plan with simulated flights, bound the energy, and report."""
     watch = Stopwatch()
-    resolved = load_scenario(scenario, overrides or ())
-    folder = folder_of(resolved, out)
+    resolved = options.load(scenario)
+    folder = folder_of(resolved, options.out)
     refuse_output_folder(folder)
     with watch.phase("import"):
         import_scipy_alone()
         from pyomo_quad.cli import solving  # noqa: PLC0415  takes seconds
         from pyomo_quad.report.report import prepare_figures, write_run_report  # noqa: PLC0415
         from pyomo_quad.study.run import run_scenario  # noqa: PLC0415
-    planner = solving.planner_for(resolved, is_code_allowed=allow_code, is_quiet=quiet or as_json)
+    planner = solving.planner_for(resolved, options)
     with solving.report_folder(folder) as aside:
 
         def prepare() -> None:
             with watch.phase("import"):
-                prepare_figures(figures)
+                prepare_figures(options.figures)
 
         result = run_scenario(resolved, planner=planner, meanwhile=prepare)
         with watch.phase("report"):
-            write_run_report(aside, result, figures)
+            write_run_report(aside, result, options.figures)
         summary = run_summary(result, wall_s=watch.seconds)
         write_summary(aside, summary)
-    solving.answer(solving.run_lines(result), summary, folder, is_quiet=quiet, as_json=as_json)
+    solving.answer(solving.run_lines(result), summary, folder, options)
     solving.complain_about(result.plan, folder, result.warnings)
     return solving.exit_code_of(result.plan)
 
 
-def compare(
-    scenarios: ScenarioFiles,
-    *,
-    out: ReportFolder = _COMPARISON_FOLDER,
-    overrides: Overrides = None,
-    figures: FigureChoice = Figures.SVG,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
-    allow_code: AllowCode = False,
-) -> int:
+@with_options
+def compare(scenarios: ScenarioFiles, *, options: Options) -> int:
     """Compare the flights of several scenarios in one table, with a figure and a page.
 
     A finished run of the same scenario is read from its report folder instead of solved again.
     """
-    missions = [load_scenario(file, overrides or ()) for file in scenarios]
+    missions, out = [options.load(file) for file in scenarios], options.out or _COMPARISON_FOLDER
     refuse_output_folder(out)
     import_scipy_alone()
     from pyomo_quad.cli import solving  # noqa: PLC0415  takes seconds
@@ -342,10 +311,7 @@ def compare(
     from pyomo_quad.study.comparison import combine  # noqa: PLC0415
     from pyomo_quad.study.run import run_scenario  # noqa: PLC0415
 
-    is_quiet = quiet or as_json
-    planners = [
-        solving.planner_for(m, is_code_allowed=allow_code, is_quiet=is_quiet) for m in missions
-    ]
+    planners = [solving.planner_for(mission, options) for mission in missions]
     status = ExitCode.VERIFIED
     with solving.report_folder(out) as aside:
         records = []
@@ -357,17 +323,17 @@ def compare(
                 solving.complain_about(result.plan, out, result.warnings)
                 record = RunRecord.of(result)
                 status = max(status, solving.exit_code_of(result.plan))
-            elif not is_quiet:
+            elif not options.is_quiet:
                 print(f"{mission.name}: read from {folder}, which holds the same run.")
             records.append(record)
         comparison = combine([record.comparison for record in records])
         write_compare_report(
-            aside, comparison, is_good=status is ExitCode.VERIFIED, figures=figures
+            aside, comparison, is_good=status is ExitCode.VERIFIED, figures=options.figures
         )
         summary = {"runs": [record.summary for record in records]}
         write_summary(aside, summary)
     lines = [solving.comparison_table(comparison)]
-    solving.answer(lines, summary, out, is_quiet=quiet, as_json=as_json)
+    solving.answer(lines, summary, out, options)
     return status
 
 
@@ -390,19 +356,15 @@ Continued = Annotated[
 ]
 
 
+@with_options
 def solve(
     scenario: Annotated[
         Path | None, typer.Argument(metavar="[SCENARIO]", help="Scenario file (TOML).")
     ] = None,
     *,
     run: Continued = None,
-    out: Output = None,
     rate: Rate = None,
-    overrides: Overrides = None,
-    figures: FigureChoice = Figures.SVG,
-    quiet: Quiet = False,
-    as_json: AsJson = False,
-    allow_code: AllowCode = False,
+    options: Options,
 ) -> int:
     """Solve a scenario, verify the plan by simulation, and write the report."""
     watch = Stopwatch()
@@ -410,8 +372,8 @@ def solve(
         raise typer.BadParameter("give a SCENARIO, or --continue RUN.")
     begun = None
     if scenario is not None:
-        resolved = load_scenario(scenario, overrides or ())
-        refuse_output_folder(folder_of(resolved, out))
+        resolved = options.load(scenario)
+        refuse_output_folder(folder_of(resolved, options.out))
     with watch.phase("import"):
         import_scipy_alone()
         from pyomo_quad.cli import solving  # noqa: PLC0415  takes seconds
@@ -420,21 +382,19 @@ def solve(
         from pyomo_quad.report.report import write_solve_report  # noqa: PLC0415
         from pyomo_quad.study.check import plan_cautions  # noqa: PLC0415
     if run is not None:
-        begun, resolved = solving.plan_to_continue(run, overrides or ())
-    folder = folder_of(resolved, out)
+        begun, resolved = solving.plan_to_continue(run, options.overrides or ())
+    folder = folder_of(resolved, options.out)
     refuse_output_folder(folder)
-    planner = solving.planner_for(
-        resolved, is_code_allowed=allow_code, is_quiet=quiet or as_json, keeps_usable=True
-    )
+    planner = solving.planner_for(resolved, options, keeps_usable=True)
     with solving.report_folder(folder) as aside:
         with Deadline(resolved):
             plan = plan_at_risk(resolved, planner, warm_start=begun)
             cautions = plan_cautions(plan, planner=planner)
         with watch.phase("report"):
-            write_solve_report(aside, plan, cautions, rate, figures)
+            write_solve_report(aside, plan, cautions, rate, options.figures)
         summary = plan_summary(plan, wall_s=watch.seconds, warnings=cautions)
         write_summary(aside, summary)
-    solving.answer(solving.verdict_lines(plan), summary, folder, is_quiet=quiet, as_json=as_json)
+    solving.answer(solving.verdict_lines(plan), summary, folder, options)
     solving.complain_about(plan, folder, cautions)
     return solving.exit_code_of(plan)
 

@@ -7,14 +7,13 @@ from pathlib import Path
 from pyomo_quad.cli.endings import ExitCode
 from pyomo_quad.cli.flying import make_flight, make_plan
 from pyomo_quad.cli.solving import answer, planner_for, report_folder
-from pyomo_quad.cli.terminal import Stopwatch
+from pyomo_quad.cli.terminal import Options, Stopwatch
 from pyomo_quad.exports.motion import ProvenPlan, read_proven
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.deadline import Deadline
-from pyomo_quad.report import Figures
 from pyomo_quad.report.ensemble import write_ensemble
 from pyomo_quad.report.folder import refuse_output_folder
-from pyomo_quad.scenario import Scenario, ScenarioError, load_scenario
+from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.loader import with_overrides
 from pyomo_quad.study.ensemble import Ensemble, Saving, fly_cruise_often, fly_plan_often
 
@@ -22,17 +21,7 @@ _SCENARIO = ".toml"
 
 
 def fly_many(
-    path: Path,
-    flights: int,
-    *,
-    seed: int,
-    cruises: Sequence[float],
-    out: Path | None,
-    overrides: Sequence[str],
-    figures: Figures,
-    is_quiet: bool,
-    as_json: bool,
-    is_code_allowed: bool,
+    path: Path, flights: int, *, seed: int, cruises: Sequence[float], options: Options
 ) -> ExitCode:
     """Simulate a plan many times, each time in a random wind, and write the report.
 
@@ -46,28 +35,18 @@ def fly_many(
         Seed of the random winds.
     cruises : sequence of float
         Speeds [m/s] at which an autopilot flies the mission in the same winds, for comparison.
-    out : Path or None
-        Report folder; None for the default.
-    overrides : sequence of str
-        Changes of scenario fields, as ``PATH=VALUE``.
-    figures : Figures
-        Which figures to draw, and in which file formats.
-    is_quiet, as_json : bool
-        Whether to print nothing, or the result as JSON.
-    is_code_allowed : bool
-        Whether to run the Python model builder that the scenario names.
+    options : Options
+        Options of commands that solve.
 
     Returns
     -------
     ExitCode
         `VERIFIED`, unless an error is raised.
     """
-    plan, planner = _plan_of(
-        path, overrides, is_quiet=is_quiet or as_json, is_code_allowed=is_code_allowed
-    )
+    plan, planner = _plan_of(path, options)
     mission = plan.mission
     _refuse_equal_flights(mission, flights)
-    folder = out or Path("reports") / f"{mission.name}-{flights}-flights"
+    folder = options.out or Path("reports") / f"{mission.name}-{flights}-flights"
     refuse_output_folder(folder)
     watch = Stopwatch()
     often = partial(fly_plan_often, mission, plan.held, planner=planner, flights=flights, seed=seed)
@@ -78,21 +57,18 @@ def fly_many(
             flown = make_flight(mission, often)
             rivals = [make_flight(mission, partial(cruising, settings)) for settings in asked]
         savings = [Saving.of(flown, rival) for rival in rivals]
-        summary = write_ensemble(aside, flown, savings, figures)
-    answer(_lines(flown, savings), summary, folder, is_quiet=is_quiet, as_json=as_json)
+        summary = write_ensemble(aside, flown, savings, options.figures)
+    answer(_lines(flown, savings), summary, folder, options)
     return ExitCode.VERIFIED
 
 
-def _plan_of(
-    path: Path, overrides: Sequence[str], *, is_quiet: bool, is_code_allowed: bool
-) -> tuple[ProvenPlan, Planner]:
+def _plan_of(path: Path, options: Options) -> tuple[ProvenPlan, Planner]:
     if path.suffix != _SCENARIO:
-        read = read_proven(path, is_code_allowed=is_code_allowed)
-        mission = with_overrides(read.mission, overrides)
-        planner = planner_for(mission, is_code_allowed=is_code_allowed, is_quiet=is_quiet)
-        return ProvenPlan(mission=mission, held=read.held), planner
-    scenario = load_scenario(path, overrides)
-    planner = planner_for(scenario, is_code_allowed=is_code_allowed, is_quiet=is_quiet)
+        read = read_proven(path, is_code_allowed=options.allow_code)
+        mission = with_overrides(read.mission, options.overrides or ())
+        return ProvenPlan(mission=mission, held=read.held), planner_for(mission, options)
+    scenario = options.load(path)
+    planner = planner_for(scenario, options)
     with Deadline(scenario):
         plan = make_plan(planner, scenario)
     return ProvenPlan(mission=plan.mission_flown, held=plan.trajectories), planner

@@ -217,9 +217,10 @@ def vehicles(
     figures: FigureChoice = Figures.SVG,
     quiet: Quiet = False,
 ) -> int:
-    """Compare the powers of library vehicles and of six data sheets with measurements.
+    """Compare computed with measured power, for library vehicles and for six data sheets.
 
-    The report has one page for each vehicle.
+    The data sheets show how well `vehicle` estimates a vehicle from its owner's data. The report
+    has one page for each vehicle.
     """
     refuse_output_folder(out)
     from pyomo_quad.flight import Planner  # noqa: PLC0415  takes a second

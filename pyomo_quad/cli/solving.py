@@ -16,7 +16,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from pyomo_quad.cli.endings import ExitCode, Interruption, SolveStopped, has_told, stop_on_interrupt
-from pyomo_quad.cli.terminal import complain, live_line, result_console
+from pyomo_quad.cli.terminal import Options, complain, live_line, result_console
 from pyomo_quad.collocation import Iteration, Problem, Progress, TranscriptionError, WarmStart
 from pyomo_quad.flight import Plan, Planner, PlanStatus
 from pyomo_quad.flight.envelope import departures
@@ -118,9 +118,7 @@ class _CommandPlanner(Planner):
         return plan
 
 
-def planner_for(
-    scenario: Scenario, *, is_code_allowed: bool, is_quiet: bool, keeps_usable: bool = False
-) -> Planner:
+def planner_for(scenario: Scenario, options: Options, *, keeps_usable: bool = False) -> Planner:
     """Return the planner of a command, which shows progress and stops at signals.
 
     Its `solve` raises `SolveStopped` if the user stops it, and ScenarioError if the scenario's
@@ -130,10 +128,9 @@ def planner_for(
     ----------
     scenario : Scenario
         Scenario to plan.
-    is_code_allowed : bool
-        Whether to run the Python model builder that the scenario names.
-    is_quiet : bool
-        Whether to show no progress.
+    options : Options
+        Options of the command: whether to run the Python model builder that the scenario names, and
+        whether to show progress.
     keeps_usable : bool, default False
         Whether a stopped solve returns the usable plan that it has found, in place of raising.
 
@@ -142,8 +139,8 @@ def planner_for(
     ScenarioError
         If the scenario's model builder is not allowed or cannot be loaded.
     """
-    builder = model_builder(scenario, is_code_allowed=is_code_allowed)
-    return _CommandPlanner(builder, is_quiet=is_quiet, keeps_usable=keeps_usable)
+    builder = model_builder(scenario, is_code_allowed=options.allow_code)
+    return _CommandPlanner(builder, is_quiet=options.is_quiet, keeps_usable=keeps_usable)
 
 
 @contextmanager
@@ -193,8 +190,8 @@ def _kept(plan: Plan, folder: Path) -> str:
 def plan_to_continue(run: Path, overrides: Sequence[str]) -> tuple[Plan, Scenario]:
     """Load a stored plan, and choose the accuracy to which its solve continues.
 
-    The accuracy is the override `solver.accuracy`. Without it, the accuracy is the one that the
-    plan was to reach, if it was not reached, and otherwise the next higher one.
+    An override `solver.accuracy` sets the accuracy. Without this override, the accuracy is the next
+    higher level if the stored plan is verified, and otherwise the level that its scenario required.
 
     Parameters
     ----------
@@ -404,12 +401,7 @@ def comparison_table(comparison: "pd.DataFrame") -> Table:
 
 
 def answer(
-    lines: Iterable[str | Table],
-    summary: Mapping[str, Any],
-    folder: Path,
-    *,
-    is_quiet: bool,
-    as_json: bool,
+    lines: Iterable[str | Table], summary: Mapping[str, Any], folder: Path, options: Options
 ) -> None:
     """Print the result of a command, and the folder of its report.
 
@@ -421,14 +413,12 @@ def answer(
         Result as JSON values.
     folder : Path
         Report folder.
-    is_quiet : bool
-        Whether to print nothing.
-    as_json : bool
-        Whether to print the summary as JSON instead of the lines.
+    options : Options
+        Options of the command: whether to print nothing, or the summary as JSON instead of lines.
     """
-    if as_json:
+    if options.as_json:
         print(summary_text(summary), end="")
-    elif not is_quiet:
+    elif not options.quiet:
         for line in lines:
             if isinstance(line, Table):
                 result_console().print(line)

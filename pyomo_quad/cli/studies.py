@@ -196,7 +196,7 @@ def outside_plant(
 ) -> int:
     """Fly three vehicles in the simulator RotorPy, and report differences from the own model.
 
-    The vehicles are that of the paper (Yacef et al.) and two of RotorPy's.
+    One vehicle is the quadrotor of Yacef et al., and two are parameter sets of RotorPy.
     """
     refuse_output_folder(out)
     from pyomo_quad.flight.outside_plant import MULTIROTOR, rotorpy_module  # noqa: PLC0415  heavy
@@ -355,8 +355,15 @@ def _parameter_lines(
 ) -> Iterator[str]:
     """Yield one printed line for each fitted parameter: value, deviation and remarks.
 
-    A parameter that the measurements do not determine keeps its value; the line names the parameter
-    from which the measurements cannot distinguish it.
+    A parameter that the measurements do not determine keeps its value, and its line says so.
+
+    Parameters
+    ----------
+    parameters : sequence
+        The fitted parameters.
+    together : sequence of (str, str)
+        Pairs of parameters whose effects the measurements cannot distinguish; the line of the first
+        names the second.
     """
     partners = dict(together)
     for one in parameters:

@@ -5,10 +5,12 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
+from inspect import signature
 from math import isfinite
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -16,7 +18,7 @@ from rich.live import Live
 from rich.text import Text
 
 from pyomo_quad.report import Figures
-from pyomo_quad.scenario import Scenario
+from pyomo_quad.scenario import Scenario, load_scenario
 from pyomo_quad.scenario.fields import number_in_text
 from pyomo_quad.scenario.messages import shown
 
@@ -172,7 +174,7 @@ ScenarioFile = Annotated[Path, typer.Argument(metavar="SCENARIO", help="Scenario
 ScenarioFiles = Annotated[
     list[Path], typer.Argument(metavar="SCENARIO...", help="Scenario files (TOML).")
 ]
-Output = Annotated[Path | None, option("--out", "DIR", "Output folder, reports/NAME by default.")]
+Output = Annotated[Path | None, option("--out", "DIR", "Output folder, below reports by default.")]
 ReportFolder = Annotated[Path, option("--out", "DIR", "Output folder.")]
 Overrides = Annotated[
     list[str] | None, option("--set", "PATH=VALUE", "Set a field to a TOML value; repeatable.")
@@ -186,6 +188,43 @@ FigureChoice = Annotated[
 AllowCode = Annotated[
     bool, typer.Option("--allow-code", help="Let the scenario run its own model builder.")
 ]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options of every command that solves and writes a report."""
+
+    out: Output = None
+    overrides: Overrides = None
+    figures: FigureChoice = Figures.SVG
+    quiet: Quiet = False
+    as_json: AsJson = False
+    allow_code: AllowCode = False
+
+    @property
+    def is_quiet(self) -> bool:
+        """Whether the command shows no progress."""
+        return self.quiet or self.as_json
+
+    def load(self, file: Path) -> Scenario:
+        """Load a scenario with the fields that the user set."""
+        return load_scenario(file, self.overrides or ())
+
+
+def with_options(command: Callable[..., int]) -> Callable[..., int]:
+    """Give a command the `Options` as options of its own, in place of its parameter `options`."""
+    own, shared = signature(command), signature(Options).parameters
+    kept = [one for one in own.parameters.values() if one.name != "options"]
+
+    def run(**given: Any) -> int:  # noqa: ANN401  options of any type
+        values = {name: given.pop(name) for name in shared}
+        return command(**given, options=Options(**values))
+
+    run.__name__, run.__doc__ = command.__name__, command.__doc__
+    whole = own.replace(parameters=[*kept, *shared.values()])
+    run.__signature__ = whole  # type: ignore[attr-defined]
+    run.__annotations__ = {one.name: one.annotation for one in whole.parameters.values()}
+    return run
 
 
 def folder_of(scenario: Scenario, output: Path | None) -> Path:

@@ -298,8 +298,8 @@ class Export:
     yaw_error_rad : float or None
         Largest deviation of the heading; None if the autopilot chooses the heading.
     is_paper_plan : bool
-        Whether the plan was made without margins for a risk, so that a controller that corrects
-        disturbances may break a limit.
+        Whether the scenario states no risk (`mission.risk`), so that the plan keeps no margins
+        from its limits, and a controller that corrects disturbances may break a limit.
     """
 
     path: str
@@ -317,7 +317,7 @@ class Export:
 _Written = tuple[int, str, float, float | None]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class _Writer:
     """Export format: function that writes it, ending of its files, and accepted option.
 
@@ -377,8 +377,8 @@ def export_plan(
         Format of the export.
     out : str or Path, optional
         File to write, for ROS 2 a folder; by default named after the scenario, in the working
-        folder. An earlier export is replaced, any other existing file is not. A device or a FIFO is
-        written to.
+        folder. An existing file is replaced only if it is an earlier export. The output may also be
+        a device or a FIFO, such as ``/dev/stdout``.
     origin : str, optional
         Position of the plan's origin on earth, "LAT,LON,ALT" in degrees and in metres above the
         sea; by default the mission's own. Missions of ground stations need an origin.
@@ -583,27 +583,20 @@ trajectory = PolynomialTrajectory(
 )
 '''
 
+_PATH_ERROR, _RATE = "--path-error", "--rate"
 _WRITERS = {
     Format.QGROUNDCONTROL: _Writer(
-        write=partial(_write_mission, _as_json, MARK),
-        ending=".plan",
-        option="--path-error",
-        default=0.25,
-        is_on_globe=True,
+        partial(_write_mission, _as_json, MARK), ".plan", _PATH_ERROR, 0.25, is_on_globe=True
     ),
     Format.MISSION_PLANNER: _Writer(
-        write=partial(_write_mission, waypoint_file, WAYPOINT_FILE_HEADER),
-        ending=".waypoints",
-        option="--path-error",
-        default=0.25,
+        partial(_write_mission, waypoint_file, WAYPOINT_FILE_HEADER),
+        ".waypoints",
+        _PATH_ERROR,
+        0.25,
         is_on_globe=True,
     ),
-    Format.PX4: _Writer(write=_write_px4, ending="_px4.csv", option="--rate", default=50.0),
-    Format.ROS2: _Writer(write=_write_ros2, ending="_ros2", option="--rate", default=50.0),
-    Format.CRAZYFLIE: _Writer(
-        write=_write_crazyflie, ending="_crazyflie.csv", option="--path-error", default=0.001
-    ),
-    Format.ROTORPY: _Writer(
-        write=_write_rotorpy, ending="_rotorpy.py", option="--path-error", default=0.0001
-    ),
+    Format.PX4: _Writer(_write_px4, "_px4.csv", _RATE, 50.0),
+    Format.ROS2: _Writer(_write_ros2, "_ros2", _RATE, 50.0),
+    Format.CRAZYFLIE: _Writer(_write_crazyflie, "_crazyflie.csv", _PATH_ERROR, 0.001),
+    Format.ROTORPY: _Writer(_write_rotorpy, "_rotorpy.py", _PATH_ERROR, 0.0001),
 }

@@ -70,8 +70,9 @@ class ImportedMission:
 class _Item:
     """Command of a ground station's mission, with its seven parameters.
 
-    A parameter is None if the file does not give it. `altitude` is QGroundControl's altitude, which
-    the file gives where the seventh parameter depends on the terrain.
+    A parameter is None if the file does not give it. The seventh parameter is normally the altitude
+    [m]. If it depends on the terrain, a QGroundControl file gives the altitude once more, and
+    `altitude` holds it; otherwise `altitude` is None.
     """
 
     where: str
@@ -328,7 +329,8 @@ def _waypoint_file(text: str, source: str) -> _File:
 def _places(read: _File, notes: Counter[str]) -> Iterator[_Place]:
     """Yield the places that a mission flies to, in order.
 
-    Successive places that are less than a millimetre apart are merged.
+    Successive places that are less than a millimetre apart are merged. `notes` receives, with the
+    number of occurrences, every content of the file that a scenario cannot hold.
     """
     last: _Place | None = None
     first: _Place | None = None

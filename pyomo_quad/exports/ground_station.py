@@ -112,9 +112,10 @@ class Legs:
 def thin(motion: Motion, path_error_m: float) -> Legs:
     """Approximate a plan by straight legs, few in number, within a distance at all times.
 
-    The plan is split at its waypoints, and then repeatedly where it is farthest from the position,
-    at the same time, of a flight at constant speed, until the deviation is small enough everywhere
-    (the top-down time-ratio algorithm of Meratnia and de By, 2004).
+    The first legs lead from waypoint to waypoint. Positions on plan and leg at the same time are
+    compared; a leg that deviates too far is split at the time of its largest deviation, until the
+    deviation is small enough everywhere (the top-down time-ratio algorithm of Meratnia and de By,
+    2004).
 
     Parameters
     ----------

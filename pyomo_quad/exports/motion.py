@@ -48,8 +48,8 @@ class ProvenPlan:
         States and controls of the plan. If they were read from a report's table, each column serves
         both as a state and as a control.
     is_paper_plan : bool
-        Whether the plan was made without margins for a risk, so that a controller that corrects
-        disturbances may break a limit.
+        Whether the scenario states no risk (`mission.risk`), so that the plan keeps no margins
+        from its limits, and a controller that corrects disturbances may break a limit.
     """
 
     mission: Scenario
@@ -144,7 +144,7 @@ class Motion:
     degrees : tuple of int
         Polynomial degree of each element, in order; their sum is n_nodes - 1.
     is_paper_plan : bool
-        Whether the plan was made without margins for a risk; see `ProvenPlan`.
+        Whether the plan was made without a risk (`mission.risk`); see `ProvenPlan`.
     """
 
     name: str

@@ -38,7 +38,7 @@ from pyomo_quad.flight.flight import (
 from pyomo_quad.flight.integration import integrate
 from pyomo_quad.flight.limit_words import limit_words
 from pyomo_quad.flight.plan import Plan, Trajectories
-from pyomo_quad.flight.references import ReferencePath, SampledPath, minimum_snap, quintic, step
+from pyomo_quad.flight.references import PlannedPath, ReferencePath, minimum_snap, quintic, step
 from pyomo_quad.flight.routes import cruise
 from pyomo_quad.flight.verification import (
     BALANCE_TOLERANCE,
@@ -352,11 +352,12 @@ _PATHS = {
     Reference.MINIMUM_SNAP: minimum_snap,
 }
 # Samples of the plan per second, between which the reference is interpolated.
-_PLAN_RATE_HZ = 5.0
+_PLAN_RATE_HZ = 20.0
 # Position and yaw, their rates and accelerations, by their names in the declared model.
 _PLACE = (*POSITION_STATES, "rigid_body.psi")
 _RATE = (*VELOCITY_STATES, "rigid_body.dpsi_dt")
 _ACCELERATION = tuple(f"rigid_body.d{name}_dt" for name in ("vx", "vy", "vz", "r"))
+_TILT_RATE = ("rigid_body.dphi_dt", "rigid_body.dtheta_dt")
 _YAW_REACTION = "rotors.yaw_reaction"
 # Step of the difference quotient of the planned yaw rate [s].
 _INSTANT = 1e-4
@@ -660,8 +661,8 @@ def _missed_waypoints(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> I
             )
 
 
-def path_of(held: Trajectories, dynamics: Dynamics, vehicle: Vehicle) -> SampledPath:
-    """Return a plan as a reference path for the controller, sampled at 5 Hz.
+def path_of(held: Trajectories, dynamics: Dynamics, vehicle: Vehicle) -> PlannedPath:
+    """Return a plan as a reference path for the controller, sampled at 20 Hz.
 
     Velocities, accelerations and the forces of the air, which the controller feeds forward, follow
     from the plan's equations.
@@ -677,7 +678,7 @@ def path_of(held: Trajectories, dynamics: Dynamics, vehicle: Vehicle) -> Sampled
 
     Returns
     -------
-    SampledPath
+    PlannedPath
         Time [s] -> Setpoint.
     """
     times = even_times(*held.horizon, _PLAN_RATE_HZ)
@@ -696,7 +697,8 @@ def path_of(held: Trajectories, dynamics: Dynamics, vehicle: Vehicle) -> Sampled
         reaction = dynamics.table(((_YAW_REACTION, None),), *flown)[:, 0]
         air[:, -1] = reaction / vehicle.Iz
         accelerations[:, -1] = _yaw_acceleration(dynamics, *flown)
-    return SampledPath(times, values, rates, accelerations, air)
+    turning = dynamics.table(tuple((name, None) for name in _TILT_RATE), *flown)
+    return PlannedPath(times, values, rates, accelerations - air, turning)
 
 
 def _yaw_acceleration(
@@ -724,7 +726,7 @@ def _doubts(
     spent = np.array([[flown.energy[-1] for flown in pair] for pair in flown_twice])
     apart = float(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).sum())
     total, other = spent.sum(axis=0)
-    allowed = _AGREEING.energy_flown * max(1.0, abs(total))
+    allowed = _AGREEING.energy * max(1.0, abs(total))
     added = ""
     if len(flown_twice) > 1:
         added = (

@@ -1,6 +1,6 @@
 """Adaptive backstepping controller, the stand-in for the controller that the paper cites.
 
-Law, Lyapunov proof and limits: see docs/theory/controller.md, eqs. (1) to (10).
+Law, Lyapunov proof and limits: see docs/theory/controller.md, eqs. (1) to (11).
 
 The control law is written once, with arithmetic and NumPy's functions of single numbers and without
 branching on any of them: called with numbers it gives numbers, called with the engine's symbols it
@@ -623,11 +623,13 @@ _POSITION = slice(0, STATES_PER_LOOP)
 _ATTITUDE = slice(STATES_PER_LOOP, 2 * STATES_PER_LOOP)
 _COMMAND = slice(2 * STATES_PER_LOOP, len(CONTROLLER_STATES))
 
-COMMAND_SIZE = 14
-"""Length of a command: place, rate and acceleration of a setpoint, four numbers each, and the
-future accelerations along world x and y at the time when a tilt commanded now is reached."""
+COMMAND_SIZE = 18
+"""Length of a command: place, rate and acceleration of a setpoint, four numbers each; accelerations
+along world x and y that the tilt is to give, and rates and accelerations of roll and pitch that are
+known beforehand, two numbers each."""
 _SETPOINT = slice(0, 4), slice(4, 8), slice(8, 12)
-_AHEAD = slice(12, COMMAND_SIZE)
+_AHEAD, _TILT_RATE, _TILT_ACCELERATION = slice(12, 14), slice(14, 16), slice(16, COMMAND_SIZE)
+_UNKNOWN_TILTING = (0.0,) * 4
 
 
 class AdaptiveController:
@@ -721,13 +723,18 @@ class AdaptiveController:
         Returns
         -------
         list of `COMMAND_SIZE` floats
-            Setpoint (place, rate, acceleration), and the accelerations along world x and y at the
-            later time at which a tilt commanded now is reached.
+            Setpoint (place, rate, acceleration), the accelerations along world x and y that the
+            tilt is to give, and rates and accelerations of roll and pitch.  Of a plan these are its
+            own at time t; of other references the accelerations are those at the later time at
+            which a tilt commanded now is reached, and the rates are zero.
         """
+        place, rate, acceleration, tilting = reference(t)
+        if tilting is not None:
+            return [*place, *rate, *acceleration, *acceleration[:2], *tilting]
         # The look-ahead starts at zero, because the vehicle is level at take-off.
         lead = self._tilt_lag * (1 - exp(-t / self._tilt_lag))
-        place, rate, acceleration = reference(t)
-        return [*place, *rate, *acceleration, *reference(t + lead).acceleration[:2]]
+        ahead = reference(t + lead).acceleration[:2]
+        return [*place, *rate, *acceleration, *ahead, *_UNKNOWN_TILTING]
 
     def __call__(
         self,
@@ -740,7 +747,7 @@ class AdaptiveController:
 
         Parameters
         ----------
-        command : sequence of 14 floats
+        command : sequence of 18 floats
             Command from the reference, as `command` returns it.
         body : sequence of twelve floats
             The `MEASURED_STATES`.
@@ -776,7 +783,7 @@ class AdaptiveController:
             wanted[axis] += command[_AHEAD][axis] - setpoint.acceleration[axis]
         ax, ay, az = self._envelope.limited(wanted)
         force = (self._mass * ax, self._mass * ay, self._mass * (az + self._gravity))
-        tilt_acceleration, command_rates = self._filtered(force, body[8], states[_COMMAND])
+        tilt_acceleration, command_rates = self._filtered(force, body[8], command, states[_COMMAND])
         moments, attitude_rates = self._moments(
             setpoint, tilt_acceleration, body, achieved_moments, states
         )
@@ -798,24 +805,35 @@ class AdaptiveController:
         return np.fmin(most, np.fmax(self._rotor_speed_max - speed, 0.0) / self._motor_lag)
 
     def _filtered(
-        self, force: Sequence[float], yaw: float, command: Sequence[float]
+        self,
+        force: Sequence[float],
+        yaw: float,
+        command: Sequence[float],
+        states: Sequence[float],
     ) -> tuple[list[float], list[float]]:
         """Return the filtered roll and pitch accelerations, and the rates of the filter's states.
 
         The command filter follows the tilt that points the thrust along ``force`` [N] at yaw
-        ``yaw`` [rad]; ``command`` holds its four states.
+        ``yaw`` [rad]; ``states`` holds its four states, and ``command`` the plan's rates.
         """
-        angles, angle_rates = command[:2], command[2:]
+        angles, angle_rates = states[:2], states[2:]
         targets = [
             _clipped(angle, -limit, limit)
             for angle, limit in zip(tilt_toward(force, yaw), self._tilt_limits, strict=True)
         ]
         accelerations = []
-        for target, angle, rate, most in zip(
-            targets, angles, angle_rates, self._tilt_acceleration_max, strict=True
+        for target, angle, rate, known_rate, known_acceleration, most in zip(
+            targets,
+            angles,
+            angle_rates,
+            command[_TILT_RATE],
+            command[_TILT_ACCELERATION],
+            self._tilt_acceleration_max,
+            strict=True,
         ):
-            closing = braking_rate(target - angle, self._tilt_gain, most)
-            accelerations.append(bend(_CRITICAL * self._tilt_gain * (closing - rate), most))
+            closing = known_rate + braking_rate(target - angle, self._tilt_gain, most)
+            correction = bend(_CRITICAL * self._tilt_gain * (closing - rate), most)
+            accelerations.append(known_acceleration + correction)
         return accelerations, [*angle_rates, *accelerations]
 
     def _moments(

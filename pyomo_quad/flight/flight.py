@@ -34,6 +34,7 @@ HELD_BREACH = 0.5 * FIGURES[Accuracy.PROOF].breach
 #: The position states, by their names in the declared model.
 POSITION_STATES = ("rigid_body.x", "rigid_body.y", "rigid_body.z")
 VELOCITY_STATES = ("rigid_body.vx", "rigid_body.vy", "rigid_body.vz")
+TILT_STATES = ("rigid_body.phi", "rigid_body.theta")
 #: Aerodynamic force on the vehicle other than thrust [N], along world axes.
 AIR_FORCE = tuple(f"aerodynamics.force_{axis}" for axis in "xyz")
 

@@ -83,7 +83,10 @@ class MissionProblem:
         told, settings = self.told, self.told.solver
         figures = FIGURES[settings.accuracy]
         options = SolverOptions(max_iterations=settings.max_iterations)
-        limits_move = bool(told.mission.is_free or told.mission.waypoints or told.airspace.keep_out)
+        is_crowded = bool(told.mission.waypoints or told.airspace.keep_out)
+        limits_move = told.mission.is_free or is_crowded
+        if is_crowded and not told.mission.is_free:
+            options = options.from_afar()
         return {
             "mesh": Mesh.uniform(settings.elements, settings.degree),
             "tolerance": settings.tolerance,

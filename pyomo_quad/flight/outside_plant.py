@@ -608,7 +608,7 @@ def se3_law(plant: OutsidePlant, path: ReferencePath, *, stiffness: float = 1.0)
     rotors = rotor_columns(plant.dynamics)
 
     def law(t: float, x: FloatArray, _own: Sequence[float]) -> Answer:
-        place, rate, acceleration = path(t)
+        place, rate, acceleration, _ = path(t)
         flat = {
             "x": np.array(place[:3]),
             "x_dot": np.array(rate[:3]),

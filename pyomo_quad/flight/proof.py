@@ -36,7 +36,7 @@ _AGAIN = "solve the scenario again."
 #: limits, and the polynomial through the clipped values differs from the planned one. If controls
 #: are at their limits for a long time, flights of tables deviate by 2 cm, 1.4e-3 of a limit and
 #: 2e-5 of the energy.
-TABLE = replace(USABLE, miss=ARRIVAL_DISTANCE_M, breach=1e-2, energy_flown=1e-3)
+TABLE = replace(USABLE, miss=ARRIVAL_DISTANCE_M, breach=1e-2)
 
 
 def refuse_unproven(
@@ -114,7 +114,7 @@ def _refuse_failed(
             allowed.breach,
             f"breach of {verification.worst_constraint}",
         ),
-        (share, allowed.energy_flown, "share of the energy not accounted for"),
+        (share, allowed.energy, "share of the energy not accounted for"),
         (passed, allowed.miss, "distance in m by which a waypoint is missed"),
         (verification.battery_imbalance, BALANCE_TOLERANCE, "share that the pack cannot give"),
         (

@@ -4,7 +4,7 @@ reference | path | meets at both ends
 step | the goal from the start | nothing: the path depends on the controller
 quintic | polynomial of degree 5 | position, zero velocity and acceleration
 minimum_snap | polynomial of degree 7 | position, zero velocity, acceleration and jerk
-plan | the optimal plan, between its samples a polynomial of degree 5 | the plan
+plan | the optimal plan, between its samples a cubic spline | the plan
 cruise | straight legs at a speed, by the module `routes` | rest, as at every corner
 
 The plan includes the effect of the forecast wind on the vehicle, so the controller adapts only to
@@ -47,6 +47,9 @@ class Setpoint(NamedTuple):
     acceleration: Sequence[float]
     """Acceleration by the rotors, m/s^2 and rad/s^2: the derivative of the rate, less the
     acceleration that the reference expects from the air."""
+    tilting: Sequence[float] | None = None
+    """Rates of roll and pitch, rad/s, and their accelerations, rad/s^2, of a vehicle that is on the
+    reference; None where the reference does not know the attitude."""
 
 
 ReferencePath = Callable[[float], Setpoint]
@@ -195,8 +198,7 @@ def minimum_snap(mission: Mission) -> ReferencePath:
 class SampledPath:
     """Path through samples, interpolated by polynomials of degree 5.
 
-    Position, velocity and acceleration are continuous, and exact at the samples. Disturbances are
-    interpolated by a cubic spline.
+    Position, velocity and acceleration are continuous, and exact at the samples.
 
     Parameters
     ----------
@@ -204,41 +206,17 @@ class SampledPath:
         Increasing times, s.
     values, rates, accelerations : array_like, shape (n, 4)
         Columns x, y, z in m and yaw in rad, and their first two derivatives.
-    disturbances : array_like, shape (n, 4), optional
-        Part of the accelerations that the rotors do not cause, such as by the air; the setpoints
-        exclude it.
-
-    Attributes
-    ----------
-    knots : list of float
-        The times of the samples, s.
     """
 
     def __init__(
-        self,
-        times: ArrayLike,
-        values: ArrayLike,
-        rates: ArrayLike,
-        accelerations: ArrayLike,
-        disturbances: ArrayLike | None = None,
+        self, times: ArrayLike, values: ArrayLike, rates: ArrayLike, accelerations: ArrayLike
     ) -> None:
-        from scipy.interpolate import BPoly, CubicSpline, PPoly  # noqa: PLC0415  as above
+        from scipy.interpolate import BPoly, PPoly  # noqa: PLC0415  as above
 
         knots = np.asarray(times, dtype=float)
         samples = np.stack([np.asarray(rows, float) for rows in (values, rates, accelerations)], 1)
         place = PPoly.from_bernstein_basis(BPoly.from_derivatives(knots, samples))
-        expected = np.zeros_like(samples[:, 0]) if disturbances is None else disturbances
-        degree, coordinates = len(place.c) - 1, place.c.shape[-1]
-        # One polynomial for all twelve numbers, because evaluating it costs no more than for one
-        # number.
-        rows = np.zeros((degree + 1, len(knots) - 1, 3, coordinates))
-        rows[:, :, 0] = place.c
-        rows[1:, :, 1] = place.derivative().c
-        rows[2:, :, 2] = place.derivative(2).c - CubicSpline(knots, expected).c
-        self.knots: list[float] = knots.tolist()
-        self._exponents = np.arange(degree, -1.0, -1.0)
-        self._pieces = [rows[:, k].reshape(degree + 1, -1) for k in range(len(knots) - 1)]
-        self._coordinates = coordinates
+        self._row = _Pieces(knots, [place.c, place.derivative().c, place.derivative(2).c])
 
     def __call__(self, t: float) -> Setpoint:
         """Return the setpoint at time t [s].
@@ -246,8 +224,63 @@ class SampledPath:
         Beyond the samples, place and acceleration are those of the nearest end, so that the
         setpoints of a controller that looks ahead do not change after the end.
         """
-        held = min(max(t, self.knots[0]), self.knots[-1])
-        k = min(bisect_right(self.knots, held), len(self._pieces)) - 1
-        row = ((held - self.knots[k]) ** self._exponents @ self._pieces[k]).tolist()
-        n = self._coordinates
-        return Setpoint(row[:n], row[n : 2 * n] if held == t else _AT_REST, row[2 * n :])
+        row, is_inside = self._row(t)
+        return Setpoint(row[:4], row[4:8] if is_inside else _AT_REST, row[8:])
+
+
+class PlannedPath:
+    """Plan as a path: cubic splines through its samples, one for each quantity.
+
+    The polynomials of a plan obey its equations at the points of its mesh only.  A path whose
+    acceleration were the second derivative of its places would turn a difference of d metres
+    between two samples that are h seconds apart into one of about 6 d/h^2.  Here each quantity is
+    that of the plan.
+
+    Parameters
+    ----------
+    times : ndarray, shape (n,)
+        Rising times, s.
+    values, rates, accelerations : ndarray, shape (n, 4)
+        Columns x, y, z in m and yaw in rad, their first derivatives, and their second derivatives
+        by the rotors alone.
+    tilt_rates : ndarray, shape (n, 2)
+        Rates of roll and pitch, rad/s.
+    """
+
+    def __init__(
+        self,
+        times: FloatArray,
+        values: FloatArray,
+        rates: FloatArray,
+        accelerations: FloatArray,
+        tilt_rates: FloatArray,
+    ) -> None:
+        from scipy.interpolate import CubicSpline  # noqa: PLC0415  as above
+
+        held = np.hstack([values, rates, accelerations, tilt_rates])
+        tilt_accelerations = CubicSpline(times, tilt_rates).derivative()
+        self._row = _Pieces(times, [CubicSpline(times, held).c, tilt_accelerations.c])
+
+    def __call__(self, t: float) -> Setpoint:
+        """Return the setpoint at time t [s]; beyond the samples as of a `SampledPath`."""
+        row, is_inside = self._row(t)
+        moving = (row[4:8], row[12:]) if is_inside else (_AT_REST, _AT_REST)
+        return Setpoint(row[:4], moving[0], row[8:12], moving[1])
+
+
+class _Pieces:
+    """Polynomials between knots, joined into one: it costs no more to evaluate than a number."""
+
+    def __init__(self, knots: FloatArray, coefficients: Sequence[FloatArray]) -> None:
+        self._knots: list[float] = knots.tolist()
+        size = max(map(len, coefficients))
+        rows = [np.pad(c, ((size - len(c), 0), (0, 0), (0, 0))) for c in coefficients]
+        self._exponents = np.arange(size - 1, -1.0, -1.0)
+        self._pieces = list(np.concatenate(rows, axis=2).swapaxes(0, 1))
+
+    def __call__(self, t: float) -> tuple[list[float], bool]:
+        """Return the values at a time, held beyond the knots, and whether it is within them."""
+        held = min(max(t, self._knots[0]), self._knots[-1])
+        k = min(bisect_right(self._knots, held), len(self._pieces)) - 1
+        row = (held - self._knots[k]) ** self._exponents @ self._pieces[k]
+        return row.tolist(), held == t

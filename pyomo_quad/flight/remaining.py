@@ -9,15 +9,16 @@ centimetres larger, for the error of a coarse mesh.
 
 The remaining mission after each waypoint has its own equations, which are compiled and solved once
 before take-off.  The penalty on violations, and the state from which a re-plan starts: see
-docs/theory/soft_limits.md, eqs. (1) and (2).
+docs/theory/soft_limits.md, eqs. (1) to (3).
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
-from math import ceil, floor, log
+from math import ceil, floor, log, sqrt
 
 import numpy as np
+from numpy.linalg import norm
 
 from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import (
@@ -35,17 +36,18 @@ from pyomo_quad.flight.baselines import (
 from pyomo_quad.flight.caches import REMAINING
 from pyomo_quad.flight.controller import (
     rotor_columns,
+    tilt_toward,
 )
 from pyomo_quad.flight.flight import (
-    ARRIVAL_DISTANCE_M,
     HELD_BREACH,
     POSITION_STATES,
+    TILT_STATES,
     VELOCITY_STATES,
 )
 from pyomo_quad.flight.margins import tightened, used_up
 from pyomo_quad.flight.plan import Trajectories, trajectories_of
 from pyomo_quad.flight.planning import Planner
-from pyomo_quad.flight.references import SampledPath
+from pyomo_quad.flight.references import PlannedPath, Setpoint
 from pyomo_quad.model import build_model, build_remaining, parameter_values, structure_key
 from pyomo_quad.model.mission import free_times, measured_start
 from pyomo_quad.model.soft_limits import BREACHES, PRICE, usual_price
@@ -62,6 +64,9 @@ _ELEMENT_S, _FEWEST, _MOST, _FIRST_DEGREE = 1.25, 8, 24, 4
 # Mesh of a re-plan: shortest and longest element [s], ratio of neighbours, degree. It has half the
 # points of a mesh with elements of 0.3 to 2 s of degree 4, and its energy differs by 1 J of 15 kJ.
 _SHORT_S, _LONG_S, _GROWTH, _DEGREE = 0.4, 2.5, 1.5, 3
+# First element of a hold [s]: limits are kept at the points of a mesh, and before the first point
+# of an element of 0.4 s a plan that braked with 4 m/s^2 was faster than it may hover by 0.3 m/s.
+_AT_ONCE_S = 0.05
 # Factor on the remaining time after which a re-plan gets a new, shorter mesh.
 _KEPT = 0.8
 # Number of samples of a plan in the initial guess of another.
@@ -160,6 +165,8 @@ class Remainder:
         then = self.timeline(first - whole * _KEPT**shrunk)
         pairs = pairwise(then.times.tolist())
         between = [inner for start, stop in pairs for inner in _graded(start, stop)]
+        if self.is_holding:
+            between.append(first + _AT_ONCE_S)
         fractions = then.fraction(np.array([*between, *then.times[1:-1]]))
         return Mesh.uniform(1, _DEGREE).with_breakpoints(fractions.tolist())
 
@@ -202,7 +209,7 @@ class Course:
     """
 
     plan: Trajectories
-    path: SampledPath
+    path: PlannedPath
     belief: Belief
     estimate: FloatArray
 
@@ -262,7 +269,10 @@ class Replanner:
         self._numbers: Numbers = {**parameter_values(believed), **self._air}
         self.dynamics = self._whole.dynamics(parameters=self._numbers, horizon=(0.0, self._end))
         self._price = usual_price(scenario)
-        self._tube = max(ARRIVAL_DISTANCE_M, self.margins.get(_CLEARANCE, 0.0))
+        gains = scenario.baseline.gains
+        closing = gains.position * (gains.position + gains.velocity)
+        #: Distance [m] at which closing the error takes the controller's largest correction.
+        self.tube = gains.acceleration_max / closing
         self._last: dict[Remainder, Solution] = {}
 
     def released(self, t: float) -> float:
@@ -431,8 +441,10 @@ class Replanner:
 
         If the flight is near its plan, it is the plan's own state: the controller corrects the
         deviation, and a re-plan from the measured state would follow each lag of the vehicle.
-        Otherwise position and velocity are predicted from the measurement, and the other states are
-        the plan's.
+        Otherwise position and velocity are nearer to the measured ones, by as much as brings the
+        flight near the re-plan.  Attitude and rotor speeds are the plan's, changed to give the
+        acceleration that the controller has learnt to add: the re-plan includes it, and would have
+        to lean against it anew.
 
         Parameters
         ----------
@@ -451,14 +463,28 @@ class Replanner:
             State at the time `end`.
         """
         planned, later = self._states(course.plan, start, end)
+        self._lean(later, course.path(end), unexplained)
         places = [self.dynamics.state_names.index(name) for name in POSITION_STATES]
-        if np.linalg.norm((state - planned)[places]) <= self._tube:
+        distance = float(np.linalg.norm((state - planned)[places]))
+        if distance <= self.tube:
             return later
+        # As little as leaves the vehicle within the tube about the next plan.
+        share = 1.0 - self.tube / distance
         speeds = [self.dynamics.state_names.index(name) for name in VELOCITY_STATES]
-        velocity = state[speeds] + (end - start) * unexplained
-        later[places] += (state - planned)[places] + (end - start) * (velocity - planned[speeds])
-        later[speeds] += velocity - planned[speeds]
+        faster = share * (state - planned)[speeds]
+        later[places] += share * (state - planned)[places] + (end - start) * faster
+        later[speeds] += faster
         return later
+
+    def _lean(self, state: FloatArray, setpoint: Setpoint, unexplained: FloatArray) -> None:
+        """Change roll, pitch and rotor speeds of a planned state to withstand an acceleration."""
+        weight = np.array([0.0, 0.0, self._scenario.gravity])
+        given = np.array(setpoint.acceleration[:3]) + weight
+        leaning, yaw = given - unexplained, setpoint.place[3]
+        angles = [self.dynamics.state_names.index(name) for name in TILT_STATES]
+        before, after = (tilt_toward(force.tolist(), yaw) for force in (given, leaning))
+        state[angles] += np.subtract(after, before)
+        state[rotor_columns(self.dynamics)] *= sqrt(norm(leaning) / norm(given))
 
     def _states(self, plan: Trajectories, *times: float) -> FloatArray:
         """Return a plan's states at given times [s], in the order of the dynamics."""

@@ -7,11 +7,11 @@ the first re-plan, and from the middle of each hover at a waypoint to the next r
 the plan made before take-off.
 
 If the flight is near its plan, a re-plan starts at the plan's own state, because the controller
-corrects the deviation; otherwise it starts at the measured position and velocity (tube-based
-predictive control).  The limits are soft, so that a re-plan exists from every state that rotors and
-battery can leave.  If a solve fails nevertheless, the last plan remains in use as long as the
-flight deviates from it by less than the margins of the limits; beyond them the solve is repeated
-with as many iterations as it needs, and is late.
+corrects the deviation; otherwise it starts at the state nearest to the plan's that the flight is
+near (tube-based predictive control).  The limits are soft, so that a re-plan exists from every
+state that rotors and battery can leave.  If a solve fails nevertheless, the last plan remains in
+use as long as the flight deviates from it by less than the margins of the limits; beyond them the
+solve is repeated with as many iterations as it needs, and is late.
 
 The last seconds before the goal, a waypoint and a hover are not planned again: there, a plan that
 must meet a place exactly would counteract every gust at any cost, based on a forecast whose error

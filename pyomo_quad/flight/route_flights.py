@@ -34,6 +34,9 @@ _GUESS_SAMPLES = 201
 # energy are solved on the next mesh, or to the tolerance. Below, the largest numbers of these.
 _NEAR_ON_FIRST, _NEAR_ON_NEXT = 1e-3, 1e-4
 _MOST_ON_NEXT, _MOST_REFINED = 4, 3
+#: Ipopt's tolerance of flights on one mesh that are only compared: what the barrier then leaves is
+#: a tenth of `_NEAR_ON_FIRST`.
+ON_FIRST = 1e-7
 # Number of meshes of a solve to the next mesh, including the first.
 _TO_THE_NEXT = 2
 # Factor on the error above where accuracy `proof` is not requested: energies on one mesh have
@@ -233,7 +236,10 @@ class RouteFlights:
         if self._is_plain and mission.past_waypoints is not None:
             begun = mission.past_waypoints.solve_roughly(mesh=self._mesh, guess=guess)
             guess = begun.trajectory if begun.status.is_solved else guess
-        rough = mission.solve_roughly(mesh=self._mesh, guess=guess)
+        options = mission.arguments["options"]
+        if told.solver.max_refinements > 0:
+            options = replace(options, tolerance=ON_FIRST)
+        rough = mission.solve_roughly(mesh=self._mesh, guess=guess, options=options)
         is_new = rough.status.has_failed and not self._is_plain
         if not is_new or mission.past_waypoints is None:
             return rough

@@ -25,7 +25,7 @@ from pyomo_quad.flight.orders import (
     least_cost,
     nearest_first,
 )
-from pyomo_quad.flight.route_flights import RouteFlights, guess_along
+from pyomo_quad.flight.route_flights import ON_FIRST, RouteFlights, guess_along
 from pyomo_quad.flight.routes import find_routes
 from pyomo_quad.flight.strategies import FIRST, carry_out
 from pyomo_quad.scenario.mission import Hover, Order
@@ -340,7 +340,8 @@ class BestOrder:
         mission, guess = MissionProblem(self._problems, alone, self._search), None
         if way is not None:
             guess = guess_along((way,), alone.nominal_times, is_open=alone.mission.is_free)
-        return mission.solve(mesh=mesh, tolerance=None, guess=guess)
+        options = replace(mission.arguments["options"], tolerance=ON_FIRST)
+        return mission.solve(mesh=mesh, tolerance=None, guess=guess, options=options)
 
     def _roughly(self, ordered: Scenario) -> Solution:
         """Return the solution of the mission with ordered waypoints, on a coarse mesh."""

@@ -523,6 +523,6 @@ class _Found:
         return bool(
             self.miss <= figures.miss
             and self.breach <= figures.breach
-            and self.energy <= figures.energy_flown
+            and self.energy <= figures.energy
             and self.lacking <= BALANCE_TOLERANCE
         )

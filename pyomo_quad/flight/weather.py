@@ -16,13 +16,8 @@ from pyomo_quad.flight.planning import Planner
 from pyomo_quad.model import build_in_turbulence, parameter_values, structure_key
 from pyomo_quad.model.build import guess_key
 from pyomo_quad.model.limits import without_reserve
-from pyomo_quad.model.turbulence import (
-    FILTER_STATES,
-    NOISE,
-    Gusts,
-    mean_wind,
-    turbulence_values,
-)
+from pyomo_quad.model.turbulence import FILTER_STATES, NOISE, Gusts, turbulence_values
+from pyomo_quad.model.wind import mean_wind
 from pyomo_quad.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -142,7 +137,7 @@ def unknowns(planner: Planner, scenario: Scenario) -> tuple[dict[str, float], ..
         Full name of a parameter of `problem_in_turbulence` -> change to add.
     """
     told = scenario.as_forecast()
-    along, aside = mean_wind(told.wind).tolist()
+    along, aside = mean_wind(told).tolist()
     speed = hypot(along, aside)
     # In calm air, the error of the speed has the direction of the scenario's steady wind.
     ahead = (along / speed, aside / speed) if speed else _direction(told)

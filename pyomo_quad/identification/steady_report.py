@@ -1,26 +1,29 @@
 """Output files of the command `identify --steady`: table, figure, vehicle file, summary, text."""
 
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pyomo_quad.flight import Planner
-from pyomo_quad.identification.columns import PAYLOAD, POWER
+from pyomo_quad.identification.columns import DENSITY, PAYLOAD, POWER
 from pyomo_quad.identification.report import VEHICLE_NAME, vehicle_file
 from pyomo_quad.identification.steady import AIRSPEED, SteadyFit, level_powers
 from pyomo_quad.report import Figures
 from pyomo_quad.report.document import Drawing, write_study
-from pyomo_quad.report.style import SERIES_STYLES, full_width
+from pyomo_quad.report.style import SERIES_STYLES, LineStyle, full_width
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.version import __version__
 
 POINTS_NAME = "points.csv"
 #: Columns of the table of steady points besides the measurements.
 COMPUTED, UNSEEN, ERROR = "computed_W", "computed_unseen_W", "error_percent"
-_CURVE_POINTS = 25
+_CURVE_POINTS = 21
 
 
 def write_steady(folder: Path, found: SteadyFit, base: str, figures: Figures) -> None:
@@ -65,7 +68,7 @@ def write_steady(folder: Path, found: SteadyFit, base: str, figures: Figures) ->
                 name="steady",
                 title="Power of steady flight",
                 caption="Dots: measured. Lines: the declared equations with the fitted numbers.",
-                draw=lambda: draw_points(found.scenario, found.points),
+                draw=partial(draw_points, found.scenario, found.points, Planner()),
             )
         ],
         figures=figures,
@@ -88,7 +91,7 @@ def point_table(points: pd.DataFrame, power: np.ndarray) -> pd.DataFrame:
     return points.assign(**{COMPUTED: power, ERROR: 100.0 * (power / points[POWER] - 1.0)})
 
 
-def draw_points(scenario: Scenario, points: pd.DataFrame) -> Figure:
+def draw_points(scenario: Scenario, points: pd.DataFrame, planner: Planner) -> Figure:
     """Draw measured and computed power of steady flight over airspeed.
 
     If all points are in hover, the power is drawn over payload.
@@ -99,24 +102,38 @@ def draw_points(scenario: Scenario, points: pd.DataFrame) -> Figure:
         Scenario with the fitted vehicle.
     points : DataFrame
         Measured points.
+    planner : Planner
+        Keeps compiled models between figures.
     """
     figure, axes = full_width(3.2, top=0.96, bottom=0.15)
-    hovers = bool((points[AIRSPEED] == 0.0).all())
-    over = PAYLOAD if hovers else AIRSPEED
-    style = SERIES_STYLES[0]
-    axes.plot(points[over], points[POWER], color=style.color, linestyle="none", marker=style.marker)
-    least = float(points[over].min()) if hovers else 0.0
-    at = np.linspace(least, float(points[over].max()), _CURVE_POINTS)
-    planner = Planner()
-    payloads = at.tolist() if hovers else [float(points[PAYLOAD].median())]
-    speeds = [0.0] if hovers else at.tolist()
-    curve = [
-        power
-        for payload in payloads
-        for power in level_powers(
-            scenario.with_values({"vehicle.payload": payload}), speeds, planner
-        )
-    ]
-    axes.plot(at, curve, color=SERIES_STYLES[1].color)
-    axes.set(xlabel="Mass carried (kg)" if hovers else "Airspeed (m/s)", ylabel="Power (W)")
+    if points[AIRSPEED].max() == 0.0:
+        _draw_loads(axes, scenario, points, planner)
+        axes.set(xlabel="Mass carried (kg)", ylabel="Power of hover (W)")
+        return figure
+    for style, (_, rows) in zip(SERIES_STYLES, points.groupby(PAYLOAD), strict=False):
+        payload = float(rows[PAYLOAD].iloc[0])
+        speeds = np.linspace(0.0, float(points[AIRSPEED].max()), _CURVE_POINTS)
+        loaded = {"vehicle.payload": payload, "power.air_density": float(rows[DENSITY].mean())}
+        powers = level_powers(scenario.with_values(loaded), speeds.tolist(), planner)
+        axes.plot(speeds, powers, color=style.color, label=f"{payload:g} kg")
+        axes.plot(rows[AIRSPEED], rows[POWER], **_dots(style))
+    axes.set(xlabel="Airspeed (m/s)", ylabel="Power (W)")
+    if not (points[PAYLOAD] == points[PAYLOAD].iloc[0]).all():
+        axes.legend(title="Carried", frameon=False)
     return figure
+
+
+def _draw_loads(axes: Axes, scenario: Scenario, points: pd.DataFrame, planner: Planner) -> None:
+    axes.plot(points[PAYLOAD], points[POWER], **_dots(SERIES_STYLES[0]))
+    least, most = float(points[PAYLOAD].min()), float(points[PAYLOAD].max())
+    loads = np.linspace(least, most, _CURVE_POINTS if most > least else 1)
+    powers = [
+        level_powers(scenario.with_values({"vehicle.payload": load}), (0.0,), planner)[0]
+        for load in loads.tolist()
+    ]
+    style = SERIES_STYLES[1]
+    axes.plot(loads, powers, color=style.color, marker="" if most > least else style.marker)
+
+
+def _dots(style: LineStyle) -> dict[str, Any]:
+    return {"color": style.color, "linestyle": "none", "marker": style.marker, "markersize": 4}

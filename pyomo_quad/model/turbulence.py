@@ -47,8 +47,8 @@ from pyomo_quad.model.parameters import (
     floored,
     parameter_items,
 )
+from pyomo_quad.model.wind import mean_wind
 from pyomo_quad.scenario import Scenario
-from pyomo_quad.scenario.wind import Wind
 
 _SPEED = units.m / units.s
 _FOOT = 0.3048 * units.m
@@ -78,14 +78,6 @@ LONG_RUN_FACTOR[0, 0] = sqrt(1 / 2)
 LONG_RUN_FACTOR[1:3, 1:3] = LONG_RUN_FACTOR[3:5, 3:5] = _LAGGING
 
 
-def mean_wind(wind: Wind) -> FloatArray:
-    """Return the mean horizontal wind of a scenario along x and y [m/s], shape (2,)."""
-    if wind.series is not None:
-        return np.array([np.mean(wind.series.wind_x), np.mean(wind.series.wind_y)])
-    steady = wind.speed * np.array([np.cos(wind.direction), np.sin(wind.direction)])
-    return np.asarray(steady + np.array([wind.x.mean, wind.y.mean]))
-
-
 def _mean_direction(scenario: Scenario) -> float:
     """Return the direction of the mean airflow over the vehicle, counter-clockwise from x [rad].
 
@@ -93,7 +85,7 @@ def _mean_direction(scenario: Scenario) -> float:
     """
     mission = scenario.mission
     way = np.subtract(mission.goal.position, mission.start.position)[:2]
-    along, aside = (mean_wind(scenario.wind) - way / scenario.nominal_duration).tolist()
+    along, aside = (mean_wind(scenario) - way / scenario.nominal_duration).tolist()
     return atan2(aside, along)
 
 

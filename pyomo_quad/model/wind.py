@@ -49,9 +49,16 @@ from pyomo_quad.model.parameters import (
     fields_of,
     parameters_in,
 )
-from pyomo_quad.model.wind_field import COMPONENTS, FIELD_UNIT, declare_field, smooth_positive
+from pyomo_quad.model.wind_field import FIELD_UNIT, declare_field, smooth_positive
 from pyomo_quad.scenario import Scenario
-from pyomo_quad.scenario.wind import FrequencyUnit, Wind, WindAxis, WindLaw, WindSeries
+from pyomo_quad.scenario.wind import (
+    USUAL_HEIGHT,
+    FrequencyUnit,
+    Wind,
+    WindAxis,
+    WindLaw,
+    WindSeries,
+)
 
 HARMONICS = (1, 2, 3)
 _CUBIC = 3
@@ -127,6 +134,27 @@ def _mean(scenario: Scenario, name: str) -> float:
     return _axis(scenario, name).mean + scenario.wind.speed * share
 
 
+def mean_wind(scenario: Scenario) -> FloatArray:
+    """Return the mean horizontal wind along world x and y, shape (2,) [m/s].
+
+    A profile counts at its reference height, a wind measured over heights at `USUAL_HEIGHT`, and a
+    field with the mean over all places that have wind.
+    """
+    wind = scenario.wind
+    if wind.grid is not None:
+        told = wind.grid.components[:2].reshape(2, -1)
+        return np.asarray(wind.field_scale * np.nanmean(told, axis=1))
+    if wind.series is None:
+        return np.array([_mean(scenario, name) for name in _HORIZONTAL])
+    heights = wind.series.heights or (USUAL_HEIGHT,)
+    return np.array(
+        [
+            np.interp(USUAL_HEIGHT, heights, np.reshape(speeds, (-1, len(heights))).mean(axis=0))
+            for speeds in (wind.series.wind_x, wind.series.wind_y)
+        ]
+    )
+
+
 def _angular_frequencies(scenario: Scenario, name: str) -> dict[int, float]:
     is_hertz = scenario.wind.frequency_unit is FrequencyUnit.HERTZ
     factor = tau if is_hertz else 1.0
@@ -180,7 +208,8 @@ def declare_wind(m: ConcreteModel, scenario: Scenario) -> None:
         _declare_time(b, m)
     field = [] if wind.grid is None else declare_field(m, wind.grid, scenario)
     if field:
-        _declare_of_field(b, m, field)
+        for name, part in zip(_HORIZONTAL, field, strict=False):
+            _add_velocity(b, m, name, partial(_of_field, part))
     elif wind.series is not None:
         _declare_series(m, wind.series, scenario)
     else:
@@ -200,14 +229,8 @@ def _declare_time(b: Block, m: ConcreteModel) -> None:
         return b.parent_block().clock[t] + b.time_offset
 
 
-def _declare_of_field(b: Block, m: ConcreteModel, field: Sequence[Expression]) -> None:
-    for name, part in zip(COMPONENTS[:2], field, strict=False):
-
-        def velocity(b: Block, t: float, part: Expression = part) -> NumericExpression:
-            return _at_height(b, t, 1 * part[t])
-
-        doc = f"wind along world {name[-1]} [m/s]"
-        b.add_component(name, Expression(m.time, rule=velocity, doc=doc))
+def _of_field(part: Expression, _b: Block, t: float) -> NumericExpression:
+    return 1 * part[t]
 
 
 def _declare_height(b: Block, m: ConcreteModel) -> None:
@@ -279,19 +302,28 @@ def _declare_formula(m: ConcreteModel, scenario: Scenario) -> None:
         b.add_component(name, axis)
         declare_parameters(axis, scenario)
         _declare_gust(axis, m)
-
-    @b.Expression(m.time, doc="Yacef et al., eq. (11): wind along world x [m/s]")
-    def velocity_x(b: Block, t: float) -> NumericExpression:
-        return _at_height(b, t, _velocity(b.x, t))
-
-    @b.Expression(m.time, doc="Yacef et al., eq. (11): wind along world y [m/s]")
-    def velocity_y(b: Block, t: float) -> NumericExpression:
-        return _at_height(b, t, _velocity(b.y, t))
+        _add_velocity(b, m, name, partial(_velocity, name), "Yacef et al., eq. (11): wind")
 
 
-def _velocity(axis: Block, t: float) -> NumericExpression:
+def _add_velocity(
+    b: Block,
+    m: ConcreteModel,
+    name: str,
+    rule: Callable[[Block, float], NumericExpression],
+    said: str = "wind",
+) -> None:
+    """Declare the wind along a world axis from a rule for the wind at the reference height."""
+
+    def velocity(b: Block, t: float) -> NumericExpression:
+        return _at_height(b, t, rule(b, t))
+
+    doc = f"{said} along world {name} [m/s]"
+    b.add_component(f"velocity_{name}", Expression(m.time, rule=velocity, doc=doc))
+
+
+def _velocity(name: str, b: Block, t: float) -> NumericExpression:
     """Return the wind of eq. (11) along one axis: mean, harmonics and gust [m/s]."""
-    wind_time = axis.parent_block().wind_time[t]
+    axis, wind_time = b.component(name), b.wind_time[t]
     harmonics = sum(axis.amplitudes[k] * sin(axis.frequencies[k] * wind_time) for k in HARMONICS)
     return axis.mean + harmonics + axis.gust[t]
 
@@ -311,50 +343,26 @@ def _declare_series(m: ConcreteModel, series: WindSeries, scenario: Scenario) ->
     for name, speeds in (("x", series.wind_x), ("y", series.wind_y)):
         table = np.reshape(speeds, (-1, max(1, len(heights))))
         weights = np.linalg.solve(_shapes(heights), table.T) if series.heights else table.T
-        measured = [f"measured_{name}{_after(k, series)}" for k in range(len(weights))]
-        for component, row in zip(measured, weights, strict=True):
+        components = [f"measured_{name}", *(f"measured_{name}_{k}" for k in range(len(weights)))]
+        components = components[1:] if series.heights else components[:1]
+        for component, row in zip(components, weights, strict=True):
+            doc = f"{component} along its world axis"
             if series.times:
-                _declare_measured(b, m, component, _OverTime(series.times, row, scenario))
+                doc = f"{doc}, cubic spline, in measured_unit"
+                held = _OverTime(series.times, row, scenario)
+                table = Param(m.time, initialize=held.rule, mutable=True, doc=doc)
             else:
-                _declare_steady(b, component, float(row[0]))
-        _declare_velocity(b, m, name, measured)
+                table = Param(initialize=float(row[0]), mutable=True, units=_SPEED, doc=doc)
+            b.add_component(component, table)
+        _add_velocity(b, m, name, partial(_measured, components))
 
 
-def _after(number: int, series: WindSeries) -> str:
-    return f"_{number}" if series.heights else ""
-
-
-def _declare_measured(b: Block, m: ConcreteModel, name: str, speeds: "_OverTime") -> None:
-    def measured(_b: Block, t: Any) -> Any:
-        return speeds(t)
-
-    table = Param(
-        m.time,
-        initialize=measured,
-        mutable=True,
-        doc=f"{name} along its world axis, cubic spline, in measured_unit",
-    )
-    b.add_component(name, table)
-
-
-def _declare_steady(b: Block, name: str, speed: float) -> None:
-    table = Param(initialize=speed, mutable=True, units=_SPEED, doc=f"{name} along its world axis")
-    b.add_component(name, table)
-
-
-def _declare_velocity(b: Block, m: ConcreteModel, name: str, measured: Sequence[str]) -> None:
-    def velocity(b: Block, t: float) -> NumericExpression:
-        parts = [
-            b.measured_unit * held[t] if held.is_indexed() else held
-            for held in map(b.component, measured)
-        ]
-        if b.component("shape") is None:
-            return _at_height(b, t, parts[0])
-        return parts[0] + sum(part * b.shape[k, t] for k, part in enumerate(parts[1:], start=1))
-
-    b.add_component(
-        f"velocity_{name}", Expression(m.time, rule=velocity, doc=f"wind along world {name} [m/s]")
-    )
+def _measured(components: Sequence[str], b: Block, t: float) -> NumericExpression:
+    first, *parts = [
+        b.measured_unit * held[t] if held.is_indexed() else held
+        for held in map(b.component, components)
+    ]
+    return first + sum(part * b.shape[k, t] for k, part in enumerate(parts, start=1))
 
 
 def _declare_shapes(b: Block, m: ConcreteModel, heights: FloatArray) -> None:
@@ -438,7 +446,7 @@ class _OverTime:
         first, last = (int(row) for row in np.searchsorted(times, ends))
         self._rows = slice(max(first - _ROWS_BESIDE, 0), last + _ROWS_BESIDE)
 
-    def __call__(self, t: Any) -> Any:
+    def rule(self, _b: Block, t: Any) -> Any:
         """Return the speed at a time in flight, as a number, or as a Pyomo expression of a symbol.
 
         The speed is in m/s, without Pyomo unit.

@@ -143,12 +143,6 @@ def _filled(grid: WindGrid) -> tuple[list[FloatArray], FloatArray]:
     return axes, values
 
 
-def mean_of_field(scenario: Scenario, grid: WindGrid) -> FloatArray:
-    """Return the mean wind of a field along world x and y, over the grid points with wind [m/s]."""
-    told = grid.components[:2].reshape(2, -1)
-    return np.asarray(scenario.wind.field_scale * np.nanmean(told, axis=1))
-
-
 def is_wind_known(
     scenario: Scenario, times: FloatArray | float, places: FloatArray
 ) -> NDArray[np.bool_]:

@@ -224,7 +224,7 @@ def flight_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
 def battery_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
     """List the settings of the flight in calm air with two batteries.
 
-    The batteries are that of the vehicle's maker and the cell of Yacef et al.
+    The batteries are the pack of the vehicle's maker and the cell of Yacef et al.
 
     Parameters
     ----------

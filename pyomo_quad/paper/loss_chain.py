@@ -1,7 +1,8 @@
 """Counterpart of figure 1 of Yacef et al.: chain of losses of a flight, and map of f_r.
 
-The chain leads from the battery over resistances and windings to the rotors. The flight is also
-drawn on the map of their efficiency f_r of motor and rotor over rotor speed and torque.
+The chain leads from the battery over resistances and windings to the rotors. f_r is the efficiency
+of motor and rotor in their paper. The map shows f_r over rotor speed and torque, with the speeds
+and torques of the flight.
 """
 
 from dataclasses import dataclass

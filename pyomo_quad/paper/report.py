@@ -9,6 +9,7 @@ import numpy as np
 
 from pyomo_quad.model import build_model
 from pyomo_quad.model.typeset import EQUATION_TABLE, typeset_equations
+from pyomo_quad.paper import tables as paper
 from pyomo_quad.paper.experiments import (
     POWER_MODELS,
     Experiment,
@@ -18,19 +19,6 @@ from pyomo_quad.paper.experiments import (
 from pyomo_quad.paper.figures import floor_drawing, paper_drawings
 from pyomo_quad.paper.readings import Reading
 from pyomo_quad.paper.study import PaperStudy
-from pyomo_quad.paper.tables import (
-    ADAPTIVE_ENERGY,
-    OPTIMAL_ENERGY,
-    SAVING,
-    TABLES,
-    baseline_row,
-    corrections,
-    find_baseline,
-    find_flight,
-    kilojoules,
-    metres,
-    paper_tables,
-)
 from pyomo_quad.report import Figures
 from pyomo_quad.report.document import write_study
 from pyomo_quad.report.report import climb_of
@@ -91,25 +79,22 @@ def write_paper_report(folder: Path, study: PaperStudy, figures: Figures = Figur
     figures : Figures, optional
         Which figures to draw, and in which file formats.
     """
-    tables = paper_tables(study)
-    optimum = find_flight(study.flights, Experiment.CALM, PowerModel.MOTOR)
+    tables = paper.paper_tables(study)
+    optimum = paper.find_flight(study.flights, Experiment.CALM, PowerModel.MOTOR)
     write_study(
         folder,
         "paper/report.md.j2",
         tables={f"{name}.csv": frame for name, frame in tables.items()},
         drawings=(*paper_drawings(study), floor_drawing(study)),
         figures=figures,
-        **{**examination(study), **corrections(study)},
+        **{**examination(study), **paper.corrections(study)},
         rows={name: frame.to_dict("records") for name, frame in tables.items()},
         optimum=optimum,
         climb_J=climb_of(optimum.case.scenario)[1],
         equations=list(_equations()),
         EQUATION_TABLE=EQUATION_TABLE,
-        OPTIMAL_ENERGY=OPTIMAL_ENERGY,
-        ADAPTIVE_ENERGY=ADAPTIVE_ENERGY,
-        SAVING=SAVING,
+        paper=paper,
         TOLERANCES=TOLERANCES,
-        TABLES=TABLES,
         TIMES_NAME=TIMES_NAME,
     )
     seconds = {name: round(taken, 3) for name, taken in study.seconds.items()}
@@ -152,8 +137,8 @@ def examination(study: PaperStudy) -> dict[str, Any]:
     return {
         "flown": len(flown),
         "confirmed": sum(flight.flight.is_verified for flight in flown),
-        "best": find_flight(study.flights, Experiment.CALM, PowerModel.EFFICIENCY),
-        "printed_J": OPTIMAL_ENERGY[1],
+        "best": paper.find_flight(study.flights, Experiment.CALM, PowerModel.EFFICIENCY),
+        "printed_J": paper.OPTIMAL_ENERGY[1],
         "printed_bound": _bound_of_printed_optimum(study),
         "largest_bound": bound,
         "least_J": least,
@@ -166,20 +151,21 @@ def examination(study: PaperStudy) -> dict[str, Any]:
         "adaptive": [_adaptive(study, experiment) for experiment in Experiment],
         "savings": [_saving(study, experiment) for experiment in Experiment],
         "packs": study.packs,
-        "kilojoules": kilojoules,
-        "metres": metres,
+        "kilojoules": paper.kilojoules,
+        "metres": paper.metres,
     }
 
 
 def _bound_of_printed_optimum(study: PaperStudy) -> float:
-    """Return the bound on the rotor acceleration at which the least energy is the printed one.
+    """Return the bound on the rotor acceleration that the printed optimum of Yacef et al. implies.
 
-    The least energy is that of any flight with the bare polynomial of the efficiency f_r; the
-    printed energy is that of the optimum of Yacef et al. The bound is in rad/s².
+    The least energy of any flight under the bare polynomial of the efficiency f_r falls as the
+    bound rises. At the returned bound [rad/s²] it equals the energy that Yacef et al. print for
+    their optimum.
     """
     bounds, energies = study.floors[Reading.LITERAL].T
     finite = np.isfinite(energies)
-    return float(np.interp(-OPTIMAL_ENERGY[1], -energies[finite], bounds[finite]))
+    return float(np.interp(-paper.OPTIMAL_ENERGY[1], -energies[finite], bounds[finite]))
 
 
 def _adaptive(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
@@ -187,14 +173,14 @@ def _adaptive(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
     has_jump = any(flown.case.reference is Reference.STEP for flown in study.baselines)
     references = Reference.QUINTIC, Reference.STEP if has_jump else Reference.QUINTIC
     smooth, jump = (
-        find_baseline(study, experiment, PowerModel.EFFICIENCY, reference).flight.energy_J
+        paper.find_baseline(study, experiment, PowerModel.EFFICIENCY, reference).flight.energy_J
         for reference in references
     )
-    optimum = find_flight(study.flights, experiment, PowerModel.EFFICIENCY)
-    printed = ADAPTIVE_ENERGY[experiment.value]
+    optimum = paper.find_flight(study.flights, experiment, PowerModel.EFFICIENCY)
+    printed = paper.ADAPTIVE_ENERGY[experiment.value]
     return {
         "printed_J": printed,
-        "saving_percent": SAVING[experiment.value],
+        "saving_percent": paper.SAVING[experiment.value],
         "hover_J": optimum.hover_energy_J,
         "smooth_J": smooth,
         "jump_J": jump,
@@ -207,7 +193,7 @@ def _adaptive(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
 def _saving(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
     """Return the saving of the optimum over the adaptive controller on a smooth reference."""
     by_motor, by_efficiency = (
-        baseline_row(study, find_baseline(study, experiment, model, Reference.QUINTIC))
+        paper.baseline_row(study, paper.find_baseline(study, experiment, model, Reference.QUINTIC))
         for model in (PowerModel.MOTOR, PowerModel.EFFICIENCY)
     )
     return by_motor | {"by_efficiency_percent": by_efficiency["saving_percent"]}

@@ -1,9 +1,9 @@
 """Power and efficiency of one rotor, and the least energy of any flight under f_r.
 
 f_r is the efficiency of motor and rotor of Yacef et al. Power and f_r are sampled from the declared
-equations. The least energy lets rotors alternate between speeds and accelerations ("chattering"),
-which is the convex envelope of the power; it is a floor below every flight. `docs/theory` has no
-page on these floors: `examination.md.j2` prints their derivation beside them.
+equations. The least energy is a lower bound (floor) on the energy of every flight: it lets the
+rotors alternate arbitrarily fast between speeds and accelerations ("chattering"), whose mean power
+is the convex envelope of the power. The report's template `examination.md.j2` gives the derivation.
 """
 
 from dataclasses import dataclass
@@ -105,7 +105,7 @@ def envelope_at(x: FloatArray, y: FloatArray, at: float) -> FloatArray:
     Returns
     -------
     ndarray, shape (...)
-        Least value at the place of all chords between samples.
+        Least value at this place among all chords (straight lines) between two samples.
     """
     left, right = x <= at, x >= at
     width = x[right][None, :] - x[left][:, None]

@@ -232,10 +232,10 @@ def _wind_row(flown: PaperFlight) -> dict[str, object]:
 def baseline_row(study: PaperStudy, flown: BaselineFlight) -> dict[str, Any]:
     """Return the table row of a controlled flight: energies, and the saving of the optimum.
 
-    The flight's energy includes the estimated energy that the flight still needs to reach the exact
-    goal state, which the optimum's costates give; a power model without an optimum has none, and
-    its flights count as flown. Savings are in per cent of this energy, and of this energy above
-    hovering.
+    A controlled flight ends near the goal. The energy that it still needs to reach the exact goal
+    state is estimated with the costates of the optimum and added to its energy; nothing is added
+    under a power model for which no optimum was found. Savings are in percent of this sum, and of
+    the part of this sum above the energy of hovering.
 
     Parameters
     ----------

@@ -18,9 +18,8 @@ from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import SolveError
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.steady import SteadyFlight, Trim
-from pyomo_quad.model.wind_field import mean_of_field
+from pyomo_quad.model.wind import mean_wind
 from pyomo_quad.scenario import Scenario
-from pyomo_quad.scenario.wind import USUAL_HEIGHT
 
 #: Columns of `Polar.winds` and `Polar.reach`.
 WIND, ANGLE = "wind_m_s", "angle_to_wind_deg"
@@ -229,7 +228,7 @@ def find_polar(scenario: Scenario) -> Polar:
         payload = own + round(more * scenario.vehicle.mass, 2)
         loaded = scenario.with_values({"vehicle.payload": payload}) if more else scenario
         curves.append(steady_curve(loaded, planner.steady_flight(loaded), depth))
-    wind_x, wind_y = mean_wind(scenario)
+    wind_x, wind_y = mean_wind(scenario).tolist()
     speed, towards = float(np.hypot(wind_x, wind_y)), float(np.arctan2(wind_y, wind_x))
     winds = sorted({*_WINDS_M_S, round(speed, 3)})
     return Polar(
@@ -240,35 +239,6 @@ def find_polar(scenario: Scenario) -> Polar:
         wind_m_s=speed,
         wind_towards_rad=towards,
         depth=depth,
-    )
-
-
-def mean_wind(scenario: Scenario) -> tuple[float, float]:
-    """Return the scenario's mean wind along world x and y [m/s].
-
-    A wind that depends on height is taken at the reference height of 10 m; a wind field is averaged
-    over all places that have wind.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        Scenario whose wind is a formula, a measured series or a field.
-    """
-    wind = scenario.wind
-    if wind.grid is not None:
-        of_field = mean_of_field(scenario, wind.grid)
-        return float(of_field[0]), float(of_field[1])
-    if wind.series is not None:
-        heights = wind.series.heights or (USUAL_HEIGHT,)
-        along_x, along_y = (
-            np.reshape(speeds, (-1, len(heights))).mean(axis=0)
-            for speeds in (wind.series.wind_x, wind.series.wind_y)
-        )
-        mean_x, mean_y = (np.interp(USUAL_HEIGHT, heights, mean) for mean in (along_x, along_y))
-        return float(mean_x), float(mean_y)
-    return (
-        wind.x.mean + wind.speed * float(np.cos(wind.direction)),
-        wind.y.mean + wind.speed * float(np.sin(wind.direction)),
     )
 
 

@@ -267,6 +267,15 @@ def _finish_swap(final: Path, path: str | Path, aside: Path) -> None:
 
     The old folder is renamed to `aside` until it is removed. Between the two renames there is no
     final folder: if a run is killed there, the next run puts the new folder in place.
+
+    Parameters
+    ----------
+    final : Path
+        Final folder, with symbolic links resolved.
+    path : str or Path
+        The same folder as the user wrote it, for messages.
+    aside : Path
+        Temporary name of the old folder.
     """
     ready = _hidden(final, "ready")
     if not _is_of_a_run(ready):
@@ -291,7 +300,7 @@ def _remove_leftovers(final: Path) -> None:
 
 
 def _is_of_a_run(folder: Path) -> bool:
-    """Return whether this package made a hidden folder, which its manifest shows."""
+    """Return whether a hidden folder was made by this package, whose folders hold a manifest."""
     return not folder.is_symlink() and (folder / MANIFEST_NAME).is_file()
 
 

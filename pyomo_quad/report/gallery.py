@@ -88,8 +88,8 @@ def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawin
     """List the figures of a plan, and of flights that are drawn together with it.
 
     A figure is left out if the table of the plan lacks its columns (because a user's model does not
-    declare them), if a failed solve has no finite values for it, or if it would show the wind of
-    calm air.
+    declare them), or if a failed solve has no finite values for it. The figure of the wind is left
+    out in calm air.
 
     Parameters
     ----------
@@ -225,9 +225,7 @@ def _not_comparable(flights: Sequence[StyledFlight], compared: Sequence[StyledFl
     Empty if all flights have a bar.
     """
     rest = [flight for flight in flights if flight not in compared]
-    if not rest:
-        return ""
-    return f" Without a bar, because they missed the goal or broke a limit: {_listed(rest)}."
+    return _naming("Without a bar, because they missed the goal or broke a limit", rest)
 
 
 def adaptation_drawing(study: pd.DataFrame) -> Drawing:
@@ -425,14 +423,11 @@ def left_out(flights: Sequence[StyledFlight]) -> str:
     flights : sequence of StyledFlight
         Flights of the figure; the first is the plan.
     """
-    said = ""
-    distinct, astray = distinct_paths(flights), leaving_paths(flights)
+    distinct = distinct_paths(flights)
     near = [flight for flight in flights if flight not in distinct]
-    if near:
-        said += f" Not drawn, because they follow the path of {flights[0].name}: {_listed(near)}."
-    if astray:
-        said += f" Extends beyond the figure: {_listed(astray)}."
-    return said
+    return _naming(f"Not drawn, because they follow the path of {flights[0].name}", near) + _naming(
+        "Extends beyond the figure", leaving_paths(flights)
+    )
 
 
 def _motion(flights: Sequence[StyledFlight]) -> tuple[Drawing, ...]:
@@ -514,9 +509,7 @@ def _coinciding(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
     if ENERGY.name not in flights[0].frame:
         return ""
     same = coinciding_flights(flights, hover_energy_J / flights[0].duration_s)
-    if not same:
-        return ""
-    return f" The curve of {flights[0].name} covers that of {_listed(same)}."
+    return _naming(f"The curve of {flights[0].name} covers that of", same, sign="")
 
 
 def _undercut(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
@@ -532,8 +525,7 @@ def _undercut(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
 
 def _not_drawn(flights: Sequence[StyledFlight], drawn: Sequence[StyledFlight]) -> str:
     """Return the caption's sentence that names the flights a figure leaves out; "" if none."""
-    rest = [flight for flight in flights if flight not in drawn]
-    return f" Not drawn: {_listed(rest)}." if rest else ""
+    return _naming("Not drawn", [flight for flight in flights if flight not in drawn])
 
 
 def _costates(plan: "Plan") -> tuple[Drawing, ...]:
@@ -550,6 +542,11 @@ def _costates(plan: "Plan") -> tuple[Drawing, ...]:
 
 def _columns(*groups: Iterable[Column]) -> tuple[str, ...]:
     return tuple(signal.name for group in groups for signal in group)
+
+
+def _naming(words: str, flights: Sequence[StyledFlight], sign: str = ":") -> str:
+    """Return a sentence that ends with the names of flights, empty without any."""
+    return f" {words}{sign} {_listed(flights)}." if flights else ""
 
 
 def _listed(flights: Sequence[StyledFlight]) -> str:

@@ -148,7 +148,9 @@ def draw_map(flights: Sequence[StyledFlight], mission: Scenario) -> Figure:
         _draw_mean_wind(axes, flights[0])
     else:
         _draw_wind_field(axes, mission.wind.grid, mission.wind.field_scale)
-    axes.set(xlabel=axis_label(POSITION[0]), ylabel=axis_label(POSITION[1]))
+    axes.set_xlabel(axis_label(POSITION[0]))
+    # So near, the label fits beside numbers such as -300.
+    axes.set_ylabel(axis_label(POSITION[1]), labelpad=0.0)
     legend_below(figure, axes)
     return figure
 
@@ -193,8 +195,8 @@ def _draw_mean_wind(axes: Axes, flight: StyledFlight) -> None:
 def _draw_wind_field(axes: Axes, grid: WindGrid, scale: float) -> None:
     """Draw the horizontal wind of a gridded field as arrows, with a key for their length.
 
-    The wind is that at the first height and time. If the grid is fine, only every second, third,
-    ... grid point has an arrow.
+    The arrows show the first height and the first time of the field. On a fine grid, only every
+    second, third, ... grid point has an arrow.
     """
     every_x, every_y = (1 + len(axis) // _MOST_ARROWS for axis in (grid.x, grid.y))
     components = grid.components[:2].reshape(2, len(grid.x), len(grid.y), -1)

@@ -277,7 +277,7 @@ def _plan_values(plan: "Plan") -> dict[str, Any]:
         "allowed": {
             "miss": figures.miss,
             "violation": figures.breach,
-            "energy_J": figures.energy_flown * max(1.0, abs(plan.energy)),
+            "energy_J": figures.energy * max(1.0, abs(plan.energy)),
             "imbalance": BALANCE_TOLERANCE,
         },
         "INFEASIBLE": PlanStatus.INFEASIBLE,

@@ -30,10 +30,9 @@ class Figures:
     Attributes
     ----------
     energy : float
-        Relative excess of the plan's energy over the least energy; also the relative error of the
-        states to which the mesh is refined.
-    energy_flown : float
-        Relative difference between the energies of the plan and of its simulation.
+        Relative excess of the plan's energy over the least energy, and relative difference between
+        the energies of the plan and of its simulation; also the relative error of the states to
+        which the mesh is refined.
     miss : float
         Deviation of each final state, and of the passage of waypoints, when the controls are
         simulated without feedback; in m, m/s, rad or, for values above 1, relative.
@@ -47,7 +46,6 @@ class Figures:
     """
 
     energy: float
-    energy_flown: float
     miss: float
     breach: float
     integration: float
@@ -62,7 +60,6 @@ FIGURES: Mapping[Accuracy, Figures] = MappingProxyType(
     {
         Accuracy.QUICK: Figures(
             energy=1e-3,
-            energy_flown=1e-3,
             miss=0.1,
             breach=1e-2,
             integration=1e-10,
@@ -70,7 +67,6 @@ FIGURES: Mapping[Accuracy, Figures] = MappingProxyType(
         ),
         Accuracy.STANDARD: Figures(
             energy=1e-4,
-            energy_flown=1e-4,
             miss=1e-2,
             breach=1e-3,
             integration=1e-11,
@@ -78,7 +74,6 @@ FIGURES: Mapping[Accuracy, Figures] = MappingProxyType(
         ),
         Accuracy.PROOF: Figures(
             energy=1e-6,
-            energy_flown=1e-6,
             miss=1e-4,
             breach=1e-4,
             integration=1e-12,

@@ -4,8 +4,8 @@ from collections.abc import Iterator, Sequence
 from enum import StrEnum
 from functools import lru_cache
 from itertools import pairwise
-from math import atan2, hypot, tau
-from typing import TYPE_CHECKING, NamedTuple, Self
+from math import hypot
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 from pydantic import model_validator
 
@@ -35,12 +35,16 @@ class Shape(StrEnum):
 
 
 class Ball(NamedTuple):
-    """Set of places within a radius of a centre, in two or three coordinates or in one.
+    """Set of places within a radius of a centre, the distance measured in one to three coordinates.
 
     In three coordinates the set is a sphere, in x and y a vertical cylinder without ends, and in
-    one coordinate an interval. Every keep-out zone is an intersection of balls: a cylinder of a
-    disk in x and y and an interval of z, a sphere of one ball in all three axes, a box of one
-    interval per axis, and a convex polygon of an interval across each edge and one of z.
+    one coordinate an interval. Every keep-out zone is an intersection of balls:
+
+    zone | balls
+    sphere | one ball in x, y and z
+    cylinder | a ball in x and y, and an interval of z
+    box | an interval of x, of y and of z
+    prism over a convex polygon | for each edge an interval along its normal, and an interval of z
 
     Attributes
     ----------
@@ -110,7 +114,7 @@ _FEWEST_CORNERS, MOST_CORNERS = 3, 32
 #: Top of a zone without upper end, and minus the bottom of a zone without lower end [m]; no flight
 #: reaches these heights.
 ENDLESS_M = 1e5
-# Largest turn between two edges that counts as rounding error, relative to the square of the
+# Area, or turn between two edges, that counts as rounding error, relative to the square of the
 # polygon's extent.
 _STRAIGHT = 1e-9
 
@@ -137,31 +141,22 @@ def turns_of(corners: Sequence[tuple[float, float]]) -> list[float]:
     return found
 
 
+def is_convex(polygon: Any) -> bool:  # noqa: ANN401  shapely has no types that mypy reads here
+    """Return whether a polygon of shapely is convex, to rounding."""
+    return bool(polygon.convex_hull.area - polygon.area <= _STRAIGHT * polygon.area)
+
+
 def _refuse_folded(corners: Sequence[tuple[float, float]], what: str) -> None:
     """Raise ValueError unless corners are those of a convex polygon, in order."""
-    extent = max(max(along) - min(along) for along in zip(*corners, strict=True))
-    turns = turns_of(corners)
-    slack = _STRAIGHT * extent**2
-    area = sum(x0 * y1 - x1 * y0 for (x0, y0), (x1, y1) in pairwise((*corners, corners[0])))
-    ways = {turn > 0.0 for turn in turns if abs(turn) > slack}
-    around = sum(abs(turn) > slack for turn in turns)
-    if len(ways) != 1 or around < _FEWEST_CORNERS or not _goes_round_once(corners):
+    from shapely import Polygon  # noqa: PLC0415  for polygons alone
+
+    polygon = Polygon(corners)
+    is_flat = polygon.area <= _STRAIGHT * polygon.length**2
+    if is_flat or not polygon.is_valid or not is_convex(polygon):
         raise ValueError(
             f"{what}; its corners must be those of a polygon that encloses an area of "
-            f"{abs(area) / 2:.3g} m^2 without crossing itself, in order; correct them"
+            f"{polygon.area:.3g} m^2 without crossing itself, in order; correct them"
         )
-
-
-def _goes_round_once(corners: Sequence[tuple[float, float]]) -> bool:
-    """Return whether an outline that always turns to the same side goes round once.
-
-    A star, for example, goes round twice and crosses itself.
-    """
-    total = 0.0
-    edges = [(x1 - x0, y1 - y0) for (x0, y0), (x1, y1) in pairwise((*corners, corners[0]))]
-    for (a, b), (c, d) in pairwise((*edges, edges[0])):
-        total += atan2(a * d - b * c, a * c + b * d)
-    return abs(abs(total) - tau) < 1.0
 
 
 def _edges_of(

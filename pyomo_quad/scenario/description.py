@@ -282,14 +282,29 @@ def _allowed(field: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
 
 
 def _is_ranged(field: Mapping[str, Any], option: Mapping[str, Any]) -> bool:
-    """Return whether the plausible range of a field applies to one of its types."""
+    """Return whether the field's plausible range is that of one of its types: number or list.
+
+    Parameters
+    ----------
+    field : mapping
+        JSON Schema of the field; `sound` holds its plausible range, if it has one.
+    option : mapping
+        JSON Schema of one type that the field allows. A word such as "free" has no range.
+    """
     return "sound" in field and option.get("type") in {"number", "integer", "array"}
 
 
 def _range(sound: Mapping[str, Any], option: Mapping[str, Any]) -> str:
-    """Return a number's allowed range in words, with the reason.
+    """Return a number's allowed range in words, with the reason for the plausible range.
 
-    The range is the intersection of the strict limits and of the plausible range.
+    The allowed range is the overlap of the field's plausible range and of its strict limits.
+
+    Parameters
+    ----------
+    sound : mapping
+        Plausible range: `low`, `high` and the reason `because`; see `fields.Sound`.
+    option : mapping
+        JSON Schema of the number, or of a list of numbers, with the strict limits.
     """
     number = option.get("items", option)
     low = max(sound["low"], number.get("minimum", -inf), number.get("exclusiveMinimum", -inf))
@@ -304,7 +319,15 @@ def _range(sound: Mapping[str, Any], option: Mapping[str, Any]) -> str:
 
 
 def _of_type(option: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
-    """Return in words the values that a field allows, for one of its types."""
+    """Return in words the values that a field allows, for one of its types.
+
+    Parameters
+    ----------
+    option : mapping
+        JSON Schema of this type, such as a number, a list or an enumeration.
+    definitions : mapping
+        JSON Schemas to which `option` may refer, by name.
+    """
     held = definitions.get(option.get("$ref", "").rpartition("/")[2], {})
     if "const" in option:
         return f'"{option["const"]}"'

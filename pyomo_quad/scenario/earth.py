@@ -154,8 +154,6 @@ def local_place(
                 f"{unit}."
             )
     height = written.get(_HEIGHT, written.get(_ALTITUDE, origin.altitude) - origin.altitude)
-    if _HEIGHT in written:
-        height = written[_HEIGHT]
     place = origin.local([[written[_LATITUDE], written[_LONGITUDE], height]])[0]
     return [float(coordinate) for coordinate in place[:count]]
 

@@ -42,9 +42,10 @@ _ONE_LINE = r"^[^\x00-\x1f\x7f-\x9f\u2028\u2029]*$"
 
 
 class Sound(NamedTuple):
-    """Plausible range of a number, with the reason in words.
+    """Plausible range of a scenario field with a number, and the reason for the range in words.
 
-    A number outside the range is a typing error or has a wrong unit, and might cause overflow.
+    A number outside the range is refused: it is a typing error or has a wrong unit, and might cause
+    overflow.
 
     Attributes
     ----------
@@ -170,7 +171,8 @@ def quantity(
         Whether the field is newer than some records (stored scenarios). A record without the field
         has its default, and new records leave the field out while it has this value.
     initial : object, optional
-        Value of a scenario file without the field, if it differs from the default of records.
+        Value that a scenario gets if its file leaves the field out, where this differs from
+        `default`; `default` then is only the value of stored scenarios (records) without the field.
     unit_keys : mapping, optional
         Further keys by which a file may give the field in another unit; each with the factor from
         that unit to `unit`.
@@ -252,9 +254,9 @@ def other_names_of(model: type[BaseModel], name: str) -> tuple[str, ...]:
 
 
 def initial_of(model: type[BaseModel], name: str) -> Any:  # noqa: ANN401
-    """Return the value of a field that a scenario file leaves out, if it is not the default.
+    """Return the value that a scenario gets if its file leaves a field out; see `quantity`.
 
-    None if it is the default.
+    None if this value is the field's default, as for most fields.
 
     Parameters
     ----------
@@ -392,14 +394,15 @@ def is_number(value: object) -> TypeGuard[float]:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def value_at(tree: Any, *place: str) -> Any:  # noqa: ANN401  before validation
-    """Return the value at a path of nested tables; None if the path does not exist."""
+def value_at(tree: Any, *place: str | int) -> Any:  # noqa: ANN401  before validation
+    """Return the value at a path of nested tables and lists; None if the path does not exist."""
     for step in place:
-        tree = tree.get(step) if isinstance(tree, Mapping) else None
+        is_listed = isinstance(tree, list | tuple) and isinstance(step, int) and step < len(tree)
+        tree = tree.get(step) if isinstance(tree, Mapping) else tree[step] if is_listed else None
     return tree
 
 
-def table_at(tree: Any, *place: str) -> Mapping[str, Any]:  # noqa: ANN401  before validation
+def table_at(tree: Any, *place: str | int) -> Mapping[str, Any]:  # noqa: ANN401  before validation
     """Return the table at a path of nested tables; empty if there is no table."""
     found = value_at(tree, *place)
     return found if isinstance(found, Mapping) else {}

@@ -7,11 +7,11 @@ outside of the fence become zones fence-1, fence-2 and so on.
 """
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from pyomo_quad.scenario.airspace import ENDLESS_M, Shape
+from pyomo_quad.scenario.airspace import ENDLESS_M, Shape, is_convex
 from pyomo_quad.scenario.earth import GeodeticOrigin
 from pyomo_quad.scenario.fields import is_number
 from pyomo_quad.scenario.messages import ScenarioError, refuse, shown
@@ -41,9 +41,9 @@ def in_convex_parts(airspace: Mapping[str, Any]) -> dict[str, Any]:
     for zone in written if isinstance(written, list | tuple) else ():
         zones += _parts_of_zone(zone) if isinstance(zone, Mapping) else [zone]
     fence = airspace.get("keep_in")
-    corners = _ring_of(fence.get("corners")) if isinstance(fence, Mapping) else None
-    if corners is not None and not _is_convex(corners):
-        hull, rest = _cut_off(corners)
+    polygon = _polygon_of(fence.get("corners")) if isinstance(fence, Mapping) else None
+    if polygon is not None and not is_convex(polygon):
+        hull, rest = _cut_off(polygon)
         divided["keep_in"] = {**fence, "corners": hull}  # type: ignore[dict-item]
         ends = {"shape": Shape.POLYGON.value, "bottom": -ENDLESS_M, "top": ENDLESS_M}
         zones += [
@@ -56,18 +56,18 @@ def in_convex_parts(airspace: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _parts_of_zone(zone: Mapping[str, Any]) -> list[Any]:
-    corners = _ring_of(zone.get("corners")) if zone.get("shape") == Shape.POLYGON else None
-    if corners is None or _is_convex(corners):
+    polygon = _polygon_of(zone.get("corners")) if zone.get("shape") == Shape.POLYGON else None
+    if polygon is None or is_convex(polygon):
         return [zone]
-    parts = convex_parts(corners)
+    parts = convex_parts(polygon)
     name = zone.get("name")
     return [
         {**zone, "name": f"{name}-{k}", "corners": part} for k, part in enumerate(parts, start=1)
     ]
 
 
-def _ring_of(written: Any) -> _Ring | None:  # noqa: ANN401  before validation
-    """Return a polygon's corners as pairs of floats.
+def _polygon_of(written: Any) -> Any:  # noqa: ANN401  before validation, and see `is_convex`
+    """Return the polygon of corners.
 
     None if the corners are not numbers, or the outline crosses itself or encloses no area.
     """
@@ -79,38 +79,27 @@ def _ring_of(written: Any) -> _Ring | None:  # noqa: ANN401  before validation
         is_pair = isinstance(corner, list | tuple) and len(corner) == 2
         if not is_pair or not all(is_number(n) and abs(n) < 1e9 for n in corner):
             return None
-    ring = [(float(x), float(y)) for x, y in written]
-    polygon = Polygon(ring)
-    return ring if polygon.is_valid and polygon.area > 0.0 else None
+    polygon = Polygon(written)
+    return polygon if polygon.is_valid and polygon.area > 0.0 else None
 
 
-def _is_convex(corners: _Ring) -> bool:
-    from shapely import Polygon  # noqa: PLC0415  for polygons alone
-
-    polygon = Polygon(corners)
-    return bool(polygon.convex_hull.area - polygon.area <= _STRAIGHT * polygon.area)
-
-
-def convex_parts(corners: _Ring, holes: Sequence[_Ring] = ()) -> list[_Ring]:
+def convex_parts(polygon: Any) -> list[_Ring]:  # noqa: ANN401  see `is_convex`
     """Divide a polygon into convex parts: triangulate, then merge neighbours that stay convex.
 
     Method of Hertel and Mehlhorn (1983): at most four times the least number of parts.
 
     Parameters
     ----------
-    corners : list of (float, float)
-        Corners of the outer outline, in order.
-    holes : sequence of list, optional
-        Corners of holes.
+    polygon : shapely.Polygon
+        Polygon, which may have holes.
 
     Returns
     -------
     list of list
         Corners of each convex part.
     """
-    from shapely import Polygon, constrained_delaunay_triangles  # noqa: PLC0415  see `_ring_of`
+    from shapely import Polygon, constrained_delaunay_triangles  # noqa: PLC0415  see `_polygon_of`
 
-    polygon = Polygon(corners, holes)
     parts = [Polygon(t.exterior) for t in constrained_delaunay_triangles(polygon).geoms]
     is_merged = True
     while is_merged:
@@ -120,9 +109,8 @@ def convex_parts(corners: _Ring, holes: Sequence[_Ring] = ()) -> list[_Ring]:
                 both = parts[first].union(parts[second])
                 if both.geom_type != _POLYGON or both.interiors:
                     continue
-                ring = _plain(both)
-                if _is_convex(ring):
-                    parts[first] = Polygon(ring)
+                if is_convex(both):
+                    parts[first] = Polygon(_plain(both))
                     del parts[second]
                     is_merged = True
                     break
@@ -131,7 +119,7 @@ def convex_parts(corners: _Ring, holes: Sequence[_Ring] = ()) -> list[_Ring]:
     return [_plain(part) for part in parts]
 
 
-def _plain(polygon: Any) -> _Ring:  # noqa: ANN401  shapely has no types that mypy reads here
+def _plain(polygon: Any) -> _Ring:  # noqa: ANN401  see `is_convex`
     """Return a polygon's corners without those on a straight line between their neighbours."""
     ring = [(float(x), float(y)) for x, y in polygon.exterior.coords[:-1]]
     extent = polygon.area
@@ -143,15 +131,14 @@ def _plain(polygon: Any) -> _Ring:  # noqa: ANN401  shapely has no types that my
     return kept
 
 
-def _cut_off(corners: _Ring) -> tuple[_Ring, list[_Ring]]:
+def _cut_off(polygon: Any) -> tuple[_Ring, list[_Ring]]:  # noqa: ANN401  see `is_convex`
     """Return the convex hull of a polygon, and convex parts of the hull outside the polygon."""
-    from shapely import Polygon  # noqa: PLC0415  see `_ring_of`
+    from shapely import Polygon  # noqa: PLC0415  see `_polygon_of`
 
-    polygon = Polygon(corners)
     hull = polygon.convex_hull
     rest = hull.difference(polygon)
     pieces = rest.geoms if hasattr(rest, "geoms") else [rest]
-    parts = [part for piece in pieces for part in convex_parts(_plain(piece))]
+    parts = [part for piece in pieces for part in convex_parts(Polygon(_plain(piece)))]
     return _plain(hull), parts
 
 
@@ -193,7 +180,7 @@ def read_footprints(file: Path, place: str, origin: GeodeticOrigin | None) -> li
         bottom = _height(told, ("bottom", "min_height"), 0.0, where)
         top = _height(told, ("top", "height"), None, where)
         for part, rings in enumerate(_polygons(feature, where), start=1):
-            parts = convex_parts(*_in_metres(rings, origin, where))
+            parts = convex_parts(_in_metres(rings, origin, where))
             for piece, ring in enumerate(parts, start=1):
                 tail = [str(n) for n, of in ((part, part > 1), (piece, len(parts) > 1)) if of]
                 zones.append(
@@ -256,9 +243,9 @@ def _polygons(feature: Any, where: str) -> Iterator[list[Any]]:  # noqa: ANN401 
         yield rings
 
 
-def _in_metres(rings: list[Any], origin: GeodeticOrigin, where: str) -> tuple[_Ring, list[_Ring]]:
-    """Return the outer ring and the holes of a polygon, x and y from the origin [m]."""
-    from shapely import Polygon  # noqa: PLC0415  see `_ring_of`
+def _in_metres(rings: list[Any], origin: GeodeticOrigin, where: str) -> Any:  # noqa: ANN401
+    """Return the polygon of an outer ring and holes, x and y from the origin [m]."""
+    from shapely import Polygon  # noqa: PLC0415  see `_polygon_of`
 
     found = []
     for ring in rings:
@@ -278,4 +265,4 @@ def _in_metres(rings: list[Any], origin: GeodeticOrigin, where: str) -> tuple[_R
     polygon = Polygon(found[0], found[1:])
     if not polygon.is_valid or polygon.area <= 0.0:
         refuse(where, "has a polygon that crosses itself or encloses nothing; correct it")
-    return found[0], found[1:]
+    return polygon

@@ -243,9 +243,10 @@ def _listed(axes: tuple[str, ...]) -> str:
 
 
 def _named(variables: Mapping[Any, Any], names: tuple[str, ...]) -> Any:  # noqa: ANN401
-    """Return the variable that has one of the given names, or None.
+    """Return the variable of a NetCDF file that has one of the given names, or None.
 
-    The standard name of a variable counts, and its own name.
+    A given name is compared with a variable's attribute `standard_name` and with its own name.
+    Earlier names have precedence.
     """
     held = list(variables.values())
     for name in names:
@@ -367,9 +368,7 @@ def _rising(field: Gridded, place: str) -> Gridded:
 
 
 def check_axes(axes: Mapping[str, FloatArray], place: str) -> None:
-    """Raise an error if an axis of gridded data is not usable.
-
-    It has too few points, points too far from the origin, or a point twice.
+    """Raise an error if an axis of gridded data has too few, too distant or repeated points.
 
     Parameters
     ----------

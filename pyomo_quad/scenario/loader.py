@@ -64,8 +64,11 @@ def load_scenario(
     'library dji_phantom_2'
     """
     is_mapping = isinstance(overrides, Mapping)
-    written = _mapped(overrides) if isinstance(overrides, Mapping) else _parsed(overrides)
     label = "overrides" if is_mapping else "--set"
+    if isinstance(overrides, Mapping):
+        written = assignments_of(overrides, label)
+    else:
+        written = _parsed(overrides)
     if isinstance(path, Mapping):
         refuse_deep(path, _MAPPING)
         source, folder, document = _MAPPING, FilePath(), path
@@ -187,14 +190,21 @@ def _parsed(overrides: Sequence[str]) -> dict[FieldPath, Any]:
     return found
 
 
-def _mapped(overrides: Mapping[str, Any]) -> dict[FieldPath, Any]:
-    refuse_deep(overrides, "overrides")
+def assignments_of(tables: Mapping[str, Any], source: str) -> dict[FieldPath, Any]:
+    """Return the value of each field in nested tables or dotted paths, or both mixed.
+
+    Raises
+    ------
+    ScenarioError
+        If the tables are too deep, or a path is none of a field; the message begins with `source`.
+    """
+    refuse_deep(tables, source)
     assignments: dict[FieldPath, Any] = {}
-    for steps, value in leaves(overrides):
+    for steps, value in leaves(tables):
         path = parse_path(".".join(str(step) for step in steps))
         if path is None:
             raise ScenarioError(
-                f"overrides: {shown('.'.join(map(str, steps)))} is not the path of a field; write "
+                f"{source}: {shown('.'.join(map(str, steps)))} is not the path of a field; write "
                 "for example mission.duration."
             )
         assignments[path] = value

@@ -270,7 +270,7 @@ def _meant(table: type[BaseModel], unknown: str) -> list[str]:
 
 
 def _example(model: type[BaseModel], name: str) -> str:
-    """Return an example value of a field in TOML; for a table, one with its required fields."""
+    """Return an example value of a field in TOML; for a table, its required fields."""
     nested = table_of(model, name)
     if nested is None:
         return example_of(model, name)

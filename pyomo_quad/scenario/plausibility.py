@@ -114,7 +114,8 @@ def contradictions(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[C
 def remarks(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[str]:
     """Yield remarks on numbers that are possible but unusually good.
 
-    Checked are the motor constants within rounding errors, and the figure of merit of the rotors.
+    Remarked are a product k_t k_v that differs from 1 by no more than rounding errors, and rotors
+    whose figure of merit (ideal power over shaft power in hover) is unusually high.
 
     Parameters
     ----------
@@ -190,7 +191,11 @@ class _Hover:
 
 
 def _hover(vehicle: Vehicle, power: Power, gravity: float) -> _Hover | None:
-    """Return shaft power and ideal power of hover; None if the drag torque does not give them."""
+    """Return shaft power and ideal power of hover.
+
+    None for the power model `momentum`, whose power does not come from the drag torque, and for
+    coaxial rotors, whose disc area is not known.
+    """
     if power.model is PowerModel.MOMENTUM:
         return None  # this model's powers are at least those of ideal rotors
     places = vehicle.rotor_places

@@ -509,9 +509,10 @@ def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
 
 
 def _initial_values(model: type[BaseModel]) -> dict[str, Any]:
-    """Return the values of fields whose default in scenario files differs from that in records.
+    """Return the `initial` values of all fields that have such a value; see `fields.quantity`.
 
-    A record is a complete scenario that was stored earlier, for example in a report.
+    A scenario gets an initial value if its file leaves the field out. A record (a complete scenario
+    that was stored earlier, for example in a report) gets the field's default instead.
     """
     tables: dict[str, Any] = {}
     for path in field_paths(model):
@@ -639,7 +640,7 @@ class _Filled:
         self.provenance.update(said | self.provenance)
 
     def put(self, path: FieldPath, value: object, said: str = "") -> None:
-        """Set a value, and say where it comes from if that is not known yet."""
+        """Set the value at a path, and record `said` as its origin unless `said` is empty."""
         self.tables = set_value(self.tables, path, value)
         if said:
             self.provenance[spell(path)] = said
@@ -673,7 +674,10 @@ class _Filled:
         self.put(("airspace",), in_convex_parts(airspace))
 
     def add_terrain(self) -> None:
-        """Add the heights of the ground from a file; without a floor, set it to the clearance."""
+        """Add the heights of the ground from a file.
+
+        If the scenario gives no floor (least height above the ground), the floor is the clearance.
+        """
         airspace, path = table_at(self.tables, "airspace"), ("airspace", "terrain")
         file, clearance = airspace.get("terrain"), airspace.get("clearance", 0.0)
         if not isinstance(file, str):
@@ -691,7 +695,10 @@ class _Filled:
         self.put_read(("airspace", "ground"), ground, file)
 
     def winds(self, named: str) -> Iterator[tuple[tuple[str, ...], Mapping[str, Any]]]:
-        """Yield path and table of the wind and of its forecast, if a table names a file."""
+        """Yield path and table of the wind and of its forecast, if the field `named` has a text.
+
+        The text is the name of a file that the table refers to.
+        """
         for place in (("wind",), ("wind", "forecast")):
             wind = table_at(self.tables, *place)
             if isinstance(wind.get(named), str):
@@ -708,7 +715,11 @@ class _Filled:
             self.put_read((*place, "grid"), grid, wind["field"])
 
     def add_wind_series(self) -> None:
-        """Add the measured wind from files, and the end of a free duration where the wind ends."""
+        """Add the measured wind from files.
+
+        If the mission's duration is free and has no upper limit, the limit is set to the time at
+        which the measured wind ends.
+        """
         field, longest = _longest(self.tables)
         known: list[tuple[float, str]] = []
         for place, wind in self.winds("file"):

@@ -14,7 +14,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from pyomo_quad.scenario.earth import GeodeticOrigin, local_place
-from pyomo_quad.scenario.fields import FieldPath, is_number, set_value, spell, value_at
+from pyomo_quad.scenario.fields import FieldPath, is_number, set_value, spell, table_at, value_at
 from pyomo_quad.scenario.messages import ScenarioError, complaints, shown
 
 #: Key for the direction that a wind comes from.
@@ -132,23 +132,12 @@ def _count(tables: Any, path: FieldPath) -> int:  # noqa: ANN401  tables of TOML
     """Return the number of coordinates of the place at a path: 2 or 3."""
     if _CORNERS in path:
         return 2
-    table = tables
-    for step in path[:-1]:
-        table = table[step]
-    is_axis = path[-1] == "centre" and table.get("shape") == _CYLINDER
+    is_axis = path[-1] == "centre" and table_at(tables, *path[:-1]).get("shape") == _CYLINDER
     return 2 if is_axis else PLACES.get(str(path[-1]), 3)
 
 
 def _refuse_both(own: Any, path: FieldPath, target: FieldPath, source: str) -> None:  # noqa: ANN401
-    table = own
-    for step in path[:-1]:
-        try:
-            table = table[step]
-        except (LookupError, TypeError):
-            return
-    if not isinstance(table, Mapping):
-        return
-    if _DIRECTION in table:
+    if _DIRECTION in table_at(own, *path[:-1]):
         raise ScenarioError(
             f"{source}: {spell(target)} and {spell(path)} give the same angle; leave one out."
         )

@@ -105,9 +105,17 @@ def surface_of(x: ArrayLike, y: ArrayLike, heights: FloatArray, side: int) -> Su
     of_ground = along_y.line @ (along_x.line @ (side * ground)).T
 
     def above(held: FloatArray) -> FloatArray:
-        """Return the Bernstein coefficients of spline minus ground, cell by cell.
+        """Return the Bernstein coefficients of spline minus ground in each cell.
 
-        The shape is (cells along x, cells along y, 4, 4).
+        Parameters
+        ----------
+        held : ndarray, shape (len(x), len(y))
+            B-spline coefficients of the spline.
+
+        Returns
+        -------
+        ndarray, shape (len(x) - 1, len(y) - 1, 4, 4)
+            Coefficients [m]; the first two array axes are the cells.
         """
         found = (along_y.cubic @ (along_x.cubic @ held).T - of_ground).T
         return found.reshape(x.size - 1, 4, y.size - 1, 4).swapaxes(1, 2)
@@ -157,11 +165,12 @@ class _Axis:
 
     Attributes
     ----------
-    cubic, line : sparse matrix, shape (4 n - 4, n)
-        Bernstein coefficients in each cell, from the coefficients of the spline, and from the
-        heights of the ground.
+    cubic : sparse matrix, shape (4 (n - 1), n)
+        Maps the n coefficients of the spline to its four Bernstein coefficients in each cell.
+    line : sparse matrix, shape (4 (n - 1), n)
+        Maps the heights of the ground at the n points to the four coefficients in each cell.
     at_points : sparse matrix, shape (n, n)
-        Values of the spline at the points, from its coefficients.
+        Maps the coefficients of the spline to its values at the points.
     first : ndarray of int, shape (n - 1,)
         Index of the first of the four spline coefficients that influence each cell.
     """

@@ -26,7 +26,7 @@ class Rewritten:
     complaints : list of str
         A message for each key that cannot be converted.
     unread : list
-        Paths of the fields that such keys stand for.
+        Paths of the fields that have no value because their key could not be converted.
     """
 
     tables: dict[str, Any]

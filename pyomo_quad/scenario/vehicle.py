@@ -93,8 +93,9 @@ class Validated(Part):
 class Attitude(StrEnum):
     """Kinematics of the attitude angles: exact, or simplified as by Yacef et al.
 
-    `EULER` relates the rates of the angles to the body rates exactly, and lets rotors that gather
-    speed turn the body. `PAPER` follows eq. (9) and (6) of Yacef et al. as printed.
+    `EULER` relates the rates of the angles to the body rates exactly, and includes the reaction
+    moment of accelerating rotors on the body. `PAPER` follows eq. (9) and (6) of Yacef et al. as
+    printed.
     """
 
     EULER = "euler"

@@ -470,8 +470,9 @@ def in_the_air(
     tables : dict
         Tables of the scenario.
     before : mapping or None
-        None if the coefficients in `tables` are given for sea level. If the scenario was completed
-        earlier and then changed: its earlier tables, for whose air density they are given.
+        Tables of the scenario before a change. The coefficients in `tables` then still refer to the
+        air density of these earlier tables. None for a new scenario, whose coefficients refer to
+        sea level.
     provenance : dict
         Origin of each value by dotted path; entries of scaled values are changed.
 

@@ -11,23 +11,8 @@ from pyomo_quad.flight.outside_plant import PLANT, Pilot
 from pyomo_quad.report import Figures
 from pyomo_quad.report.document import Drawing, write_study
 from pyomo_quad.report.style import LEGEND_COLUMNS, SERIES_STYLES, label_time, panel_grid
-from pyomo_quad.scenario import Reference
-from pyomo_quad.simulators.study import (
-    BREEZE,
-    CASES,
-    CAUSES,
-    DRAG_CASES,
-    EXACT,
-    OUR_HEADING,
-    STIFF,
-    STIFFNESS,
-    TOLD,
-    OutsideColumn,
-    OutsideStudy,
-    Plant,
-    arrivals,
-)
-from pyomo_quad.simulators.vehicles import NAMES
+from pyomo_quad.simulators import study as missions
+from pyomo_quad.simulators.study import CAUSES, OutsideStudy
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -91,22 +76,8 @@ def write_outside_report(folder: Path, study: OutsideStudy, figures: Figures = F
         drawings=[drawing],
         figures=figures,
         study=study,
-        causes=CAUSES,
-        drag_cases=DRAG_CASES,
-        arrivals={pilot: arrivals(study.flights, pilot) for pilot in (Pilot.ADAPTIVE, Pilot.SE3)},
-        pilot=Pilot,
-        plant=Plant,
-        reference=Reference,
-        breeze=BREEZE,
-        exact=EXACT,
-        told=TOLD,
-        stiff=STIFF,
-        our_heading=OUR_HEADING,
-        stiffness=STIFFNESS,
+        of=missions,
         lag_ms=1e3 * study.lag_s,
         rows=study.flights.to_dict("records"),
-        column=OutsideColumn,
-        cases=CASES,
-        sets=NAMES,
         version_of_rotorpy=version(PLANT),
     )

@@ -280,7 +280,19 @@ class _Mission:
         pilot: Pilot,
         followed: Reference = Reference.PLAN,
     ) -> Flown:
-        """Return a flight in RotorPy under a given controller, not simulated yet."""
+        """Return a flight in RotorPy under a given controller, not simulated yet.
+
+        Parameters
+        ----------
+        at : Plant
+            Name of the simulated vehicle in the result table.
+        plant : OutsidePlant
+            The simulated vehicle itself: RotorPy with the vehicle's parameters.
+        pilot : Pilot
+            Controller.
+        followed : Reference, optional
+            Reference trajectory.
+        """
         return Flown(at, pilot, followed, partial(fly_outside, plant, pilot, followed, self.plan))
 
     def under(
@@ -292,7 +304,23 @@ class _Mission:
         followed: Reference,
         stiffness: float = 1.0,
     ) -> Flown:
-        """Return a flight in RotorPy under a variant of the controller SE3, not simulated yet."""
+        """Return a flight in RotorPy under a variant of the controller SE3, not simulated yet.
+
+        Parameters
+        ----------
+        at : Plant
+            Name of the simulated vehicle in the result table.
+        plant : OutsidePlant
+            The simulated vehicle itself: RotorPy with the vehicle's parameters.
+        name : str
+            Name of the variant in the result table.
+        path : ReferencePath
+            Trajectory that the controller follows.
+        followed : Reference
+            Reference trajectory from which `path` is made, for the result table.
+        stiffness : float, optional
+            Factor on the controller's gains.
+        """
         law = se3_law(plant, path, stiffness=stiffness)
         return Flown(at, name, followed, partial(fly_under, plant, name, law, self.plan))
 
@@ -400,7 +428,7 @@ def _against_the_air(path: ReferencePath, plant: OutsidePlant) -> ReferencePath:
     forces = tuple((name, None) for name in AIR_FORCE)
 
     def told(t: float) -> Setpoint:
-        place, rate, acceleration = path(t)
+        place, rate, acceleration, _ = path(t)
         level = start_state(plant.scenario, dynamics)
         level[moving] = *place[:3], *rate[:3]
         controls = np.zeros((1, len(dynamics.control_names)))
@@ -426,7 +454,7 @@ def _flights_of_set(mission: _Mission) -> Iterator[Flown]:
     path = mission.path(Reference.PLAN)
 
     def turned(t: float) -> Setpoint:
-        place, rate, acceleration = path(t)
+        place, rate, acceleration, _ = path(t)
         return Setpoint([*place[:3], place[3] - theirs.turn], rate, acceleration)
 
     yield mission.under(Plant.WITHOUT_ROTOR_INERTIA, theirs, OUR_HEADING, turned, Reference.PLAN)

@@ -95,14 +95,14 @@ class TriedCruise:
     """Largest speed and acceleration of the flight: legs may be too short for the settings."""
     duration_s: float
     """Duration until arrival at the goal."""
-    energy_J: float
-    """Energy until arrival, plus the energy to complete the flight from its end state to the exact
-    goal state; infinite if the vehicle gets out of control."""
-    arrived: bool
-    """Whether the flight ends near the goal and slowly enough."""
     broken: tuple[str, ...]
     """Limits that the flight breaks, in words."""
-    cost_J: float
+    energy_J: float = inf
+    """Energy until arrival, plus the energy to complete the flight from its end state to the exact
+    goal state; infinite if the vehicle gets out of control."""
+    arrived: bool = False
+    """Whether the flight ends near the goal and slowly enough."""
+    cost_J: float = inf
     """Objective of the search: the energy, plus the penalty of a broken limit or a missed goal."""
 
 
@@ -301,10 +301,7 @@ def _tried(
             settings=settings,
             reached=within,
             duration_s=longest.mission.fixed_duration,
-            energy_J=inf,
-            arrived=False,
             broken=("out of control",),
-            cost_J=inf,
         )
     end = _end(scenario, settings, flown, dynamics)
     arrived = end < flown.t[-1]

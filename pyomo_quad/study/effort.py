@@ -9,7 +9,8 @@ are tried.  These numbers are known before the solve.  The constants were measur
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import log10
+from itertools import pairwise
+from math import dist, inf, log10
 from typing import TYPE_CHECKING
 
 from pyomo_quad.flight.routes import NoRouteError, find_journeys
@@ -36,8 +37,8 @@ _FIRST_MESHES, _PER_DECADE = 1.0, 0.8
 _ROUTE_ELEMENTS, _MOST_REFINED = 20, 3
 # Points and iterations of the solve of a single leg.
 _LEG_POINTS, _LEG_ITERATIONS = 32, 20
-# Relative increase of the time of an iteration by a wind table.
-_TABLE = 0.5
+# Relative increase of the time of an iteration by a wind table, and by a wind field.
+_TABLE, _FIELD = 0.5, 0.8
 # Tolerance of a quick solve, the reference for the extra time that a finer tolerance takes.
 _QUICK = 1e-3
 
@@ -59,8 +60,11 @@ class Counts:
     legs : int
         Number of legs, flights between two waypoints, that are solved to find the order of the
         waypoints; 0 for a given order.
-    is_free, has_wind_table : bool
-        Whether the duration is free, and whether the wind is a measured table.
+    is_free, has_wind_table, has_wind_field : bool
+        Whether the duration is free, and whether the wind is a measured table or a field.
+    cells : int
+        Number of grid cells, of the wind field or of the terrain, in which the flight takes place:
+        the refined mesh follows them.
     """
 
     unknowns: int
@@ -72,14 +76,18 @@ class Counts:
     legs: int = 0
     is_free: bool = False
     has_wind_table: bool = False
+    has_wind_field: bool = False
+    cells: int = 0
 
     @property
     def seconds(self) -> float:
         """Estimated processor time of planning [s]."""
         is_moving = self.is_free or self.waypoints > 0 or self.routes > 0
         iterations = _MOVING + _PER_WAYPOINT * self.waypoints if is_moving else _PLAIN
-        elements = max(self.elements, self.waypoints + 1, _ROUTE_ELEMENTS if self.routes > 0 else 0)
-        each = _PER_UNKNOWN_S * self.unknowns * (1.0 + _TABLE * self.has_wind_table)
+        compared = _ROUTE_ELEMENTS if self.routes > 0 else 0
+        elements = max(self.elements, self.waypoints + 1, compared, self.cells)
+        slower = 1.0 + _TABLE * self.has_wind_table + _FIELD * self.has_wind_field
+        each = _PER_UNKNOWN_S * self.unknowns * slower
         rough = each * iterations * elements * self.degree
         meshes = _FIRST_MESHES + _PER_DECADE * max(0.0, -log10(self.tolerance))
         refined = min(max(self.routes, 1), _MOST_REFINED)
@@ -143,6 +151,8 @@ def estimate_effort(scenario: Scenario, unknowns: int) -> Effort:
         f"order of the waypoints, {counts.legs} legs alone": {"legs": 0},
         "free duration": {"is_free": False},
         "wind table": {"has_wind_table": False},
+        "wind field": {"has_wind_field": False},
+        f"{counts.cells} cells of wind field or terrain": {"cells": 0},
         f"accuracy of {counts.tolerance:g}": {"tolerance": max(_QUICK, counts.tolerance)},
     }
     added = {
@@ -178,4 +188,16 @@ def counts_of(scenario: Scenario, unknowns: int) -> Counts:
         legs=legs_expected(len(mission.waypoints)) if is_open else 0,
         is_free=mission.is_free,
         has_wind_table=scenario.wind.series is not None,
+        has_wind_field=scenario.wind.grid is not None,
+        cells=_cells(scenario),
     )
+
+
+def _cells(scenario: Scenario) -> int:
+    """Return how many cells of the wind field or of the terrain the straight legs cross."""
+    field, ground = scenario.wind.grid, scenario.airspace.ground
+    steps = [] if field is None else [after - at for at, after in pairwise(field.x)]
+    steps += [] if field is None else [after - at for at, after in pairwise(field.y)]
+    steps += [] if ground is None else [ground.least_step]
+    way = sum(dist(start[:2], end[:2]) for start, end in pairwise(scenario.mission.positions))
+    return round(way / min(steps, default=inf))

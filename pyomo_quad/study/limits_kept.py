@@ -23,7 +23,7 @@ _WITHOUT_RISK = "planned without mission.risk, so without margins for the contro
 
 
 def limit_lines(plan: Plan, flights: Sequence[Flight]) -> Iterator[str]:
-    """Yield a sentence for each flight of a run: the limits that it breaks, and the risk of that.
+    """Yield a sentence for each flight that breaks a limit: which, and the risk of that.
 
     Parameters
     ----------
@@ -37,9 +37,10 @@ def limit_lines(plan: Plan, flights: Sequence[Flight]) -> Iterator[str]:
     str
         Sentence for the report.
     """
+    if flights and not any(flight.broken_limits for flight in flights):
+        yield "Every flight keeps every limit."
     for flight in flights:
         if not flight.broken_limits:
-            yield f"{flight.name} keeps every limit."
             continue
         broken = "; ".join(flight.broken_limits)
         yield f"{flight.name} breaks a limit: {broken} ({_risk_words(plan.risk, flight)})."

@@ -153,7 +153,21 @@ def _name_best(
     tried: Sequence[float],
     place: tuple[LineStyle, int],
 ) -> None:
-    """Print a curve's best duration, and the quantity there, into the curve's line of the panel."""
+    """Print a curve's name, best duration and least quantity as a line of text in a panel.
+
+    Parameters
+    ----------
+    axes : Axes
+        Panel.
+    curve : Curve
+        Finished cases of the curve.
+    quantity : Quantity
+        Output column that is drawn.
+    tried : sequence of float
+        All durations of the sweep, in s, including those of failed cases.
+    place : tuple of (LineStyle, int)
+        Style of the curve, which gives the text's colour, and number of the text line from 0.
+    """
     style, row = place
     best = best_along(curve, DURATION_FIELD, quantity.column, tried)
     said = f"{setting(best.at)} s, {number(best.value * quantity.scale)} {quantity.unit}"
@@ -381,7 +395,8 @@ def _draw_bar(
     ends : tuple of float
         Least and greatest value of the quantity.
     reached : tuple of str
-        Texts beside the two ends: where the quantity takes these values.
+        Texts beside the two ends: values of the scenario field at which the quantity is least and
+        greatest.
     base : float
         The quantity in the central case; NaN if that case failed.
     """

@@ -436,7 +436,8 @@ class Case:
         Value of each field that varies, by its dotted path.
     parent : int or None
         Position of the neighbouring case whose solution is the initial guess of this case. None
-        for the first case of the tree, and if the sweep's task solves no case.
+        for the case that is solved first, and for all cases if the task is `FLY_PLAN`, which plans
+        none of them.
     """
 
     position: int

@@ -346,8 +346,9 @@ def estimate_sweep(
 ) -> SweepEstimate:
     """Estimate the time that a sweep still needs, without storing any result.
 
-    The time per case is the mean over the stored results. If there are none, two cases are solved,
-    the second from the solution of the first as most cases are; the time of the second counts.
+    The time per case is the mean over the stored results. Without stored results, two cases are
+    solved, and the time of the second counts: like most cases of a sweep, it starts from the
+    solution of a neighbouring case.
 
     Parameters
     ----------

@@ -255,10 +255,10 @@ class SweepResults:
     def sensitivities(self, quantity: str) -> list[Sensitivity]:
         """Compute the range of a quantity along each numeric field, the widest range first.
 
-        For a field of the grid, the range is taken over all its values, with all other fields as in
-        the central case, so that the result is also right for an angle that goes once around. For a
-        random field, a plane is fitted to the quantity by least squares; the range is that of the
-        plane between the 5 % and 95 % quantiles of the field's draws.
+        For a field of the grid, the range is taken over all its values and not only between its two
+        ends, where an angle that goes once around has the same value; all other fields are as in
+        the central case. For a random field, a plane is fitted to the quantity by least squares;
+        the range is the plane's range between the 5 % and 95 % quantiles of the field's draws.
 
         Parameters
         ----------

@@ -20,11 +20,11 @@ from pyomo_quad.scenario.fields import (
     Part,
     Text,
     WholeNumber,
-    leaves,
     parse_path,
     quantity,
-    spell,
+    value_at,
 )
+from pyomo_quad.scenario.loader import assignments_of
 from pyomo_quad.scenario.messages import (
     FeasibilityError,
     ScenarioError,
@@ -232,21 +232,10 @@ def _base_scenario(study: Study, file: FilePath) -> Scenario:
             source=str(scenario_file),
             folder=scenario_file.parent,
             document=read_toml(scenario_file),
-            assignments=_fixed_values(study.fixed, source),
+            assignments=assignments_of(study.fixed, f"{source}: fixed"),
             label=source,
         )
     )
-
-
-def _fixed_values(tables: Mapping[str, Any], source: str) -> dict[FieldPath, Any]:
-    assignments: dict[FieldPath, Any] = {}
-    for steps, value in leaves(tables):
-        text = spell(steps)
-        path = parse_path(text)
-        if path is None:
-            raise ScenarioError(f"{source}: fixed: {shown(text)} is not the path of a field.")
-        assignments[path] = value
-    return assignments
 
 
 # A study with more cases needs the option --yes, because it is more often a mistake than intended.
@@ -392,13 +381,7 @@ def _as_field_type(value: object, tables: Mapping[str, Any], path: str) -> Any: 
     path : str
         Dotted path of the field.
     """
-    present: Any = tables
-    for step in parse_path(path) or ():
-        is_inside = isinstance(present, Mapping | list | tuple)
-        try:
-            present = present[step] if is_inside else None
-        except (LookupError, TypeError):
-            return value
+    present = value_at(tables, *(parse_path(path) or ()))
     if isinstance(present, bool) or isinstance(value, bool):
         return value
     if isinstance(present, float) and isinstance(value, int):

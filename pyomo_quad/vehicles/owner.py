@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import cos, pi, sin, sqrt
 
-from pyomo_quad.scenario import ScenarioError
+from pyomo_quad.scenario import ScenarioError, library_entry
 from pyomo_quad.scenario.vehicle import RPM
 from pyomo_quad.scenario.wind import SEA_LEVEL_DENSITY
 from pyomo_quad.vehicles.estimate import Estimate, Kind, computed, estimated, given
@@ -17,29 +17,57 @@ from pyomo_quad.vehicles.propulsion import INDUCED, Propeller, RotorHover
 
 GRAVITY = 9.81
 ROTOR_COUNTS = (4, 6, 8)
-# Distance between the shafts of neighbouring rotors, relative to the rotor diameter.
+# Distance between the shafts of neighbouring rotors, relative to their diameter. Assumed: rotors do
+# not overlap.
 _SPACING = 1.25
-# Motor constant (torque squared over copper loss) of a motor of 1 kg [(N m)²/W]; it is proportional
-# to the mass to the power of 5/3.
+# Motor constant (torque squared over copper loss) [(N m)²/W] of a motor of 1 kg; it is proportional
+# to the mass to the power of 5/3. Both are the regression of Budinger et al. (2020).
 _MOTOR_CONSTANT, _MOTOR_EXPONENT = 0.15, 5 / 3
-# Ratio of the rotor speeds at full throttle and in hover, assumed if the motors' voltage constant
-# is unknown; and voltage at the motors at full throttle over the pack's nominal voltage.
+# Ratio of the rotor speeds at full throttle and in hover, if the speed constant is unknown: the
+# thrust is then 1.8^2 times the weight. Fraction of the pack's nominal voltage at the motors at
+# full throttle: the rest is the drop over pack and controllers. Both are assumed.
 _FULL_OVER_HOVER, _FULL_VOLTAGE = 1.8, 0.85
-# Mass of a 10-inch propeller [kg], exponent of its growth with the diameter, and its diameter.
+# Mass of a 10-inch propeller [kg], and the exponent of its growth with the diameter, less than the
+# 3 of blades of one shape. Assumed; the inertia of rotors is uncertain by a factor of 2.
 _PROPELLER_KG, _PROPELLER_EXPONENT, _TEN_INCHES_M = 0.012, 2.5, 0.254
-# Power of the electronics of a vehicle of 1.5 kg, and exponent of its growth with the mass.
+# Radius of a motor's bell, which turns with the propeller, relative to the propeller's. Assumed.
+_BELL_SHARE = 0.1
+# Power of the electronics of a vehicle of 1.5 kg [W], and the exponent of their growth with its
+# mass. Assumed: a few per cent of the power in flight.
 _ELECTRONICS_W, _ELECTRONICS_EXPONENT, _AT_KG = 5.0, 0.4, 1.5
-# Drag of the DJI Matrice 100, from its tilt in flight: linear coefficient over mass [1/s], and
-# quadratic coefficient [kg/m] at its mass.
-_DRAG_LINEAR_PER_KG = 0.322 / 3.715
-_DRAG_QUADRATIC, _DRAG_MASS_KG = 0.038, 3.715
-# Ratio of the descent power factor to the induced power factor, from the DJI Matrice 100.
-_DESCENT_SHARE = 0.476 / 1.15
+# Vehicle of the library whose drag, read from its tilt in flight, and power of descent, identified
+# from 120 flights, stand for those of others.
+_MEASURED = "dji_matrice_100"
+# Growth of quadratic drag with the mass: that of the area of bodies of one shape.
+_AREA_EXPONENT = 2 / 3
+# Limit of roll and pitch [degrees]: the default of autopilots.
 _TILT_DEG = 35.0
+# Least share of the voltage that counts as left for acceleration at hover: rotors accelerate
+# whatever the speed constant is.
+_LEAST_SPARE = 0.1
 #: Relative error of a measured hover power, caused by the gain of the current sensor and by wind.
 MEASUREMENT_ERROR = 0.03
-#: Ranges of factors on the loss of motor and speed controller, and on the drag of the blades.
+#: Factors at the ends of their ranges, on the loss of motor and speed controller, which cover the
+#: 15 % within which the hover powers of data sheets come out, and on the blades' drag, assumed for
+#: blades of other makers.
 DRIVE_RANGE, BLADE_RANGE = (0.85, 1.2), (0.6, 1.6)
+# Factors on an estimate at the ends of its range. Assumed, from what they mean for a vehicle.
+_RANGES = {
+    "arm_length": (0.85, 1.3),  # neighbouring rotors 1.06 to 1.6 diameters apart
+    "inertia": (0.6, 1.6),  # frames with other shares of the mass at the arms' ends
+    "thrust_coefficient": (0.85, 1.2),  # propellers of other makers than the regression's
+    "drag_torque_coefficient": (0.8, 1.3),  # figures of merit of 0.5 to 0.85 in place of 0.676
+    "rotor_inertia": (0.5, 2.0),  # propellers of 6 to 24 g at 10 inches
+    "voltage_constant": (0.7, 1.6),  # full throttle at 1.26 to 2.9 times the speed of hover
+    "motor_resistance": (0.4, 2.5),  # motors of other shapes than the regression's
+    "descent_power_factor": (0.5, 1.5),  # measured on one vehicle
+    "electronics_power": (0.4, 2.5),  # 2 to 12.5 W at 1.5 kg
+    "drag_linear": (0.4, 3.0),  # measured on one vehicle
+    "drag_quadratic": (0.5, 2.0),  # measured on one vehicle
+    "tilt": (0.6, 1.3),  # 21 to 45 degrees
+    "rotor_speed_max": (0.8, 1.1),  # a pack from nearly empty to full
+    "rotor_acceleration_max": (0.3, 1.5),  # controllers may limit the current
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,18 +196,23 @@ def estimate_vehicle(known: Known) -> EstimatedVehicle:
     return vehicle
 
 
+def _ranged(field: str, value: float, said: str) -> Estimate:
+    """Return an estimated number with the range of its field."""
+    return estimated(value, said, *_RANGES[field])
+
+
 def _arm(known: Known) -> Estimate:
     if known.arm is not None:
         return given(known.arm, "--arm")
     length = _SPACING * known.propeller.diameter / (2 * sin(pi / known.rotors))
-    return estimated(length, "neighbouring rotors 1.25 diameters apart", 0.85, 1.3)
+    return _ranged("arm_length", length, "neighbouring rotors 1.25 diameters apart")
 
 
 def _inertias(model: MassModel) -> dict[str, Estimate]:
     said = "mass model: 22 % of the mass without the pack at the ends of the arms, 15 % in them"
     names = ("Ix", "Iy", "Iz")
     return {
-        name: estimated(value, said, 0.6, 1.6)
+        name: _ranged("inertia", value, said)
         for name, value in zip(names, model.moments(), strict=True)
     }
 
@@ -187,24 +220,22 @@ def _inertias(model: MassModel) -> dict[str, Estimate]:
 def _rotor(known: Known, hover: RotorHover, model: MassModel) -> dict[str, Estimate]:
     propeller = known.propeller
     blades = _PROPELLER_KG * (propeller.diameter / _TEN_INCHES_M) ** _PROPELLER_EXPONENT
-    bell = 0.5 * model.motor * (0.1 * propeller.diameter / 2) ** 2
+    bell = 0.5 * model.motor * (_BELL_SHARE * propeller.radius) ** 2
     thrust = propeller.thrust_over_speed_squared(known.density)
     return {
         "rotor_radius": given(propeller.radius, "--propeller, half the diameter"),
-        "thrust_coefficient": estimated(
-            thrust, "C_T = 0.0427 + 0.144 p/D (Budinger et al. 2020)", 0.85, 1.2
+        "thrust_coefficient": _ranged(
+            "thrust_coefficient", thrust, "C_T = 0.0427 + 0.144 p/D (Budinger et al. 2020)"
         ),
-        "drag_torque_coefficient": estimated(
+        "drag_torque_coefficient": _ranged(
+            "drag_torque_coefficient",
             hover.torque / hover.speed**2,
             f"shaft power of hover, figure of merit {hover.figure_of_merit:.2f} (blade element)",
-            0.8,
-            1.3,
         ),
-        "rotor_inertia": estimated(
+        "rotor_inertia": _ranged(
+            "rotor_inertia",
             blades * propeller.diameter**2 / 12 + bell,
             f"thin blade of {1e3 * blades:.2g} g and the motor's bell",
-            0.5,
-            2.0,
         ),
     }
 
@@ -214,11 +245,10 @@ def _motor(known: Known, pack: Pack, hover: RotorHover, model: MassModel) -> dic
         speed_constant = given(known.voltage_constant, "--kv, rpm/V times 2 pi/60")
     else:
         full = _FULL_OVER_HOVER * hover.speed
-        speed_constant = estimated(
+        speed_constant = _ranged(
+            "voltage_constant",
             full / (_FULL_VOLTAGE * pack.nominal_voltage),
             f"full throttle at {_FULL_OVER_HOVER:g} times the speed of hover",
-            0.7,
-            1.6,
         )
     torque_constant = 1 / speed_constant.value
     weight = model.motor
@@ -226,11 +256,10 @@ def _motor(known: Known, pack: Pack, hover: RotorHover, model: MassModel) -> dic
     return {
         "voltage_constant": speed_constant,
         "torque_constant": computed(torque_constant, "1 / voltage_constant"),
-        "motor_resistance": estimated(
+        "motor_resistance": _ranged(
+            "motor_resistance",
             resistance,
             f"kt^2 / (0.15 m^(5/3)) of a motor of {1e3 * weight:.2g} g",
-            0.4,
-            2.5,
         ),
     }
 
@@ -271,6 +300,8 @@ def _powers(known: Known, hover: RotorHover) -> tuple[dict[str, Estimate], float
 
     blade_low, blade_high = BLADE_RANGE
     induced = number(INDUCED, "1.15 times an ideal rotor's over the drive efficiency")
+    flown = library_entry("vehicles", _MEASURED).values()
+    share = flown["vehicle.descent_power_factor"] / flown["vehicle.induced_power_factor"]
     climb = number(1.0, "momentum theory's 1 over the drive efficiency")
     powers = {
         "induced_power_factor": replace(
@@ -283,22 +314,25 @@ def _powers(known: Known, hover: RotorHover) -> tuple[dict[str, Estimate], float
             high * blade_high,
         ),
         "climb_power_factor": climb,
-        "descent_power_factor": estimated(
-            _DESCENT_SHARE * induced.value,
+        "descent_power_factor": _ranged(
+            "descent_power_factor",
+            share * induced.value,
             "share of the induced power: the Matrice 100's",
-            0.5,
-            1.5,
         ),
-        "electronics_power": estimated(electronics, "5 W (mass / 1.5 kg)^0.4", 0.4, 2.5),
+        "electronics_power": _ranged("electronics_power", electronics, "5 W (mass / 1.5 kg)^0.4"),
     }
     return powers, alone
 
 
 def _drag(mass: float) -> dict[str, Estimate]:
-    quadratic = _DRAG_QUADRATIC * (mass / _DRAG_MASS_KG) ** (2 / 3)
+    flown = library_entry("vehicles", _MEASURED).values()
+    larger = mass / flown["vehicle.mass"]
+    linear, quadratic = "drag_linear", "drag_quadratic"
+    slope, area = (flown[f"vehicle.{name}"] for name in (linear, quadratic))
+    area *= larger**_AREA_EXPONENT
     return {
-        "drag_linear": estimated(_DRAG_LINEAR_PER_KG * mass, "the Matrice 100's by mass", 0.4, 3.0),
-        "drag_quadratic": estimated(quadratic, "the Matrice 100's by mass^(2/3)", 0.5, 2.0),
+        linear: _ranged(linear, larger * slope, "the Matrice 100's by mass"),
+        quadratic: _ranged(quadratic, area, "the Matrice 100's by mass^(2/3)"),
     }
 
 
@@ -310,19 +344,19 @@ def _limits(pack: Pack, hover: RotorHover, fields: Mapping[str, Estimate]) -> di
     # Greatest speed: there the electromotive force and the resistive drop add up to the voltage.
     copper, back = resistance * drag / torque_constant, 1 / speed_constant
     fastest = (sqrt(back**2 + 4 * copper * voltage) - back) / (2 * copper)
-    spare = max(voltage - back * hover.speed, 0.1 * voltage)
+    spare = max(voltage - back * hover.speed, _LEAST_SPARE * voltage)
     jerk = (torque_constant * spare / resistance - hover.torque) / inertia
     tilt = _TILT_DEG * pi / 180
     said = "autopilots' usual 35 degrees"
     return {
-        "roll_max": estimated(tilt, said, 0.6, 1.3),
-        "pitch_max": estimated(tilt, said, 0.6, 1.3),
+        "roll_max": _ranged("tilt", tilt, said),
+        "pitch_max": _ranged("tilt", tilt, said),
         "rotor_speed_min": given(0.0, "none"),
-        "rotor_speed_max": estimated(
-            fastest, f"full throttle on {voltage:.3g} V by kv and resistance", 0.8, 1.1
+        "rotor_speed_max": _ranged(
+            "rotor_speed_max", fastest, f"full throttle on {voltage:.3g} V by kv and resistance"
         ),
-        "rotor_acceleration_max": estimated(
-            max(jerk, hover.speed), f"{voltage:.3g} V on a motor at hover", 0.3, 1.5
+        "rotor_acceleration_max": _ranged(
+            "rotor_acceleration_max", max(jerk, hover.speed), f"{voltage:.3g} V on a motor at hover"
         ),
     }
 

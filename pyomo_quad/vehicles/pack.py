@@ -15,14 +15,16 @@ _LABEL = re.compile(
 )
 #: Nominal voltage of one lithium-polymer cell [V].
 NOMINAL_V = 3.7
-# Energy over mass of batteries for multirotors [J/kg]: 150 Wh/kg.
+# Energy over mass of batteries for multirotors [J/kg]: 150 Wh/kg. Assumed; the Matrice 100's has
+# 190.
 _ENERGY_PER_KG = 150 * 3600
 # Resistance times capacity of one cell [ohm A h]: a current of 1C reduces its voltage by 15 mV.
 _RESISTANCE_BY_CAPACITY = 0.015
 # E0, K and A of a lithium-polymer cell in eq. (5) of the paper, which gives 4.17 V for a full cell,
 # 3.78 V at half and 3.54 V at a tenth of the charge.
 _CONSTANT_V, _POLARISATION_V, _EXPONENTIAL_V = 3.73, 0.022, 0.46
-_EXPONENTIAL_SHARE = 3.2  # B of eq. (5), times the capacity
+# B of eq. (5) times the capacity, of that cell.
+_EXPONENTIAL_SHARE = 3.2
 _SECONDS_PER_HOUR = 3600.0
 
 
@@ -111,7 +113,8 @@ def pack_of(text: str) -> Pack:
     )
 
 
-# Usual number of cells in series, for vehicles up to the given mass [kg].
+# Usual number of cells in series, for vehicles up to the given mass [kg], and above the last one;
+# share of the mass that the pack has. Assumed, as of small multirotors on sale.
 _SERIES = ((0.1, 1), (0.35, 2), (0.9, 3), (2.5, 4))
 _MOST_SERIES = 6
 _MASS_SHARE = 0.3

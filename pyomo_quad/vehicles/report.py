@@ -5,25 +5,26 @@ It has a table of data sheets, and a page for each vehicle of the library.
 
 from functools import partial
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 
 from pyomo_quad.flight import Planner
-from pyomo_quad.identification.columns import DENSITY, PAYLOAD, POWER
-from pyomo_quad.identification.steady import AIRSPEED, level_powers
-from pyomo_quad.identification.steady_report import COMPUTED, ERROR, POINTS_NAME, point_table
+from pyomo_quad.identification.columns import PAYLOAD, POWER
+from pyomo_quad.identification.steady import AIRSPEED
+from pyomo_quad.identification.steady_report import (
+    COMPUTED,
+    ERROR,
+    POINTS_NAME,
+    draw_points,
+    point_table,
+)
 from pyomo_quad.report import Figures
 from pyomo_quad.report.document import Drawing, write_study, write_text
-from pyomo_quad.report.style import SERIES_STYLES, full_width
 from pyomo_quad.scenario import library_entry
 from pyomo_quad.vehicles.holding import ALLOWED_PERCENT, SHEET_ERROR, Held, data_sheets
 from pyomo_quad.version import __version__
 
 SHEETS_NAME = "data_sheets.csv"
-_CURVE_POINTS = 21
 
 
 def write_vehicles(
@@ -89,55 +90,5 @@ def _drawing(held: Held, planner: Planner) -> Drawing:
         name=held.name,
         title=held.scenario.vehicle.title,
         caption="Dots: measured. Lines: computed by the declared equations.",
-        draw=partial(draw_held, held, planner),
+        draw=partial(draw_points, held.scenario, held.points, planner),
     )
-
-
-def draw_held(held: Held, planner: Planner) -> Figure:
-    """Draw measured and computed powers of a library vehicle.
-
-    The power is drawn over airspeed or, if all measurements are in hover, over payload.
-
-    Parameters
-    ----------
-    held : Held
-        Vehicle with measured and computed powers.
-    planner : Planner
-        Keeps compiled models between figures.
-    """
-    figure, axes = full_width(3.2, top=0.96, bottom=0.15)
-    points = held.points
-    if points[AIRSPEED].max() == 0.0:
-        _draw_loads(axes, held, planner)
-        axes.set(xlabel="Mass carried (kg)", ylabel="Power of hover (W)")
-        return figure
-    for style, (_, rows) in zip(SERIES_STYLES, points.groupby(PAYLOAD), strict=False):
-        payload = float(rows[PAYLOAD].iloc[0])
-        speeds = np.linspace(0.0, float(points[AIRSPEED].max()), _CURVE_POINTS)
-        density = float(rows[DENSITY].mean())
-        loaded = held.scenario.with_values(
-            {"vehicle.payload": payload, "power.air_density": density}
-        )
-        powers = level_powers(loaded, speeds.tolist(), planner)
-        axes.plot(speeds, powers, color=style.color, label=f"{payload:g} kg")
-        look: dict[str, Any] = {"color": style.color, "linestyle": "none", "marker": style.marker}
-        axes.plot(rows[AIRSPEED], rows[POWER], markersize=4, **look)
-    axes.set(xlabel="Airspeed (m/s)", ylabel="Power (W)")
-    if not (points[PAYLOAD] == points[PAYLOAD].iloc[0]).all():
-        axes.legend(title="Carried", frameon=False)
-    return figure
-
-
-def _draw_loads(axes: object, held: Held, planner: Planner) -> None:
-    points, style = held.points, SERIES_STYLES[0]
-    plot = axes.plot  # type: ignore[attr-defined]
-    look = {"color": style.color, "linestyle": "none", "marker": style.marker, "markersize": 4}
-    plot(points[PAYLOAD], points[POWER], **look)
-    least, most = float(points[PAYLOAD].min()), float(points[PAYLOAD].max())
-    loads = np.linspace(least, most, _CURVE_POINTS if most > least else 1)
-    powers = [
-        level_powers(held.scenario.with_values({"vehicle.payload": float(p)}), (0.0,), planner)[0]
-        for p in loads
-    ]
-    other = SERIES_STYLES[1]
-    plot(loads, powers, color=other.color, marker="" if most > least else other.marker)

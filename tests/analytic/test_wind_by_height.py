@@ -5,8 +5,9 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from pyomo_quad.model import build_model, inspect_model, parameter_values
+from pyomo_quad.model.turbulence import turbulence_values
 from pyomo_quad.model.typeset import typeset_equations
-from pyomo_quad.polar.polar import mean_wind
+from pyomo_quad.model.wind import mean_wind
 from pyomo_quad.study.check import reach_findings
 from tests.declared_model import Instant, scenario
 from tests.flights import PLANNER, certified, diagnosed
@@ -159,6 +160,22 @@ def test_a_wind_over_time_and_height_is_the_spline_of_both(tmp_path):
     tried = np.array([1.6, 3.0, 6.1, 10.3])
     np.testing.assert_allclose(speeds(instant, tried), CubicSpline(heights, when)(tried), rtol=1e-9)
     np.testing.assert_allclose(speeds(instant, tried), gust(instant.t + 1.3, tried), atol=2e-2)
+
+
+def test_gusts_lie_along_the_wind_at_ten_metres(tmp_path):
+    """Not along the mean over all heights: between 4 and 16 m this wind turns from +x to +y."""
+    file = tmp_path / "turning.csv"
+    rows = [f"{z},{3.0 * (z <= 4.0)},{3.0 * (z > 4.0)}" for z in (0.0, 1.0, 2.0, 4.0, 16.0, 20.0)]
+    file.write_text("\n".join(["height_m,wind_x_m_per_s,wind_y_m_per_s", *rows]))
+    still = {"start": {"position": [0.0, 0.0, 10.0]}, "goal": {"position": [0.0, 0.0, 12.0]}}
+    told = scenario(
+        wind={"use": "calm", "file": str(file), "coupling": "drag"}
+        | {"turbulence": {"intensity": "light"}},
+        mission=still,
+    )
+    assert mean_wind(told) == pytest.approx((1.5, 1.5))
+    direction = turbulence_values(told)["wind.turbulence.direction"]
+    assert direction == pytest.approx(np.pi / 4)
 
 
 def test_what_does_not_know_heights_says_so_of_measured_ones(tmp_path):

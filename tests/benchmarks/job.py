@@ -8,6 +8,7 @@ not know.  The last line printed is the result, with the seconds of Ipopt, of it
 SciPy's integrator, which are timed wherever a package calls them.
 """
 
+import inspect
 import json
 import resource
 import sys
@@ -154,7 +155,11 @@ def replanning(file, told):
     from pyomo_quad.flight.replanning import fly_replanned
     from pyomo_quad.scenario.tables import Knowledge
 
-    flight = fly_replanned(scenario_of(file, told), Knowledge.ESTIMATED, planner=Planner())
+    planner, scenario = Planner(), scenario_of(file, told)
+    given = {}
+    if "dynamics" in inspect.signature(fly_replanned).parameters:
+        given["dynamics"] = planner.dynamics(scenario)
+    flight = fly_replanned(scenario, Knowledge.ESTIMATED, planner=planner, **given)
     spent = [solve.solve_s for solve in flight.resolves]
     failed = sum(not solve.is_converged for solve in flight.resolves)
     ended = f"{len(spent)} solves, {failed} failed"

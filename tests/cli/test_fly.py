@@ -126,7 +126,7 @@ def test_an_interval_beyond_the_mission_is_one_line_and_writes_nothing(
 
 def test_a_flight_planned_again_says_why_it_is_not_confirmed(tmp_path, capsys, monkeypatch):
     # Planned again a hundred times a second, a flight misses the usual tolerance as this one does.
-    monkeypatch.setattr(baselines, "_AGREEING", replace(baselines._AGREEING, energy_flown=1e-15))
+    monkeypatch.setattr(baselines, "_AGREEING", replace(baselines._AGREEING, energy=1e-15))
     command = ["fly", PAPER_CALM, *QUICK, "--controller", "mpc", "--knowledge", "told"]
     coarse = ["--set=baseline.mpc.interval=0.8", "--out", str(tmp_path / "out")]
     assert main([*command, *coarse]) == ExitCode.NOT_VERIFIED

@@ -64,6 +64,13 @@ _NEAR, _INSIDE, _WELL_INSIDE = 1e-9, 1e-6, 1e-4
 _BEGUN = 1e-8
 # Initial barrier parameter, and distance inside the bounds, of a warm start far from its optimum.
 _BEGUN_FAR, _FAR_INSIDE = 1e-5, 1e-4
+# Settings of a solve without multipliers whose first point is far from its limits' own: the barrier
+# begins large and falls by as much as a single good step allows.
+_FROM_AFAR: tuple[tuple[str, Any], ...] = (
+    ("mu_strategy", "monotone"),
+    ("mu_init", 0.1),
+    ("barrier_tol_factor", 1e3),
+)
 # Change of the scaled objective above which a warm start begins well inside its bounds.
 _LARGE_CHANGE = 1e-6
 # Ipopt ends a solve only at a barrier parameter below this multiple of its tolerance.
@@ -105,12 +112,15 @@ class SolverOptions:
         Wall-clock time limit for all meshes together [s].
     extra : tuple of (str, value)
         Any further options of Ipopt, by name.
+    cold : tuple of (str, value)
+        Further options of solves without a warm start, by name.
     """
 
     tolerance: float | None = None
     max_iterations: int = 500
     max_wall_s: float | None = None
     extra: tuple[tuple[str, Any], ...] = ()
+    cold: tuple[tuple[str, Any], ...] = ()
 
     def suiting(self, tolerance: float) -> SolverOptions:
         """Return settings whose `tol` is well below the tolerance of the mesh refinement.
@@ -207,6 +217,15 @@ class SolverOptions:
         """
         pushes = dict.fromkeys(_PUSHES, _INSIDE) | {"warm_start_mult_bound_push": _BEGUN}
         return replace(self, extra=(*pushes.items(), *self.extra))
+
+    def from_afar(self) -> SolverOptions:
+        """Return the settings for a first point that is far from feasible, between many limits.
+
+        The adaptive barrier estimates its parameter from the first point. Where that violates many
+        limits, the parameter is often a thousandth of what is needed, and the bounds cut nearly
+        every step; see docs/decisions/speed.md.
+        """
+        return replace(self, cold=_FROM_AFAR)
 
     def for_small_changes(self) -> SolverOptions:
         """Return the settings for warm starts on meshes that differ in few elements.
@@ -703,8 +722,7 @@ def _set_options(problem: Any, options: SolverOptions, *, is_warm: bool) -> None
         "tol": options.tolerance or _TOLERANCE,
         "max_iter": options.max_iterations,
     }
-    if is_warm:
-        chosen |= _WARM
+    chosen |= _WARM if is_warm else dict(options.cold)
     refuse_absent_solver(dict(options.extra))
     for name, value in (chosen | dict(options.extra)).items():
         try:

@@ -10,10 +10,12 @@ from functools import partial
 from types import CellType, CodeType, FunctionType, MethodType
 from typing import TYPE_CHECKING, Any
 
+from pyomo.common.errors import PyomoException
 from pyomo.core import ComponentUID, Constraint, ConstraintList, Expression
 from pyomo.core.base.component import Component, ComponentData
+from pyomo.core.base.expression import NamedExpressionData
 from pyomo.core.base.initializer import Initializer
-from pyomo.core.expr.compare import compare_expressions
+from pyomo.core.expr.compare import PrefixVisitor
 from pyomo.dae import DerivativeVar
 
 from pyomo_quad.collocation.errors import TranscriptionError, raised
@@ -148,7 +150,27 @@ def _is_same(held: Any, stated: Any) -> bool:
 
     Expressions with external functions are compared as text.
     """
-    return bool(compare_expressions(held, stated)) or str(held) == str(stated)
+    parts = [_PrefixNotation().walk_expression(expression) for expression in (held, stated)]
+    try:
+        is_equal = parts[0] == parts[1]
+    except (PyomoException, AttributeError):
+        is_equal = False
+    return bool(is_equal) or str(held) == str(stated)
+
+
+class _PrefixNotation(PrefixVisitor):
+    """Prefix notation of an expression, in which a named expression is one entry.
+
+    Its own rule is compared once: many equations share a named expression, and each would walk
+    through it again.
+    """
+
+    def enterNode(self, node: Any) -> Any:  # noqa: N802  Pyomo's name
+        """Append an entry for a node, and return the nodes below it."""
+        if isinstance(node, NamedExpressionData):
+            self._result.append(node)
+            return (), None
+        return super().enterNode(node)
 
 
 def _with_rules(copy: Any) -> Iterator[tuple[Any, Any]]:

@@ -5,6 +5,7 @@ The rule: see docs/theory/refinement.md, eq. (7).
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +16,10 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.mesh import FloatArray
     from pyomo_quad.collocation.solution import Solution
 
+# A change of a variable by more than this fraction of its range counts as a jump.
+JUMP_SHARE = 0.25
+# Number of points from which a kink's time is extrapolated.
+_EXTRAPOLATED = 3
 # Fractions of the horizon that differ by less are equal up to rounding.
 SAME = 1e-12
 
@@ -33,15 +38,19 @@ def switch_elements(solution: Solution) -> frozenset[int]:
 
     Where a limit on a state becomes active or inactive, the state's costate may jump as well.
     """
+    chosen, active = _limits_on_algebraics(solution), active_limits(solution)
+    return _changing(solution, chosen, active) - _changing(solution, ~chosen, active)
+
+
+def _limits_on_algebraics(solution: Solution) -> NDArray[np.bool_]:
+    """Return which limits over time are on algebraic variables alone, shape (n_limits,)."""
     program, layout = solution.program, solution.program.layout
     path, n = program.compiled.path, layout.n_states
     of_states = np.isin(
         np.arange(program.compiled.n_equations), path.jacobian_rows[path.jacobian_columns < 2 * n]
     )
     is_algebraic = np.arange(n + layout.n_algebraics) >= n
-    chosen = np.concatenate([np.tile(is_algebraic, 2), np.tile(~of_states, 2)])
-    active = active_limits(solution)
-    return _changing(solution, chosen, active) - _changing(solution, ~chosen, active)
+    return np.concatenate([np.tile(is_algebraic, 2), np.tile(~of_states, 2)])
 
 
 def _changing(
@@ -84,6 +93,54 @@ def active_limits(solution: Solution) -> NDArray[np.bool_]:
     product of multiplier and slack is the same small number everywhere; a limit is active where the
     multiplier is the larger of the two.
     """
+    pulls, slacks = _pulls_and_slacks(solution)
+    return np.asarray(pulls > slacks)
+
+
+def kinks(solution: Solution) -> FloatArray:
+    """Return the times at which limits on algebraic variables become active or inactive by a kink.
+
+    Between two points where the activity changes, the slack on the free side falls to zero. It is
+    extrapolated from three points. A variable that jumps leaves a large slack instead, or one that
+    does not reach zero between the two points.
+
+    Returns
+    -------
+    ndarray
+        Ascending fractions of the horizon.
+    """
+    mesh, chosen = solution.mesh, np.flatnonzero(_limits_on_algebraics(solution))
+    pulls, slacks = (values[:, chosen] for values in _pulls_and_slacks(solution))
+    active, times = pulls > slacks, mesh.point_fractions
+    found = []
+    for last, limit in np.argwhere(active[1:] != active[:-1]).tolist():
+        first, step = (last + 1, 1) if active[last, limit] else (last, -1)
+        free = first + step * np.arange(_EXTRAPOLATED)
+        if free.min() < 0 or free.max() >= times.size or active[free, limit].any():
+            continue
+        time = _zero(times[free], slacks[free, limit])
+        is_small = slacks[first, limit] <= JUMP_SHARE * slacks[:, limit].max()
+        if is_small and times[last] <= time <= times[last + 1]:
+            found.append(time)
+    return np.sort(found)
+
+
+def _zero(times: FloatArray, values: FloatArray) -> float:
+    """Return the time at which a function reaches zero, by inverse interpolation.
+
+    NaN unless its samples `values` at `times` increase with the distance from the zero.
+    """
+    if not np.all(np.diff(values) > 0.0):
+        return math.nan
+    weights = [math.prod(b / (b - a) for b in np.delete(values, k)) for k, a in enumerate(values)]
+    return float(weights @ times)
+
+
+def _pulls_and_slacks(solution: Solution) -> tuple[FloatArray, FloatArray]:
+    """Return scaled multiplier densities and slacks of each limit, shape (n_points, n_limits).
+
+    A limit that is an equality has no multiplier.
+    """
     program, layout = solution.program, solution.program.layout
     bounds, scaling = solution.bounds, solution.scaling
     density = scaling.objective / solution.mesh.quadrature_weights[:, None]
@@ -91,7 +148,7 @@ def active_limits(solution: Solution) -> NDArray[np.bool_]:
     z, scale = solution.unknowns, scaling.unknowns
     held = bounds.lower == bounds.upper
     found = [
-        _exceeds(multiplier / scale, np.abs(z - limit) * scale, held, columns, density)
+        (np.where(held, 0.0, multiplier / scale)[columns], (np.abs(z - limit) * scale)[columns])
         for multiplier, limit in (
             (solution.multipliers.lower, bounds.lower),
             (solution.multipliers.upper, bounds.upper),
@@ -105,29 +162,6 @@ def active_limits(solution: Solution) -> NDArray[np.bool_]:
     multipliers, scale = solution.multipliers.rows, scaling.rows
     for limit, sign in ((bounds.row_lower, -1.0), (bounds.row_upper, 1.0)):
         pull = np.maximum(sign * multipliers, 0.0) / scale
-        found.append(_exceeds(pull, np.abs(values - limit) * scale, held, rows, density))
-    return np.hstack(found)
-
-
-def _exceeds(
-    multipliers: FloatArray,
-    slacks: FloatArray,
-    held: NDArray[np.bool_],
-    positions: NDArray[np.intp],
-    density: FloatArray,
-) -> NDArray[np.bool_]:
-    """Return whether scaled multiplier densities exceed scaled slacks; False for equalities.
-
-    Parameters
-    ----------
-    multipliers, slacks : ndarray, shape (n,)
-        Scaled multipliers and slacks of all unknowns or constraints.
-    held : ndarray of bool, shape (n,)
-        Whether lower and upper bound are equal.
-    positions : ndarray of int, shape (n_points, n_limits)
-        Position of each limit among the n.
-    density : ndarray, shape (n_points, 1)
-        Factor that makes a multiplier a scaled function of time.
-    """
-    is_active = multipliers[positions] * density > slacks[positions]
-    return np.asarray(is_active & ~held[positions])
+        found.append((np.where(held, 0.0, pull)[rows], (np.abs(values - limit) * scale)[rows]))
+    pulls, slacks = (np.hstack(parts) for parts in zip(*found, strict=True))
+    return pulls * density, slacks

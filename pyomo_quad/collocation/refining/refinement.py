@@ -311,6 +311,7 @@ class _Refinement(Generic[S]):
                 coarse=frozenset(np.flatnonzero(error.per_element > self.tolerance).tolist())
                 | (frozenset() if are_left else mine),
                 kept=mine,
+                are_kinked=not is_damped and len(self.records) > 1,
             )
             finer.append(refined_mesh(part, error, marks, self.tolerance, self.options))
         is_same = tuple(finer) == _meshes(solution)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from pyomo_quad.collocation.mesh import FloatArray, Mesh, radau_rule
-from pyomo_quad.collocation.refining.activity import SAME, known_boundaries
+from pyomo_quad.collocation.refining.activity import JUMP_SHARE, SAME, kinks, known_boundaries
 from pyomo_quad.collocation.refining.error import Allowance, estimate_error, state_sizes
 
 if TYPE_CHECKING:
@@ -97,8 +97,6 @@ _CORNER_DEGREE = 4
 # Highest degree of parts in which a limit on states becomes active or inactive; a higher degree
 # does not help there either.
 _TOUCHING_DEGREE = 6
-# A change of a control by more than this fraction of its range counts as a jump.
-_JUMP_SHARE = 0.25
 # If the quadratic term of the states in an element is below this multiple of a limit's violation,
 # the limit alone causes it, and the states may be straight lines.
 _STRAIGHT = 3.0
@@ -131,10 +129,14 @@ class _Piece:
 
 @dataclass(frozen=True, kw_only=True)
 class Marks:
-    """Indices of elements to refine (`coarse`), and of elements that must keep their degree."""
+    """Indices of elements to refine (`coarse`), and of elements that must keep their degree.
+
+    `are_kinked` tells that controls meet their limits at kinks, because none enters linearly.
+    """
 
     coarse: frozenset[int]
     kept: frozenset[int]
+    are_kinked: bool = False
 
 
 def mesh_for_states(
@@ -202,10 +204,10 @@ def refined_mesh(
     """
     mesh = solution.mesh
     pieces: list[_Piece] = []
+    switches = {} if options.limits_move else _switches(solution, marks)
     for e, size in enumerate(error.per_element):
-        jump = _jump(solution, e) if e in marks.coarse and not options.limits_move else None
-        if jump is not None:
-            pieces.extend(_isolated(mesh, e, jump, float(size)))
+        if e in switches:
+            pieces.extend(_isolated(mesh, e, switches[e], float(size)))
         elif e in marks.coarse:
             pieces.extend(_finer(solution, e, error, tolerance, options))
         elif e in marks.kept:
@@ -234,8 +236,32 @@ def _lowered(
     return _Piece(mesh.breakpoints[e + 1], degree, error, is_changed=False)
 
 
+def _switches(solution: Solution, marks: Marks) -> dict[int, float]:
+    """Return the switches to isolate, by element: the only kink of a control, or else its jump.
+
+    Parameters
+    ----------
+    solution : Solution
+    marks : Marks
+
+    Returns
+    -------
+    dict
+        Time of the switch as a fraction of the horizon, for each coarse element with one.
+    """
+    ends, found = np.asarray(solution.mesh.breakpoints)[1:], {}
+    times = kinks(solution) if marks.are_kinked else np.zeros(0)
+    elements = np.searchsorted(ends, times)
+    for e in marks.coarse:
+        here = times[elements == e]
+        time = float(here[0]) if here.size == 1 else _jump(solution, e)
+        if time is not None:
+            found[e] = time
+    return found
+
+
 def _isolated(mesh: Mesh, e: int, jump: float, size: float) -> list[_Piece]:
-    """Split an element around a control's jump: the part before, a sliver with the jump, the rest.
+    """Split an element around a jump or kink of a control: before it, a sliver with it, the rest.
 
     In the sliver, a narrow element of degree 1, the control is constant, so it cannot exceed limits
     that it satisfies at its only point, and the sliver's state error decreases with its width
@@ -248,12 +274,12 @@ def _isolated(mesh: Mesh, e: int, jump: float, size: float) -> list[_Piece]:
     e : int
         Index of the element.
     jump : float
-        Time of the jump as a fraction of the horizon.
+        Time of the jump or kink as a fraction of the horizon.
     size : float
         Error of the element.
     """
     start, end, degree = mesh.breakpoints[e], mesh.breakpoints[e + 1], mesh.degrees[e]
-    if 1 in (mesh.degrees[e - 1], mesh.degrees[e + 1]):
+    if 1 in (mesh.degrees[max(e - 1, 0)], mesh.degrees[min(e + 1, mesh.elements - 1)]):
         return _parts(mesh, e, _CORNER_PARTS, min(degree, _CORNER_DEGREE), size)
     half, wide = _SLIVER * (end - start), max(degree, 2)
     edges = [(jump - half, wide), (jump + half, 1)]
@@ -392,7 +418,7 @@ def _jump(solution: Solution, e: int) -> float | None:
     for k in range(controls.shape[1]):
         width = upper[k] - lower[k]
         before, after = controls[first - 1, k], controls[last, k]
-        if np.isfinite(width) and abs(before - after) > _JUMP_SHARE * width:
+        if np.isfinite(width) and abs(before - after) > JUMP_SHARE * width:
             share = (means[k] - after) / (before - after)
             if 0.0 < share < 1.0:
                 return float(mesh.breakpoints[e] + share * mesh.widths[e])

@@ -8,7 +8,7 @@ import numpy as np
 
 from pyomo_quad.collocation.program.compiled import MappedFunction
 from pyomo_quad.collocation.program.transcription import rate_corrections
-from pyomo_quad.collocation.refining.activity import known_boundaries, switch_elements
+from pyomo_quad.collocation.refining.activity import JUMP_SHARE, known_boundaries, switch_elements
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.mesh import FloatArray
     from pyomo_quad.collocation.solution import Solution
 
-# A change of a variable by more than this fraction of its range counts as a jump.
-_JUMP_SHARE = 0.25
 # Ratio of widths below which elements are equally wide up to rounding.
 _SAME_WIDTH = 1.0 + 1e-9
 
@@ -86,7 +84,7 @@ def _jumping_elements(solution: Solution) -> frozenset[int]:
     found = []
     for e in range(solution.mesh.elements):
         near = held[max(first[e] - 1, 0) : first[e + 1] + 1]
-        if np.any(np.ptp(near, axis=0) > _JUMP_SHARE * ranges):
+        if np.any(np.ptp(near, axis=0) > JUMP_SHARE * ranges):
             found.append(e)
     return frozenset(found)
 

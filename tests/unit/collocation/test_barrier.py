@@ -79,3 +79,17 @@ def test_the_farther_the_next_solution_the_larger_is_the_barrier_that_a_warm_sta
         numbers = [options[name] for options in chosen]
         assert numbers == sorted(set(numbers))
     assert {options["mu_target"] for options in chosen} == {1e-9}
+
+
+def test_a_first_point_far_from_its_limits_begins_with_a_large_barrier_and_a_warm_start_does_not():
+    problem, mesh = compile(bang_bang.build()), Mesh.uniform(10, 4)
+    usual = problem.solve(mesh=mesh)
+    far = SolverOptions().from_afar()
+    begun = []
+    cold = problem.solve(mesh=mesh, options=far, progress=begun.append)
+    assert begun[0].barrier == pytest.approx(0.1)
+    assert cold.objective == pytest.approx(usual.objective, rel=1e-6)
+    begun.clear()
+    warm = problem.solve(mesh=mesh, options=far, warm_start=cold, progress=begun.append)
+    assert begun[0].barrier < 1e-3
+    assert warm.objective == pytest.approx(usual.objective, rel=1e-6)

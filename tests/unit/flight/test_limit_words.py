@@ -38,7 +38,7 @@ def dynamics():
 
 @pytest.fixture(scope="module")
 def breaches(dynamics):
-    """Return every limit at a state that breaks many: far from the hover waypoint, fast and rolled."""
+    """Return every limit at a state that breaks many: far from a hover waypoint, fast, rolled."""
     t = np.array([1.0, 3.0, 6.0])
     states = np.full((len(t), len(dynamics.state_names)), 3.0)
     return dynamics.violations(t, states, np.zeros((len(t), len(dynamics.control_names))))

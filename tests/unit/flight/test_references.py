@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pyomo_quad.flight.references import SampledPath, minimum_snap, quintic, step
+from pyomo_quad.flight.references import PlannedPath, SampledPath, minimum_snap, quintic, step
 from pyomo_quad.scenario import ScenarioError
 from tests import flights
 from tests.declared_model import scenario
@@ -43,7 +43,7 @@ def test_rates_are_the_derivatives(make, t):
 
 def test_a_step_is_the_goal_at_all_times():
     for t in (0.0, 3.0, 11.0):
-        assert step(MISSION)(t) == (GOAL, [0.0] * 4, [0.0] * 4)
+        assert step(MISSION)(t) == (GOAL, [0.0] * 4, [0.0] * 4, None)
 
 
 def test_halfway_in_time_is_halfway_in_space():
@@ -62,13 +62,23 @@ def test_a_sampled_path_follows_a_quintic_exactly_and_stays_beyond_it():
     assert list(sampled(11.0).rate) == list(sampled(-1.0).rate) == [0.0] * 4
 
 
-def test_what_the_air_gives_is_not_asked_of_the_rotors():
-    times = np.array([0.0, 1.0, 2.0, 3.0])
-    still, air = np.zeros((4, 4)), np.outer(times, [0.1, -0.2, 0.0, 0.0])
-    path = SampledPath(times, still, still, still, air)
-    assert path(1.5).acceleration == pytest.approx([-0.15, 0.3, 0.0, 0.0])
-    assert path(1.5).rate == pytest.approx([0.0] * 4)
-    assert path(4.0).acceleration == pytest.approx([-0.3, 0.6, 0.0, 0.0])
+def test_a_planned_path_keeps_each_quantity_of_a_plan_that_obeys_its_equations_at_some_points():
+    """Places that are 1 mm off make no acceleration; as derivatives they would make 0.6 m/s^2."""
+    times = np.linspace(0.0, 1.0, 11)
+    off = 1e-3 * np.array([[(-1) ** k, 0.0, 0.0, 0.0] for k in range(11)])
+    steady = np.tile([0.3, -0.2, 0.0, 0.0], (11, 1))
+    turning = np.column_stack([times**2, 1.0 - times])
+    path = PlannedPath(times, off, 0.0 * off, steady, turning)
+    for t in (0.05, 0.42, 1.0):
+        found = path(t)
+        assert found.acceleration == pytest.approx(steady[0])
+        assert found.rate == pytest.approx([0.0] * 4)
+        # Cubic splines keep parabolas.
+        assert found.tilting == pytest.approx([t**2, 1.0 - t, 2.0 * t, -1.0])
+    after = path(4.0)
+    assert after.place == pytest.approx(off[-1])
+    assert after.acceleration == pytest.approx(steady[0])
+    assert (*after.rate, *after.tilting) == pytest.approx([0.0] * 8)
 
 
 def row_parts():

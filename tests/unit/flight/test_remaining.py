@@ -62,13 +62,13 @@ def test_from_beyond_a_limit_a_plan_leads_back_and_breaks_it_by_no_more_than_it_
     assert goal == pytest.approx([1.0, 0.5, 0.5], abs=1e-4)
 
 
-def test_a_flight_near_its_plan_goes_on_from_it_and_one_farther_off_from_where_it_is(
+def test_a_flight_near_its_plan_goes_on_from_it_and_one_farther_off_from_as_far_as_it_is_near(
     replanner, course
 ):
     now, later = 1.0, 1.06
     planned, to_come = (state_at(replanner, course, t) for t in (now, later))
     none = np.zeros(3)
-    near = moved(replanner, planned, x=0.04)
+    near = moved(replanner, planned, x=0.9 * replanner.tube)
     assert replanner.begun(course, now, later, near, none) == pytest.approx(to_come)
     far = moved(replanner, planned, x=0.5, vx=-0.2, phi=0.3)
     begun = replanner.begun(course, now, later, far, none) - to_come
@@ -76,10 +76,25 @@ def test_a_flight_near_its_plan_goes_on_from_it_and_one_farther_off_from_where_i
     places, speeds = (
         begun[[names.index(name) for name in group]] for group in (POSITION_STATES, VELOCITY_STATES)
     )
-    # Its speed differs, so that its distance from the plan shrinks meanwhile.
-    assert places == pytest.approx([0.5 - 0.2 * (later - now), 0.0, 0.0])
-    assert speeds == pytest.approx([-0.2, 0.0, 0.0])
+    share = 1.0 - replanner.tube / 0.5
+    # The next plan begins at the tube's radius from the vehicle; its speed differs by the same
+    # share, so that its distance from the last one shrinks meanwhile.
+    assert places == pytest.approx([share * (0.5 - 0.2 * (later - now)), 0.0, 0.0])
+    assert speeds == pytest.approx([share * -0.2, 0.0, 0.0])
     assert begun[names.index("rigid_body.phi")] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_plan_begins_with_the_lean_and_thrust_that_withstand_what_was_learnt(replanner, course):
+    """Begun level, each plan lost the lean of the controller and leant anew: 2 % of the energy."""
+    now, later = 1.0, 1.06
+    planned, to_come = (state_at(replanner, course, t) for t in (now, later))
+    unexplained = np.array([0.4, -0.3, 0.5])
+    leaning = replanner.begun(course, now, later, planned, unexplained)
+    states, controls = np.array([to_come, leaning]), np.zeros((2, 4))
+    slopes = tuple((f"rigid_body.dv{axis}_dt", None) for axis in "xyz")
+    before, after = replanner.dynamics.table(slopes, np.full(2, later), states, controls)
+    # A path through samples of the plan gives its acceleration to about a thousandth.
+    assert after - before == pytest.approx(-unexplained, abs=2e-3)
 
 
 def test_a_plan_goes_on_only_within_the_margins(replanner, course):

@@ -11,9 +11,8 @@ from pyomo_quad.flight import Planner
 from pyomo_quad.flight.plan import PlanStatus
 from pyomo_quad.flight.proof import refuse_unproven
 from pyomo_quad.model import build_model
-from pyomo_quad.model.wind import still_air
+from pyomo_quad.model.wind import mean_wind, still_air
 from pyomo_quad.model.wind_field import unknown_wind
-from pyomo_quad.polar.polar import mean_wind
 from pyomo_quad.scenario import ScenarioError, load_scenario
 from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 

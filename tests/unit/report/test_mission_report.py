@@ -2,6 +2,7 @@
 
 from types import SimpleNamespace
 
+import matplotlib as mpl
 import numpy as np
 import pandas as pd
 import pytest
@@ -23,7 +24,7 @@ from pyomo_quad.report.flight_figures import (
 from pyomo_quad.report.gallery import comparison_drawings
 from pyomo_quad.report.paths import draw_map, draw_path, mean_wind_of
 from pyomo_quad.report.report import write_run_report
-from pyomo_quad.report.style import styled_flights
+from pyomo_quad.report.style import HOUSE_STYLE, styled_flights
 from pyomo_quad.report.tables import write_table
 from pyomo_quad.report.zones import faces
 from pyomo_quad.scenario import load_scenario
@@ -348,6 +349,13 @@ def test_the_map_shows_a_wind_field_in_place_of_its_mean(run):
     assert "m/s" in key.text.get_text()
 
 
+@pytest.fixture
+def house_style():
+    with mpl.rc_context(HOUSE_STYLE):
+        yield
+
+
+@pytest.mark.usefixtures("house_style")
 def test_the_key_of_a_wind_field_lies_within_the_figure(run):
     figure = draw_map(styled_flights(run.flights), load_scenario("scenarios/street.toml"))
     FigureCanvasAgg(figure).draw()
@@ -356,3 +364,12 @@ def test_the_key_of_a_wind_field_lies_within_the_figure(run):
     label = key.text.get_window_extent()
     assert label.ymax < figure.bbox.ymax
     assert label.ymin > axes.bbox.ymax
+
+
+@pytest.mark.usefixtures("house_style")
+def test_the_label_beside_a_map_of_hundreds_of_metres_lies_within_the_figure(run):
+    figure = draw_map(styled_flights(run.flights), run.scenario)
+    (axes,) = figure.axes
+    axes.set_ylim(-390.0, 390.0)
+    FigureCanvasAgg(figure).draw()
+    assert axes.yaxis.label.get_window_extent().xmin > 0.0

@@ -95,7 +95,7 @@ def test_every_angle_can_be_in_degrees():
     [
         (
             ["wind.from=270", "wind.direction=1.0"],
-            r"wind.direction and wind.from say",
+            r"wind.direction and wind.from give",
         ),
         (["wind.from='west'"], r'wind.from = "west"; must be a number from .* degrees'),
         (["wind.speed_deg=3"], "unknown key wind.speed_deg"),

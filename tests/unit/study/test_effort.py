@@ -2,8 +2,10 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from pyomo_quad.scenario import load_scenario
 from pyomo_quad.study.effort import Counts, counts_of, estimate_effort
 from tests.declared_model import scenario
 
@@ -18,6 +20,8 @@ MORE = {
     "legs": 40,
     "is_free": True,
     "has_wind_table": True,
+    "has_wind_field": True,
+    "cells": 50,
 }
 TOWER = {"name": "tower", "shape": "cylinder", "centre": [5.0, 0.0], "radius": 1.0}
 TOWER |= {"bottom": 0.0, "top": 30.0}
@@ -68,3 +72,20 @@ def test_the_dearest_feature_is_named_first_and_an_absent_one_not_at_all():
     assert not any("order" in name or "wind" in name for name in names)
     assert max(spent) < found.seconds
     assert found.seconds > plain.seconds
+
+
+@pytest.mark.parametrize(
+    ("name", "step"),
+    [("street", 10.0), ("ridge", 40.0)],  # of the wind field, and of the terrain [m]
+)
+def test_a_wind_field_and_the_cells_of_a_real_place_take_longer(name, step):
+    told = load_scenario(f"scenarios/{name}.toml")
+    counts = counts_of(told, 26)
+    start, goal = (np.array(place[:2]) for place in told.mission.positions)
+    assert counts.cells == round(np.linalg.norm(goal - start) / step)
+    effort = estimate_effort(told, 26)
+    assert {"wind field", f"{counts.cells} cells of wind field or terrain"} <= dict(
+        effort.features
+    ).keys()
+    calm = replace(counts, has_wind_field=False, cells=0)
+    assert effort.seconds > 2.0 * calm.seconds

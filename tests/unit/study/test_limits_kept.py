@@ -1,4 +1,4 @@
-"""One line for each flight: the limits that it breaks, and whether the plan's risk covers them."""
+"""One line for each flight that breaks limits: which, and whether the plan's risk covers them."""
 
 from types import SimpleNamespace
 
@@ -24,8 +24,14 @@ def line(name, broken, risk):
     return said
 
 
-def test_a_flight_that_keeps_its_limits_is_said_to():
-    assert line("mpc/told", (), RISK) == "mpc/told keeps every limit."
+def test_flights_that_keep_their_limits_take_one_line_together_and_none_beside_others():
+    kept, other = (SimpleNamespace(name=name, broken_limits=()) for name in ("mpc/told", "optimal"))
+    broken = SimpleNamespace(name="adaptive/plan", broken_limits=("floor by 1 m",))
+    plan = SimpleNamespace(risk=RISK)
+    assert list(limit_lines(plan, [kept, other])) == ["Every flight keeps every limit."]
+    (only,) = limit_lines(plan, [kept, broken, other])
+    assert only.startswith("adaptive/plan breaks a limit")
+    assert list(limit_lines(plan, [])) == []
 
 
 @pytest.mark.parametrize(
