@@ -84,7 +84,7 @@ _Controller = Annotated[
     ),
 ]
 _Knowledge = Annotated[
-    Knowledge, typer.Option("--knowledge", help="mpc: information on the wind in re-planning.")
+    Knowledge, typer.Option("--knowledge", help="With mpc: what re-planning knows of the wind.")
 ]
 _Plant = Annotated[
     Plant, typer.Option("--plant", help="Vehicle model: the declared equations, or RotorPy.")
@@ -107,14 +107,15 @@ _Flights = Annotated[
     option("--flights", "N", "Fly the plan N times, each time in a random wind.", positive_count),
 ]
 _Seed = Annotated[
-    int, typer.Option("--seed", metavar="N", help="--flights: seed of the random winds.", min=0)
+    int,
+    typer.Option("--seed", metavar="N", help="With --flights: seed of the random winds.", min=0),
 ]
 _Cruises = Annotated[
     list[float] | None,
     option(
         "--cruise",
         "M/S",
-        "--flights: an autopilot at this speed in the same winds; repeatable.",
+        "With --flights: also fly an autopilot at this speed in the same winds; repeatable.",
         real_number,
     ),
 ]
@@ -190,12 +191,13 @@ def _refuse_other_flights(
         )
     if controller is not Controller.ADAPTIVE or plant is not Plant.DECLARED:
         raise typer.BadParameter(
-            "--flights are of the declared vehicle under --controller adaptive; leave --controller "
-            "and --plant out."
+            "--flights simulates only the declared vehicle under --controller adaptive; leave "
+            "--controller and --plant out."
         )
     if reference not in {None, Reference.PLAN}:
         raise typer.BadParameter(
-            "--flights follow the plan, not another --reference; leave it out, or add --cruise."
+            "--flights follows the plan and takes no other --reference; leave --reference out, or "
+            "add --cruise."
         )
 
 
@@ -337,7 +339,9 @@ def compare(scenarios: ScenarioFiles, *, options: Options) -> int:
 
 Rate = Annotated[
     float | None,
-    option("--rate", "HZ", "Rows per second of plan.csv; one per node without.", real_number),
+    option(
+        "--rate", "HZ", "Rows per second of plan.csv; by default one row per node.", real_number
+    ),
 ]
 
 
@@ -346,8 +350,8 @@ Continued = Annotated[
     option(
         "--continue",
         "RUN",
-        "Refine the plan of a solve's folder or file to the accuracy that was not reached, or "
-        "to a higher one; --set solver.accuracy chooses.",
+        "Continue a solve from its folder or plan file: refine until the required accuracy, or, "
+        "if that is reached, the next higher accuracy; --set solver.accuracy chooses another.",
     ),
 ]
 

@@ -82,9 +82,9 @@ def _refuse_equal_flights(mission: Scenario, flights: int) -> None:
     )
     if flights > 1 and mission.wind.turbulence is None and not any(rough):
         raise ScenarioError(
-            f"{mission.name}: all {flights} flights would be the same; must have something to "
-            "draw: add --set wind.turbulence.intensity=light, or a deviation such as "
-            "wind.speed_deviation."
+            f"{mission.name}: all {flights} flights would be the same, because nothing in "
+            "the scenario is random; add --set wind.turbulence.intensity=light, or a deviation "
+            "such as wind.speed_deviation."
         )
 
 

@@ -201,7 +201,7 @@ def _show_entry(entry: LibraryEntry, *, as_json: bool) -> None:
 
 def init(
     name: Annotated[
-        str | None, typer.Argument(metavar="[NAME]", help="Of the scenario and of its file.")
+        str | None, typer.Argument(metavar="[NAME]", help="Name of the scenario and of its file.")
     ] = None,
     *,
     template: Annotated[
@@ -302,7 +302,7 @@ def plot(
     ] = "path",
     *,
     out: Annotated[
-        Path | None, option("--out", "FILE", "Ends in .png, .svg or .pdf; RUN_WHAT.png.")
+        Path | None, option("--out", "FILE", "File .png, .svg or .pdf; by default RUN_WHAT.png.")
     ] = None,
     quiet: Quiet = False,
 ) -> int:

@@ -19,27 +19,33 @@ if TYPE_CHECKING:
 
 
 _Number = float | None
-Mass = Annotated[_Number, option("--mass", "KG", "Mass aloft, with its pack.", real_number)]
+Mass = Annotated[_Number, option("--mass", "KG", "Mass in flight, battery included.", real_number)]
 Propeller = Annotated[
-    str | None, option("--propeller", "DxP", "Diameter and pitch in inches, as 10x4.5.")
+    str | None, option("--propeller", "DxP", "Diameter and pitch in inches, such as 10x4.5.")
 ]
-Arm = Annotated[_Number, option("--arm", "M", "Centre to motor shaft.", real_number)]
-Kv = Annotated[_Number, option("--kv", "RPM/V", "The motors' speed over voltage.", real_number)]
-Pack = Annotated[str | None, option("--battery", "LABEL", "Cells in series and mAh, as 4S5000.")]
+Arm = Annotated[
+    _Number, option("--arm", "M", "Distance from the centre to a motor shaft.", real_number)
+]
+Kv = Annotated[_Number, option("--kv", "RPM/V", "Motor speed per volt.", real_number)]
+Pack = Annotated[
+    str | None, option("--battery", "LABEL", "Cells in series and mAh, such as 4S5000.")
+]
 HoverCurrent = Annotated[
     _Number, option("--hover-current", "A", "Current from the pack in hover.", real_number)
 ]
 HoverVoltage = Annotated[
     _Number,
     option(
-        "--hover-voltage", "V", "Voltage of the pack in hover; its nominal without.", real_number
+        "--hover-voltage", "V", "Voltage of the pack in hover; by default nominal.", real_number
     ),
 ]
-Rotors = Annotated[int, option("--rotors", "N", "4, 6 or 8.")]
+Rotors = Annotated[int, option("--rotors", "N", "Number of rotors: 4, 6 or 8.")]
 
 
 def vehicle(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Of the vehicle and of its files.")],
+    name: Annotated[
+        str, typer.Argument(metavar="NAME", help="Name of the vehicle and of its files.")
+    ],
     *,
     mass: Mass = None,
     propeller: Propeller = None,
@@ -49,7 +55,7 @@ def vehicle(
     hover_current: HoverCurrent = None,
     hover_voltage: HoverVoltage = None,
     rotors: Rotors = 4,
-    out: Annotated[Path, option("--out", "DIR", "Where the files go.")] = Path(),
+    out: Annotated[Path, option("--out", "DIR", "Folder for the files.")] = Path(),
     quiet: Quiet = False,
 ) -> int:
     """Estimate a vehicle and its battery from their owner's data, and write them as files.
@@ -146,12 +152,12 @@ def _with_hover(known: "Known", current: float | None, voltage: float | None) ->
     if current is None:
         if voltage is not None:
             raise ScenarioError(
-                "--hover-voltage: has no current beside it; give --hover-current in A too."
+                "--hover-voltage: is given without a current; give --hover-current in A too."
             )
         return known
     if voltage is None and known.pack is None:
         raise ScenarioError(
-            "--hover-current: has no voltage beside it; give --hover-voltage in V or --battery."
+            "--hover-current: is given without a voltage; give --hover-voltage in V or --battery."
         )
     nominal = known.pack.nominal_voltage if known.pack is not None else 0.0
     at = nominal if voltage is None else voltage
@@ -190,8 +196,8 @@ def _lines(estimated: "EstimatedVehicle", band: "PowerBand", out: Path) -> list[
     )
     if estimated.is_measured:
         lines.append(
-            f"The hover measurement, {known.hover_power:.0f} W, stands against "
-            f"{estimated.estimated_hover_W:.0f} W by the estimates alone."
+            f"Measured power of hover: {known.hover_power:.0f} W; the estimates without this "
+            f"measurement give {estimated.estimated_hover_W:.0f} W."
         )
     ranked = band.ranked()
     told = [f"{cause.name} ({100 * share:.0f} % of the power)" for cause, share in ranked[:3]]

@@ -216,15 +216,15 @@ def plan_to_continue(run: Path, overrides: Sequence[str]) -> tuple[Plan, Scenari
     foreign = next((field for field in values if not field.startswith("solver.")), None)
     if foreign is not None:
         raise ScenarioError(
-            f"--set: {foreign} would make another mission of {run}; --continue allows fields of "
-            "solver alone; solve the changed scenario instead."
+            f"--set: {foreign} would change the mission of {run}; --continue allows only "
+            "fields of solver; solve the changed scenario instead."
         )
     asked = plan.scenario.solver.accuracy
     higher = [a for a in Accuracy if a.meets(asked) and (a is not asked or not plan.is_verified)]
     if "solver.accuracy" not in values and not higher:
         raise ScenarioError(
-            f"{run}: accuracy = {asked.value} was reached; --continue needs a higher one, and "
-            "there is none; leave --continue out to solve the mission again."
+            f"{run}: accuracy = {asked.value} was reached; --continue needs a higher accuracy, "
+            "and none is higher; leave --continue out to solve the mission again."
         )
     values = {"solver.accuracy": next(iter(higher), asked).value} | values
     chosen = values["solver.accuracy"]

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 _PAPER_FOLDER = Path("reports/paper")
 _OUTSIDE_FOLDER = Path("reports/outside_plant")
 
-Quick = Annotated[bool, typer.Option("--quick", help="Coarse meshes, and fewer of them.")]
+Quick = Annotated[bool, typer.Option("--quick", help="Use fewer and coarser meshes.")]
 
 
 def paper(
@@ -244,9 +244,9 @@ Steady = Annotated[
     option(
         "--steady",
         "CSV",
-        "Points of steady flight in place of logs, hover alone or a series of payloads "
-        "included; its columns are airspeed_m_s, power_W (or endurance_s on the vehicle's pack), "
-        "payload_kg, climb_m_s, air_density_kg_m3, all but the power optional.",
+        "Measured points of steady flight in place of logs; hover alone is enough. Columns: "
+        "power_W (or endurance_s on the vehicle's pack), and optionally airspeed_m_s, payload_kg, "
+        "climb_m_s, air_density_kg_m3.",
     ),
 ]
 Base = Annotated[str, option("--base", "VEHICLE", "Vehicle of the library, or its file.")]
@@ -370,7 +370,9 @@ def _parameter_lines(
         edge = " (at the end of its range)" if one.is_at_bound and one.is_determined else ""
         kept = "" if one.is_determined else " (kept: the measurements do not determine it"
         partner = partners.get(one.name, "")
-        kept += "" if one.is_determined else f", nor tell it from {partner})" if partner else ")"
+        kept += (
+            "" if one.is_determined else f", nor distinguish it from {partner})" if partner else ")"
+        )
         yield f"vehicle.{one.name} = {one.value:.4g} +- {one.deviation:.2g}{kept}{edge}"
 
 

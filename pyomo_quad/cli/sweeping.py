@@ -124,7 +124,7 @@ def _estimate_line(design: "SweepDesign", estimate: "SweepEstimate", workers: in
 
 
 def _summary_line(design: "SweepDesign", summary: "SweepSummary", folder: Path) -> str:
-    kept = f", {summary.already_finished} were there" if summary.already_finished else ""
+    kept = f", {summary.already_finished} finished before" if summary.already_finished else ""
     lost = f", {summary.lost} lost with their worker" if summary.lost else ""
     ending = (
         f"; interrupted with {summary.missing} missing: run the same command to continue"
@@ -230,7 +230,7 @@ class _Lines(_Listener):
 
 def _line(case: "Case", outcome: "CaseOutcome") -> str:
     fields = ", ".join(f"{path} = {value}" for path, value in case.overrides.items())
-    ending = f"{outcome.status.value} in {outcome.seconds:.2f} s by {outcome.worker or 'nobody'}"
+    ending = f"{outcome.status.value} in {outcome.seconds:.2f} s by {outcome.worker or 'no worker'}"
     return f"case {case.position}: {fields}: {ending}" + (
         f": {outcome.reason}" if outcome.reason else ""
     )

@@ -182,7 +182,10 @@ class _Steps:
         operation = f.instruction_id(k)
         known = (*_OPERATIONS, casadi.OP_CONST, casadi.OP_INPUT, casadi.OP_OUTPUT)
         if operation not in known:
-            raise TranscriptionError(f"enclosure: operation {operation} of CasADi has none here.")
+            raise TranscriptionError(
+                f"enclosure: operation {operation} of CasADi has no interval arithmetic; write the "
+                "expression with another function."
+            )
         constant = f.instruction_constant(k) if operation == casadi.OP_CONST else 0.0
         return operation, f.instruction_input(k), f.instruction_output(k), constant
 

@@ -263,6 +263,7 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
         names = ", ".join(candidate.name for candidate in left_out)
         note = (
             f"model: {counted(bounds)}; {names} follow from the others and were left out of the "
-            f"solve, which meets them to {max(missed):.1e} of their size; their multipliers are 0."
+            f"solve; their relative violation is at most {max(missed):.1e}, and their multipliers "
+            "are 0."
         )
         return solution.updated(notes=(note,))

@@ -163,7 +163,8 @@ class Evaluator:
         unknown = symbol_names(written) - self._known
         if unknown:
             raise TranscriptionError(
-                f"{name}: holds {', '.join(sorted(unknown))}, which does not appear in the problem."
+                f"{name}: contains {', '.join(sorted(unknown))}, which the problem does not; use "
+                "variables and parameters of the compiled model."
             )
         return written
 

@@ -141,7 +141,8 @@ class JointSolution(Outcome):
             if part.problem.evaluator.is_over_time(name, index):
                 return part
         raise TranscriptionError(
-            f"{name}: is over none of the horizons {', '.join(self.horizons)}; leave out the time."
+            f"{name}: depends on the time of none of the horizons {', '.join(self.horizons)}; "
+            "leave out the time."
         )
 
     def value(self, component: Any, t: Any = None, index: Any = None) -> Any:
@@ -336,7 +337,7 @@ class JointProblem(Summarised):
         names = ", ".join(self.horizons)
         if horizon is not None:
             raise TranscriptionError(
-                f"horizon: the model has several, {names}; let static variables give their ends: "
+                f"horizon: the model has several, {names}; give their ends by static variables: "
                 f'times={{"{next(iter(self.horizons))}": {{declared time: m.T}}}}.'
             )
         if starts != 1:

@@ -142,7 +142,8 @@ _HELD_PATIENCE = 150
 #: Number of restarts of a refinement from controls that minimise the Hamiltonian: each gains more
 #: than the tolerance, and hardly any problem has more than two.
 MOST_RESTARTS = 8
-RESTART = "restart from the least Hamiltonian"
+RESTART = "restart from controls of least Hamiltonian"
+_REDUCED_FINER = "without redundant conditions, finer mesh"
 
 _W, _F, _M, _R = Scope.WHOLE, Scope.FIRST, Scope.MESH, Scope.RESTART
 _POSSIBLE, _FREE = {Fact.POSSIBLE}, {Fact.JUDGED, Fact.FREE_MESH, Fact.FREE_GUESS}
@@ -151,20 +152,34 @@ STRATEGIES = (
     Strategy(_W, "warm start", {Fact.WARM_START}, iterations=None),
     Strategy(_W, "cold start", first=First.GUESS),
     Strategy(_W, "warm start continued", {Fact.COLD_FAILED}, First.REACHED),
-    Strategy(_F, "no redundant conditions", {Fact.OVERDETERMINED}, First.REDUCED),
-    Strategy(_F, "the same, finer", {Fact.OVERDETERMINED, Fact.FREE_MESH}, First.REDUCED, 4),
-    Strategy(_F, "as asked"),
+    Strategy(_F, "without redundant conditions", {Fact.OVERDETERMINED}, First.REDUCED),
+    Strategy(_F, _REDUCED_FINER, {Fact.OVERDETERMINED, Fact.FREE_MESH}, First.REDUCED, 4),
+    Strategy(_F, "requested start"),
     Strategy(_F, "from a simulation", {Fact.FREE_GUESS}, First.SIMULATED),
-    Strategy(_F, "no redundant conditions", {Fact.JUDGED, Fact.SQUARE}, First.REDUCED),
-    Strategy(_F, "the same, finer", {Fact.JUDGED, Fact.SQUARE, Fact.FREE_MESH}, First.REDUCED, 4),
-    Strategy(_F, "least violation", {Fact.POSSIBLE, Fact.ONE_HORIZON}, First.LEAST_VIOLATION),
+    Strategy(_F, "without redundant conditions", {Fact.JUDGED, Fact.SQUARE}, First.REDUCED),
+    Strategy(_F, _REDUCED_FINER, {Fact.JUDGED, Fact.SQUARE, Fact.FREE_MESH}, First.REDUCED, 4),
+    Strategy(
+        _F,
+        "from the point of least violation",
+        {Fact.POSSIBLE, Fact.ONE_HORIZON},
+        First.LEAST_VIOLATION,
+    ),
     Strategy(_F, "monotone barrier", _POSSIBLE, barrier="monotone", iterations=PATIENCE),
-    Strategy(_F, "unscaled", _POSSIBLE, barrier="adaptive", is_scaled=False, iterations=PATIENCE),
-    Strategy(_F, "both", _POSSIBLE, barrier="monotone", is_scaled=False, iterations=PATIENCE),
-    Strategy(_F, "four times finer", _FREE, finer=4),
-    Strategy(_F, "twice as fine", _FREE, finer=2),
+    Strategy(
+        _F, "without scaling", _POSSIBLE, barrier="adaptive", is_scaled=False, iterations=PATIENCE
+    ),
+    Strategy(
+        _F,
+        "monotone barrier without scaling",
+        _POSSIBLE,
+        barrier="monotone",
+        is_scaled=False,
+        iterations=PATIENCE,
+    ),
+    Strategy(_F, "mesh four times as fine", _FREE, finer=4),
+    Strategy(_F, "mesh twice as fine", _FREE, finer=2),
     Strategy(_F, "from a coarse mesh", _FREE, First.COARSE),
-    Strategy(_F, "from equations at a price", _FREE, First.PRICED),
+    Strategy(_F, "from penalised equations", _FREE, First.PRICED),
     Strategy(_M, "from the last mesh", {Fact.HELD}, iterations=_HELD_PATIENCE),
     Strategy(_M, "from the last mesh", {Fact.FREE}),
     Strategy(_M, "larger barrier, stronger damping", {Fact.HELD}, is_firm=True),

@@ -28,8 +28,8 @@ def without_bound(solution: Solution) -> Solution:
     objective = program.compiled.declared.objective_name
     way = "grows" if program.is_negated else "falls"
     message = (
-        f"unbounded: {objective} {way} without bound while {name} diverges; bound {name}, or let "
-        f"{objective} hold what it costs."
+        f"unbounded: {objective} {way} without bound while {name} diverges; bound {name}, or add "
+        f"a cost of {name} to {objective}."
     )
     return solution.updated(message=message)
 
@@ -141,9 +141,8 @@ def verdict(violated: list[tuple[str, str]]) -> str:
     others = len(worst) - _NAMED
     more = f" and {others} more" if others > 0 else ""
     return (
-        f"infeasible: the least violation of all equations within the bounds is above zero and "
-        f"leaves {named}{more}; relax a limit or an end condition, as `diagnose` proposes, or "
-        "begin from another guess."
+        f"infeasible: the point of least violation within the bounds still violates {named}{more}; "
+        "relax a limit or an end condition, as `diagnose` proposes, or start from another guess."
     )
 
 
@@ -234,8 +233,8 @@ def _undoubted(solution: S) -> S:
         names, warnings = diverging_multipliers(part), hamiltonian_warnings(part)
         if names and warnings:
             line = (
-                f"{', '.join(names)}: multipliers grow without bound, so that nothing vouches for "
-                f"the optimum; where a product must vanish, let it be at most a small number. "
+                f"{', '.join(names)}: multipliers grow without bound, and the point may not be an "
+                "optimum; where a product must be zero, require that it is at most a small number. "
                 f"{warnings[0]}"
             )
             return solution.updated(status=Status.TOLERANCE_NOT_MET, message=line)

@@ -355,9 +355,8 @@ def _trajectories(frame: "pd.DataFrame", degrees: tuple[int, ...]) -> Trajectori
 def _refuse_unverified(name: str, status: str) -> None:
     if status not in FLYABLE:
         raise ScenarioError(
-            f"{name}: status = {shown(status)}; must be verified or usable, for nothing else is to "
-            "be flown; "
-            f"{_AGAIN}."
+            f"{name}: status = {shown(status)}; must be verified or usable, as other plans are not "
+            f"safe to fly; {_AGAIN}."
         )
 
 

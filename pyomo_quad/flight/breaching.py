@@ -287,7 +287,7 @@ def missing(scenario: Scenario, spread: Spread) -> tuple[Miss, ...]:
             continue
         times = np.arange(waypoint.at, waypoint.at + waypoint.hold + 1e-9, _HOLD_STEP)
         near = max(waypoint.radius, HOVERING_M if waypoint.hold else 0.0)
-        words = "hold place" if waypoint.hold else "waypoint"
+        words = "hover waypoint" if waypoint.hold else "waypoint"
         by_radius = RADIUS if waypoint.radius else ""
         found.append(
             Miss(

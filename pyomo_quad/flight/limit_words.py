@@ -34,8 +34,8 @@ WORDS = {
     "limits.validated_climb_limit": "climb that measurements confirm",
     "limits.validated_descent_limit": "descent that measurements confirm",
     "limits.yaw_moment_limit": "yaw moment",
-    "mission.hold_distance": "distance from hold place {}",
-    "mission.hold_speed": "speed at hold place {}",
+    "mission.hold_distance": "distance from hover waypoint {}",
+    "mission.hold_speed": "speed at hover waypoint {}",
     "mission.passing_near": "distance from waypoint {}",
     "mission.passing_speed": "speed at waypoint {}",
     "mission.yaw_keeping": "turning while the heading is kept",
@@ -50,7 +50,7 @@ _ROOTS = {"m**2": "m", "m**2/s**2": "m/s"}
 
 
 def limit_words(name: str) -> str:
-    """Return a limit's name in words: "speed at hold place 1" for ``mission.hold_speed[0]``."""
+    """Return a limit's name in words: "speed at hover waypoint 1" for ``mission.hold_speed[0]``."""
     declared, _, index = name.partition("[")
     index = index.removesuffix("]")
     if declared.startswith(_COUNTED_FROM_0) and index.isdecimal():

@@ -117,7 +117,9 @@ class RiskTaken:
         """
         joules, percent = self.price(energy)
         price = f"the margins cost {joules:.3g} J ({percent:.2g} %)"
-        seen = f"{self.failed} of {self.flown} flights that had no part in the plan broke a limit"
+        seen = (
+            f"{self.failed} of {self.flown} test flights, which planning did not use, broke a limit"
+        )
         most = f", most often {self.limiting[0]}" if self.limiting else ""
         if self.is_had:
             return f"Risk at most {self.asked:g}: {seen}; {price}."
@@ -128,8 +130,8 @@ class RiskTaken:
                 f"A risk of {self.asked:g} is not reached: {self.stopped}; {seen}{most}; {price}."
             )
         return (
-            f"A risk of {self.asked:g} cannot be had: by the plan of the least risk found {seen}"
-            f"{most}; what would help: {self.advice}; {price}."
+            f"A risk of {self.asked:g} cannot be reached: with the plan of least risk, {seen}{most}"
+            f"; possible remedies: {self.advice}; {price}."
         )
 
 

@@ -70,9 +70,9 @@ class OrderSearch:
     def line(self) -> str:
         """Sentence on the search for the order of the waypoints and its accuracy."""
         return (
-            f"order of {len(self.order)} waypoints: by the energies of its legs, flown one by one, "
-            f"at most {self.gap:.2%} above the best; {self.solved} of {self.legs} legs solved, "
-            "the others predicted from these"
+            f"order of {len(self.order)} waypoints: the energies of its legs, planned one by one, "
+            f"add up to at most {self.gap:.2%} above the best order; {self.solved} of {self.legs} "
+            "legs solved, the others predicted from these"
         )
 
 

@@ -85,7 +85,7 @@ _GROWTH, _GROWTH_OF_RESERVE = 1.5, 1.1
 _EARLIER_S, _EARLIEST_S = 0.3, 1.5
 # Reasons for which a search for margins ends early.
 _STOPPED = "the search was stopped"
-_OWN_MODEL = "margins are found for the declared equations only, not for a model of one's own"
+_OWN_MODEL = "margins are computed for the built-in model only, not for a user's own model"
 
 
 def risk_asked(scenario: Scenario) -> float:
@@ -560,7 +560,7 @@ class _Search:
         first = limiting[0] if limiting else ""
         if first.startswith(("keep-out", "floor", "ceiling")):
             return "start, waypoints and goal farther from it, or a lower limits.speed_max"
-        if "waypoint" in first or "hold place" in first:
+        if "waypoint" in first:
             return "a larger radius of the waypoint, or a later time to pass it"
         longer = "" if self._scenario.mission.is_free else "a longer mission.duration, or "
         return f"{longer}{self._weaker(tried)}"
@@ -580,7 +580,7 @@ class _Search:
             return "weaker turbulence"
         found = (
             f"wind.turbulence.wind_at_6_m of about {low * strength:.2g} m/s instead of "
-            f"{strength:.3g} m/s, stated errors as much smaller"
+            f"{strength:.3g} m/s, and stated errors smaller by the same factor"
         )
         if self._scenario.wind.coupling is WindCoupling.ACCELERATION:
             found += (

@@ -45,7 +45,7 @@ class Stage(StrEnum):
 
     ROUTES = "routes"
     COARSE = "coarse solves"
-    USABLE = "towards a usable plan"
+    USABLE = "search for a usable plan"
     REFINING = "refinement"
 
 
@@ -288,10 +288,10 @@ def _proven(plan: Plan) -> str:
         return ""
     off = abs(found.energy_difference_J) / max(abs(plan.energy), LEAST_ENERGY_J)
     return (
-        f"Flown open loop it ends {found.terminal_miss_m:.2g} m from the goal, breaks no limit by "
-        f"more than {max(found.max_violation, 0.0):.1g} of it, and its energy differs from the "
-        f"plan's by {off:.1g} of it; a better plan may spend less, by an estimated "
-        f"{plan.energy_uncertainty:.1g} of it."
+        f"Flown in open loop, the plan ends {found.terminal_miss_m:.2g} m from the goal, exceeds "
+        f"no limit by more than {100 * max(found.max_violation, 0.0):.1g} %, and spends an energy "
+        f"within {100 * off:.1g} % of the planned energy; a better plan may save an estimated "
+        f"{100 * plan.energy_uncertainty:.1g} %."
     )
 
 

@@ -84,7 +84,7 @@ FIRST = (
     Strategy("cruise", COARSE, _C.is_long, _C.from_cruise),
     Strategy("first solve", COARSE, _C.is_unsolved, _C.from_nothing),
 )
-_PAST = "by way of the waypoints themselves"
+_PAST = "from a flight exactly through the waypoints"
 #: Retries of a failed solution, and in the end the reason why all of them failed.
 RETRIES = (
     Strategy(_PAST, COARSE, _C.has_failed_at_waypoints, _C.past_waypoints),
@@ -101,9 +101,11 @@ RETRIES = (
 #: Verification of a solution by simulation of its controls.
 PROOF = (
     Strategy("flight", REFINING, _C.is_solved, _C.fly),
-    Strategy("flight astray", REFINING, _C.is_astray, _C.tighten, most=3),
+    Strategy(
+        "smaller tolerance after a failed simulation", REFINING, _C.is_astray, _C.tighten, most=3
+    ),
 )
-_WITHIN_PACK = f"pack held to {100.0 * GIVEN_SHARE:.0f} % of its greatest power"
+_WITHIN_PACK = f"power limited to {100.0 * GIVEN_SHARE:.0f} % of the pack's greatest"
 
 
 def _hold_pack(candidate: Candidate) -> str:

@@ -57,7 +57,7 @@ def _whole_log(autopilot: str, package: str) -> Iterator[None]:
     except (OSError, MemoryError):
         raise
     except Exception as error:
-        raise ScenarioError(f"is no whole {autopilot} log; copy it anew.") from error
+        raise ScenarioError(f"is not a complete {autopilot} log; copy it again.") from error
 
 
 def _seconds_aloft(
@@ -216,7 +216,7 @@ def read_ardupilot(file: Path) -> pd.DataFrame:
             while (message := log.recv_match(type=list(_MESSAGES))) is not None:
                 rows[message.get_type()].append(message.to_dict())
     if not any(rows.values()):
-        raise ScenarioError("is no whole ArduPilot log; copy it anew.")
+        raise ScenarioError("is not a complete ArduPilot log; copy it again.")
     averaged = _ardupilot_by_second({name: pd.DataFrame(held) for name, held in rows.items()})
     averaged.insert(0, FLIGHT, file.stem)
     return averaged

@@ -21,7 +21,7 @@ _AIR_READ = "velocity through the air as read, times vehicle.anemometer_factor"
 COLUMNS: Mapping[str, LogColumn] = {
     FLIGHT: LogColumn("", "number or name of the flight", ("flight_id",)),
     TIME: LogColumn("s", "time, rising within a flight", ("time", "t")),
-    PHASE: LogColumn("", "1 take-off, 2 cruise, 3 landing; other rows are passed over"),
+    PHASE: LogColumn("", "1 take-off, 2 cruise, 3 landing; other rows are ignored"),
     PAYLOAD: LogColumn("kg", "mass carried", ("payload",)),
     DENSITY: LogColumn("kg/m^3", "density of the air", ("air_density",)),
     POWER: LogColumn("W", "power drawn from the pack", ("power", f"{VOLTAGE} with {CURRENT}")),

@@ -554,7 +554,7 @@ def _cautions(scenario: Scenario, fit: Fit, values: FloatArray, draws: FloatArra
         allowed = max(_DEVIATIONS * float(deviation), _CHANGE * abs(float(value)))
         if abs(other - value) > allowed:
             yield (
-                f"rows of {step:.3g} s are too coarse for this motion: with every other row "
+                f"rows of {step:.3g} s are too coarse for this motion: from every second row "
                 f"{name} becomes {other:.3g} in place of {value:.3g}; log at 5 Hz or more, or fly "
                 "more steadily."
             )

@@ -323,15 +323,18 @@ def _cautions(points: pd.DataFrame, kept: Sequence[str]) -> list[str]:
     cautions = []
     if len(points) < _FEW_PER_NUMBER * max(1, len(kept)):
         cautions.append(
-            f"{len(points)} points for {len(kept)} fitted numbers; their deviations take a reading "
-            f"to be off by {100 * _READING_ERROR:g} %: give {_FEW_PER_NUMBER} points or more for "
-            "each number."
+            f"{len(points)} points for {len(kept)} fitted numbers; their deviations assume "
+            f"errors of {100 * _READING_ERROR:g} % in each reading: give "
+            f"{_FEW_PER_NUMBER} points or more for each number."
         )
     if _is_constant(points[AIRSPEED]):
         cautions.append(
-            "all points are at one airspeed: power at other airspeeds is theory; add points of "
-            "level flight, such as at 5, 10 and 15 m/s."
+            "all points are at one airspeed: power at other airspeeds is computed by theory alone; "
+            "add points of level flight, such as at 5, 10 and 15 m/s."
         )
     if _is_constant(points[PAYLOAD]):
-        cautions.append("all points carry the same: how power grows with mass is theory.")
+        cautions.append(
+            "all points have the same payload: the growth of power with mass is computed by theory "
+            "alone; add points with other payloads."
+        )
     return cautions

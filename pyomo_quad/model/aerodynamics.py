@@ -184,14 +184,14 @@ def _wind_acceleration(updraft: Expression | None) -> _Rules:
         return mass_at(m, t) * (b.acceleration_coefficient * m.wind.velocity_z[t])
 
     vertical = (
-        (force_z, "eq. (9) row 2: W has no vertical part [N]")
+        (force_z, "Yacef et al., eq. (9) row 2: W has no vertical part [N]")
         if updraft is None
-        else (lift_z, "eq. (9) row 2, W along world z, times the mass [N]")
+        else (lift_z, "Yacef et al., eq. (9) row 2, W along world z, times the mass [N]")
     )
 
     return {
-        "force_x": (force_x, "eq. (9) row 2, W along world x, times the mass [N]"),
-        "force_y": (force_y, "eq. (9) row 2, W along world y, times the mass [N]"),
+        "force_x": (force_x, "Yacef et al., eq. (9) row 2, W along world x, times the mass [N]"),
+        "force_y": (force_y, "Yacef et al., eq. (9) row 2, W along world y, times the mass [N]"),
         "force_z": vertical,
     }
 

@@ -130,7 +130,7 @@ def declare_battery(m: ConcreteModel, scenario: Scenario) -> None:
         Source of the battery's numbers; with relaxation or temperature, these states are declared
         too.
     """
-    b = m.battery = Block(doc="battery pack, eq. (4)-(5)")
+    b = m.battery = Block(doc="battery pack, Yacef et al., eqs. (4) and (5)")
     pack = scenario.battery
     declare_parameters(b, scenario)
     _declare_sizes(b)
@@ -146,7 +146,7 @@ def declare_battery(m: ConcreteModel, scenario: Scenario) -> None:
     circuit.declare_balances(b, m, scenario)
     if may_lose_voltage(scenario):
 
-        @b.Constraint(m.time, doc="the pack has a voltage [V]")
+        @b.Constraint(m.time, doc="open-circuit voltage of the pack is not negative [V]")
         def pack_voltage_limit(b: Block, t: float) -> RelationalExpression:
             return b.open_circuit_voltage[t] >= 0 * units.V
 
@@ -171,15 +171,15 @@ def declare_loss(m: ConcreteModel) -> None:
         units=units.V,
         doc="open-circuit voltage at the start",
     )
-    b.loss = Var(m.time, units=units.J, initialize=0.0, doc="E_l: energy that the pack lost")
+    b.loss = Var(m.time, units=units.J, initialize=0.0, doc="E_l: energy lost inside the pack")
     b.dloss_dt = DerivativeVar(b.loss, wrt=m.time, units=units.W, initialize=0.0)
 
-    @b.Constraint(m.time, doc="charge at the voltage of the start is delivered or lost [W]")
+    @b.Constraint(m.time, doc="power at the initial open-circuit voltage is delivered or lost [W]")
     def loss_balance(b: Block, t: float) -> RelationalExpression:
         drawn = b.reference_voltage * b.current[t]
         return b.dloss_dt[t] == drawn - b.parent_block().power.total[t]
 
-    @b.Constraint(doc="nothing is lost at the start [J]")
+    @b.Constraint(doc="energy lost inside the pack is zero at the start [J]")
     def initial_loss(b: Block) -> RelationalExpression:
         return b.loss[start] == 0
 
@@ -196,11 +196,14 @@ def _declare_sizes(b: Block) -> None:
 
 
 def _declare_charge(b: Block, m: ConcreteModel) -> None:
-    @b.Expression(m.time, doc="eq. (4) row 1: state of charge [percent]")
+    @b.Expression(m.time, doc="Yacef et al., eq. (4) row 1: state of charge [percent]")
     def state_of_charge(b: Block, t: float) -> NumericExpression:
         return 100 * units.percent * (1 - b.charge_drawn[t] / b.pack_capacity)
 
-    @b.Constraint(m.time, doc="eq. (4) row 1: the charge drawn is the integral of the current [A]")
+    @b.Constraint(
+        m.time,
+        doc="Yacef et al., eq. (4) row 1: the charge drawn is the integral of the current [A]",
+    )
     def charge_balance(b: Block, t: float) -> RelationalExpression:
         return units.convert(b.dcharge_drawn_dt[t], to_units=units.A) == b.current[t]
 
@@ -217,7 +220,7 @@ def _declare_voltage(b: Block, m: ConcreteModel) -> None:
         share = 1 - b.charge_drawn[t] / b.pack_capacity
         return saturated(share, GUARD_FLOOR, GUARD_WIDTH)
 
-    @b.Expression(m.time, doc="eq. (5): open-circuit voltage of the pack [V]")
+    @b.Expression(m.time, doc="Yacef et al., eq. (5): open-circuit voltage of the pack [V]")
     def open_circuit_voltage(b: Block, t: float) -> NumericExpression:
         polarisation = b.K / b.remaining_share[t]
         exponential_zone = b.A * exp(-b.B * _charge_of_new_cell(b, t))
@@ -238,12 +241,14 @@ def _declare_voltage(b: Block, m: ConcreteModel) -> None:
         share = b.power_reserve[t] / b.greatest_power[t]
         return saturated(share, GUARD_FLOOR, GUARD_WIDTH)
 
-    @b.Expression(m.time, doc="eq. (4) row 2 with V i = P, solved for the pack current [A]")
+    @b.Expression(
+        m.time, doc="Yacef et al., eq. (4) row 2 with V i = P, solved for the pack current [A]"
+    )
     def current(b: Block, t: float) -> NumericExpression:
         current_at_greatest_power = circuit.source_voltage(b, t) / (2 * circuit.resistance_at(b, t))
         return current_at_greatest_power * (1 - sqrt(b.reserve_share[t]))
 
-    @b.Expression(m.time, doc="eq. (4) row 2: terminal voltage of the pack [V]")
+    @b.Expression(m.time, doc="Yacef et al., eq. (4) row 2: terminal voltage of the pack [V]")
     def voltage(b: Block, t: float) -> NumericExpression:
         return circuit.source_voltage(b, t) - circuit.resistance_at(b, t) * b.current[t]
 

@@ -145,7 +145,7 @@ def _vehicle_in_the_wind(scenario: Scenario) -> ConcreteModel:
     m.scaling_factor = Suffix(direction=Suffix.EXPORT)
     vehicle.declare_vehicle(m, scenario)
     # Declared first, because blocks declared before the wind's equations may depend on it.
-    m.wind = Block(doc="wind, eq. (11)-(12)")
+    m.wind = Block(doc="wind, Yacef et al., eqs. (11) and (12)")
     rotors.declare_rotors(m, scenario)
     rotors.declare_motors(m, scenario)
     declare_motion(m, scenario)
@@ -172,14 +172,16 @@ def _declare_cost_and_limits(m: ConcreteModel, scenario: Scenario) -> None:
     homing.declare_homing(m, scenario)
     mission.declare_mission(m, scenario)
     # A lambda, because Integral rewrites its rule's signature and cannot handle annotations.
-    m.energy = Integral(m.time, wrt=m.time, rule=lambda m, t: m.power.total[t], doc="eq. (8) [J]")
-    cost, doc = m.energy, "eq. (8): energy of the flight"
+    m.energy = Integral(
+        m.time, wrt=m.time, rule=lambda m, t: m.power.total[t], doc="Yacef et al., eq. (8) [J]"
+    )
+    cost, doc = m.energy, "Yacef et al., eq. (8): energy of the flight"
     if scenario.mission.aim is Aim.CHARGE:
         battery.declare_loss(m)
-        cost, doc = cost + m.battery.loss[m.time.last()], f"{doc}, what its pack loses"
+        cost, doc = cost + m.battery.loss[m.time.last()], f"{doc}, energy lost inside its pack"
     if scenario.mission.is_free:
         mission.declare_duration(m, scenario)
-        cost, doc = cost + m.mission.price_of_time * m.duration, f"{doc}, and what its time costs"
+        cost, doc = cost + m.mission.price_of_time * m.duration, f"{doc}, and price of its duration"
     m.objective = Objective(expr=cost, sense=minimize, doc=f"{doc} [J]")
 
 

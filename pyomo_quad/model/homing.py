@@ -90,7 +90,7 @@ def declare_homing(m: ConcreteModel, scenario: Scenario) -> None:
     _declare_way(b, m)
     _declare_charge(b, m)
 
-    @b.Constraint(m.time, doc="the pack holds what the return takes [A h]")
+    @b.Constraint(m.time, doc="charge left in the pack suffices for the return [A h]")
     def return_limit(b: Block, t: float) -> RelationalExpression:
         pack = b.parent_block().battery
         usable = b.usable_charge * pack.pack_capacity
@@ -98,20 +98,24 @@ def declare_homing(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _declare_way(b: Block, m: ConcreteModel) -> None:
-    @b.Expression(b.home, m.time, doc="straight way home, eq. (1) [m]")
+    @b.Expression(b.home, m.time, doc="straight way home, docs/theory/homing.md eq. (1) [m]")
     def way(b: Block, k: int, t: float) -> NumericExpression:
         body = b.parent_block().rigid_body
         squares = (b.home_x[k] - body.x[t]) ** 2 + (b.home_y[k] - body.y[t]) ** 2
         return sqrt(squares + (b.home_z[k] - body.z[t]) ** 2 + _AT_HOME**2)
 
-    @b.Expression(b.home, m.time, doc="wind along the way home, eq. (2) [m/s]")
+    @b.Expression(
+        b.home, m.time, doc="wind along the way home, docs/theory/homing.md eq. (2) [m/s]"
+    )
     def tail_wind(b: Block, k: int, t: float) -> NumericExpression:
         body, wind = b.parent_block().rigid_body, b.parent_block().wind
         along_x = wind.velocity_x[t] * (b.home_x[k] - body.x[t])
         along_y = wind.velocity_y[t] * (b.home_y[k] - body.y[t])
         return (along_x + along_y) / b.way[k, t]
 
-    @b.Expression(b.home, m.time, doc="speed over ground on the way home, eq. (3) [m/s]")
+    @b.Expression(
+        b.home, m.time, doc="speed over ground on the way home, docs/theory/homing.md eq. (3) [m/s]"
+    )
     def ground_speed(b: Block, k: int, t: float) -> NumericExpression:
         wind = b.parent_block().wind
         across = wind.velocity_x[t] ** 2 + wind.velocity_y[t] ** 2 - b.tail_wind[k, t] ** 2
@@ -123,12 +127,18 @@ def _declare_way(b: Block, m: ConcreteModel) -> None:
 
 
 def _declare_charge(b: Block, m: ConcreteModel) -> None:
-    @b.Expression(b.home, m.time, doc="charge of the return with its margin, eq. (4) [A h]")
+    @b.Expression(
+        b.home,
+        m.time,
+        doc="charge of the return with its margin, docs/theory/homing.md eq. (4) [A h]",
+    )
     def charge_to(b: Block, k: int, t: float) -> NumericExpression:
         lasting = b.way[k, t] / b.ground_speed[k, t]
         return units.convert((1 + b.margin) * b.current * lasting, to_units=CHARGE)
 
-    @b.Expression(m.time, doc="charge of the return to the nearest home, eq. (5) [A h]")
+    @b.Expression(
+        m.time, doc="charge of the return to the nearest home, docs/theory/homing.md eq. (5) [A h]"
+    )
     def charge_home(b: Block, t: float) -> NumericExpression:
         homes = list(b.home)
         if len(homes) == 1:

@@ -75,7 +75,7 @@ def declare_limits(m: ConcreteModel, scenario: Scenario) -> None:
     scenario : Scenario
         Source of the limits; optional limits are declared only if it sets them.
     """
-    b = m.limits = Block(doc="limits, eq. (10)")
+    b = m.limits = Block(doc="limits, Yacef et al., eq. (10)")
     declare_parameters(b, scenario)
     _declare_attitude_limits(b, m)
     _declare_rotor_limits(b, m)
@@ -154,17 +154,17 @@ def _declare_speed_limit(b: Block, m: ConcreteModel) -> None:
 
 
 def _declare_attitude_limits(b: Block, m: ConcreteModel) -> None:
-    @b.Constraint(m.time, doc="eq. (10) row 1: roll angle [rad]")
+    @b.Constraint(m.time, doc="Yacef et al., eq. (10) row 1: roll angle [rad]")
     def roll_limit(b: Block, t: float) -> RelationalExpression:
         return inequality(-b.roll_max, b.parent_block().rigid_body.phi[t], b.roll_max)
 
-    @b.Constraint(m.time, doc="eq. (10) row 1: pitch angle [rad]")
+    @b.Constraint(m.time, doc="Yacef et al., eq. (10) row 1: pitch angle [rad]")
     def pitch_limit(b: Block, t: float) -> RelationalExpression:
         return inequality(-b.pitch_max, b.parent_block().rigid_body.theta[t], b.pitch_max)
 
 
 def _declare_rotor_limits(b: Block, m: ConcreteModel) -> None:
-    @b.Constraint(m.rotors.rotor, m.time, doc="eq. (10) row 2: rotor speed [rad/s]")
+    @b.Constraint(m.rotors.rotor, m.time, doc="Yacef et al., eq. (10) row 2: rotor speed [rad/s]")
     def rotor_speed_limit(b: Block, j: int, t: float) -> RelationalExpression:
         speed = b.parent_block().rotors.omega[j, t]
         return inequality(b.rotor_speed_min, speed, _left(b, b.rotor_speed_max))
@@ -176,22 +176,22 @@ def _declare_rotor_limits(b: Block, m: ConcreteModel) -> None:
 
 
 def _declare_thrust_limits(b: Block, m: ConcreteModel) -> None:
-    @b.Constraint(m.time, doc="eq. (10) row 3: total thrust [N]")
+    @b.Constraint(m.time, doc="Yacef et al., eq. (10) row 3: total thrust [N]")
     def thrust_limit(b: Block, t: float) -> RelationalExpression:
         thrust = b.parent_block().rotors.total_thrust[t]
         return inequality(0 * units.N, thrust, _left(b, b.thrust_max))
 
-    @b.Constraint(m.time, doc="eq. (10) row 3, k = 2: roll moment [N m]")
+    @b.Constraint(m.time, doc="Yacef et al., eq. (10) row 3, k = 2: roll moment [N m]")
     def roll_moment_limit(b: Block, t: float) -> RelationalExpression:
         moment = b.parent_block().rotors.roll_moment[t]
         return inequality(-b.roll_moment_max, moment, b.roll_moment_max)
 
-    @b.Constraint(m.time, doc="eq. (10) row 3, k = 3: pitch moment [N m]")
+    @b.Constraint(m.time, doc="Yacef et al., eq. (10) row 3, k = 3: pitch moment [N m]")
     def pitch_moment_limit(b: Block, t: float) -> RelationalExpression:
         moment = b.parent_block().rotors.pitch_moment[t]
         return inequality(-b.pitch_moment_max, moment, b.pitch_moment_max)
 
-    @b.Constraint(m.time, doc="eq. (10) row 3, k = 4: yaw moment [N m]")
+    @b.Constraint(m.time, doc="Yacef et al., eq. (10) row 3, k = 4: yaw moment [N m]")
     def yaw_moment_limit(b: Block, t: float) -> RelationalExpression:
         moment = b.parent_block().rotors.yaw_moment[t]
         return inequality(-b.yaw_moment_max, moment, b.yaw_moment_max)

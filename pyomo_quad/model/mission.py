@@ -115,7 +115,7 @@ def declare_mission(m: ConcreteModel, scenario: Scenario) -> None:
     scenario : Scenario
         Holds start, goal and waypoints.
     """
-    b = m.mission = Block(doc="boundary conditions, section 3 of the paper")
+    b = m.mission = Block(doc="boundary conditions, Yacef et al., section 3")
     declare_parameters(b, scenario)
 
     @b.Expression(doc="rotor speed at which the thrust balances the weight [rad/s]")
@@ -323,7 +323,7 @@ def start_where_measured(m: ConcreteModel) -> None:
         m.mission.yaw_keeping.deactivate()
         for row in _goal_of_turning(m.mission):
             row.activate()
-    m.start = Block(doc="where the rest of the mission starts")
+    m.start = Block(doc="measured states at which a re-plan starts")
     for rate in m.component_objects(DerivativeVar, descend_into=True):
         _start_measured(m.start, m.time.first(), rate.get_state_var())
 

@@ -154,7 +154,7 @@ def declare_power(m: ConcreteModel, scenario: Scenario) -> None:
     scenario : Scenario
         Selects the power model and whether braking rotors return energy.
     """
-    b = m.power = Block(doc="power, eq. (8)")
+    b = m.power = Block(doc="power, Yacef et al., eq. (8)")
     declare_parameters(b, scenario)
     if scenario.power.regeneration:
         _MODELS[scenario.power.model](m, "rotor_power")
@@ -162,7 +162,7 @@ def declare_power(m: ConcreteModel, scenario: Scenario) -> None:
         _MODELS[scenario.power.model](m, "uncredited_power")
         _declare_floor(m)
 
-    @b.Expression(m.time, doc="eq. (8): power of the four rotors [W]")
+    @b.Expression(m.time, doc="Yacef et al., eq. (8): power of the four rotors [W]")
     def total(b: Block, t: float) -> NumericExpression:
         of_rotors = sum(b.rotor_power[j, t] for j in b.parent_block().rotors.rotor)
         if scenario.power.model is PowerModel.MOMENTUM:
@@ -186,7 +186,7 @@ def declare_error(m: ConcreteModel) -> None:
     b.del_component(modelled)
     b.modelled_total = modelled
 
-    @b.Expression(m.time, doc="eq. (8): power of the four rotors, with its error [W]")
+    @b.Expression(m.time, doc="Yacef et al., eq. (8): power of the four rotors, with its error [W]")
     def total(b: Block, t: float) -> NumericExpression:
         return (1 + b.error) * b.modelled_total[t]
 
@@ -220,7 +220,7 @@ def declare_motor_power(m: ConcreteModel, name: str) -> None:
     def terminal_voltage(b: Block, j: int, t: float) -> NumericExpression:
         return b.parent_block().rotors.motor_voltage[j, t]
 
-    @_power_of_each_rotor(m, name, doc="eq. (2)-(3): electrical power v i [W]")
+    @_power_of_each_rotor(m, name, doc="Yacef et al., eq. (2)-(3): electrical power v i [W]")
     def electrical_power(b: Block, j: int, t: float) -> NumericExpression:
         rotors = b.parent_block().rotors
         return rotors.motor_voltage[j, t] * rotors.motor_current[j, t]
@@ -234,7 +234,7 @@ def declare_shaft_power(m: ConcreteModel, name: str) -> None:
     bound; convex in thrust (power 3/2).
     """
 
-    @_power_of_each_rotor(m, name, doc="eq. (8) with f_r = 1: shaft power [W]")
+    @_power_of_each_rotor(m, name, doc="Yacef et al., eq. (8) with f_r = 1: shaft power [W]")
     def electrical_power(b: Block, j: int, t: float) -> NumericExpression:
         rotors = b.parent_block().rotors
         return rotors.motor_torque[j, t] * rotors.omega[j, t]
@@ -247,7 +247,7 @@ def declare_constant_efficiency_power(m: ConcreteModel, name: str) -> None:
     acceleration and in thrust. Non-negative unless regeneration is enabled.
     """
 
-    @_power_of_each_rotor(m, name, doc="eq. (8) with constant f_r [W]")
+    @_power_of_each_rotor(m, name, doc="Yacef et al., eq. (8) with constant f_r [W]")
     def electrical_power(b: Block, j: int, t: float) -> NumericExpression:
         rotors = b.parent_block().rotors
         return rotors.motor_torque[j, t] * rotors.omega[j, t] / b.efficiency
@@ -271,7 +271,9 @@ def declare_efficiency_power(m: ConcreteModel, name: str) -> None:
         torque = b.parent_block().rotors.motor_torque[j, t]
         return floored(torque, b.torque_floor, TORQUE_FLOOR_WIDTH)
 
-    @b.Expression(m.rotors.rotor, m.time, doc="eq. (8): efficiency function f_r as recovered")
+    @b.Expression(
+        m.rotors.rotor, m.time, doc="Yacef et al., eq. (8): efficiency function f_r as recovered"
+    )
     def efficiency_polynomial(b: Block, j: int, t: float) -> NumericExpression:
         torque = b.map_torque[j, t] / _TORQUE
         speed = b.parent_block().rotors.omega[j, t] / _SPEED
@@ -283,11 +285,11 @@ def declare_efficiency_power(m: ConcreteModel, name: str) -> None:
         )
         return cubic * torque**3 + quadratic * torque**2 + linear * torque + constant
 
-    @b.Expression(m.rotors.rotor, m.time, doc="eq. (8): f_r with its floor")
+    @b.Expression(m.rotors.rotor, m.time, doc="Yacef et al., eq. (8): f_r with its floor")
     def drive_efficiency(b: Block, j: int, t: float) -> NumericExpression:
         return floored(b.efficiency_polynomial[j, t], b.efficiency_floor, EFFICIENCY_FLOOR_WIDTH)
 
-    @_power_of_each_rotor(m, name, doc="eq. (8): shaft power over f_r [W]")
+    @_power_of_each_rotor(m, name, doc="Yacef et al., eq. (8): shaft power over f_r [W]")
     def electrical_power(b: Block, j: int, t: float) -> NumericExpression:
         rotors = b.parent_block().rotors
         return rotors.motor_torque[j, t] * rotors.omega[j, t] / b.drive_efficiency[j, t]
@@ -328,7 +330,7 @@ def _declare_floor(m: ConcreteModel) -> None:
     """Declare the rotor power as a smooth max(P, 0), since braking returns no energy."""
     b = m.power
 
-    @b.Expression(m.rotors.rotor, m.time, doc="eq. (8): power of one rotor [W]")
+    @b.Expression(m.rotors.rotor, m.time, doc="Yacef et al., eq. (8): power of one rotor [W]")
     def rotor_power(b: Block, j: int, t: float) -> NumericExpression:
         return positive_part(b.uncredited_power[j, t], b.smoothing)
 
@@ -414,7 +416,7 @@ def _declare_induced_velocity(b: Block, m: ConcreteModel) -> None:
     )
     m.scaling_factor[b.induced_velocity] = 1.0 / in_hover
 
-    @b.Constraint(m.time, doc="Glauert: thrust is mass flow times twice v_i, over that of hover")
+    @b.Constraint(m.time, doc="Glauert: thrust is mass flow times 2 v_i; divided by hover thrust")
     def induced_velocity_balance(b: Block, t: float) -> RelationalExpression:
         m = b.parent_block()
         induced, along = b.induced_velocity[t], b.axial_airspeed[t]

@@ -59,7 +59,7 @@ def declare_motion(m: ConcreteModel, scenario: Scenario) -> None:
     m : ConcreteModel
         With `time` and `scaling_factor`.
     """
-    m.rigid_body = Block(doc="rigid body, eq. (6) and (9)")
+    m.rigid_body = Block(doc="rigid body, Yacef et al., eqs. (6) and (9)")
     _declare_states(m, scenario)
     _declare_translation(m.rigid_body, m)
     match scenario.vehicle.attitude:
@@ -122,15 +122,15 @@ def _declare_states(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _declare_translation(b: Block, m: ConcreteModel) -> None:
-    @b.Constraint(m.time, doc="eq. (9) row 1: velocity along world x [m/s]")
+    @b.Constraint(m.time, doc="Yacef et al., eq. (9) row 1: velocity along world x [m/s]")
     def x_kinematics(b: Block, t: float) -> RelationalExpression:
         return b.dx_dt[t] == b.vx[t]
 
-    @b.Constraint(m.time, doc="eq. (9) row 1: velocity along world y [m/s]")
+    @b.Constraint(m.time, doc="Yacef et al., eq. (9) row 1: velocity along world y [m/s]")
     def y_kinematics(b: Block, t: float) -> RelationalExpression:
         return b.dy_dt[t] == b.vy[t]
 
-    @b.Constraint(m.time, doc="eq. (9) row 1: vertical velocity [m/s]")
+    @b.Constraint(m.time, doc="Yacef et al., eq. (9) row 1: vertical velocity [m/s]")
     def z_kinematics(b: Block, t: float) -> RelationalExpression:
         return b.dz_dt[t] == b.vz[t]
 
@@ -155,15 +155,15 @@ def _declare_euler_rates(b: Block, m: ConcreteModel) -> None:
 
 
 def _declare_equated_rates(b: Block, m: ConcreteModel) -> None:
-    @b.Constraint(m.time, doc="eq. (9) row 3: roll rate [rad/s]")
+    @b.Constraint(m.time, doc="Yacef et al., eq. (9) row 3: roll rate [rad/s]")
     def roll_kinematics(b: Block, t: float) -> RelationalExpression:
         return b.dphi_dt[t] == b.p[t]
 
-    @b.Constraint(m.time, doc="eq. (9) row 3: pitch rate [rad/s]")
+    @b.Constraint(m.time, doc="Yacef et al., eq. (9) row 3: pitch rate [rad/s]")
     def pitch_kinematics(b: Block, t: float) -> RelationalExpression:
         return b.dtheta_dt[t] == b.q[t]
 
-    @b.Constraint(m.time, doc="eq. (9) row 3: yaw rate [rad/s]")
+    @b.Constraint(m.time, doc="Yacef et al., eq. (9) row 3: yaw rate [rad/s]")
     def yaw_kinematics(b: Block, t: float) -> RelationalExpression:
         return b.dpsi_dt[t] == b.r[t]
 
@@ -210,19 +210,19 @@ def _moment(m: ConcreteModel, name: str, t: float) -> NumericExpression:
 
 
 def _declare_force_balances(b: Block, m: ConcreteModel) -> None:
-    @b.Constraint(m.time, doc="eq. (6) row 1: force balance along world x [N]")
+    @b.Constraint(m.time, doc="Yacef et al., eq. (6) row 1: force balance along world x [N]")
     def x_momentum_balance(b: Block, t: float) -> RelationalExpression:
         m = b.parent_block()
         thrust = thrust_axis(b, t)[0] * m.rotors.total_thrust[t]
         return mass_at(m, t) * b.dvx_dt[t] == thrust + m.aerodynamics.force_x[t]
 
-    @b.Constraint(m.time, doc="eq. (6) row 2: force balance along world y [N]")
+    @b.Constraint(m.time, doc="Yacef et al., eq. (6) row 2: force balance along world y [N]")
     def y_momentum_balance(b: Block, t: float) -> RelationalExpression:
         m = b.parent_block()
         thrust = thrust_axis(b, t)[1] * m.rotors.total_thrust[t]
         return mass_at(m, t) * b.dvy_dt[t] == thrust + m.aerodynamics.force_y[t]
 
-    @b.Constraint(m.time, doc="eq. (6) row 3: vertical force balance [N]")
+    @b.Constraint(m.time, doc="Yacef et al., eq. (6) row 3: vertical force balance [N]")
     def z_momentum_balance(b: Block, t: float) -> RelationalExpression:
         m = b.parent_block()
         thrust = thrust_axis(b, t)[2] * m.rotors.total_thrust[t]
@@ -231,7 +231,7 @@ def _declare_force_balances(b: Block, m: ConcreteModel) -> None:
 
 
 def _declare_tilting_balances(b: Block, m: ConcreteModel) -> None:
-    @b.Constraint(m.time, doc="eq. (6) row 4: moment balance about body x [N m]")
+    @b.Constraint(m.time, doc="Yacef et al., eq. (6) row 4: moment balance about body x [N m]")
     def roll_balance(b: Block, t: float) -> RelationalExpression:
         m = b.parent_block()
         airframe_coupling = (m.vehicle.Iy - m.vehicle.Iz) * b.q[t] * b.r[t]
@@ -240,7 +240,7 @@ def _declare_tilting_balances(b: Block, m: ConcreteModel) -> None:
             m, "roll_moment", t
         )
 
-    @b.Constraint(m.time, doc="eq. (6) row 5: moment balance about body y [N m]")
+    @b.Constraint(m.time, doc="Yacef et al., eq. (6) row 5: moment balance about body y [N m]")
     def pitch_balance(b: Block, t: float) -> RelationalExpression:
         m = b.parent_block()
         airframe_coupling = (m.vehicle.Iz - m.vehicle.Ix) * b.p[t] * b.r[t]
@@ -259,7 +259,7 @@ def _declare_yaw_balance(b: Block, m: ConcreteModel, attitude: Attitude) -> None
     is_exact = attitude is Attitude.EULER
     what = " with the rotors' reaction: body z" if is_exact else ": moment balance about body z"
 
-    @b.Constraint(m.time, doc=f"eq. (6) row 6{what} [N m]")
+    @b.Constraint(m.time, doc=f"Yacef et al., eq. (6) row 6{what} [N m]")
     def yaw_balance(b: Block, t: float) -> RelationalExpression:
         m = b.parent_block()
         airframe_coupling = (m.vehicle.Ix - m.vehicle.Iy) * b.p[t] * b.q[t]

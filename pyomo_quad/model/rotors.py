@@ -49,7 +49,7 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
         name="sense",
         units=units.dimensionless,
         value=_by_rotor(lambda s: s.vehicle.rotor_senses),
-        doc="s: where the drag of a rotor turns the body",
+        doc="s: sense in which the drag of a rotor turns the body, 1 or -1",
     )
     has_places = vehicle.has_own_rotors or vehicle.has_rotor_forces
     return (*((ahead, aside) if has_places else ()), *((sense,) if vehicle.has_own_rotors else ()))
@@ -68,7 +68,7 @@ def declare_motors(m: ConcreteModel, scenario: Scenario) -> None:
     """
     b = m.rotors
 
-    @b.Expression(b.rotor, m.time, doc="eq. (1) row 1: motor torque [N m]")
+    @b.Expression(b.rotor, m.time, doc="Yacef et al., eq. (1) row 1: motor torque [N m]")
     def motor_torque(b: Block, j: int, t: float) -> NumericExpression:
         vehicle = b.parent_block().vehicle
         propeller_drag = vehicle.drag_torque_coefficient * b.omega[j, t] ** 2
@@ -77,11 +77,11 @@ def declare_motors(m: ConcreteModel, scenario: Scenario) -> None:
     if scenario.vehicle.motor is None:
         return
 
-    @b.Expression(b.rotor, m.time, doc="eq. (2): motor current [A]")
+    @b.Expression(b.rotor, m.time, doc="Yacef et al., eq. (2): motor current [A]")
     def motor_current(b: Block, j: int, t: float) -> NumericExpression:
         return b.motor_torque[j, t] / b.parent_block().vehicle.torque_constant
 
-    @b.Expression(b.rotor, m.time, doc="eq. (3) row 2: motor voltage [V]")
+    @b.Expression(b.rotor, m.time, doc="Yacef et al., eq. (3) row 2: motor voltage [V]")
     def motor_voltage(b: Block, j: int, t: float) -> NumericExpression:
         vehicle = b.parent_block().vehicle
         resistive_drop = vehicle.motor_resistance * b.motor_current[j, t]
@@ -105,7 +105,7 @@ def declare_rotors(m: ConcreteModel, scenario: Scenario) -> None:
     scenario : Scenario
         Its vehicle gives the rotor layout.
     """
-    b = m.rotors = Block(doc="rotors, eq. (7) and (9)")
+    b = m.rotors = Block(doc="rotors, Yacef et al., eqs. (7) and (9)")
     b.rotor = Set(initialize=_numbers(scenario), doc="rotors as the paper numbers them")
     _declare_speeds(b, m, scenario)
     declare_parameters(b, scenario)
@@ -126,37 +126,37 @@ def _declare_speeds(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
     m.scaling_factor[b.omega] = 1.0 / hover_speed
     m.scaling_factor[b.alpha] = 1.0 / _NOMINAL_ACCELERATION
 
-    @b.Constraint(b.rotor, m.time, doc="eq. (9) row 5: rotor acceleration [rad/s^2]")
+    @b.Constraint(b.rotor, m.time, doc="Yacef et al., eq. (9) row 5: rotor acceleration [rad/s^2]")
     def rotor_kinematics(b: Block, j: int, t: float) -> RelationalExpression:
         return b.domega_dt[j, t] == b.alpha[j, t]
 
 
 def _declare_mixer(b: Block, m: ConcreteModel) -> None:
-    @b.Expression(m.time, doc="eq. (7) row 1: u_1 [N]")
+    @b.Expression(m.time, doc="Yacef et al., eq. (7) row 1: u_1 [N]")
     def total_thrust(b: Block, t: float) -> NumericExpression:
         kb = b.parent_block().vehicle.thrust_coefficient
         return kb * sum(b.omega[j, t] ** 2 for j in b.rotor)
 
-    @b.Expression(m.time, doc="eq. (7) row 2: u_2 [N m]")
+    @b.Expression(m.time, doc="Yacef et al., eq. (7) row 2: u_2 [N m]")
     def roll_moment(b: Block, t: float) -> NumericExpression:
         vehicle = b.parent_block().vehicle
         thrust_difference = vehicle.thrust_coefficient * (b.omega[2, t] ** 2 - b.omega[4, t] ** 2)
         return vehicle.arm_length * thrust_difference
 
-    @b.Expression(m.time, doc="eq. (7) row 3: u_3 [N m]")
+    @b.Expression(m.time, doc="Yacef et al., eq. (7) row 3: u_3 [N m]")
     def pitch_moment(b: Block, t: float) -> NumericExpression:
         vehicle = b.parent_block().vehicle
         thrust_difference = vehicle.thrust_coefficient * (b.omega[3, t] ** 2 - b.omega[1, t] ** 2)
         return vehicle.arm_length * thrust_difference
 
-    @b.Expression(m.time, doc="eq. (7) row 4: u_4 [N m]")
+    @b.Expression(m.time, doc="Yacef et al., eq. (7) row 4: u_4 [N m]")
     def yaw_moment(b: Block, t: float) -> NumericExpression:
         kappa = b.parent_block().vehicle.drag_torque_coefficient
         return kappa * (
             b.omega[1, t] ** 2 - b.omega[2, t] ** 2 + b.omega[3, t] ** 2 - b.omega[4, t] ** 2
         )
 
-    @b.Expression(m.time, doc="eq. (6): speed imbalance of the rotors [rad/s]")
+    @b.Expression(m.time, doc="Yacef et al., eq. (6): speed imbalance of the rotors [rad/s]")
     def speed_imbalance(b: Block, t: float) -> NumericExpression:
         return b.omega[1, t] - b.omega[2, t] + b.omega[3, t] - b.omega[4, t]
 

@@ -43,7 +43,7 @@ _PARAMETERS = (
         name="released",
         units=units.kg,
         value=lambda s: {k: s.mission.waypoints[k].release for k in _loads(s)},
-        doc="payload left at a waypoint",
+        doc="payload released at a waypoint",
     ),
 )
 
@@ -65,7 +65,9 @@ def declare_vehicle(m: ConcreteModel, scenario: Scenario) -> None:
         def is_left(_: Block, k: int, t: float) -> float:
             return float(t > left[k])
 
-        m.vehicle.is_left = Param(loads, m.time, rule=is_left, doc="whether it has been left")
+        m.vehicle.is_left = Param(
+            loads, m.time, rule=is_left, doc="1 once the payload is released, else 0"
+        )
 
 
 def _loads(scenario: Scenario) -> tuple[int, ...]:

@@ -255,7 +255,9 @@ def _declare_profile(b: Block, m: ConcreteModel, law: WindLaw) -> None:
         return log(b.height[t] / b.roughness) / log(b.reference_height / b.roughness)
 
     rule = power if law is WindLaw.POWER else logarithmic
-    b.profile = Expression(m.time, rule=rule, doc=f"{law.value} law: wind over that at h_r")
+    b.profile = Expression(
+        m.time, rule=rule, doc=f"{law.value} law: wind divided by the wind at h_r"
+    )
 
 
 def _at_height(b: Block, t: float, velocity: NumericExpression) -> NumericExpression:
@@ -300,7 +302,7 @@ def _declare_formula(m: ConcreteModel, scenario: Scenario) -> None:
         b.add_component(name, axis)
         declare_parameters(axis, scenario)
         _declare_gust(axis, m)
-        _add_velocity(b, m, name, partial(_velocity, name), "eq. (11): wind")
+        _add_velocity(b, m, name, partial(_velocity, name), "Yacef et al., eq. (11): wind")
 
 
 def _add_velocity(
@@ -327,7 +329,7 @@ def _velocity(name: str, b: Block, t: float) -> NumericExpression:
 
 
 def _declare_gust(axis: Block, m: ConcreteModel) -> None:
-    @axis.Expression(m.time, doc="eq. (12): gust [m/s]")
+    @axis.Expression(m.time, doc="Yacef et al., eq. (12): gust [m/s]")
     def gust(axis: Block, t: float) -> NumericExpression:
         phase = 2 * pi * units.rad / axis.gust_period * axis.parent_block().wind_time[t]
         return 2 * axis.gust_amplitude / (1 + exp(-4 * (sin(phase) - 1)))
@@ -380,7 +382,7 @@ def _declare_shapes(b: Block, m: ConcreteModel, heights: FloatArray) -> None:
         read = b.greatest_height - smooth_positive(b.height_below[t], HEIGHT_SMOOTHING)
         return (read - b.least_height) / (b.greatest_height - b.least_height)
 
-    doc = "first function of the spline; then its powers, and third powers from inner heights on"
+    doc = "basis functions of the cubic spline over height"
 
     @b.Expression(range(1, len(shares)), m.time, doc=doc)
     def shape(b: Block, k: int, t: float) -> NumericExpression:

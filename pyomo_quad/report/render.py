@@ -19,7 +19,7 @@ NOTHING = "n/a"
 
 POWER_WORDS = {
     PowerModel.MOTOR: "electrical power of the motors, with copper loss",
-    PowerModel.EFFICIENCY: "shaft power divided by the recovered efficiency f_r, eq. (8)",
+    PowerModel.EFFICIENCY: "shaft power divided by the recovered f_r of Yacef et al., eq. (8)",
     PowerModel.SHAFT: "shaft power",
     PowerModel.CONSTANT_EFFICIENCY: "shaft power divided by a constant efficiency",
     PowerModel.MOTOR_WITH_FRICTION: "electrical power of the motors, with their friction",
@@ -27,7 +27,8 @@ POWER_WORDS = {
 }
 
 COUPLING_WORDS = {
-    WindCoupling.ACCELERATION: "acts as an acceleration of 1 1/s times its speed, as in eq. (9)",
+    WindCoupling.ACCELERATION: "acts as an acceleration of 1 1/s times its speed, as in eq. (9) of "
+    "Yacef et al.",
     WindCoupling.DRAG: "acts by drag on the airspeed",
 }
 

@@ -143,7 +143,7 @@ def local_place(
         )
     if origin is None:
         raise ScenarioError(
-            f"{where} has a latitude, and nothing says where x = y = 0 is; give mission.origin = "
+            f"{where} has a latitude, which needs the position of x = y = 0; give mission.origin = "
             "{ latitude, longitude, altitude }."
         )
     for key, number in written.items():

@@ -103,19 +103,19 @@ class ReturnFlight(Part):
 
     margin: Number = quantity(
         "1",
-        "charge kept beyond that of the return, as a share of it",
+        "extra charge kept for the return, over the charge that the return takes",
         0.2,
         sound=not_negative(10, "a larger reserve is probably a typing error"),
     )
     airspeed: Number | None = quantity(
         "m/s",
-        "airspeed of the return, that of least charge against the wind when absent",
+        "airspeed of the return; when absent, that of least charge against the wind",
         None,
         sound=positive(1e-3, 1e3, "rotorcraft fly below 340 m/s, the speed of sound"),
     )
     current: Number | None = quantity(
         "A",
-        "current of the pack at that airspeed, found from steady flight when absent",
+        "current of the pack at that airspeed; when absent, that of steady flight",
         None,
         sound=positive(1e-3, 1e4, "packs give at most 10 kA"),
     )
@@ -156,25 +156,25 @@ class Mission(Part):
         sound=_ALOFT,
     )
     duration_min: Number | None = late_quantity(
-        "s", "least duration where it is free, no limit when absent", None, gt=0, sound=_ALOFT
+        "s", "least duration if duration is free, no limit when absent", None, gt=0, sound=_ALOFT
     )
     duration_max: Number | None = late_quantity(
         "s",
-        "greatest duration where it is free; when absent until wind.file ends, or without limit",
+        "greatest duration if duration is free; when absent the end of wind.file, or no limit",
         None,
         gt=0,
         sound=_ALOFT,
     )
     price_of_time: Number = late_quantity(
         "W",
-        "what a second of a free duration costs beside the energy",
+        "price of a second of a free duration, added to the energy",
         0.0,
         sound=not_negative(1e9, "for the least time regardless of energy, set mission.aim"),
     )
     aim: Aim = late_quantity(
         "",
-        "what the plan spends least of: energy; charge drawn from the pack, its own loss "
-        "included; or, of a free duration, time, of which the plan says how close it came",
+        "quantity that the plan minimises: energy; charge drawn from the pack, with the pack's "
+        "own losses; or time, if the duration is free",
         Aim.ENERGY,
     )
 
@@ -198,12 +198,12 @@ class Mission(Part):
     )
     return_reserve: bool = late_quantity(
         "",
-        "whether the pack holds at every moment what a return to the start or the nearest of rally "
-        "takes in the wind",
+        "whether the charge must suffice at every moment for a return in the wind to the start or "
+        "to the nearest place of rally",
         False,
     )
     return_flight: ReturnFlight = late_quantity(
-        "", "the return that charge is kept for", ReturnFlight()
+        "", "return flight for which charge is kept", ReturnFlight()
     )
     risk: Number | None = late_quantity(
         "1",
@@ -349,7 +349,7 @@ class Mission(Part):
         is_nowhere = self.goal == self.start and not self.waypoints
         if self.is_free and self.duration_min is None and is_nowhere:
             raise ValueError(
-                'duration = "free" with the goal at the start; the least flight is none at all: '
+                'duration = "free" with the goal at the start; the shortest flight takes no time: '
                 "give duration_min or a fixed duration"
             )
         return self
@@ -373,7 +373,7 @@ class Mission(Part):
                 if waypoint.at <= earliest:
                     raise ValueError(
                         f"waypoints[{k}].at = {waypoint.at:g} s; must be later than {earliest:g} "
-                        f"s, when {since} is left at the earliest; give rising times"
+                        f"s, the earliest time to leave {since}; give rising times"
                     )
                 if waypoint.at >= latest:
                     raise ValueError(
@@ -385,8 +385,8 @@ class Mission(Part):
             since = f"waypoints[{k}]"
         if self.waypoints and earliest >= latest:
             raise ValueError(
-                f"waypoints hold until {earliest:g} s at the earliest; must be below {limit} = "
-                f"{latest:g} s; hold less or fly longer"
+                f"waypoints with their hold last until {earliest:g} s or later; must be below "
+                f"{limit} = {latest:g} s; hold less or fly longer"
             )
         return self
 
@@ -399,7 +399,8 @@ class Mission(Part):
         for (before, here), (after, there) in pairwise(places if self.waypoints else ()):
             if here == there and self.order is Order.GIVEN:
                 raise ValueError(
-                    f"{after} is the very place of {before}; leave one out, and give hold to stay"
+                    f"{after} is at the same place as {before}; leave one out, and give hold to "
+                    "stay"
                 )
         return self
 
@@ -413,7 +414,7 @@ class Mission(Part):
         for name, waypoint in zip(names, self.waypoints, strict=True):
             if waypoint.position in seen:
                 raise ValueError(
-                    f'{name} is the very place of {seen[waypoint.position]}; order = "best" '
+                    f'{name} is at the same place as {seen[waypoint.position]}; order = "best" '
                     "passes each place once: leave one out"
                 )
             if waypoint.at is not None:

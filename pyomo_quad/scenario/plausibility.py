@@ -131,7 +131,7 @@ def remarks(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[str]:
         slowest = _least_speed(motor, vehicle.drag_torque_coefficient)
         at = f" below {slowest:.3g} rad/s a motor gives out more than it takes," if slowest else ""
         yield (
-            f"{_motor_constants(motor)};{at} and two numbers of three digits may be off by "
+            f"{_motor_constants(motor)};{at} and two numbers rounded to three digits may differ by "
             f"{100 * ROUNDED:g} %."
         )
     hover = _hover(vehicle, power, gravity)

@@ -139,7 +139,7 @@ def _count(tables: Any, path: FieldPath) -> int:  # noqa: ANN401  tables of TOML
 def _refuse_both(own: Any, path: FieldPath, target: FieldPath, source: str) -> None:  # noqa: ANN401
     if _DIRECTION in table_at(own, *path[:-1]):
         raise ScenarioError(
-            f"{source}: {spell(target)} and {spell(path)} say the same angle; leave one out."
+            f"{source}: {spell(target)} and {spell(path)} give the same angle; leave one out."
         )
 
 

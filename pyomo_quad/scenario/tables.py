@@ -70,8 +70,8 @@ class Gains(Part):
     )
     tilt_max: Number | None = quantity(
         "rad",
-        "largest tilt asked of the attitude loop, what the limits of roll, pitch and thrust allow "
-        "when absent",
+        "largest tilt that the position loop commands; when absent, the largest that the limits of "
+        "roll, pitch and thrust allow",
         None,
         lt=1.5,
         sound=positive(1e-3, 1.5, "a smaller tilt cannot steer the vehicle"),
@@ -130,19 +130,19 @@ class Replanning(Part):
     )
     solve_time: Number = quantity(
         "s",
-        "time allowed for a solve; its plan starts where the vehicle will be then",
+        "time allowed for a solve; its plan starts at the state predicted for the end of it",
         0.06,
         sound=not_negative(1e3, "an older plan is useless"),
     )
     clock: SolveTiming = quantity(
         "",
-        "how long a solve takes in flight: solve_time, which repeats, or as measured",
+        "time that a solve takes in flight: stated, the reproducible solve_time, or measured",
         SolveTiming.STATED,
     )
     knowledge: tuple[Knowledge, ...] = quantity(
         "",
-        "what is known of the wind, one flight for each; but for told the forecast, or none, is "
-        "believed",
+        "knowledge of the wind, one flight for each: told, the wind itself; estimated, an estimate "
+        "added to the forecast; untold, the forecast alone (calm air without one)",
         tuple(Knowledge),
         max_length=len(Knowledge),
     )
@@ -370,21 +370,21 @@ class Limits(Part):
     """Limits on vehicle and battery that both the plan and the controller keep."""
 
     roll_max: Number = quantity(
-        "rad", "largest roll angle, eq. (10)", pi / 2, le=pi / 2, sound=_ANGLE
+        "rad", "largest roll angle, Yacef et al., eq. (10)", pi / 2, le=pi / 2, sound=_ANGLE
     )
     pitch_max: Number = quantity(
-        "rad", "largest pitch angle, eq. (10)", pi / 2, le=pi / 2, sound=_ANGLE
+        "rad", "largest pitch angle, Yacef et al., eq. (10)", pi / 2, le=pi / 2, sound=_ANGLE
     )
     rotor_speed_min: Number = quantity(
         "rad/s",
-        "smallest rotor speed, eq. (10)",
+        "smallest rotor speed, Yacef et al., eq. (10)",
         0.0,
         sound=not_negative(
             FASTEST_ROTOR, "the blade tips of a 1 cm rotor would exceed the speed of sound"
         ),
     )
     rotor_speed_max: Number = quantity(
-        "rad/s", "largest rotor speed, eq. (10)", gt=0, le=FASTEST_ROTOR
+        "rad/s", "largest rotor speed, Yacef et al., eq. (10)", gt=0, le=FASTEST_ROTOR
     )
     rotor_acceleration_max: Number = quantity(
         "rad/s^2",

@@ -276,7 +276,8 @@ class Vehicle(Part):
     )
     attitude: Attitude = late_quantity(
         "",
-        "euler: exact kinematics and the rotors' yaw reaction; paper: eq. (9) and (6) as printed",
+        "euler: exact kinematics and the rotors' yaw reaction; paper: eqs. (6) and (9) "
+        "of Yacef et al. as printed",
         Attitude.PAPER,
         initial=Attitude.EULER,
     )

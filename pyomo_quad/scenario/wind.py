@@ -118,7 +118,7 @@ class WindProfile(Part):
         if getattr(self, needed) is None:
             raise ValueError(f"law = {self.law.value} needs {needed}; give {needed}")
         if getattr(self, other) is not None:
-            raise ValueError(f"{other} has no part in law = {self.law.value}; leave {other} out")
+            raise ValueError(f"{other} is not used by law = {self.law.value}; leave {other} out")
         if self.roughness is not None and self.roughness >= self.reference_height / 2:
             raise ValueError(
                 f"roughness = {self.roughness:g} m; must be below half of "
@@ -264,17 +264,19 @@ class Wind(Part):
     title: Text = title_field("name for people")
     coupling: WindCoupling = quantity(
         "",
-        "drag: drag on the airspeed, the default for a vehicle with drag; acceleration: eq. (9) as "
-        "printed, the default for a vehicle without drag",
+        "drag: drag on the airspeed, the default for a vehicle with drag; acceleration: eq. (9) of "
+        "Yacef et al. as printed, the default for a vehicle without drag",
     )
     acceleration_coefficient: Number = quantity(
         "1/s",
-        "acceleration over wind velocity in eq. (9)",
+        "acceleration over wind velocity in eq. (9) of Yacef et al.",
         1.0,
         sound=not_negative(1e3, "a larger value carries the vehicle along within 1 ms"),
     )
     frequency_unit: FrequencyUnit = quantity(
-        "", "unit of the frequencies: rad/s (as eq. 11) or hz", FrequencyUnit.RADIAN_PER_SECOND
+        "",
+        "unit of the frequencies: rad/s (as in Yacef et al., eq. (11)) or hz",
+        FrequencyUnit.RADIAN_PER_SECOND,
     )
     speed: Number = quantity("m/s", "steady wind added to the means", 0.0, ge=0, sound=_WIND)
     direction: Number = quantity(
@@ -291,17 +293,17 @@ class Wind(Part):
     )
     file: Text | None = quantity(
         "",
-        "CSV file time_s,wind_x_m_per_s,wind_y_m_per_s in place of eq. (11)-(12); with height_m "
-        "in place of time_s, or after it with all heights at each time, the wind by height, held "
-        "beyond the lowest and the highest",
+        "CSV file time_s,wind_x_m_per_s,wind_y_m_per_s in place of wind.x and wind.y; with "
+        "height_m in place of time_s, or after it with all heights at each time, the wind by "
+        "height, constant below the lowest and above the highest",
         None,
     )
     series: WindSeries | None = quantity("", "the wind read from file", None)
     field: Text | None = late_quantity(
         "",
-        "file of a wind that varies from place to place, in place of eq. (11)-(12): NetCDF with CF "
-        "names and units, or CSV or Parquet with the columns x_m,y_m, perhaps z_m and time_s, then "
-        "wind_x_m_per_s,wind_y_m_per_s and perhaps wind_z_m_per_s",
+        "file of a wind that varies from place to place, in place of wind.x and wind.y: NetCDF "
+        "with CF names and units, or CSV or Parquet with the columns x_m,y_m, perhaps z_m and "
+        "time_s, then wind_x_m_per_s,wind_y_m_per_s and perhaps wind_z_m_per_s",
         None,
     )
     field_scale: Number = late_quantity(
@@ -361,18 +363,18 @@ class Wind(Part):
     def _has_one_profile(self) -> Self:
         if self.profile is not None and self.series is not None and self.series.heights:
             raise ValueError(
-                "profile has no part in a wind whose file has heights; leave profile out"
+                "profile cannot be used with a wind.file that has heights; leave profile out"
             )
         if self.profile is not None and self.grid is not None and self.grid.z:
             raise ValueError(
-                "profile has no part in a wind whose field has heights; leave profile out"
+                "profile cannot be used with a wind.field that has heights; leave profile out"
             )
         if self.file is not None and self.field is not None:
             raise ValueError("file and field both give the wind; leave one out")
         idle = "field_scale" if self.field_scale != 1.0 else "beyond"
         is_idle = self.field_scale != 1.0 or self.beyond is not Beyond.REFUSE
         if is_idle and self.field is None and self.grid is None:
-            raise ValueError(f"{idle} has no part in a wind without field; leave {idle} out")
+            raise ValueError(f"{idle} is used only with wind.field; leave {idle} out")
         return self
 
     def complaints(self, place: tuple[float, float, float]) -> Iterator[str]:

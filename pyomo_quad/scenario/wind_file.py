@@ -173,6 +173,7 @@ def _read_row(keys: tuple[str, ...], cells: list[str], line: int, place: str) ->
             kind = key.partition("_")[0]
             refuse(
                 place,
-                f"line {line} is of {number:g} {unit}; {kind}s must be within {most:g} {unit}",
+                f"line {line} has a {kind} of {number:g} {unit}; {kind}s must be "
+                f"within {most:g} {unit}",
             )
     return numbers

@@ -114,7 +114,7 @@ def disagreement(aims: "pd.DataFrame") -> tuple[str, ...]:
     energy, least = aims[AimColumn.ENERGY]
     line = (
         f"mission.aim: the flight of least energy draws {100.0 * charge_beyond_least(aims):.2g} % "
-        "more charge than need be, by swings of power that the pack pays for; "
-        f'mission.aim = "charge" draws the least, for {least - energy:.3g} J more energy.'
+        "more charge than necessary, because changes of power increase the losses in the pack; "
+        f'mission.aim = "charge" draws the least and spends {least - energy:.3g} J more energy.'
     )
     return (line,)

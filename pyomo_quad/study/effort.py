@@ -122,7 +122,7 @@ class Effort:
         if not self.features:
             return f"{said}."
         parts = ", ".join(f"{name} {_rounded(spent)} s" for name, spent in self.features)
-        return f"{said}; dearest first: {parts}."
+        return f"{said}; longest first: {parts}."
 
 
 def _rounded(seconds: float) -> str:

@@ -19,7 +19,7 @@ _OF_THE_PLAN = (
     replanned_name(Knowledge.TOLD),
     replanned_name(Knowledge.ESTIMATED),
 )
-_WITHOUT_RISK = "planned without a risk, which leaves nothing to the controller"
+_WITHOUT_RISK = "planned without mission.risk, so without margins for the controller"
 
 
 def limit_lines(plan: Plan, flights: Sequence[Flight]) -> Iterator[str]:
@@ -49,14 +49,17 @@ def limit_lines(plan: Plan, flights: Sequence[Flight]) -> Iterator[str]:
 def _risk_words(risk: RiskTaken | None, flight: Flight) -> str:
     """Return in words whether the plan's risk covers the limits that a flight breaks."""
     if flight.name == OPTIMAL:
-        return "the plan itself, whose accuracy allows no more"
+        return "the plan itself, beyond the error that its accuracy allows"
     if risk is None:
         return _WITHOUT_RISK
     if flight.name not in _OF_THE_PLAN:
-        return f"the plan's risk of {risk.asked:g} is about other flights"
+        return f"the plan's risk of {risk.asked:g} does not apply to this flight"
     seen = f"{risk.failed} of {risk.flown} flights of the plan broke a limit"
     new = [words for words in flight.broken_limits if not words.startswith(tuple(risk.limiting))]
     if not new:
-        return f"covered by the plan's risk: {seen}, this one among the most frequent"
+        return f"covered by the plan's risk: {seen}, this limit among the most frequent"
     first = new[0].rpartition(" by ")[0] or new[0]
-    return f"not covered by the plan's risk of {risk.asked:g}: {seen}, {first} not most often"
+    return (
+        f"not covered by the plan's risk of {risk.asked:g}: {seen}, {first} not among the most "
+        "frequent"
+    )

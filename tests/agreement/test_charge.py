@@ -58,7 +58,7 @@ def test_a_run_compares_the_aims_and_says_where_they_part():
     apart = pd.DataFrame(found)
     apart.loc[0, "charge_Ah"] = 1.02 * least_charge
     (line,) = disagreement(apart)
-    assert "draws 2 % more charge than need be" in line
+    assert "draws 2 % more charge than necessary" in line
     assert 'mission.aim = "charge"' in line
     apart.loc[0, "charge_Ah"] = 1.004 * least_charge
     assert disagreement(apart) == ()

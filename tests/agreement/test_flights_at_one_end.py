@@ -260,7 +260,7 @@ def test_a_plan_that_its_pack_cannot_feed_is_held_to_what_the_pack_gives():
     plan, cell = PLANNER.solve(told), told.battery
     assert plan.is_verified
     assert plan.scenario == told
-    assert plan.attempts[-1].startswith("pack held to 94 % of its greatest power")
+    assert plan.attempts[-1].startswith("power limited to 94 % of the pack's greatest")
     power, left = plan.dynamics.table(
         (("power.total", None), ("battery.state_of_charge", None)),
         plan.flown.t,

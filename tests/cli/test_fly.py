@@ -165,9 +165,15 @@ def test_a_plan_is_flown_many_times_from_its_report(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "found"),
     [
-        (["--flights", "5"], "all 5 flights would be the same; must have something to draw"),
-        (["--flights", "5", "--controller", "mpc"], "--flights are of the declared vehicle under"),
-        (["--flights", "5", "--reference", "step"], "--flights follow the plan, not another"),
+        (["--flights", "5"], "all 5 flights would be the same, because nothing in the scenario is"),
+        (
+            ["--flights", "5", "--controller", "mpc"],
+            "--flights simulates only the declared vehicle",
+        ),
+        (
+            ["--flights", "5", "--reference", "step"],
+            "--flights follows the plan and takes no other",
+        ),
     ],
 )
 def test_flights_that_cannot_be_many_are_one_line(options, found, tmp_path, capsys):

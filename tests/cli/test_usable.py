@@ -27,7 +27,7 @@ def test_ctrl_c_leaves_a_usable_plan_that_is_refined_later(tmp_path, monkeypatch
         stopped.setattr(solving, "live_line", lambda **_: nullcontext(stop))
         said = main(["solve", PAPER_CALM, "--out", str(folder), *NO_FIGURES])
     assert said == ExitCode.VERIFIED
-    assert "paper_calm: usable: Flown open loop" in capsys.readouterr().err
+    assert "paper_calm: usable: Flown in open loop" in capsys.readouterr().err
     summary = json.loads((folder / "summary.json").read_text())
     assert (summary["status"], summary["accuracy"]["asked"]) == ("usable", "proof")
     assert summary["terminal_miss_m"] <= 0.1
@@ -39,7 +39,10 @@ def test_ctrl_c_leaves_a_usable_plan_that_is_refined_later(tmp_path, monkeypatch
     assert refined["energy_J"] == pytest.approx(709.65279, rel=1e-6)
     capsys.readouterr()
     assert main(["solve", "--continue", str(later)]) == ExitCode.BAD_INPUT
-    assert "accuracy = proof was reached; --continue needs a higher one" in capsys.readouterr().err
+    assert (
+        "accuracy = proof was reached; --continue needs a higher accuracy"
+        in capsys.readouterr().err
+    )
 
 
 def interrupted(monkeypatch, is_time):

@@ -464,7 +464,7 @@ def test_px4_logs(tmp_path, capsys, monkeypatch):
     assert "has no topic vehicle_local_position; log it." in refused(capsys, broken)
     short = tmp_path / "short.ulg"
     short.write_bytes(good.read_bytes()[:12])
-    assert "is no whole PX4 log; copy it anew." in refused(capsys, short)
+    assert "is not a complete PX4 log; copy it again." in refused(capsys, short)
     bare = tmp_path / "bare.ulg"
     bare.write_bytes(ulog({"battery_status": (("voltage_v", "current_a"), [(0, 22.0, 9.0)])}))
     assert "has no topic vehicle_local_position; log it." in refused(capsys, bare)

@@ -163,7 +163,7 @@ def test_what_cannot_be_of_a_place_is_told_in_one_line(case, tmp_path, monkeypat
         (ZONES, "is by latitude and longitude; give mission.origin"),
         (
             "mission.goal.position = { latitude = 47.4, longitude = 8.5, height = 2.0 }",
-            "has a latitude, and nothing says where x = y = 0 is; give mission.origin",
+            "has a latitude, which needs the position of x = y = 0; give mission.origin",
         ),
     ],
 )

@@ -62,7 +62,7 @@ def test_a_sweep_writes_store_tables_and_report_and_goes_on_when_run_again(
     monkeypatch.setattr("pyomo_quad.sweep.process_workers", in_this_process)
     assert run(study, folder) == 0
     shown = capsys.readouterr()
-    assert "1 cases finished, 0 failed, 10 were there" in shown.out
+    assert "1 cases finished, 0 failed, 10 finished before" in shown.out
     assert "extended: axis mission.duration: 10 values 4.0 to 13.0 -> 11 values 4.0" in shown.err
     assert len(rows(folder)) == 11
 

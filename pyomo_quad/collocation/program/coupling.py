@@ -140,13 +140,13 @@ class CouplingWriter(TemplateWriter):
         is_end = reader.addresses.of(data).time in (declared[0], declared[-1])
         if not data.is_variable_type():
             raise TranscriptionError(
-                f"{data.name}: a parameter over {name} at a single time cannot stand in what "
-                "couples horizons; use a parameter without time."
+                f"{data.name}: a parameter over {name} at a single time cannot appear in "
+                "an equation that couples horizons; use a parameter without time."
             )
         if not is_end and not self._in_objective:
             raise TranscriptionError(
-                f"{data.name}: couples horizons at a time that is no boundary of {name}, which "
-                f"runs from {declared[0]:g} to {declared[-1]:g}; introduce a static variable "
+                f"{data.name}: couples horizons at a time inside {name}; must be at one of its "
+                f"ends, {declared[0]:g} or {declared[-1]:g}; introduce a static variable "
                 "equal to it."
             )
 

@@ -165,7 +165,7 @@ _INSTEAD = {
 }
 _INSTEAD_OVER_TIME = {
     "Block": "index the variables and constraints inside one block by time",
-    "Objective": "let one Objective hold an Integral over time, or values at single times",
+    "Objective": "declare one Objective with an Integral over time, or values at single times",
 }
 
 

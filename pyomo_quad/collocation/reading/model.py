@@ -520,7 +520,7 @@ class ModelReader:
             where = self.copy.time.name if self.copy.others else "model"
             raise TranscriptionError(
                 f"{where}: nothing to solve for; declare a Var that is not fixed and an active "
-                "Constraint or Objective that holds it."
+                "Constraint or Objective that contains it."
             )
 
     def _require_dynamics(self, equations: list[PathEquation]) -> None:
@@ -536,7 +536,7 @@ class ModelReader:
             # variable.
             if state.component not in moving or state.name not in said:
                 raise TranscriptionError(
-                    f"{self._derivative_name(state)}: no equation over time holds this "
+                    f"{self._derivative_name(state)}: no equation over time contains this "
                     "derivative; declare its dynamics as an equality constraint."
                 )
 

@@ -147,9 +147,9 @@ class LiveModel:
         held = {variable[self._addresses.join(variable, index, t)].value for t in self.times}
         if len(held) > 1:
             raise TranscriptionError(
-                f"{indexed_name(variable.name, index)}: is fixed to other values at other declared "
-                "times, which leaves open what holds between; make it a Param over time with "
-                "initialize= a function of time."
+                f"{indexed_name(variable.name, index)}: is fixed to different values at "
+                "different declared times, and its value between them is unknown; make it a "
+                "Param over time with initialize= a function of time."
             )
 
     def variable(self, slot: Slot, time: float | None = None) -> float | None:

@@ -74,8 +74,8 @@ def _refuse_sum(objective: Any, time: Any, copy: WorkingCopy) -> None:
         if is_control and all(_is_alike(cost, key, first, other) for other in others):
             raise TranscriptionError(
                 f"{objective.name}: sums {indexed_name(*key)} over the {len(at_instants)} declared "
-                f"instants of {time.name} only, which are no points of the solution; declare an "
-                f"Integral over {time.name}, and let the objective hold that."
+                f"instants of {time.name} only, which are not the points of the solution; declare "
+                f"an Integral over {time.name}, and use it in the objective."
             )
 
 

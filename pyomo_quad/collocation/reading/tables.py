@@ -363,8 +363,8 @@ def _sampled(function: Any, stated: Sequence[Any], owner: str) -> Spline:
         if miss <= _ACCURACY:
             return spline
     raise TranscriptionError(
-        f"{name} in {owner}: a smooth interpolant through {count} samples of each argument misses "
-        f"its function by {miss:.1e} of its size; give the points that it bends at as a Table."
+        f"{name} in {owner}: a smooth interpolant through {count} samples of each argument has a "
+        f"relative error of {miss:.1e}; give points of the function, with its bends, as a Table."
     )
 
 

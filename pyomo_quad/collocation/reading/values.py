@@ -140,8 +140,8 @@ class ModelValues:
         }
         if self._declared.clock.is_free and any(callable(v) for v in named.values()):
             raise TranscriptionError(
-                "parameters: a function of time cannot be given where the times are free, which "
-                "moves it; declare it as the parameter's rule."
+                "parameters: a function of time is not allowed if times are free, because they "
+                "move its values; declare the function as the parameter's rule."
             )
         for name in named.keys() - self._known:
             if not self._source.has(name):

@@ -360,8 +360,8 @@ class TemplateWriter:
         if is_state and not is_same:
             return None
         raise TranscriptionError(
-            f"{slot.name}: its bounds were changed at every declared time, which leaves open what "
-            "holds between; declare it with bounds= for all times, or write a Constraint for some."
+            f"{slot.name}: its bounds were changed at every declared time, and are unknown between "
+            "these; declare it with bounds= for all times, or write a Constraint for some times."
         )
 
     def declared_bounds(self, data: Any) -> tuple[float | None, float | None]:
@@ -633,7 +633,7 @@ def _refuse_number(name: str, error: Exception | None = None) -> NoReturn:
     """Raise the error for a rule that reads a free time as a number."""
     told = "" if error is None else f" ({raised(error)})"
     raise TranscriptionError(
-        f"{name}: its rule reads its time as a number, which a free time moves{told}; "
+        f"{name}: its rule reads its time as a number, which changes with a free time{told}; "
         "compare it with declared times only, and calculate with Pyomo's functions."
     ) from error
 

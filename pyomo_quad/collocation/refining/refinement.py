@@ -328,8 +328,8 @@ class _Refinement(Generic[S]):
         if _is_lost(records):
             why = (
                 f"the last two took {records[-2].iterations} and {records[-1].iterations} "
-                f"iterations and gained nothing; {_most_moved(solution, self.before)}begin from a "
-                "better guess, or let the controls' squares cost a little."
+                f"iterations without progress; {_most_moved(solution, self.before)}start from a "
+                "better guess, or add a small cost of the squared controls to the objective."
             )
         return solution.updated(
             status=Status.TOLERANCE_NOT_MET,
@@ -528,8 +528,9 @@ def _doubted(solution: S) -> S:
     return solution.updated(
         status=Status.TOLERANCE_NOT_MET,
         message=(
-            "by Pontryagin's principle another control gains more than the tolerance, but no "
-            "optimum was found from it; begin from another guess, or try `starts=6`."
+            "by Pontryagin's principle another control improves the objective by more than the "
+            "tolerance, but no optimum was found from it; start from another guess, or try "
+            "`starts=6`."
         ),
     )
 
@@ -582,7 +583,7 @@ def _most_moved(solution: Outcome, before: tuple[Solution | None, ...]) -> str:
         point = int(shares[:, k].argmax())
         time = float(part.timeline.time(mesh.point_fractions[point]))
         name = part.problem.compiled.declared.algebraics[k].name
-        line = f"{name} still moves, at {time:.4g} by {shares[point, k]:.0%} of its range: "
+        line = f"{name} still changes, at time {time:.4g} by {shares[point, k]:.0%} of its range; "
         found.append((means[k], line))
     return max(found)[1] if found else ""
 

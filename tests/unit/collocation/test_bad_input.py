@@ -120,7 +120,7 @@ def test_a_model_scaled_before_it_is_discretised(m):
 
 def test_derivative_without_dynamics(m):
     m.balance.deactivate()
-    refused(m, "dx_dt: no equation over time holds this derivative; declare its dynamics")
+    refused(m, "dx_dt: no equation over time contains this derivative; declare its dynamics")
 
 
 def test_derivative_of_an_indexed_state_without_dynamics(m):
@@ -129,7 +129,7 @@ def test_derivative_of_an_indexed_state_without_dynamics(m):
     m.motion = Constraint(m.t, rule=lambda m, t: m.dy_dt[1, t] + 0 * m.y[2, t] == m.u[t])
     m.ends = Constraint([1, 2], rule=lambda m, k: m.y[k, 1] == 0)
     m.steady = Constraint(m.t, rule=lambda m, t: m.dy_dt[2, t] <= 1)
-    refused(m, r"dy_dt\[2\]: no equation over time holds this derivative")
+    refused(m, r"dy_dt\[2\]: no equation over time contains this derivative")
 
 
 def test_fixed_ends_without_a_control(m):
@@ -278,7 +278,9 @@ def test_a_function_by_pieces(m, kind):
 def test_an_objective_at_every_time(m):
     m.objective.deactivate()
     m.each = Objective(m.t, rule=lambda m, t: m.u[t] ** 2)
-    refused(m, "^each: Objective indexed by t is not supported; let one Objective hold an Integ")
+    refused(
+        m, "^each: Objective indexed by t is not supported; declare one Objective with an Integ"
+    )
     m.each.deactivate()
     m.objective.activate()
     compile(m)

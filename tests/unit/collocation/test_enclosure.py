@@ -51,5 +51,5 @@ def test_nought_in_a_divisor_leaves_everything_open():
 
 def test_an_operation_without_enclosure_is_refused():
     x, c = symbols("x", "c")
-    with pytest.raises(TranscriptionError, match="of CasADi has none here"):
+    with pytest.raises(TranscriptionError, match="of CasADi has no interval arithmetic"):
         Enclosure([casadi.sin(x)], [x], [c])

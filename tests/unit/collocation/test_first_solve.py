@@ -223,7 +223,7 @@ def test_what_fails_on_every_mesh_is_told_of_the_first(monkeypatch):
     assert solution.mesh == RefinementOptions().first_mesh
     # The verdict is of the first mesh, though others were tried after it.
     assert any(mesh != solution.mesh for mesh in meshes)
-    assert solution.message.startswith("infeasible: the least violation of all equations")
+    assert solution.message.startswith("infeasible: the point of least violation")
     assert any(f"{name} at time" in solution.message for name in ("motion", "force", "slow"))
 
 

@@ -250,7 +250,7 @@ def test_a_condition_that_reads_a_free_time_as_a_number():
     m.wave = Constraint(m.t, rule=lambda m, t: m.x[t] <= math.exp(t) if t == 1 else Constraint.Skip)
     refused(
         m,
-        r"^wave\[1\]: its rule reads its time as a number, which a free time moves; compare",
+        r"^wave\[1\]: its rule reads its time as a number, which changes with a free time; compare",
         {1: m.T1, 2: m.T2},
     )
 

@@ -347,7 +347,9 @@ def test_coupling_at_a_time_that_is_no_boundary():
     leg(m.first, (None, None), declared=(0, 0.5, 1))
     leg(m.second, (None, None))
     m.halfway = Constraint(expr=m.first.x[0.5] == m.second.x[0])
-    refused(m, r"^first.x\[0.5\]: couples horizons at a time that is no boundary of first.t, which")
+    refused(
+        m, r"^first.x\[0.5\]: couples horizons at a time inside first.t; must be at one of its ends"
+    )
 
 
 def test_a_value_of_another_horizon_over_time():
@@ -361,7 +363,8 @@ def test_a_parameter_of_one_horizon_in_what_couples():
     m.wind = Param(m.first.t, initialize=lambda m, t: t, mutable=True)
     m.odd = Constraint(expr=m.wind[1] * m.first.x[1] <= m.second.x[0])
     refused(
-        m, r"^wind\[1\]: a parameter over first.t at a single time cannot stand in what couples"
+        m,
+        r"^wind\[1\]: a parameter over first.t at a single time cannot appear in an equation",
     )
 
 
@@ -382,7 +385,7 @@ def test_a_mesh_for_one_of_several():
 
 def test_what_is_said_of_one_horizon_only():
     m = least_effort()
-    refused(m, "^horizon: the model has several, first.t, second.t; let static", horizon=(0, 2))
+    refused(m, "^horizon: the model has several, first.t, second.t; give their", horizon=(0, 2))
     refused(m, "^starts: 3; must be 1 with several horizons, first.t, second.t; give", starts=3)
 
 

@@ -199,7 +199,7 @@ def test_settings_that_break_a_limit_cost_more_than_their_energy():
         )
         for rate in (12.0, 1.0)
     )
-    assert any("hold place 1" in limit for limit in fast.broken)
+    assert any("hover waypoint 1" in limit for limit in fast.broken)
     assert fast.cost_J > 1.5 * fast.energy_J
     assert slow.broken == ()
     assert all(one.reached.speed <= one.settings.speed for one in (slow, fast))

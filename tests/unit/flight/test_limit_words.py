@@ -38,7 +38,7 @@ def dynamics():
 
 @pytest.fixture(scope="module")
 def breaches(dynamics):
-    """Return every limit at a state that breaks many: far from the hold place, fast and rolled."""
+    """Return every limit at a state that breaks many: far from a hover waypoint, fast, rolled."""
     t = np.array([1.0, 3.0, 6.0])
     states = np.full((len(t), len(dynamics.state_names)), 3.0)
     return dynamics.violations(t, states, np.zeros((len(t), len(dynamics.control_names))))
@@ -55,9 +55,9 @@ def test_every_limit_of_the_declared_model_has_words(breaches):
 def test_broken_limits_are_told_in_the_missions_words_and_units(dynamics, breaches):
     said = dict(line.rsplit(" by ", 1) for line in broken_limits(dynamics, breaches, {}, 1e-4))
     # Speed 3 sqrt(3) m/s where 0.1 m/s is hovering; the centre of a ball of 1 m.
-    assert said["speed at hold place 1"] == f"{3 * np.sqrt(3.0) - 0.1:.2g} m/s"
+    assert said["speed at hover waypoint 1"] == f"{3 * np.sqrt(3.0) - 0.1:.2g} m/s"
     away = np.linalg.norm(np.subtract(3.0, STOP["position"]))
-    assert said["distance from hold place 1"] == f"{away - 0.05:.2g} m"
+    assert said["distance from hover waypoint 1"] == f"{away - 0.05:.2g} m"
     assert said["keep-out church"] == "1 m"
     assert not any("**" in amount for name, amount in said.items())
 
@@ -71,7 +71,7 @@ def test_limits_of_ones_own_keep_name_and_unit():
     ("name", "said"),
     [
         ("rotors.omega[2]", "speed of rotor 2"),
-        ("mission.hold_speed[0]", "speed at hold place 1"),
+        ("mission.hold_speed[0]", "speed at hover waypoint 1"),
         ("airspace.keep_out[mast-2.a]", "keep-out mast-2.a"),
         ("airspace.keep_out[3]", "keep-out 3"),
     ],

@@ -264,7 +264,7 @@ def test_a_flight_past_the_waypoints_themselves_leads_to_one_within_their_radius
     mission = Solves(DONE, plainly=Pretended(Status.CONVERGED, path("plain")))
     _, record = retried(mission)
     assert mission.guesses == ["plain"]
-    assert record[-1] == "by way of the waypoints themselves: converged"
+    assert record[-1] == "from a flight exactly through the waypoints: converged"
 
 
 def test_a_slow_flight_is_sped_up_when_that_guess_fails(diagnosed):
@@ -503,7 +503,7 @@ def test_without_zones_waypoints_within_a_radius_are_passed_by_way_of_themselves
     (plain,) = plain_flights
     assert plain.status.is_solved
     assert guesses[0] is plain.trajectory
-    assert plan.attempts[1].startswith("by way of the waypoints themselves")
+    assert plan.attempts[1].startswith("from a flight exactly through the waypoints")
     assert plan.status is PlanStatus.SOLVED
 
 

@@ -165,9 +165,9 @@ def taken(**found):
 def test_a_risk_that_cannot_be_had_says_how_much_limits_it_and_what_would_help():
     said = taken(limiting=("speed at the end", "floor"), advice="weaker turbulence").words(410.0)
     assert said == (
-        "A risk of 0.01 cannot be had: by the plan of the least risk found 31 of 200 flights that "
-        "had no part in the plan broke a limit, most often speed at the end; what would help: "
-        "weaker turbulence; the margins cost 10 J (2.5 %)."
+        "A risk of 0.01 cannot be reached: with the plan of least risk, 31 of 200 test flights, "
+        "which planning did not use, broke a limit, most often speed at the end; possible "
+        "remedies: weaker turbulence; the margins cost 10 J (2.5 %)."
     )
 
 
@@ -188,11 +188,11 @@ def test_a_plan_without_the_risk_asked_for_has_a_status_of_its_own(status, capsy
         failure=None,
         message="stopped",
         risk=taken(advice="weaker turbulence"),
-        risk_words="A risk of 0.01 cannot be had",
+        risk_words="A risk of 0.01 cannot be reached",
     )
     assert exit_code_of(plan) == ExitCode.RISK_NOT_HAD
     complain_about(plan, tmp_path, ())
-    assert "A risk of 0.01 cannot be had" in capsys.readouterr().err
+    assert "A risk of 0.01 cannot be reached" in capsys.readouterr().err
     # Nobody asked for the risk of a free duration.
     plan.scenario = mission(duration="free")
     assert exit_code_of(plan) == ExitCode.VERIFIED
@@ -325,5 +325,5 @@ def test_a_risk_that_cannot_be_had_is_answered_by_what_limits_it():
     plan = plan_at_risk(told, PLANNER)
     assert not plan.risk.is_had
     assert plan.risk.limiting
-    assert "cannot be had" in plan.risk_words
+    assert "cannot be reached" in plan.risk_words
     assert plan.risk.advice in plan.risk_words

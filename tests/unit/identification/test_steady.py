@@ -138,7 +138,7 @@ def test_the_command_writes_a_vehicle_that_a_scenario_takes(folder, capsys):
     assert main(["identify", "--steady", str(file), *base]) == 0
     said = capsys.readouterr()
     assert "vehicle.induced_power_factor = 1." in said.out
-    assert "all points carry the same" in said.err
+    assert "all points have the same payload" in said.err
     fitted = vehicle_scenario(str(out / "vehicle.toml"))
     told = json.loads((out / "summary.json").read_text())["parameters"]
     assert fitted.vehicle.drag_quadratic == pytest.approx(told["drag_quadratic"]["value"], rel=1e-5)

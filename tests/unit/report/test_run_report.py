@@ -317,7 +317,7 @@ def test_the_limit_that_a_flight_breaks_stands_below_the_table(tmp_path):
     kept = run.comparison["flight"] != flight.name
     run.comparison["limits_kept"] = kept
     text = write(tmp_path, run)
-    line = f"{flight.name} breaks a limit: zones.keep_out[mast] by 0.085 m (planned without a risk"
+    line = f"{flight.name} breaks a limit: zones.keep_out[mast] by 0.085 m (planned without mission"
     assert line in text.replace("\\", "")
     # In a narrow column a name goes on behind its joints, and nowhere else.
     page = render_html(line, is_good=True, pictures={}, views={}, data="")

@@ -95,7 +95,7 @@ def test_every_angle_can_be_in_degrees():
     [
         (
             ["wind.from=270", "wind.direction=1.0"],
-            r"wind.direction and wind.from say",
+            r"wind.direction and wind.from give",
         ),
         (["wind.from='west'"], r'wind.from = "west"; must be a number from .* degrees'),
         (["wind.speed_deg=3"], "unknown key wind.speed_deg"),
@@ -119,7 +119,7 @@ def test_places_and_angles_that_cannot_be_are_refused(overrides, line):
 
 def test_a_latitude_needs_an_origin():
     goal = {"position": ZURICH}
-    with pytest.raises(ScenarioError, match=r"has a latitude, and nothing says .*mission.origin"):
+    with pytest.raises(ScenarioError, match=r"has a latitude, which needs .*mission.origin"):
         told({"goal": goal})
 
 

@@ -169,8 +169,8 @@ def test_fields_that_cannot_be_are_refused(tmp_path, write, line):
     ("wind", "line"),
     [
         ({"field": "w.csv", "file": "t.csv"}, "file and field both give the wind; leave one out"),
-        ({"field_scale": 2.0}, "field_scale has no part in a wind without field; leave"),
-        ({"beyond": "hold"}, "beyond has no part in a wind without field; leave beyond out"),
+        ({"field_scale": 2.0}, "field_scale is used only with wind.field; leave"),
+        ({"beyond": "hold"}, "beyond is used only with wind.field; leave beyond out"),
         ({"field": "w.txt"}, "is of no known kind; must be .*parquet"),
         ({"grid": {"x": [0.0, 1.0]}}, "wind.grid.x is not set by hand; name a NetCDF, CSV or Par"),
     ],

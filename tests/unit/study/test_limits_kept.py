@@ -14,7 +14,7 @@ RISK = RiskTaken(
     flown=200,
     is_had=True,
     paper_energy_J=1.0,
-    limiting=("speed at hold place 1",),
+    limiting=("speed at hover waypoint 1",),
 )
 
 
@@ -37,10 +37,15 @@ def test_flights_that_keep_their_limits_take_one_line_together_and_none_beside_o
 @pytest.mark.parametrize(
     ("name", "broken", "risk", "words"),
     [
-        ("mpc/told", "speed at hold place 1 by 0.17 m/s", None, "planned without a risk"),
-        ("mpc/told", "speed at hold place 1 by 0.17 m/s", RISK, "covered by the plan's risk: 2 of"),
+        ("mpc/told", "speed at hover waypoint 1 by 0.17 m/s", None, "planned without mission.risk"),
+        (
+            "mpc/told",
+            "speed at hover waypoint 1 by 0.17 m/s",
+            RISK,
+            "covered by the plan's risk: 2 of",
+        ),
         ("adaptive/plan", "roll angle by 0.1 rad", RISK, "not covered by the plan's risk of 0.01"),
-        ("adaptive/cruise 6 m/s", "floor by 1 m", RISK, "is about other flights"),
+        ("adaptive/cruise 6 m/s", "floor by 1 m", RISK, "does not apply to this flight"),
         ("optimal", "floor by 1e-6 m", RISK, "the plan itself"),
     ],
 )

@@ -275,7 +275,7 @@ def test_a_control_fixed_to_other_numbers_at_other_times_is_refused():
     problem = compile(m)
     assert problem.solve().value(m.x, 1.0) == pytest.approx(0.5 + 0.5 * np.exp(-1), rel=1e-6)
     m.u[1].fix(0.7)
-    with pytest.raises(TranscriptionError, match=r"^u: is fixed to other values at other declared"):
+    with pytest.raises(TranscriptionError, match=r"^u: is fixed to different values at different"):
         problem.solve()
 
 

@@ -217,7 +217,9 @@ def test_functions_that_cannot_be_tabulated_are_refused():
     def kinked(h):
         return float(np.interp(float(h), [0, 700, 2000], [0.004, 0.001, 0.0]))
 
-    with pytest.raises(TranscriptionError, match=r"drag in pull.* misses its function .*a Table"):
+    with pytest.raises(
+        TranscriptionError, match=r"drag in pull.* has a relative error of .*a Table"
+    ):
         solve(falling(ExternalFunction(kinked)))
     unbounded = falling(ExternalFunction(float))
     unbounded.h.setub(None)

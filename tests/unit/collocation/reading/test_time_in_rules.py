@@ -375,14 +375,16 @@ def test_time_has_a_derivative_where_the_end_is_free(m):
     ],
 )
 def test_a_number_is_refused_where_the_end_is_free(m):
-    with pytest.raises(TranscriptionError, match="its rule reads its time as a number, which a"):
+    with pytest.raises(
+        TranscriptionError, match="its rule reads its time as a number, which changes"
+    ):
         solve(m, final_time=m.end)
 
 
 def test_a_function_of_time_is_refused_where_the_end_is_free():
     m = with_free_end(lambda m, t: m.p[t], rule=lambda _m, t: 1 + t)
     problem = compile(m, final_time=m.end)
-    with pytest.raises(TranscriptionError, match="a function of time cannot be given where the"):
+    with pytest.raises(TranscriptionError, match="a function of time is not allowed if times are"):
         problem.solve(parameters={"p": lambda t: t})
 
 
@@ -419,7 +421,9 @@ def test_dynamics_for_a_part_of_the_time_are_refused():
     m = mover(plain)
     m.del_component(m.motion)
     m.motion = Constraint(m.t, rule=lambda m, t: m.dx[t] == m.u[t] if t < 0.5 else Constraint.Skip)
-    with pytest.raises(TranscriptionError, match="dx: no equation over time holds this derivative"):
+    with pytest.raises(
+        TranscriptionError, match="dx: no equation over time contains this derivative"
+    ):
         solve(m)
 
 

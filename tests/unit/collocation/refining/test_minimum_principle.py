@@ -75,7 +75,7 @@ def test_what_could_not_be_improved_says_so(monkeypatch):
     monkeypatch.setattr(limit, 0)
     solution = compile(two_valleys(0.9)).solve(tolerance=1e-6)
     assert solution.status is Status.TOLERANCE_NOT_MET
-    assert "another control gains more than the tolerance" in solution.message
+    assert "another control improves the objective by more than the tolerance" in solution.message
 
 
 @pytest.mark.parametrize("problem", [bang_bang, bryson_denham])
