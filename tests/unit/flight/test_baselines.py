@@ -185,7 +185,7 @@ def test_a_hold_under_control_may_be_as_far_off_again_as_a_plan_may(off, is_kept
     controls = np.zeros((len(times), len(dynamics.control_names)))
     flown = Flown(t=times, states=states, controls=controls, energy=times)
     flight = assembled_flight("aside", told, dynamics, ((flown, flown),), None, 0.0)
-    broken = [limit for limit in flight.broken_limits if "hold" in limit]
+    broken = [limit for limit in flight.broken_limits if "hover" in limit]
     assert (broken == []) == is_kept
 
 
