@@ -91,7 +91,7 @@ def test_without_wind_barometer_and_events_the_air_is_still_and_dense(tmp_path):
         (lambda: log(("XKF1", "BARO")), "has no message BAT with Volt, Curr; log it"),
         (lambda: log(("BAT",)), "has no message XKF1 with VN, VE, VD; log it"),
         (lambda: log(current=0.0), "BAT has no current; fit a power module"),
-        (lambda: b"\x00" * 300, "ArduPilot log; copy it anew"),
+        (lambda: b"\x00" * 300, "is not a complete ArduPilot log; copy it again"),
     ],
 )
 def test_logs_that_lack_something_are_refused(content, told, tmp_path):
