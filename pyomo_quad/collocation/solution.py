@@ -577,8 +577,8 @@ class Solution(Outcome):
     def to_frame(self, times: Any = None) -> pd.DataFrame:
         """Return states, output states and algebraic variables as a table over time.
 
-        Output states are states that nothing else depends on, and no unknowns of the nonlinear
-        program.
+        Output states are states on which nothing else depends. They are not unknowns of the
+        nonlinear program; they are computed from its solution.
 
         Parameters
         ----------

@@ -45,11 +45,11 @@ class ProvenPlan:
     mission : Scenario
         The mission, with the plan's duration and passing times of waypoints.
     held : Trajectories
-        States and controls of the plan. If they were read from a report's table, each column serves
-        both as a state and as a control.
+        States and controls of the plan. A report's table does not say which of its columns are
+        states, so a plan read from one lists every column as a state and as a control.
     is_paper_plan : bool
-        Whether the scenario states no risk (`mission.risk`), so that the plan keeps no margins
-        from its limits, and a controller that corrects disturbances may break a limit.
+        True if the scenario states no risk (`mission.risk`). The plan then goes up to its limits
+        without margins, and a controller that corrects disturbances may break them.
     """
 
     mission: Scenario

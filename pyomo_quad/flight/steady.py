@@ -246,9 +246,9 @@ class SteadyFlight:
     def _circuit_under_load(self, trim: Trim, drawn: FloatArray) -> FloatArray | None:
         """Return relaxation voltage [V] and temperature [K] of the pack under a steady load.
 
-        The result has a row for each of the n charges `drawn`, shape (n, n_circuit). Beyond the
-        last charge that the pack can give, the rows repeat those of this charge. None if the model
-        has neither quantity.
+        Row k holds both after the charge `drawn[k]` was drawn, shape (n, n_circuit). For a charge
+        larger than the pack can give under this load, the row of the largest possible charge is
+        repeated. A circuit that models only one of the two has one column; None if it models none.
         """
         own, charge = self._circuit, self._dynamics.state_names.index(CHARGE_STATE)
         if not own:

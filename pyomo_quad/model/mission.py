@@ -81,7 +81,8 @@ _TURNING = Parameter(
 def _passed(field: str, scenario: Scenario) -> dict[int, float]:
     """Return the values of one field of the waypoints, by waypoint number.
 
-    Default values are left out, so that they declare no parameter.
+    Waypoints at which the field has its default value are omitted, so that the model declares no
+    parameter for them.
     """
     default = Waypoint.model_fields[field].default
     values = {k: getattr(w, field) for k, w in enumerate(scenario.mission.waypoints)}

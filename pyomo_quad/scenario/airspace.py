@@ -66,7 +66,7 @@ class Ball(NamedTuple):
     normal: tuple[float, float] | None = None
 
     def coordinates(self, places: "ArrayLike") -> "FloatArray":
-        """Return the coordinates of places in which the ball's radius is measured.
+        """Return those coordinates of places that determine their distance from the ball's centre.
 
         A ball is a sphere (three coordinates), a vertical cylinder without ends (x and y) or an
         interval.
@@ -79,8 +79,8 @@ class Ball(NamedTuple):
         Returns
         -------
         ndarray, shape (..., n)
-            Coordinates [m]; n is the number of the ball's axes, or 1 for an interval across an
-            edge.
+            Coordinates [m]; n is 3 for a sphere, 2 for a cylinder and 1 for an interval, whose
+            coordinate is x, y, z or the distance along the normal of a polygon's edge.
         """
         import numpy as np  # noqa: PLC0415  reading a scenario does without it
 

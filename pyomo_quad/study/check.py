@@ -73,7 +73,9 @@ def pack_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
 
 
 def _limits_broken(scenario: Scenario, steady: SteadyFlight, bound: float) -> Iterator[Finding]:
-    """Yield the battery limits that even the mean power of the lower energy bound exceeds.
+    """Yield the battery limits that every flight of the mission must break.
+
+    A limit must be broken if it is below the least mean power: energy bound over duration.
 
     `bound` is a lower bound on the energy of every flight of the mission [J].
     """

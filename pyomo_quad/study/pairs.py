@@ -307,8 +307,9 @@ class Pairs:
     def turned(self, pair: FloatArray) -> list[FloatArray]:
         """Return copies of a pair rotated about the vertical, which have the same power.
 
-        A pair is a thrust and an airspeed, given as a result of `cheapest`. If the standing thrust
-        is not vertical, only the pair itself is returned.
+        A pair is a thrust and an airspeed, given as a result of `cheapest`. Power and balance are
+        symmetric about the vertical only if the thrust that holds the vehicle still (`standing`)
+        is vertical; otherwise only the pair itself is returned.
         """
         if np.any(self.standing[:2]):
             return [pair]

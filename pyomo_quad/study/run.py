@@ -363,9 +363,11 @@ def _priced(
 ) -> tuple[Flight, ...]:
     """Return the flights with their energy to complete, priced in the actual wind.
 
-    The energy to complete a flight from its end state to the goal state follows from the costates
-    of a plan. The costates of a plan for a forecast are valid in the forecast wind; the other
-    flights need those of a plan for the actual wind, which is solved here.
+    The energy to complete a flight from its end state to the goal state is computed with the
+    costates of a plan. The first flight is the plan itself and keeps its own costates, which are
+    valid in the forecast wind. The other flights were simulated in the actual wind: if that
+    differs from the forecast, another plan is solved for the actual wind, and its costates are
+    used for them.  Without a forecast all flights keep the plan's costates.
     """
     if scenario.wind.forecast is None or not flights:
         return flights

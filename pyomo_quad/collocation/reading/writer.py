@@ -384,8 +384,9 @@ class TemplateWriter:
     def _over_time(self, name: str, say: Callable[[Any], Statement]) -> tuple[list[Any], bool]:
         """Return the parts of a rule's result as functions of time, and whether it is an equality.
 
-        The rule is called once with a symbol for time. If that fails because the rule reads the
-        number, the rule is called at as many times as needed.
+        The parts are the two sides of an equation, or bounds and body of an inequality. The rule is
+        called once with a symbol for time. If that fails because the rule needs time as a number,
+        for example to compare it, the rule is called at as many times as needed.
 
         Parameters
         ----------
