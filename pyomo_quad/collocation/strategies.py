@@ -210,7 +210,7 @@ class Search(ABC, Generic[S]):
         return not found.status.has_failed
 
     def failure(self, last: S) -> S:
-        """Return the result if no strategy has succeeded: by default that of the last strategy."""
+        """Return the result to report when every strategy has failed: here the last one."""
         return last
 
 

@@ -416,7 +416,7 @@ def _height(item: _Item, home: GeodeticOrigin, notes: Counter[str]) -> float:
 
 
 def _apply(item: _Item, place: _Place, notes: Counter[str]) -> None:
-    """Apply a mission's command without a place, such as a delay, to the place before it."""
+    """Apply a command that has no position, such as a delay, to the place before the command."""
     if item.command == Command.DELAY:
         place.hold += _number(item.param(0), item.where, 0.0, _LONGEST_S)
     elif item.command == Command.DO_GRIPPER and item.param(1) == GRIPPER_OPENED:

@@ -394,7 +394,7 @@ class BacksteppingLoop:
         error_rate: Sequence[float],
         learnt: Sequence[float] = (0.0,) * _AXES,
     ) -> list[float]:
-        """Return the initial states of the loop, such that the compensated errors are zero.
+        """Return the initial states of the loop: those with compensated errors of zero.
 
         Parameters
         ----------

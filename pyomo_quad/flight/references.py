@@ -263,14 +263,21 @@ class PlannedPath:
         self._row = _Pieces(times, [CubicSpline(times, held).c, tilt_accelerations.c])
 
     def __call__(self, t: float) -> Setpoint:
-        """Return the setpoint at time t [s]; beyond the samples as of a `SampledPath`."""
+        """Return the setpoint at time t [s].
+
+        Beyond the samples, place and acceleration are those of the nearest end, and all rates are
+        zero, as on a `SampledPath`.
+        """
         row, is_inside = self._row(t)
         moving = (row[4:8], row[12:]) if is_inside else (_AT_REST, _AT_REST)
         return Setpoint(row[:4], moving[0], row[8:12], moving[1])
 
 
 class _Pieces:
-    """Polynomials between knots, joined into one: it costs no more to evaluate than a number."""
+    """Piecewise polynomials of several quantities on common knots, evaluated in one product.
+
+    Evaluating all quantities together costs no more than evaluating one of them.
+    """
 
     def __init__(self, knots: FloatArray, coefficients: Sequence[FloatArray]) -> None:
         self._knots: list[float] = knots.tolist()
@@ -280,7 +287,10 @@ class _Pieces:
         self._pieces = list(np.concatenate(rows, axis=2).swapaxes(0, 1))
 
     def __call__(self, t: float) -> tuple[list[float], bool]:
-        """Return the values at a time, held beyond the knots, and whether it is within them."""
+        """Return all quantities at time t [s], and whether t lies between the first and last knot.
+
+        Outside, the quantities are those at the nearest knot.
+        """
         held = min(max(t, self._knots[0]), self._knots[-1])
         k = min(bisect_right(self._knots, held), len(self._pieces)) - 1
         row = (held - self._knots[k]) ** self._exponents @ self._pieces[k]

@@ -173,7 +173,7 @@ class Transcription:
         return other
 
     def _hold(self, data: Data) -> None:
-        """Set the parameter values, and discard what was cached for other values."""
+        """Set the parameter values, and discard values cached for earlier parameters."""
         self.data = data
         self._path_data = data.at_points()
         self._point_data = data.parameters[None, :]
