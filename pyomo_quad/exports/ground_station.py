@@ -168,7 +168,7 @@ def mission(
     motion : Motion
         The plan's motion.
     path_error_m : float
-        Distance with which the legs were made, for the message.
+        Permitted distance with which `thin` made the legs, for the message.
 
     Raises
     ------

@@ -13,7 +13,7 @@ f_Q, f_R | capacity_factor, resistance_factor | - | state of health; only with b
 `battery_circuit` adds a slow drop and a temperature where the scenario gives them. Derivation and
 sources: see docs/theory/battery.md, eqs. (1) to (6).
 
-The power P is that of the chosen power model, so the energy of the flight is the energy that leaves
+P is the power of the chosen power model, so that the energy of the flight is the energy that leaves
 the pack. Declared units convert the ampere-seconds of eq. (4) to ampere-hours.
 
 Assumptions: no self-discharge, no entropic heat, an open-circuit voltage that does not depend on
@@ -95,7 +95,7 @@ def build_pack(scenario: Scenario) -> ConcreteModel:
     Parameters
     ----------
     scenario : Scenario
-        Only its battery is declared.
+        Scenario of which the model declares only the battery.
 
     Returns
     -------
@@ -154,8 +154,9 @@ def declare_battery(m: ConcreteModel, scenario: Scenario) -> None:
 def declare_loss(m: ConcreteModel) -> None:
     """Declare the energy lost inside the battery as a state, for missions that minimise the charge.
 
-    An objective of power plus this loss equals the charge drawn times the open-circuit voltage of
-    the start. See docs/theory/battery.md, eqs. (11) to (12).
+    The energy delivered plus this loss equals the charge drawn times the open-circuit voltage at
+    the start. A mission that minimises the charge has this sum as its objective. See
+    docs/theory/battery.md, eqs. (11) to (12).
 
     Parameters
     ----------

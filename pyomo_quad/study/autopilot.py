@@ -131,8 +131,9 @@ def fly_cruise(
 ) -> Flight:
     """Simulate a mission as an autopilot flies it, straight between waypoints.
 
-    The autopilot waits at the goal until the vehicle has arrived, at most the last of
-    `SETTLINGS_S`, and to the end of a mission of fixed duration.
+    The autopilot waits at the goal until the vehicle has arrived, but at most for the longest time
+    in `SETTLINGS_S` [s]. In a mission of fixed duration it waits at least to the end of the
+    mission.
 
     Parameters
     ----------
@@ -177,7 +178,7 @@ def _least(scenario: Scenario) -> float:
 def _end(scenario: Scenario, settings: CruiseSettings, flown: Flown, dynamics: Dynamics) -> float:
     """Return the time at which a flight has arrived, not before the mission's own time [s].
 
-    It is the end of the flight if the vehicle does not arrive.
+    If the vehicle does not arrive, the result is the end of the flight.
     """
     moving = cruise_at(scenario.cruising(settings)).mission.fixed_duration
     places, velocities = (
