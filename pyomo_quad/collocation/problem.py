@@ -385,7 +385,7 @@ class Problem(Summarised, Formulation):
         is_damped = damping is not None and damping.controls.size > 0
         if change is not None and multipliers is not None and not is_damped:
             # A small initial barrier parameter is not used with damping: controls on which the
-            # objective hardly depends are determined again only from a larger one.
+            # objective hardly depends are determined again only from a larger parameter.
             options = options.for_a_change(change * scaling.objective, kept.sides)
         if damping is not None and damping.gap and start.warm is not None:
             parameter = damping.gap * scaling.objective / kept.sides
@@ -422,7 +422,7 @@ class Problem(Summarised, Formulation):
         near : Solution
             Solution on any mesh, from which the search starts.
         mesh : Mesh
-            Mesh of the trajectory, usually finer than that of `near`.
+            Mesh of the trajectory, usually finer than the mesh of `near`.
         parameters, horizon
             As in `solve`.
         breach : float, default 0
@@ -463,7 +463,7 @@ class Problem(Summarised, Formulation):
         parameters, horizon
             As in `solve`.
         statics : ndarray, shape (n_statics,), optional
-            Values of the static variables (those without time); by default their values in the
+            Values of the static variables (variables without time); by default their values in the
             model, NaN where a variable has none.
 
         Returns

@@ -42,8 +42,8 @@ if TYPE_CHECKING:
 # Root mean square deviation, relative to the Hamiltonian's size, above which rounding and mesh
 # error cannot explain it.
 _SUSPICIOUS = 1e-2
-# As a fraction of the horizon, subtracted from a point's place: a point at the time of an interior
-# condition belongs to the part of the horizon that ends there.
+# Shift of a point towards the start, as a fraction of the horizon: a point at the time of an
+# interior condition then belongs to the part of the horizon that ends there.
 _JUST_BEFORE = 1e-9
 
 

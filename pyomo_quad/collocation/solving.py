@@ -53,7 +53,7 @@ class _WholeSolve(Search[S], Generic[S]):
     spent : int
         Iterations of the last solve from the warm start.
     has_ended : bool
-        Whether the last solve ended by itself rather than at its budget.
+        Whether the most recent solve ended by itself, and not because its budget was used up.
     """
 
     solve: Callable[[Start, Progress], S]

@@ -81,7 +81,7 @@ _NAMED = 3
 
 
 def judged(failed: Solution, found: LeastViolation) -> Solution:
-    """Return a failed solution moved to the point of least violation, with the verdict there.
+    """Return a failed solution moved to the point of least violation, with a verdict.
 
     Parameters
     ----------

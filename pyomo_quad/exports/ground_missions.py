@@ -1,7 +1,7 @@
 """Import of a ground station's mission as a scenario.
 
 The scenario has the mission's places, times of hover, headings, fence and rally points. The planner
-chooses the speeds and the paths between the places. The formats are those that
+chooses the speeds and the paths between the places. The module reads the formats that
 `exports.ground_station` writes; Mission Planner's text has neither fence nor rally points.
 """
 
@@ -101,7 +101,8 @@ class _File:
 class _Place:
     """Place that a mission flies to, in latitude and longitude, with the conditions there.
 
-    The fields are those of a scenario's waypoint; `is_opened_at` says whether a gripper opens.
+    The fields have the names and meanings of a scenario's waypoint; `is_opened_at` says whether a
+    gripper opens.
     """
 
     position: dict[str, float]

@@ -35,7 +35,7 @@ _AT_HOME = 1.0 * units.m
 _SLOWEST, _SPEED_WIDTH = 0.5 * units.m / units.s, 0.05 * units.m / units.s
 _STOPPED, _SQUARE_WIDTH = 0.25 * units.m**2 / units.s**2, 0.025 * units.m**2 / units.s**2
 # Sharpness of the smooth minimum over homes: where the charges of two returns differ by 1/200 of
-# the pack, the weight of the dearer return is smaller by a factor e.
+# the pack, the weight of the return with more charge is smaller by a factor e.
 _SHARPNESS = 200.0
 
 

@@ -156,7 +156,7 @@ def free_times(m: ConcreteModel, scenario: Scenario) -> dict[float, Any]:
 
 
 def _declare_waypoints(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare for each waypoint the time of its passage and the conditions there.
+    """Declare for each waypoint the time of its passage and the conditions at that time.
 
     The conditions are on position, heading, speed and time of hover, as the waypoint sets them.
     """

@@ -44,7 +44,7 @@ _TABLES: dict[str, Table] = {}
 def fields_of(table: str, *names: str, **renamed: str) -> tuple[Parameter, ...]:
     """Return the declaration of a model parameter for each of several scenario fields.
 
-    Unit and meaning of the parameter are those of the field in the schema of scenarios.
+    Each parameter has the unit and meaning of its field in the schema of scenarios.
 
     Parameters
     ----------

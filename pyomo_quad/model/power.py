@@ -214,7 +214,7 @@ def declare_motor_power(m: ConcreteModel, name: str) -> None:
     The model is valid at all speeds and torques of the motor. The copper loss grows with the square
     of the torque, so the power is convex in the rotor acceleration alpha and in thrust. With
     regeneration, braking returns the braking power less the loss in the winding. The rotor has no
-    profile drag, so the hover power is half that of a real aircraft.
+    profile drag, so the hover power is half the power of a real aircraft.
     """
     b = m.power
 

@@ -12,8 +12,8 @@ reaction of the body to the rotors' acceleration in the yaw balance. `paper` has
 equations: the Euler rates equal the body rates, which is correct to first order in the tilt, and
 the yaw balance has no reaction to the rotors' acceleration.
 
-The gyroscopic terms of the rotors are those of eq. (6); eq. (9) contradicts them in sign and in
-order of derivative. Balances are undivided, as printed.
+The gyroscopic terms of the rotors follow eq. (6); eq. (9) contradicts them in sign and in order of
+derivative. Balances are undivided, as printed.
 """
 
 from collections.abc import Callable

@@ -368,8 +368,8 @@ def _measured(components: Sequence[str], b: Block, t: float) -> NumericExpressio
 def _declare_shapes(b: Block, m: ConcreteModel, heights: FloatArray) -> None:
     """Declare the basis functions of height whose weighted sum is the wind measured over heights.
 
-    The functions are those of a cubic not-a-knot spline. Below the lowest and above the highest
-    measured height the wind is constant, with the same smoothing as a profile.
+    They are the basis functions of a cubic not-a-knot spline. Below the lowest and above the
+    highest measured height the wind is constant, with the same smoothing as a profile.
     """
     shares, functions = _shares(heights), _truncated_powers(_shares(heights))
 

@@ -61,8 +61,9 @@ _RANGES = ((0.3, 20.0), (0.3, 15.0), (0.1, 80.0))
 # factors on each that give the other corners of its first simplex.
 _FIRST = (6.0, 3.0, 4.0)
 _FACTORS = (1.5, 1.5, 2.0)
-# Where legs are longer than this multiple of the way to reach the speed of steady flight, the
-# search starts there, with this factor on it: a larger one would only be taken back.
+# If legs are longer than this multiple of the distance over which the vehicle reaches the speed of
+# steady flight, the search starts at that speed, and tries this factor on it first: a larger factor
+# would only be rejected.
 _LONG, _FACTOR_ON_STEADY = 20.0, 1.15
 _FLIGHTS = 30
 # Most samples of a flight of the search: limits change slowly in long flights.
@@ -354,7 +355,7 @@ class TuningColumn(TableColumn):
 def tuning_table(tuning: Tuning | None) -> "pd.DataFrame":
     """Return the settings that the tuning of an autopilot tried, as a table in order.
 
-    Empty without a tuning. The energies are those of the search, at reduced accuracy;
-    `Tuning.flight` has the energy of the best settings to full accuracy.
+    The table is empty without a tuning. The energies were computed in the search, at reduced
+    accuracy; `Tuning.flight` has the energy of the best settings to full accuracy.
     """
     return TuningColumn.of_objects(() if tuning is None else tuning.tried)

@@ -1,9 +1,9 @@
 """Campaign: repeated missions on one battery charge until no further flight is possible.
 
 Each flight is planned with the state of charge, the relaxation voltage and the temperature at which
-the flight before it ended, with a warm start from the last plan of the same mission.  A charge ends
-before the first flight that has no plan: the flight would leave less charge than the reserve, or
-the voltage would fall below its limit.  The battery neither rests between two flights nor ages.
+the flight before it ended, with a warm start from the previous plan of the same mission.  A charge
+ends before the first flight that has no plan: the flight would leave less charge than the reserve,
+or the voltage would fall below its limit.  The battery neither rests between two flights nor ages.
 """
 
 from collections.abc import Iterator, Sequence

@@ -167,7 +167,7 @@ def _gauss(duration: float, panels: int) -> tuple[FloatArray, FloatArray]:
 def _weights(times: FloatArray, rate: FloatArray, duration: float) -> tuple[FloatArray, FloatArray]:
     """Return the weights of docs/theory/bound.md, eqs. (2) and (4), at n times, each (n, 3).
 
-    `rate` is drag over mass [1/s] along each axis, `duration` that of the flight [s].
+    `rate` is drag over mass [1/s] along each axis, `duration` the duration of the flight [s].
     """
     left = (duration - times)[:, None] * np.ones_like(rate)
     has_drag = rate > 0.0
@@ -424,7 +424,7 @@ def _energy_returned(scenario: Scenario, planner: Planner) -> float:
 def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand) -> _Found:
     """Bound the energy of flights from below if power or drag depends on the airspeed.
 
-    The bound is that of the module `pairs`, over all pairs of thrust and airspeed.
+    The bound is computed by the module `pairs`, over all pairs of thrust and airspeed.
 
     Returns
     -------

@@ -412,7 +412,7 @@ def _percent(part: float, whole: float) -> float:
 def _measured(scenario: Scenario, frame: "pd.DataFrame") -> dict[ComparisonColumn, float]:
     """Return peaks, time near the goal and charge used of a flight, for its row in a comparison.
 
-    The peaks are those of power, tilt and rotor acceleration.
+    The peaks are the largest power, tilt and rotor acceleration.
     """
     alpha = _rotor_values(frame, "rotors.alpha")
     tilt = np.cos(_values(frame, "rigid_body.phi")) * np.cos(_values(frame, "rigid_body.theta"))
@@ -459,7 +459,7 @@ def _rotor_values(frame: "pd.DataFrame", component: str) -> FloatArray:
 
 
 def _values(frame: "pd.DataFrame", variable: str) -> FloatArray:
-    """Return the values of a model variable in a flight's table; NaN without such a column."""
+    """Return the values of a model variable in a flight's table; NaN if it has no column."""
     name = column_of(variable).name
     if name not in frame:
         return np.full(len(frame), nan)

@@ -129,7 +129,7 @@ def _names_at(declared: Declarations, slot: Slot) -> frozenset[str]:
 def _one_output(declared: Declarations) -> tuple[Slot, PathEquation] | None:
     """Return a state that nothing else depends on, with its equation, or None.
 
-    The criteria are those of `set_outputs_aside`.
+    The criteria are given in `set_outputs_aside`.
     """
     uses = Counter[str]()
     for equation in declared.equations:

@@ -317,7 +317,7 @@ class StateValue:
     Attributes
     ----------
     program : int
-        Position of the program among those of all horizons.
+        Position of the program in the list of the horizons' programs.
     state : str
         Name of the state.
     fraction : float
@@ -385,7 +385,7 @@ class Union:
         self.rows = [slice(end - n, end) for end, n in zip(ends, counts, strict=True)]
 
     def joined(self, parts: Sequence[FloatArray]) -> FloatArray:
-        """Return the unknowns of the joint program from those of its parts.
+        """Return the unknowns of the joint program from the unknowns of the separate programs.
 
         A shared unknown takes the value from the first program that has it.
         """
@@ -434,7 +434,7 @@ class Union:
         )
 
     def multipliers(self, parts: Sequence[Multipliers]) -> Multipliers:
-        """Return the multipliers of the joint program from those of its parts."""
+        """Return the multipliers of the joint program from the multipliers of its parts."""
         return Multipliers(
             rows=np.concatenate([part.rows for part in parts]),
             lower=self.joined([part.lower for part in parts]),

@@ -66,8 +66,9 @@ def _with_slacks(
     Returns
     -------
     ExtendedProgram
-        With 2 k more unknowns: first the slacks that increase the values, then those that decrease
-        them.
+        With 2 k more unknowns: first the slacks that increase the constraints' values, then the
+        slacks that decrease the
+    values.
     """
     slacks = n + np.arange(2 * rows.size)
     entries = np.append(sizes, -sizes), (np.tile(rows, 2), slacks)
@@ -85,8 +86,7 @@ def _solved(
 ) -> IpoptResult:
     """Solve an elastic program from a point of the original program.
 
-    The initial slacks are those that the constraints' violations at that point require, plus a
-    margin.
+    The initial slacks equal the constraints' violations at that point, plus a margin.
     """
     values = elastic.program.constraints(near)
     by_slack = elastic.terms[:, near.size :].tocoo()

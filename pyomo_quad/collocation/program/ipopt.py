@@ -64,8 +64,8 @@ _NEAR, _INSIDE, _WELL_INSIDE = 1e-9, 1e-6, 1e-4
 _BEGUN = 1e-8
 # Initial barrier parameter, and distance inside the bounds, of a warm start far from its optimum.
 _BEGUN_FAR, _FAR_INSIDE = 1e-5, 1e-4
-# Settings of a solve without multipliers whose first point is far from its limits' own: the barrier
-# begins large and falls by as much as a single good step allows.
+# Settings of a solve without multipliers whose first point violates many limits: the barrier
+# parameter begins large and falls by as much as a single good step allows.
 _FROM_AFAR: tuple[tuple[str, Any], ...] = (
     ("mu_strategy", "monotone"),
     ("mu_init", 0.1),
@@ -696,7 +696,7 @@ def run_past_the_barrier(
     Returns
     -------
     IpoptResult
-        History and time are those of all solves.
+        The history and the wall-clock time cover all repeated solves.
     """
     solve = partial(run, program, bounds, progress=progress)
     result = solve(scaling, start, options=options, multipliers=multipliers)

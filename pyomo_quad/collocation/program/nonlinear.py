@@ -40,7 +40,7 @@ class Bounds:
 
     @property
     def surplus(self) -> int:
-        """Number of equations minus number of free unknowns, those whose bounds are not equal."""
+        """Number of equations minus number of free unknowns (unknowns with unequal bounds)."""
         equations = int(np.sum(self.row_lower == self.row_upper))
         return equations - int(np.sum(self.lower < self.upper))
 

@@ -208,7 +208,7 @@ def misses(
     """
     values, keys = program.constraints(z), {candidate.key for candidate in left_out}
     found = []
-    # Rows and columns depend on the mesh, and the last mesh differs from the one of detection.
+    # Rows and columns depend on the mesh, and the last mesh differs from the mesh of the detection.
     for candidate in _candidates(program, bounds, fixed):
         if candidate.key not in keys:
             continue

@@ -137,7 +137,7 @@ class Layout:
     def path_variables(self) -> csr_matrix:
         """Matrix from the unknowns to rates, states, algebraic variables and statics at points.
 
-        The rows of the first point come first, then those of the second point, and so on.
+        The rows of the first point come first, then the rows of the second point, and so on.
         """
         slopes, n = self.slope_matrix, self.n_states
         rates = kron(slopes, np.eye(n)) @ _chosen(self.state_columns.ravel(), self.unknowns)
@@ -370,8 +370,8 @@ class JacobianScatter:
     def objective_slopes(self, point_sources: FloatArray) -> FloatArray:
         """Return derivatives of the objective with respect to integrals that enter it directly.
 
-        `point_sources` are the sources after those of path equations; the result has shape
-        (n_integrals,).
+        `point_sources` are the sources that belong to the conditions and the objective; the result
+        has shape (n_integrals,).
         """
         slopes = np.zeros(self.n_integrals)
         slopes[self.slope_integrals] = point_sources[self.slope_sources]

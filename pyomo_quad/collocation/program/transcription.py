@@ -254,7 +254,7 @@ class Transcription:
     def rows_at_points(self, z: FloatArray) -> FloatArray:
         """Return path equations, then integrands, at the points: (n_points, n_expressions).
 
-        The values of the last unknowns are cached.
+        The values at the most recent unknowns are cached.
         """
         if self._seen is None or not np.array_equal(self._seen, z):
             if self.layout.points:

@@ -43,8 +43,8 @@ _TEMPLATE_FRACTION = 0.3819660112501051
 class WorkingCopy:
     """Clone of the user's model with the template time added to each continuous set.
 
-    The template time is an additional interior time. The members of variables and constraints there
-    serve as templates for all times.
+    The template time is an additional interior time. The members of variables and constraints at
+    this time serve as templates for all times.
 
     Attributes
     ----------

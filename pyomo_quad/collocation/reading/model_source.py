@@ -1,4 +1,4 @@
-"""Sources of a problem's numbers: the user's Pyomo model, or the values kept of it in a pickle."""
+"""Sources of a problem's numbers: the user's Pyomo model, or the values in a pickle."""
 
 from __future__ import annotations
 
@@ -88,7 +88,8 @@ def _spelled(unit: Any) -> str:
 def declared_magnitudes(model: Any) -> dict[str, float]:
     """Return the magnitudes of variables according to the Suffix `scaling_factor`, by name.
 
-    A magnitude is the inverse of a scaling factor; names are those of components or of members.
+    A magnitude is the inverse of a scaling factor; the names may be names of components or of their
+    members.
     """
     magnitudes: dict[str, float] = {}
     for suffix in model.component_objects(Suffix, descend_into=True):
@@ -165,8 +166,8 @@ class LiveModel:
     def first_guess(self, slot: Slot) -> Callable[[float], float] | None:
         """Return a variable's `initialize` rule as a function of time.
 
-        The result is None if the variable has no such rule, or if its values differ from those of
-        the rule.
+        The result is None if the variable has no such rule, or if the values in the model differ
+        from the rule's.
 
         Raises
         ------
@@ -452,7 +453,7 @@ class ModelSnapshot:
         return self.signals[slot.name]
 
     def snapshot(self, declared: Declarations, horizon: tuple[float, float]) -> ModelSnapshot:  # noqa: ARG002
-        """Return the snapshot itself; the arguments are those of `LiveModel.snapshot`."""
+        """Return the snapshot itself; the arguments are unused (see `LiveModel.snapshot`)."""
         return self
 
 

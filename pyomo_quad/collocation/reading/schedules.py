@@ -51,7 +51,7 @@ T = TypeVar("T")
 
 
 def _remembered(known: OrderedDict[float, T], time: float, of: Callable[[float], T]) -> T:
-    """Return a function's value at a time, from a cache of the last 100,000 times."""
+    """Return a function's value at a time, from a cache of the 100,000 most recent times."""
     if time not in known:
         if len(known) >= _REMEMBERED:
             known.popitem(last=False)
@@ -114,7 +114,7 @@ class _Form:
     varying: list[int] = field(default_factory=list)
 
     def meet(self, numbers: tuple[float, ...]) -> None:
-        """Record the positions of numbers that differ from those of the first result."""
+        """Record the positions of numbers that differ from the numbers in the first result."""
         for k, (held, met) in enumerate(zip(self.numbers, numbers, strict=True)):
             if held != met and k not in self.varying:
                 self.varying.append(k)

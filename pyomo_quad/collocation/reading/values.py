@@ -84,7 +84,7 @@ class ModelValues:
     Parameters
     ----------
     source : LiveModel or ModelSnapshot
-        The Pyomo model, or the values kept of it in a pickle.
+        The Pyomo model, or the values that a pickle keeps.
     declared : Declarations
     """
 
@@ -109,7 +109,7 @@ class ModelValues:
         Parameters
         ----------
         overrides : mapping, optional
-            Values that replace those in the model, by component or full name.
+            Values that replace the values in the model, by component or full name.
         horizon : (float, float), optional
             Start and end of the horizon, which may be parameters; by default as declared.
 

@@ -494,7 +494,7 @@ def state_sizes(solution: Solution) -> FloatArray:
 def _objective_errors(solution: Solution, moved: list[FloatArray]) -> FloatArray:
     """Return the effect of each element's state errors on the objective, shape (n_elements,).
 
-    The changes of the states at the element's end are multiplied by the costates there.
+    The changes of the states at the element's end are multiplied by the costates at its end.
     """
     mesh = solution.mesh
     if not solution.problem.compiled.declared.states:

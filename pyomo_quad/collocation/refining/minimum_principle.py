@@ -101,7 +101,7 @@ def improved_controls(solution: Solution, tolerance: float) -> Solution | None:
 def _valleys(
     at: Callable[[FloatArray], FloatArray], lower: FloatArray, upper: FloatArray
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Yield values of a control to try at each point, each with the Hamiltonian there.
+    """Yield values of a control to try at each point, each with its value of the Hamiltonian.
 
     The values are a grid between the bounds, and the minima of parabolas through three neighbours.
 
