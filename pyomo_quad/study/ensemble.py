@@ -341,7 +341,7 @@ class InTurbulence:
 
     @property
     def savings(self) -> tuple[Saving, ...]:
-        """The saving as a tuple of one, empty if no autopilot flew."""
+        """The saving as a tuple with one item; empty if no autopilot was simulated."""
         return () if self.saving is None else (self.saving,)
 
     @property

@@ -268,9 +268,9 @@ def _length(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _least_over_times(
     gained: FloatArray, spent: FloatArray, least: float, greatest: float
 ) -> tuple[float, FloatArray]:
-    """Return the minimum over the durations T_k of some legs of the sum of A_k / T_k + G_k T_k.
+    """Minimise the sum of A_k / T_k + G_k T_k over the durations T_k of the legs of one party.
 
-    The legs form a party: the sum of their durations is limited.
+    A party is a group of legs whose durations have a fixed or limited sum.
 
     Parameters
     ----------

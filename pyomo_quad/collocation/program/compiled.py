@@ -431,9 +431,9 @@ def _unpacked(parts: Packed) -> CompiledModel:
 def compile_declarations(declared: Declarations) -> CompiledModel:
     """Compile the declarations of a model to CasADi functions.
 
-    States that nothing depends on are set aside to be solved for afterwards, constraints on a
-    single variable become bounds, and integrals that conditions use become static variables with a
-    constraint that defines them.
+    States on which nothing else depends are left out of the nonlinear program, and are computed
+    from its solution. Constraints on a single variable become bounds. Integrals that conditions use
+    become static variables, each with a constraint that defines it.
     """
     if symbol_names(declared.objective) & _point_symbols(declared).keys():
         declared = set_outputs_aside(declared)

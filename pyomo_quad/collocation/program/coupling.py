@@ -155,7 +155,7 @@ class CouplingWriter(TemplateWriter):
         """Return the symbol that replaces a named Pyomo expression, or None if none replaces it.
 
         Only the integrals over the horizons are replaced. Any other named expression is translated
-        like an unnamed one.
+        like an unnamed expression.
         """
         component = expression.parent_component()
         if component is not None and component.ctype is PyomoIntegral:
