@@ -134,7 +134,7 @@ def fly(
     cruise: _Cruises = None,
     options: Options,
 ) -> int:
-    """Simulate a flight: under feedback, in open loop, re-planned, or many times in random wind."""
+    """Simulate a flight with feedback, in open loop or with re-planning, or many in random wind."""
     if flights is not None or is_plan(scenario):
         _refuse_other_flights(scenario, flights, controller, plant, reference)
         import_scipy_alone()

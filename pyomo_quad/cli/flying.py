@@ -82,7 +82,7 @@ def fly_declared(
         without feedback. `CRUISE` flies an autopilot at the scenario's speed, or, if the scenario
         gives none, at the speed with the least energy.
     plan : Plan or None
-        Plan, where the flight needs one.
+        Plan of the scenario; None if the flight follows a reference that is not a plan.
     """
     if reference is Reference.CRUISE:
         asked = scenario if plan is None else plan.scenario
@@ -96,7 +96,7 @@ def fly_declared(
 
 
 def fly_mpc(planner: Planner, scenario: Scenario, knowledge: Knowledge) -> Flight:
-    """Simulate a flight under model-predictive control, which re-plans the rest in flight.
+    """Simulate a flight under model-predictive control: the rest is planned again in flight.
 
     Parameters
     ----------

@@ -177,7 +177,7 @@ def solve(
 
     Examples
     --------
-    The least integral of the square of a speed that moves 1 m in 1 s:
+    Move a point by 1 m in 1 s so that the integral of its squared speed is least:
 
     >>> from pyomo.dae import ContinuousSet, DerivativeVar, Integral
     >>> from pyomo.environ import ConcreteModel, Constraint, Objective, Var

@@ -212,7 +212,7 @@ class Relaxation:
     limit : float
         Value of the limit, the largest one if it varies with time.
     unit : str
-        Unit of both, "" if they have none.
+        Unit of `amount` and `limit`, "" if they have none.
     """
 
     name: str
@@ -320,9 +320,10 @@ def diagnose(
 def _least_slacks(solution: Solution, soft: SoftRows, progress: Progress | None) -> IpoptResult:
     """Minimise the sum of the slacks by which families of limits are violated.
 
-    Each family of limits has one slack; the slacks are the last unknowns of the result. For each
-    soft constraint its excess over the limit is an unknown too, and at most the slack of its
-    family. Soft limits on unknowns become constraints, and replace the unknowns' bounds.
+    A family is all limits that one component of the model declares. It has a single slack, which
+    bounds the relative violation of each of its limits. The result's unknowns are the program's
+    unknowns, then the violation of each relaxed constraint, then the slacks. Bounds on unknowns
+    that may be relaxed become constraints.
     """
     program, bounds, z = solution.program, solution.bounds, solution.unknowns
     n, m, count, families = z.size, program.n_rows, len(soft), len(soft.names)

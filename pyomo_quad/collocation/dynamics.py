@@ -219,10 +219,7 @@ class Dynamics:
 
     @property
     def signal_names(self) -> tuple[str, ...]:
-        """Full names of the time-dependent parameters, in the order of `moment`.
-
-        Further entries of `moment` follow them, for rules of the model that branch on time.
-        """
+        """Full names of the time-dependent parameters, in the order of the method `moment`."""
         return tuple(slot.name for slot in self._formulation.compiled.declared.signals)
 
     def moment(self, t: float) -> list[float]:
@@ -243,7 +240,9 @@ class Dynamics:
         return [fraction, *self._signals(fraction)]
 
     def symbol(self, name: str, size: int) -> Any:
-        """Return a column of CasADi symbols of the type (SX or MX) that `written` accepts.
+        """Return a column of CasADi symbols of the type that the method `written` accepts.
+
+        The type is `casadi.SX` if the right-hand side is explicit, otherwise `casadi.MX`.
 
         Parameters
         ----------
@@ -1047,7 +1046,7 @@ class ClosedLoop:
     ) -> tuple[FloatArray, FloatArray]:
         """Return partial derivatives of the joint state's rates at n times.
 
-        Where the law has a corner (as of fmin), the derivatives are those of one side.
+        At a corner of the law, for example where `fmin` switches, they are one-sided derivatives.
 
         Parameters
         ----------

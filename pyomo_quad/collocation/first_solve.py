@@ -73,15 +73,16 @@ class FirstSolve(Search[S], Generic[S]):
 
     @cached_property
     def judged(self) -> S:
-        """Failed solve that the caller requested, with the verdict on the problem's feasibility.
+        """Result of the failed first solve, with a verdict on the problem's feasibility.
 
-        Computing it minimises the constraint violation near the last iterate; the result is cached.
+        The verdict says whether the problem is infeasible near the last iterate. It is found by
+        minimising the constraint violation, once; later calls return the cached result.
         """
         return self.judge(self.failed)
 
     @property
     def failed(self) -> S:
-        """Failed solve with the start, mesh and settings that the caller requested.
+        """Result of the first solve, with the start, mesh and settings that the caller requested.
 
         Raises
         ------

@@ -151,7 +151,7 @@ def together(logs: Sequence[tuple[Path, pd.DataFrame]]) -> pd.DataFrame:
     Raises
     ------
     ScenarioError
-        If a flight occurs twice even then.
+        If two flights still have the same name.
     """
     held = [frame for _, frame in logs]
     if not _names(held).is_unique or len({frame[FLIGHT].dtype for frame in held}) > 1:

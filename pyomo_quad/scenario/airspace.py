@@ -303,8 +303,8 @@ class KeepOut(Part):
     def depth(self, places: "ArrayLike") -> "FloatArray":
         """Return the depth of places inside the zone [m], negative outside.
 
-        Inside, the depth is the distance to the nearest face; outside, minus the largest distance
-        beyond a face.
+        Inside, the depth is the distance to the nearest face. Outside, the distance beyond each
+        face is computed, and the depth is minus the largest of these distances.
 
         Parameters
         ----------
@@ -429,7 +429,7 @@ def _surface(grid: TerrainGrid, side: int) -> "Surface":
 
 
 class Airspace(Part):
-    """Where the flight may be: height limits, fence, keep-out zones and terrain."""
+    """Space in which the flight must stay: height limits, fence, keep-out zones and terrain."""
 
     floor: Number | None = quantity(
         "m",
@@ -530,7 +530,8 @@ class Airspace(Part):
     def complaints(self, place: Sequence[float]) -> Iterator[str]:
         """Yield one message for each reason why a place is outside the airspace.
 
-        Each message ends a sentence that names the place, and says what to change.
+        A message is the end of a sentence that begins with the name of the place. It says which
+        limit the place violates and what to change.
 
         Parameters
         ----------

@@ -196,7 +196,8 @@ def assignments_of(tables: Mapping[str, Any], source: str) -> dict[FieldPath, An
     Raises
     ------
     ScenarioError
-        If the tables are too deep, or a path is none of a field; the message begins with `source`.
+        If the tables are nested too deep, or a path cannot be the path of a field. The message
+        begins with `source`.
     """
     refuse_deep(tables, source)
     assignments: dict[FieldPath, Any] = {}

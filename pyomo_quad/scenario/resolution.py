@@ -695,9 +695,17 @@ class _Filled:
         self.put_read(("airspace", "ground"), ground, file)
 
     def winds(self, named: str) -> Iterator[tuple[tuple[str, ...], Mapping[str, Any]]]:
-        """Yield path and table of the wind and of its forecast, if the field `named` has a text.
+        """Yield the tables `wind` and `wind.forecast`, if they refer to a file in a given field.
 
-        The text is the name of a file that the table refers to.
+        Parameters
+        ----------
+        named : str
+            Field of the table that may hold the file's name, such as ``file``.
+
+        Yields
+        ------
+        tuple of str, mapping
+            Path and content of the table.
         """
         for place in (("wind",), ("wind", "forecast")):
             wind = table_at(self.tables, *place)

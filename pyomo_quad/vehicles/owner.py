@@ -125,7 +125,8 @@ class EstimatedVehicle:
     rotor_positions : tuple or None
         Positions of six or eight rotors [m]; None for four.
     estimated_hover_W : float
-        Hover power by the estimates alone, even if it was measured.
+        Hover power [W] that follows from the estimates alone. A measured hover power does not
+        change it.
     """
 
     known: Known
@@ -197,7 +198,7 @@ def estimate_vehicle(known: Known) -> EstimatedVehicle:
 
 
 def _ranged(field: str, value: float, said: str) -> Estimate:
-    """Return an estimated number with the range of its field."""
+    """Return an estimated value, with the relative range that belongs to its field."""
     return estimated(value, said, *_RANGES[field])
 
 
