@@ -69,7 +69,7 @@ class Controller(StrEnum):
 
 
 class Plant(StrEnum):
-    """Vehicle model of a simulated flight: the scenario's own equations, or RotorPy's."""
+    """Vehicle model of a simulated flight: the scenario's equations, or the simulator RotorPy."""
 
     DECLARED = "declared"
     ROTORPY = "rotorpy"
@@ -458,7 +458,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     arguments : sequence of str, optional
-        Arguments of the command; by default those of the process, as in `pyomo_quad.cli.main`.
+        Arguments of the command; by default the arguments of the process.
     """
     if arguments is None:
         before_the_end(_end_other_processes)

@@ -69,7 +69,9 @@ def make_flight(scenario: Scenario, fly: Callable[[], _Outcome]) -> _Outcome:
 def fly_declared(
     planner: Planner, scenario: Scenario, reference: Reference | None, plan: Plan | None
 ) -> Flight:
-    """Simulate a flight of the scenario's own vehicle model, under control or in open loop.
+    """Simulate a flight of the scenario's vehicle by the package's equations.
+
+    The flight is under feedback control, or without feedback (open loop).
 
     Parameters
     ----------

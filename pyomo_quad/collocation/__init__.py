@@ -110,7 +110,7 @@ def compile(  # noqa: A001  as casadi, re and builtins do
     Parameters
     ----------
     model : ConcreteModel
-        Model with one or several continuous sets that are not discretised, or with none.
+        Model whose continuous sets are not discretised; it may have none, one or several.
     final_time : Var, optional
         Static variable that is the free end of the horizon; see `Problem`.
     times : mapping, optional
@@ -156,7 +156,7 @@ def solve(
     Parameters
     ----------
     model : ConcreteModel
-        Model with one or several continuous sets that are not discretised, or with none. Its
+        Model whose continuous sets are not discretised; it may have none, one or several. Its
         variables receive the solution's values.
     final_time : Var, optional
         Static variable that is the free end of the horizon; see `Problem`.

@@ -55,8 +55,8 @@ class Costates:
     hamiltonian : ndarray, shape (n_points,)
         Hamiltonian of the minimised objective, per unit of time.
     sizes : ndarray, shape (n_states,)
-        Largest magnitude of each costate over the horizon, but at least 1e-9 times the magnitude of
-        the objective divided by that of the state.
+        Largest magnitude of each costate over the horizon. The value is at least 1e-9 times the
+        magnitude of the objective divided by the magnitude of the state.
     """
 
     mesh: Mesh
@@ -133,8 +133,8 @@ def costates_of(
     multipliers : Multipliers
         Multipliers of constraints and bounds, as Ipopt returns them for the unscaled program.
     bounds : Bounds
-        Bounds of unknowns and constraints. The multiplier of a state's bound at a single time acts
-        at that time, and is left out of the adjoint equations of the element that ends there.
+        Bounds of unknowns and constraints. If a state has a bound at a single time, the bound's
+        multiplier is left out of the adjoint equations of the element that ends at this time.
     timeline : Timeline
         Mapping from fractions of the horizon to physical times.
     objective : float

@@ -235,8 +235,9 @@ class Diagnosis:
     active : tuple of ActiveLimit
         Limits that are active at the best iterate.
     least_violation : float
-        Least sum of relative violations, one per component, with which all equations can be
-        satisfied; infinite if its computation did not converge.
+        Least sum, over the components that declare limits, of the relative amounts by which their
+        limits must be relaxed until all equations can be satisfied; infinite if the computation
+        did not converge.
     relaxations : tuple of Relaxation
         Components whose limits must all be relaxed together; empty if every limit can be met.
     feasible_point : Trajectory or None
@@ -251,7 +252,10 @@ class Diagnosis:
 
     @property
     def is_infeasible(self) -> bool:
-        """Whether the least violation was found and is positive: no feasible point is near."""
+        """Whether the problem has no feasible point near the last iterate.
+
+        False also if the diagnosis could not compute the least violation.
+        """
         return np.isfinite(self.least_violation) and self.feasible_point is None
 
 

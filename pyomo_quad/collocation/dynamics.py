@@ -84,7 +84,8 @@ class Instants:
 class Dynamics:
     """Explicit right-hand side dx/dt = f(t, x, u) of a compiled problem, for given parameters.
 
-    Algebraic variables that an equation determines are solved for; the others are the controls u.
+    The algebraic variables that equations determine are computed from these equations. The
+    remaining algebraic variables are the controls u.
 
     Attributes
     ----------
@@ -741,8 +742,8 @@ class _Core:
     def of(cls, rows: Any, unknowns: Any, inputs: list[Any], rest: Any) -> _Core:
         """Split equations that are nonlinear in the rates or algebraic variables.
 
-        Newton's method solves only those equations on which the others depend. Equations that are
-        linear in the remaining unknowns are solved symbolically.
+        Newton's method solves only for the unknowns that enter nonlinearly. The remaining equations
+        are linear in the remaining unknowns, and are solved symbolically.
 
         Parameters
         ----------
@@ -790,16 +791,23 @@ class _WithoutIterations(Dynamics):
 
 
 def _nonlinear_core(rows: Any, unknowns: Any) -> tuple[tuple[list[int], list[int]], ...]:
-    """Separate equations and unknowns for Newton's method from those that remain linear.
+    """Split implicit equations into a nonlinear part for Newton's method and a linear rest.
 
-    Newton's method solves for the unknowns that enter nonlinearly, with the equations that contain
-    no other unknowns. If there are not as many of these equations as of these unknowns, Newton's
-    method solves all equations.
+    The nonlinear part consists of the unknowns that enter nonlinearly, and of the equations that
+    contain no other unknowns. If its numbers of equations and of unknowns differ, Newton's method
+    must solve all equations, and the rest is empty.
+
+    Parameters
+    ----------
+    rows : casadi.SX
+        Residuals of the equations.
+    unknowns : casadi.SX
+        Rates, then the algebraic variables that equations determine.
 
     Returns
     -------
     ((list of int, list of int), (list of int, list of int))
-        Positions of equations and unknowns: for Newton's method, and those that are linear.
+        Positions of the equations and of the unknowns of the nonlinear part, then of the rest.
     """
     everything = list(range(unknowns.shape[0]))
     jacobian = casadi.jacobian(rows, unknowns)

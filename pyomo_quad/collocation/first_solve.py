@@ -119,9 +119,9 @@ class FirstSolve(Search[S], Generic[S]):
     def begun(self, first: First, own: Callable[..., S], mesh: Any) -> S | None:
         """Solve from the kind of initial point that a strategy requires.
 
-        With several horizons there is one kind only, the start that the caller requested. A
-        subclass provides further kinds, and returns None if the problem has no initial point of a
-        kind.
+        This class solves problems with several horizons, and always begins at the start that the
+        caller requested. The subclass `FirstSolveOfOne` provides further kinds of initial points,
+        and returns None if the problem has no initial point of the required kind.
 
         Parameters
         ----------
@@ -165,9 +165,9 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     bounds_of : callable
         Transcription (nonlinear program on one mesh) -> its bounds, with all conditions imposed.
     simulate : callable, optional
-        Returns a trajectory simulated from the initial states, or None if the model has controls or
-        free initial states, for which there is nothing to simulate; see `Problem._simulated`.
-        Absent if the caller gave a guess.
+        Function without arguments that simulates the model from its initial states and returns the
+        trajectory. It returns None if the model has controls or free initial states, because a
+        simulation would need them. The attribute is None if the caller gave a guess.
     instance : Instance
         Parameter values, horizon and fixed variables of the solve.
     progress : callable or None

@@ -438,9 +438,9 @@ class Formulation:
         Parameters
         ----------
         parameters : mapping, optional
-            Values that replace those of the model's mutable parameters, by component or full name.
+            New values of the model's mutable parameters, by component or full name.
         horizon : (float, float), optional
-            Start and end of the horizon, in place of the continuous set's.
+            Start and end of the horizon; by default the ends of the continuous set.
 
         Raises
         ------

@@ -370,7 +370,7 @@ def _inside(number: float, bounds: Bounds, column: int) -> float:
 
 
 def known_names(declared: Declarations) -> set[str]:
-    """Return the names that a guess may contain: "time", and those of all variables."""
+    """Return the names that a guess may contain: "time", and the names of all variables."""
     return {TIME_COLUMN, *(slot.name for slot in (*declared.varying, *declared.statics))}
 
 

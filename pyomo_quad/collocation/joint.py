@@ -367,7 +367,7 @@ class JointProblem(Summarised):
         return [*self.horizons.values(), self.coupling]
 
     def _guesses(self, guess: Mapping[str, Any] | None) -> list[Any]:
-        """Return the guess for the variables of each horizon, and for those of no horizon.
+        """Return a guess for the variables of each horizon, and one for variables of no horizon.
 
         Raises
         ------
@@ -423,7 +423,8 @@ class JointProblem(Summarised):
         meshes : sequence of Mesh
         start : Start
         dampings : tuple of Damping or None
-            Penalty on the distance of the controls from those of the last mesh, for each horizon.
+            For each horizon, penalty on the distance of the controls from the controls that were
+            found on the previous mesh; None for no penalty.
         instances : list of Instance
             Parameter values, for each horizon and the coupling of the horizons.
         options, progress, is_scaled, change, most
@@ -468,7 +469,8 @@ class JointProblem(Summarised):
     ) -> JointSolution:
         """Return a failed solution with a verdict on the feasibility of its problem.
 
-        The least sum of constraint violations near the last iterate decides.
+        The verdict follows from the least sum of constraint violations that is found near the last
+        iterate.
         """
         parts = [*failed.horizons.values(), failed.coupling]
         union = Union([part.program for part in parts], self._states)

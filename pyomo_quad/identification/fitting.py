@@ -2,10 +2,10 @@
 
 Method: robust least squares; see docs/theory/identification.md, eqs. (2) to (4).
 
-The residual is the mean measured power less the mean computed power of time windows of some
-seconds. Over one second, airspeed and acceleration are dominated by noise, and a fit to single rows
-would interpret this noise as a flatter power curve. Large residuals (gusts, ground effect) are
-weighted less than by their square.
+The residual is the mean measured power minus the mean computed power, over time windows of some
+seconds. A row of a log, one second, is too short: noise dominates its airspeed and acceleration,
+and a fit to single rows would give a power curve that is too flat. Large residuals, from gusts or
+ground effect, count linearly instead of quadratically.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

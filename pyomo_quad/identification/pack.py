@@ -299,7 +299,12 @@ class Circuit:
     def whole(self, record: Record, values: FloatArray, factor: FloatArray) -> FloatArray:
         """Return the computed cell voltage at every row of the record [V].
 
-        The arguments are those of `voltages`; the shape is (n_times, n_flights).
+        The shape is (n_times, n_flights).
+
+        Parameters
+        ----------
+        record, values, factor
+            As in `voltages`.
         """
         return self.voltages(record, values, factor, len(record.power))[0]
 
@@ -366,7 +371,7 @@ class Circuit:
     def fit(self, record: Record, start: FloatArray) -> FloatArray:
         """Fit the circuit to the measured voltages of a record.
 
-        The resistances are those of the median pack, whose factor is 1.
+        The fitted resistances belong to the median pack, whose factor on the resistance is 1.
 
         Parameters
         ----------

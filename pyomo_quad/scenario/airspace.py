@@ -147,7 +147,7 @@ def is_convex(polygon: Any) -> bool:  # noqa: ANN401  shapely has no types that 
 
 
 def _refuse_folded(corners: Sequence[tuple[float, float]], what: str) -> None:
-    """Raise ValueError unless corners are those of a convex polygon, in order."""
+    """Raise ValueError unless the corners, in the given order, form a convex polygon."""
     from shapely import Polygon  # noqa: PLC0415  for polygons alone
 
     polygon = Polygon(corners)
@@ -397,7 +397,8 @@ class TerrainGrid(Part):
         Parameters
         ----------
         side : int
-            1 for a surface that is nowhere below the ground, -1 for one that is nowhere above.
+            1 for a surface that is nowhere below the ground, -1 for a surface that is nowhere above
+            the ground.
         """
         return _surface(self, side)
 
@@ -483,7 +484,7 @@ class Airspace(Part):
         return self
 
     def height_above_ground(self, place: "ArrayLike", side: int = 1) -> "FloatArray":
-        """Return the height of places above the smooth surface that stands for the ground [m].
+        """Return the height of places above a smooth surface close to the ground [m].
 
         Without terrain the ground is the plane z = 0.
 

@@ -172,8 +172,8 @@ class LibraryEntry:
     base : LibraryEntry or None
         Library entry that supplies the values which a user's own file leaves out.
     battery : str
-        Battery pack of a vehicle, used unless the scenario names another: a name of the library, or
-        a file beside the vehicle's. Empty if none is known.
+        Battery pack of a vehicle, used unless the scenario names a battery: a name of the library,
+        or a file in the folder of the vehicle file. Empty if no battery is known.
     """
 
     kind: str
@@ -271,8 +271,8 @@ def _entry(
 ) -> LibraryEntry:
     """Make a library entry from the content of its file.
 
-    In the file, a number stands alone or in a table with its source. The entry holds the file's own
-    values only; `base` supplies the others.
+    In the file, a number stands alone or in a table with its source. The entry holds only values of
+    this file; `base` is the library entry that supplies the values which the file leaves out.
     """
     table = LIBRARY_KINDS[kind]
     tables: dict[str, Any] = {table: {"use": name}}
@@ -408,7 +408,7 @@ _INHERITED_BY_FORECAST = (
 
 @dataclass(frozen=True, kw_only=True)
 class ScenarioSource:
-    """Scenario as written by a user: its own tables, and the overrides of fields.
+    """Scenario as a user has written it: tables of the file, and overrides of fields.
 
     Attributes
     ----------

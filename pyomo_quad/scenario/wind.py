@@ -188,7 +188,7 @@ class Turbulence(Part):
 class Beyond(StrEnum):
     """Treatment of places outside a wind field, and of cells without wind.
 
-    `REFUSE` forbids the plan to fly there; `HOLD` uses the nearest known wind.
+    `REFUSE` forbids the plan to fly through these places; `HOLD` uses the nearest known wind.
     """
 
     REFUSE = "refuse"

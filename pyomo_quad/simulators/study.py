@@ -2,8 +2,8 @@
 
 The same plans are flown by the package's own vehicle model (the "declared" vehicle) and by
 RotorPy's vehicle, with the package's controller, with RotorPy's controller SE3, and without
-feedback. Details of RotorPy's model that differ are switched on and off one at a time, to find what
-each contributes.
+feedback. The features in which RotorPy's model differs are switched on or off one at a time, to
+find the contribution of each feature to the difference between the flights.
 """
 
 from collections.abc import Callable, Iterator, Mapping
