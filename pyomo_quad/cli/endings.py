@@ -36,7 +36,7 @@ _is_told = False
 class Stopped(Exception):  # noqa: N818  a stop by the user is not an error
     """Exception: the user stopped a command before it printed its result.
 
-    The handler prints a message, because none has been printed yet.
+    The command line catches the exception and prints a message.
     """
 
 

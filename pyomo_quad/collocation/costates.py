@@ -84,7 +84,7 @@ class Costates:
 
 @lru_cache(maxsize=64)
 def _roughness(degree: int) -> FloatArray:
-    """Return the matrix from values at an element's nodes to the residuals of a smooth fit.
+    """Return the matrix that maps values at an element's nodes to the residuals of a smooth fit.
 
     The fit is the least-squares polynomial of degree - 2. The nodes are the left end and the
     collocation points, so that the matrix has shape (degree + 1, degree + 1).

@@ -210,7 +210,7 @@ class Relaxation:
     amount : float
         Relaxation, in the unit of the limit.
     limit : float
-        Value of the limit, the largest one if it varies with time.
+        Value of the limit, or its largest value if the limit varies with time.
     unit : str
         Unit of `amount` and `limit`, "" if they have none.
     """

@@ -177,8 +177,8 @@ class Dynamics:
         Returns
         -------
         ndarray, ndarray
-            Shape (n_controls,) each; infinite where a control has no limit, or one that varies with
-            time.
+            Shape (n_controls,) each; infinite where a control has no limit, or a limit that varies
+            with time.
         """
         names = [s.name for s in self._formulation.compiled.declared.algebraics]
         chosen = [names.index(name) for name in self.control_names]
@@ -340,7 +340,15 @@ class Dynamics:
         return self._data
 
     def _solve(self, t: float, x: FloatArray, u: FloatArray) -> list[FloatArray]:
-        """Evaluate the right-hand side at one time; see `_compile` for its two outputs."""
+        """Evaluate the right-hand side at one time.
+
+        Returns
+        -------
+        list of two ndarray, one row each
+            Rates followed by the algebraic variables that equations determine, per unit of the
+            fraction of the horizon; and the objective's integrand with the derivative of time with
+            respect to that fraction.
+        """
         row = self._row(t)
         return self._at_one(x[None, :], u[None, :], self._statics[None, :], row[None, :])
 
@@ -625,8 +633,9 @@ class Dynamics:
 def split_algebraics(formulation: Formulation) -> tuple[tuple[Slot, ...], tuple[Slot, ...]]:
     """Split the algebraic variables into controls and variables that equations determine.
 
-    Equality equations without rates determine algebraic variables. A maximum matching of equations
-    and variables decides which variables these are, with later declared variables first.
+    Each equality equation without rates determines one algebraic variable, if possible. A maximum
+    matching assigns variables to equations; among possible variables it prefers the variable that
+    is declared later. The remaining algebraic variables are the controls.
 
     Parameters
     ----------
@@ -666,7 +675,7 @@ def split_algebraics(formulation: Formulation) -> tuple[tuple[Slot, ...], tuple[
 def control_limits(
     formulation: Formulation, instance: Instance, breach: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return constant lower and upper limits of the controls among the algebraic variables.
+    """Return constant lower and upper limits of the algebraic variables that are controls.
 
     Parameters
     ----------
@@ -773,7 +782,7 @@ class _Core:
 
 
 class _WithoutIterations(Dynamics):
-    """Right-hand side whose implicit equations are solved by 20 Newton steps, as expressions."""
+    """Right-hand side that solves implicit equations by 20 Newton steps, written as expressions."""
 
     def _implicit_side(self, core: _Core, inputs: list[Any]) -> Any:
         """Return the right-hand side with Newton's steps written out as CasADi expressions."""
@@ -942,7 +951,11 @@ def written_law(dynamics: Dynamics, law: Law, sizes: tuple[int, int, int]) -> An
 
 
 def joint_sizes(dynamics: Dynamics, n_command: int, n_own: int) -> tuple[int, int, int]:
-    """Return the numbers of time-dependent inputs, joint states and commands of a closed loop."""
+    """Return the numbers of time-dependent inputs, joint states and commands of a closed loop.
+
+    The joint state consists of the vehicle's states, the n_own states of the law, and the integral
+    of the objective's integrand.
+    """
     moment = len(dynamics.moment(dynamics.start))
     return moment, len(dynamics.state_names) + n_own + 1, n_command
 
@@ -951,6 +964,9 @@ def closed(
     dynamics: Dynamics, law: Law, sizes: tuple[int, int, int], numbers: Mapping[str, Any]
 ) -> tuple[list[Any], Any, Any]:
     """Return a closed loop as CasADi expressions.
+
+    The joint state consists of the vehicle's states, the law's own states, and the integral of the
+    objective's integrand.
 
     Parameters
     ----------

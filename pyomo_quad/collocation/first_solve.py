@@ -229,7 +229,8 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
         """Complete the message of a solve that diverged, or that has more equations than unknowns.
 
         A diverged solve gets a message that names the unbounded variable; a successful solve of an
-        over-determined model gets a note on its redundant equations. Others are returned unchanged.
+        over-determined model gets a note on its redundant equations. Other results are returned
+        unchanged.
         """
         diverged = found.status.has_failed and found.ipopt_code == DIVERGED_CODE
         return without_bound(found) if diverged else with_surplus(found)

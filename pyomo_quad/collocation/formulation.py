@@ -288,8 +288,8 @@ class OutputStates:
     ) -> FloatArray:
         """Solve the collocation equations of the output states by Newton's method.
 
-        Output states are states that nothing else depends on, and no unknowns of the nonlinear
-        program.
+        Output states are states that nothing else depends on. They are not among the unknowns of
+        the nonlinear program.
 
         Parameters
         ----------

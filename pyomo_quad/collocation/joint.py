@@ -148,7 +148,7 @@ class JointSolution(Outcome):
         )
 
     def value(self, component: Any, t: Any = None, index: Any = None) -> Any:
-        """Return the value of a variable or expression, at times if it depends on time.
+        """Return the value of a variable or expression, at given times if it depends on time.
 
         Parameters
         ----------

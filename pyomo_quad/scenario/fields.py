@@ -123,7 +123,7 @@ def number_in_text(text: str) -> float:
     Returns
     -------
     float
-        Also infinite or NaN, if the text is ``inf`` or ``nan``.
+        The number; infinite or NaN if the text is ``inf`` or ``nan``.
 
     Raises
     ------

@@ -110,9 +110,10 @@ def listed(lines: Sequence[str]) -> str:
 
 
 def _without_branches(path: FieldPath, model: type[BaseModel]) -> FieldPath:
-    """Return the path of an error without the name of the type that pydantic tried there.
+    """Return the path of pydantic's error without the names of types, which are no keys of the file.
 
-    Pydantic adds the name for fields that accept a number or a word, such as `mission.duration`.
+    For a field that accepts a number or a word, such as `mission.duration`, pydantic reports an
+    error for each type, and adds the type's name to the path.
     """
     table, _ = declared_place(model, path[:-1])
     last = path[-1] if path else None

@@ -103,7 +103,7 @@ class Waypoint(Part):
 
 
 class ReturnFlight(Part):
-    """Steady, level return flight for which battery charge is kept, and its safety margin."""
+    """Steady, level return flight for which a plan keeps battery charge, and a safety margin."""
 
     margin: Number = quantity(
         "1",

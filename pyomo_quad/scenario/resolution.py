@@ -676,7 +676,8 @@ class _Filled:
     def add_terrain(self) -> None:
         """Add the heights of the ground from a file.
 
-        If the scenario gives no floor (least height above the ground), the floor is the clearance.
+        If the scenario gives no floor (least height above the ground), the floor is set to the
+        clearance (least distance from zones).
         """
         airspace, path = table_at(self.tables, "airspace"), ("airspace", "terrain")
         file, clearance = airspace.get("terrain"), airspace.get("clearance", 0.0)

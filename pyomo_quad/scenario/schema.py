@@ -255,7 +255,7 @@ class Scenario(Part):
         return self.with_mission(**values)
 
     def cruising(self, settings: CruiseSettings) -> Self:
-        """Return the scenario with one setting of the reference flight `cruise`, an autopilot.
+        """Return the scenario with given settings of the reference flight `cruise` by an autopilot.
 
         Parameters
         ----------
