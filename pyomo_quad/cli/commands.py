@@ -58,8 +58,8 @@ class Controller(StrEnum):
     """Controller of a simulated flight.
 
     `ADAPTIVE` follows a reference with adaptive feedback, `OPEN_LOOP` applies the plan's controls
-    without feedback, `MPC` plans anew in flight, and `SE3` is the controller of the simulator
-    RotorPy.
+    without feedback, `MPC` plans the rest of the mission again and again during the flight, and
+    `SE3` is the controller of the simulator RotorPy.
     """
 
     ADAPTIVE = "adaptive"

@@ -1,4 +1,4 @@
-"""Start of a process that runs a single command, in less time.
+"""Faster start of a process that runs a single command.
 
 A library must leave the process unchanged. A command owns its process, and saves about a second
 with `own_process` and `import_scipy_alone`.

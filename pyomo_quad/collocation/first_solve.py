@@ -94,7 +94,7 @@ class FirstSolve(Search[S], Generic[S]):
         return self.first
 
     def holds(self, fact: Fact) -> bool:
-        """Return whether a condition (`Fact`) of a strategy in the table is true at present."""
+        """Return whether a condition that a strategy requires (`Fact`) is true at this stage."""
         is_judged = self.first is not None and self.judged.status is not Status.INTERRUPTED
         if fact is Fact.POSSIBLE:
             return is_judged and self.judged.status is not Status.INFEASIBLE
@@ -186,7 +186,7 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     is_mesh_free: bool
 
     def holds(self, fact: Fact) -> bool:
-        """Return whether a condition (`Fact`) of a strategy in the table is true at present."""
+        """Return whether a condition that a strategy requires (`Fact`) is true at this stage."""
         known = {
             Fact.ONE_HORIZON: True,
             Fact.OVERDETERMINED: self.is_overdetermined and self.first is None,
@@ -200,7 +200,7 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     def begun(self, first: First, own: Callable[..., Solution], mesh: Any) -> Solution | None:
         """Solve from the kind of initial point that a strategy requires.
 
-        These are the caller's start, a simulation, the point of least constraint violation, the
+        The kinds are the caller's start, a simulation, the point of least constraint violation, the
         optimum on a coarse mesh, the optimum of the elastic program (equations violated at a
         penalty), and a solve without redundant conditions. The result is None if no initial point
         of that kind exists.

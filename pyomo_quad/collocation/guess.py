@@ -220,9 +220,9 @@ class _Known:
     def order_times(self, z: FloatArray) -> None:
         """Set initial values of the free times, and make all times increase.
 
-        A free time is a static variable that stands for a member of the continuous set, the
-        declared time. Without a value in model or guess, it gets the declared time. The array `z`
-        of unknowns is changed in place.
+        A free time is a static variable whose value replaces a declared time, a member of the
+        continuous set. If neither model nor guess has a value, the free time begins at the declared
+        time. The array `z` of unknowns is changed in place.
         """
         program, bounds = self.program, self.bounds
         statics, clock = program.compiled.declared.statics, program.compiled.declared.clock

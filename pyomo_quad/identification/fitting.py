@@ -191,7 +191,7 @@ class Identification:
 
 
 class Fit:
-    """Least-squares problem: parameters of a vehicle from the power of logged flights.
+    """Least-squares fit of a vehicle's parameters to the power of logged flights.
 
     Parameters
     ----------
@@ -274,7 +274,7 @@ class Fit:
         return _robust(residual, self.base if start is None else start, self.bounds)
 
     def slopes(self, values: FloatArray) -> FloatArray:
-        """Return the derivatives of the computed power by each fitted parameter.
+        """Return the derivatives of the computed power with respect to each fitted parameter.
 
         The power is averaged over time windows of the log. The derivatives are finite differences.
 
@@ -364,9 +364,9 @@ class Fit:
 
 
 def component(name: str) -> str:
-    """Return the model's full name of the parameter for a field of the vehicle.
+    """Return the full name of the model's parameter that a field of the vehicle sets.
 
-    For example ``vehicle.drag_linear``, or ``power.climb_power_factor``.
+    Examples are ``vehicle.drag_linear`` and ``power.climb_power_factor``.
     """
     return f"{_VEHICLE_BLOCK if name in _OF_MOTION else _POWER_BLOCK}{name}"
 

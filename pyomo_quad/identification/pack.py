@@ -119,7 +119,7 @@ class PackIdentification:
 
 
 class _Flown(NamedTuple):
-    """Power and cell voltage of one flight, from just before its load.
+    """Power and cell voltage of one flight, from a few seconds before the load on.
 
     `rest` has the mean voltage and power before the load; the first `aloft` rows are in flight.
     """
@@ -197,7 +197,7 @@ class Record:
         return part
 
     def after_reading(self, rows: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Select the rows after the first load, from which the resistance was determined.
+        """Select the rows after the first seconds under load, which determine the resistance.
 
         Parameters
         ----------

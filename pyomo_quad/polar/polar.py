@@ -125,9 +125,9 @@ class SteadyCurve:
 
 
 def _least(cost: Callable[[FloatArray | float], FloatArray], trials: FloatArray) -> float:
-    """Return the argument of least cost.
+    """Return the argument at which a cost function is least.
 
-    The best of the trial arguments is refined by a bounded search between its neighbours.
+    The best of the given trial arguments is refined by a bounded search between its neighbours.
     """
     best = int(np.argmin(cost(trials)))
     low, high = trials[max(0, best - 1)], trials[min(len(trials) - 1, best + 1)]

@@ -202,7 +202,10 @@ def writable_fields(model: type[BaseModel]) -> tuple[WritableField, ...]:
 
 
 def _otherwise(name: str, field: dict[str, Any]) -> dict[str, Any]:
-    """Return the JSON Schema of alternative notations of a field; see `spellings`."""
+    """Return the JSON Schema of a field's alternative notations, by key; empty if it has none.
+
+    A place may be given by latitude and longitude, a wind by the direction that it comes from.
+    """
     found: dict[str, Any] = {}
     if field.get("unit") == "rad" and name == "direction":
         says = "where the wind comes from, clockwise from north [deg]"

@@ -409,7 +409,7 @@ def table_at(tree: Any, *place: str | int) -> Mapping[str, Any]:  # noqa: ANN401
 
 
 def merge(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a nested table overlaid by another, whose values take precedence.
+    """Merge two nested tables; values of the second table take precedence.
 
     Parameters
     ----------

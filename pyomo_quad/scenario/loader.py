@@ -191,7 +191,7 @@ def _parsed(overrides: Sequence[str]) -> dict[FieldPath, Any]:
 
 
 def assignments_of(tables: Mapping[str, Any], source: str) -> dict[FieldPath, Any]:
-    """Return the value of each field in nested tables or dotted paths, or both mixed.
+    """Return the value of each field that a mapping gives, by nested tables or by dotted paths.
 
     Raises
     ------

@@ -753,7 +753,11 @@ class _Filled:
 
 
 def _beside(file: str, pack: str) -> str:
-    """Return the name of a vehicle's battery pack, with a file's path relative to the scenario."""
+    """Return the name of the battery pack of a vehicle that was read from a file.
+
+    If the pack is a file in the folder of the vehicle file, its path becomes relative to the
+    scenario.
+    """
     return (FilePath(file).parent / pack).as_posix() if pack.endswith(_SUFFIX) else pack
 
 

@@ -51,7 +51,7 @@ _FAST = Sound(-1e4, 1e4, "gusts take longer than 1 ms")
 
 
 class WindCoupling(StrEnum):
-    """Effect of the wind: drag by the airspeed, or an acceleration as in Yacef et al., eq. (9)."""
+    """Effect of the wind: drag from the airspeed, or the acceleration of Yacef et al., eq. (9)."""
 
     ACCELERATION = "acceleration"
     DRAG = "drag"

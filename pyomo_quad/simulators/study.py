@@ -463,7 +463,7 @@ def _flights_of_set(mission: _Mission) -> Iterator[Flown]:
 def _flights_by_drag(mission: _Mission) -> Iterator[Flown]:
     """Yield flights along a plan that show the effect of the place where the drag acts.
 
-    RotorPy's drag acts at the rotors, the package's at the centre of mass.
+    In RotorPy the drag acts at the rotors, in the package's model at the centre of mass.
     """
     plant = OutsidePlant(mission.scenario, mission.dynamics)
     for pilot in (Pilot.OPEN_LOOP, Pilot.ADAPTIVE):
