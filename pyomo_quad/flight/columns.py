@@ -1,7 +1,7 @@
-"""Columns of a table of a flight: name, variable of the model, unit, words and symbol.
+"""Columns of a flight's table: name, variable of the model, unit, description and symbol.
 
-An angle is stored in rad and printed in degrees: ``scale`` turns a stored value into the printed
-unit.
+Tables hold values in the units of the model. A factor, ``scale``, converts them to the printed
+unit: angles, for example, are stored in rad and printed in degrees.
 """
 
 from __future__ import annotations

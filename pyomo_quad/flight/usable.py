@@ -1,7 +1,7 @@
-"""Refinement of a coarse solution until simulation of its controls reaches the goal.
+"""Flyable trajectories near a coarse solution, for a search that runs out of time.
 
-A search that is running out of time thus finds a plan that can be flown near a coarse optimum,
-without being optimal itself.
+Simulating the controls of a coarse solution may miss the goal. Here the equations are solved on
+finer meshes, without optimising again, until the simulated flight reaches the goal.
 """
 
 from __future__ import annotations
@@ -41,9 +41,10 @@ _CLEARANCE = "airspace.clearance"
 def flyable_from(
     problem: Problem, arguments: dict[str, Any], coarse: Solution, airspace: Airspace
 ) -> Iterator[Solution]:
-    """Yield flyable trajectories near a coarse optimum: the equations hold on ever finer meshes.
+    """Yield flyable trajectories near a coarse optimum, on ever finer meshes.
 
-    Between the points of coarse elements, a path may cut the corners of zones: the clearance is
+    The equations are satisfied on the finer meshes, but the energy is not minimised again. Between
+    the points of coarse elements, a path may cut the corners of zones; therefore the clearance is
     increased by the deepest intrusion of the coarse path.
 
     Parameters
