@@ -1,10 +1,11 @@
 """Reference paths: position and yaw as functions of time for the controller to follow.
 
-reference | path | meets at both ends step | the goal from the start | nothing: the path depends on
-the controller quintic | polynomial of degree 5 | position, zero velocity and acceleration
-minimum_snap | polynomial of degree 7 | position, zero velocity, acceleration and jerk plan | the
-optimal plan, as cubic splines through its samples | the states of the plan cruise | straight legs
-at a constant speed (module `routes`) | rest, as at every corner
+reference | path | meets at both ends
+step | the goal from the start | nothing: the path depends on the controller
+quintic | polynomial of degree 5 | position, zero velocity and acceleration
+minimum_snap | polynomial of degree 7 | position, zero velocity, acceleration and jerk
+plan | the optimal plan, as cubic splines through its samples | the states of the plan
+cruise | straight legs at a constant speed (module `routes`) | rest, as at every corner
 
 The plan includes the effect of the forecast wind on the vehicle, so the controller adapts only to
 the difference from the forecast. The other references ignore the wind.
