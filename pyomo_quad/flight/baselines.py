@@ -56,6 +56,7 @@ from pyomo_quad.scenario.mission import Hover
 from pyomo_quad.scenario.tables import Reference
 from pyomo_quad.scenario.vehicle import Vehicle
 
+# Names of components of the declared model, or their beginnings.
 _RIGID_BODY = "rigid_body."
 _ROTOR_SPEED = "rotors.omega["
 _YAW = "rigid_body.psi"
@@ -348,6 +349,7 @@ class _Loop:
         )
 
 
+#: Name of the flight that applies a plan's controls without feedback.
 OPEN_LOOP = "open_loop/plan"
 
 _PATHS = {

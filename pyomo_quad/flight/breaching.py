@@ -111,6 +111,7 @@ class Approach:
 # Distance of a plan from its tightened limit, relative to the margin or to the standard deviation,
 # below which the limit counts as active.
 _ACTIVE = 0.25
+# Halvings in a search for a margin: it ends within 1e-9 of the largest margin considered.
 _HALVINGS = 30
 
 

@@ -22,11 +22,15 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation import Dynamics
 
 
+# Names of columns: time, energy, and wind along world x and y.
 TIME = "time_s"
 ENERGY = "energy_J"
 WIND = ("wind_x_m_per_s", "wind_y_m_per_s")
+#: Numbers of the rotors of a quadrotor.
 ROTORS = (1, 2, 3, 4)
+# Beginning of the names of the controls, the rotor accelerations.
 _ROTOR_CONTROL = "rotors.alpha["
+# Degrees in a radian: angles are stored in rad and printed in degrees.
 _IN_DEGREES = degrees(1.0)
 # Printed unit -> stored unit, where they differ.
 _STORED_UNITS = {"°": "rad", "°/s": "rad/s", "mN m": "N m"}

@@ -371,6 +371,8 @@ def project(estimate: Sequence[float], rate: Sequence[float], bound: float) -> l
     return [r - turned * d for d, r in zip(estimate, rate, strict=True)]
 
 
+# Axes of a loop (x, y, z or roll, pitch, yaw), and states of a loop: two states for the actuators'
+# lag and one estimated disturbance for each axis.
 _AXES = 3
 STATES_PER_LOOP = 3 * _AXES
 
@@ -635,6 +637,7 @@ CONTROLLER_STATES = (
 _COMMAND_SHARE = 0.6
 # Ratio of rate gain to angle gain of the command filter: critical damping.
 _CRITICAL = 4.0
+# Indices of the horizontal components, and parts of the controller's state vector.
 _HORIZONTAL = (0, 1)
 _POSITION = slice(0, STATES_PER_LOOP)
 _ATTITUDE = slice(STATES_PER_LOOP, 2 * STATES_PER_LOOP)
@@ -644,6 +647,7 @@ COMMAND_SIZE = 18
 """Length of a command: place, rate and acceleration of a setpoint, four numbers each; accelerations
 along world x and y that the tilt is to give, and rates and accelerations of roll and pitch that are
 known beforehand, two numbers each."""
+# Parts of a command, in the order of `COMMAND_SIZE`; a reference may give no rates of tilt.
 _SETPOINT = slice(0, 4), slice(4, 8), slice(8, 12)
 _AHEAD, _TILT_RATE, _TILT_ACCELERATION = slice(12, 14), slice(14, 16), slice(16, COMMAND_SIZE)
 _UNKNOWN_TILTING = (0.0,) * 4

@@ -54,7 +54,9 @@ _MARGIN = 0.4
 # Airspeeds of the table of powers, and ground speeds that are compared on a line [m/s].
 _AIRSPEEDS = np.linspace(0.0, 24.0, 17)
 _GROUND_SPEEDS = np.linspace(0.5, 30.0, 60)
+# Halvings in the search for the price of time: it ends within 0.5 % of the power of hover.
 _HALVINGS = 12
+# Steps on the grid to half of the neighbours that a point is joined to; lines lead both ways.
 _NEIGHBOURS = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 1), (1, 2), (2, -1), (1, -2))
 # Fractions of a line at which the wind along it is evaluated.
 _SHARES = (0.0, 0.5, 1.0)

@@ -52,6 +52,8 @@ LONGEST_STEP_S = 0.02
 # exact solution; and largest product of step length and rate of the fastest mode, below the
 # stability limit of the method, 2.78.
 _SHARE_OF_LAG, _STABLE = 1.2, 2.2
+# Number added to all states before differentiation (units of the states): the derivative of a norm
+# is not defined at zero.
 _OFF_NOUGHT = 1e-6
 # Steps between two samples of a flight. At 25 samples per second, a path at 10 m/s around a corner
 # of 2 m radius deviates from its chord by 1 cm.
@@ -59,6 +61,7 @@ _STEPS_PER_SAMPLE = 2
 # Number of flights whose limits are evaluated in one call; more take more memory and no less time.
 _JUDGED_AT_ONCE = 25
 
+# Words for a miss of the goal, too much speed at the goal, and a lack of battery power or charge.
 NOT_THERE = "distance from the goal at the end"
 NOT_AT_REST = "speed at the end"
 NOT_FED = "power or charge of the pack"

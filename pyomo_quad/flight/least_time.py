@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from pyomo_quad.flight.search import Search
     from pyomo_quad.scenario import Scenario
 
+# First mesh of a solve for the least time (elements, degree), and its largest number of iterations.
 _MESH = (10, 4)
 _OPTIONS = SolverOptions(max_iterations=300)
 # Number of meshes of a first estimate of the least time, which suffices unless the mission's

@@ -40,6 +40,7 @@ _BENDING_S, _MORE = 1.0, 2
 # Acceleration and jerk of an initial guess, m/s^2 and m/s^3, and the range of its speeds, m/s.
 _ACCELERATION, _JERK = 2.0, 4.0
 _SPEEDS = 1.0, 30.0
+# Tolerance of the cheapest speed [m/s], enough for a guess, and number of samples of the guess.
 _SPEED_TOLERANCE = 0.1
 _SAMPLES = 400
 

@@ -64,6 +64,7 @@ Answer = tuple[Sequence[float], Sequence[float]]
 OutsideLaw = Callable[[float, FloatArray, Sequence[float]], Answer]
 """Control law: function of time, declared states of the vehicle, and the law's own states."""
 
+# Name of the simulator and of its module, and the message if it is not installed.
 PLANT = "rotorpy"
 MULTIROTOR = "vehicles.multirotor"
 _MISSING = "RotorPy is not installed; install it with pip install 'pyomo_quad[rotorpy]'."

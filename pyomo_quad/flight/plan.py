@@ -148,9 +148,12 @@ def trajectories_of(solution: Solution) -> Trajectories:
 #: Smallest energy that a relative error of an energy is divided by [J].
 LEAST_ENERGY_J = 1e-3
 
+# Plan file: number of the format, member with the description, and largest size read [bytes], a
+# protection against files that would fill the memory.
 _FORMAT: Final = 2
 _ABOUT = "about"
 _LARGEST_FILE = 256 * 1024 * 1024
+# Members of a plan file: arrays of the plan, its mesh, named data, and the prefix of a warm start.
 _ARRAYS = ("states", "controls", "energy", "costates", "hamiltonian")
 _MESH = ("breakpoints", "degrees")
 _NAMED = ("horizon", "state_names", "control_names", "costate_names")

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 Builder = Callable[[Scenario], Any]
 
+# Components of the declared wind along world x and y [m/s].
 _WIND = ("wind.velocity_x", "wind.velocity_y")
 
 

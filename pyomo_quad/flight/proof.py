@@ -29,6 +29,7 @@ from pyomo_quad.scenario.messages import shown
 
 # Relative rounding error of a duration that a file stores in decimals.
 _SAME_TIME = 1e-9
+# Advice at the end of every message of this module.
 _AGAIN = "solve the scenario again."
 
 

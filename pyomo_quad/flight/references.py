@@ -55,6 +55,7 @@ class Setpoint(NamedTuple):
 
 ReferencePath = Callable[[float], Setpoint]
 
+# Rates and accelerations of x, y, z and yaw at rest.
 _AT_REST = (0.0, 0.0, 0.0, 0.0)
 
 

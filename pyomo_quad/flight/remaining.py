@@ -58,6 +58,7 @@ from pyomo_quad.scenario.tables import Knowledge
 
 Numbers = dict[str, float | Callable[[float], float]]
 
+# Axes of the estimated acceleration by the air; the vertical part is attributed to the mass.
 _HORIZONTAL = "xy"
 # Mesh of the plan before take-off if none is given: element length [s], least and largest number of
 # elements, degree.
@@ -84,6 +85,7 @@ _INTO_HOLD, _SETTLED = 1.0, 0.75
 # and with smaller pivots: fewer digits are enough for a plan that is flown for a fifth of a second.
 _BARRIER = (("mu_init", 3e-6), ("mu_target", 3e-6))
 _HASTE = (("fast_step_computation", "yes"), ("mumps_pivtol", 1e-6), ("mumps_scaling", 0))
+# Ipopt's tolerance and largest number of iterations of a re-solve: a plan that is late is useless.
 _OPTIONS = SolverOptions(tolerance=1e-5, max_iterations=40, extra=(*_BARRIER, *_HASTE))
 # Solves before take-off have no time limit.
 _AT_LEISURE = SolverOptions(tolerance=1e-6, max_iterations=300)
@@ -95,6 +97,7 @@ _LAST, _LAST_SHARE = 3.0, 0.3
 # hover at a waypoint, where the vehicle must be at rest: with a fraction below three tenths, limits
 # were broken in gusts.
 _NEAR, _HOLD_SHARE = 1.0, 0.5
+# Name of the parameter that holds the distance kept from zones.
 _CLEARANCE = "airspace.clearance"
 # Additional distance of re-plans from zones [m]: between the points of the coarse mesh a plan may
 # pass nearer, and the flight deviates from it; at 8 m/s, in `parcel`, by 9 mm if the wind is known

@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 
 # Range of the return flight's airspeed, above the wind speed [m/s].
 _SLOWEST_M_S, _FASTEST_M_S = 1.0, 25.0
+# Tolerance of the airspeed of least charge [m/s]: the charge per metre is flat near its minimum.
 _TOLERANCE_M_S = 1e-3
+# The model counts charge in A h, rates in A h/s.
 _SECONDS_PER_HOUR = 3600.0
 
 

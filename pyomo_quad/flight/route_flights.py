@@ -28,6 +28,7 @@ from pyomo_quad.scenario.accuracy import Accuracy
 
 # Least number of elements on which the flights along all routes are compared.
 _ROUTE_ELEMENTS = 20
+# Samples of a guess along each route, which resolve its corners.
 _GUESS_SAMPLES = 201
 
 

@@ -34,21 +34,25 @@ if TYPE_CHECKING:
     from pyomo_quad.scenario import Scenario
 
 
+# Names of states and other components of the declared model, or their beginnings.
 ROLL, PITCH, _YAW = "rigid_body.phi", "rigid_body.theta", "rigid_body.psi"
 _ROTOR_SPEED = "rotors.omega["
 _CHARGE_RATE = "battery.dcharge_drawn_dt"
 _FIRST_ROTOR = 1
 _INDUCED = "power.induced_velocity"
 _UNCREDITED = "power.uncredited_power"
+# Velocity or acceleration of a vehicle at rest.
 _STILL = np.zeros(3)
 # Largest rate of change of a state in a trim, in the state's own unit per second.
 _AT_REST = 1e-7
 # Residual of the least-squares search below which Newton steps with its last Jacobian follow, and
 # number of these steps.
 _NEARLY, _SHARPENINGS = 1e-2, 4
+# Relative tolerance of a rotor speed, near the rounding error, because the lower bound uses it.
 _PRECISION = 1e-15
 # Velocities at which linearity is tested, m/s: each axis alone, and all axes together.
 _TRIALS = np.array([[3.0, 0, 0], [0, 3.0, 0], [0, 0, 3.0], [-5.0, 7.0, -2.0]])
+# Rounding error of a balance that is linear, relative to the thrust.
 _ROUNDING = 1e-9
 
 

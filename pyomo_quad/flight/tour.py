@@ -48,6 +48,7 @@ if TYPE_CHECKING:
 #: Number of orders whose whole missions are solved, because energies of legs from hover to hover
 #: ignore the saving of not stopping.
 BEST_FEW = 3
+# Mesh of the solves of legs: elements and degree; only the order of their energies matters.
 _LEG_MESH = Mesh.uniform(8, 4)
 # Number of legs up to which all are solved for: with few legs, predictions are inaccurate.
 _FEW_LEGS = 30

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation import Problem, Solution
     from pyomo_quad.scenario.airspace import Airspace
 
+# Tolerances of the lowest accuracy, which a usable plan must meet.
 _QUICK = FIGURES[Accuracy.QUICK]
 # For each mesh the error of states above which an element is refined, and the tolerance on the
 # residuals of the equations.  The first mesh only provides the start for the next; in simulation
@@ -35,6 +36,7 @@ _DEGREE = 6
 _AT_POINTS = 0.3
 # Fractions of an element at which the path is checked for intrusion into zones.
 _LOOKS = np.linspace(0.0, 1.0, 20, endpoint=False)
+# Name of the parameter that holds the distance kept from zones.
 _CLEARANCE = "airspace.clearance"
 
 

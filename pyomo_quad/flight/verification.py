@@ -32,7 +32,9 @@ if TYPE_CHECKING:
     from pyomo_quad.scenario.airspace import Airspace
 
 
+# Tolerances of the highest accuracy, the default.
 _PROOF = FIGURES[Accuracy.PROOF]
+#: Samples of a simulated flight in each mesh element, at which limits are checked.
 SAMPLES_PER_ELEMENT = 8
 # Distance from a zone within which samples are dense, relative to the distance between two nodes of
 # the path: one half is enough for a straight path between the nodes.
@@ -157,6 +159,7 @@ def _rates(flow: ClosedLoop, control: Callable[[float], FloatArray], inside: flo
 #: the difference is larger. The same tolerance applies to the voltage that the motors need.
 BALANCE_TOLERANCE = 1e-3
 
+# Components that the battery's balance is computed from, and the voltage that a motor needs.
 _VOLTAGE = "battery.voltage"
 _BALANCE = ("power.total", _VOLTAGE, "battery.current", "battery.state_of_charge")
 #: Quantities of the battery, sampled along a flight, from which `balance_lacking` computes the

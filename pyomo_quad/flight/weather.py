@@ -157,6 +157,7 @@ def unknowns(planner: Planner, scenario: Scenario) -> tuple[dict[str, float], ..
     return tuple(change for change in changes if any(change.values()))
 
 
+# Parameter with the forecast error of the wind along an axis [m/s].
 _WIND_ERROR = "wind.error[{}]"
 
 

@@ -21,10 +21,13 @@ from pyomo_quad.scenario.airspace import Ball, KeepOut
 
 #: Distance of route corners from a zone and its clearance [m]; a narrower gap counts as closed.
 MARGIN_M = 0.15
+# Corners of the polygon drawn round a disc: they are 3.5 % farther from its centre than its edge.
 _CORNERS = 12
 # The directions of a cube's corners, edges and faces are at most 54.8 degrees apart.
 _DIRECTIONS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
+# Factor on a sphere's radius at which the lines between neighbouring directions clear the sphere.
 _SPHERE_MARGIN = 1.0 / cos(54.8 / 2 * pi / 180)
+#: Rounding error of a fraction of a line, and of a length [m].
 ROUNDING = 1e-9
 
 
