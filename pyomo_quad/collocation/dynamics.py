@@ -234,8 +234,9 @@ class Dynamics:
         Returns
         -------
         list of float
-            The fraction of the horizon, the time-dependent parameters, and numbers that select the
-            branch of rules that branch on time.
+            The fraction of the horizon; the time-dependent parameters; and, for each rule of the
+            model that is different in different parts of the horizon, a number that selects its
+            form at this time.
         """
         fraction = float(self.timeline.fraction(t))
         return [fraction, *self._signals(fraction)]
@@ -266,7 +267,7 @@ class Dynamics:
         return casadi.vertcat(*(changed.get(name, value) for name, value in pairs))
 
     def moment_column(self, moment: Any, changed: Mapping[str, Any]) -> Any:
-        """Return the time-dependent inputs of the equations, some parameters in them replaced.
+        """Return the column of time-dependent inputs of the equations, some parameters replaced.
 
         Parameters
         ----------
@@ -891,7 +892,7 @@ def _expression(number: Any) -> Any:
 
 
 class Law(Protocol):
-    """Feedback control law, written with NumPy functions of single numbers."""
+    """Feedback control law, written with NumPy's functions for scalars, so that it compiles."""
 
     def __call__(
         self, command: Sequence[Any], x: Sequence[Any], own: Sequence[Any], /

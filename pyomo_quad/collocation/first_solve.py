@@ -51,8 +51,8 @@ class FirstSolve(Search[S], Generic[S]):
     finish : callable
         (solve, mesh, start) -> the solution, on refined meshes if a tolerance is given.
     judge : callable
-        Failed solution -> the same solution with a message on which equations cannot be satisfied
-        together, as found by minimising the constraint violation (elastic program).
+        Takes a failed solution and minimises the constraint violation (elastic program); returns
+        the solution with a message that names the equations which cannot be satisfied together.
     mesh : Mesh, list of Mesh, or None
         Initial mesh, a list for several horizons, None for a model without time.
     start : Start
@@ -240,9 +240,9 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
 
         A redundant condition follows from the other equations, as an end condition on a conserved
         quantity does. Redundant conditions are detected at the point of least constraint violation
-        near the guess. If they were imposed too, a coarse mesh would have spurious solutions or
-        none. The result is None if no condition is redundant, the solve fails, or its solution
-        violates a condition.
+        near the guess. If redundant conditions were imposed too, the problem on a coarse mesh might
+        have no solution, or spurious solutions. The result is None if no condition is redundant,
+        the solve fails, or its solution violates a condition.
         """
         near = solve_on(mesh, self.start, options=replace(self.options, max_iterations=0))
         least = violation_of(near, self.options, self.progress)

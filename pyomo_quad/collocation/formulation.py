@@ -590,9 +590,8 @@ def structural_index(declared: Declarations) -> StructuralIndex:
 
     The index is 0 for an ODE. It is also 0 where the method does not apply: there are no equations,
     more equations than variables, or no assignment of equations to variables. Controls count as
-    unknowns, like all algebraic variables; an equation among states therefore raises the index
-    whether the states are driven by controls or not. Source: Pryce (2001), BIT Numerical
-    Mathematics 41, 364-394.
+    unknowns, like all algebraic variables. An equation among states therefore raises the index even
+    if controls drive these states. Source: Pryce (2001), BIT Numerical Mathematics 41, 364-394.
     """
     equations = [e for e in declared.equations if e.is_equality]
     names = [s.name for s in (*declared.states, *declared.algebraics)]
@@ -629,7 +628,8 @@ def refuse_high_index(declared: Declarations) -> None:
     Raises
     ------
     TranscriptionError
-        Naming the equation to differentiate, and the number of differentiations.
+        If the index is above 2. The message names an equation, and says how often to differentiate
+        it.
     """
     found = structural_index(declared)
     if found.index <= _HIGHEST:

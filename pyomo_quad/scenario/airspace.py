@@ -326,7 +326,7 @@ def _interval(axis: int, low: float, high: float) -> Ball:
 
 
 class KeepIn(Part):
-    """Fence on the ground that the flight must stay inside of, at every height.
+    """Fence on the ground; at every height the flight must stay inside the fence.
 
     The fence is convex. A concave fence is replaced by its convex hull, with keep-out zones for the
     parts of the hull outside of the fence.

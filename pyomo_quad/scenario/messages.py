@@ -54,8 +54,8 @@ def complaints(
 ) -> list[tuple[FieldPath, str]]:
     """Convert the validation errors of pydantic to messages of one line.
 
-    Unknown keys come first. The key that an unknown key probably stands for is not reported as
-    missing.
+    Unknown keys come first. An unknown key is probably a misspelt field; a required field that is
+    misspelt in this way is not reported as missing too.
 
     Parameters
     ----------
@@ -283,7 +283,7 @@ def _example(model: type[BaseModel], name: str) -> str:
 
 
 def table_of(model: type[BaseModel], name: str) -> type[BaseModel] | None:
-    """Return the class of the table, or of the tables in the list, that a field holds.
+    """Return the class of the table that a field holds; for a list of tables, of its items.
 
     Parameters
     ----------

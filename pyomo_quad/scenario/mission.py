@@ -103,7 +103,7 @@ class Waypoint(Part):
 
 
 class ReturnFlight(Part):
-    """Steady, level return flight for which a plan keeps battery charge, and a safety margin."""
+    """Steady, level return flight; a plan must keep battery charge for it, with a margin."""
 
     margin: Number = quantity(
         "1",
@@ -316,8 +316,9 @@ class Mission(Part):
     def chosen(self, duration: float) -> dict[str, float | str | None]:
         """Return the fields that replace a free duration by a fixed one.
 
-        Limits on the duration and the price of time (the value of a second, in W) get their
-        defaults. The aim of least time becomes least energy, because the time is then fixed.
+        The limits on the duration, and the price of time (the value of a second, in W), are set to
+        their defaults. If the mission's aim is least time, it becomes least energy, because the
+        time is then fixed.
 
         Parameters
         ----------
