@@ -98,7 +98,7 @@ _PASSAGES = tuple(
 
 @parameters_in("mission")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters of block `mission`: both ends, duration, waypoints."""
+    """Return the parameters of block `mission`: start, goal, duration and waypoints."""
     duration = _DURATION if scenario.mission.is_free else ()
     return (*_ENDS, *duration, *((_TURNING,) if scenario.keeps_yaw else ()), *_PASSAGES)
 

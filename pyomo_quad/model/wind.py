@@ -272,8 +272,8 @@ def _at_height(b: Block, t: float, velocity: NumericExpression) -> NumericExpres
 def still_air(m: ConcreteModel) -> dict[str, float | Callable[[float], float]]:
     """Return the parameter values that set the wind of a model to zero, by full name.
 
-    Every mutable parameter of block `wind` with the unit of a speed is zero, so that a wind of the
-    user's own is switched off as well. A wind that is not a parameter remains.
+    Every mutable parameter of block `wind` with the unit of a speed is zero, so that a wind that a
+    user has declared is switched off as well. A wind that is not a parameter remains.
     """
     calm: dict[str, float | Callable[[float], float]] = {}
     block = m.component("wind")

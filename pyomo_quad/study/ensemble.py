@@ -158,7 +158,7 @@ class Ensemble(Summarised):
         }
 
     def table(self) -> "pd.DataFrame":
-        """Return the results of the flights as a table with one row for each."""
+        """Return the results of the flights as a table with one row per flight."""
         import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
         endings = self.flown.endings
