@@ -190,7 +190,7 @@ def declare_airspace(m: ConcreteModel, scenario: Scenario) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        With `time`, `rigid_body` and, over terrain, `ground`.
+        Model that already declares `time`, `rigid_body` and, over terrain, `ground`.
     scenario : Scenario
         Source of the limits.
 

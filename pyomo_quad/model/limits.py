@@ -72,7 +72,7 @@ def declare_limits(m: ConcreteModel, scenario: Scenario) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        With `time`, `rigid_body`, `rotors`, `wind` and `battery`.
+        Model that already declares `time`, `rigid_body`, `rotors`, `wind` and `battery`.
     scenario : Scenario
         Source of the limits; an optional limit is declared only if the scenario sets it.
     """

@@ -153,7 +153,8 @@ def declare_power(m: ConcreteModel, scenario: Scenario) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        With `time`, `vehicle` and `rotors`; for `momentum`, also the airspeeds.
+        Model that already declares `time`, `vehicle` and `rotors`; for `momentum`, also the
+        airspeeds.
     scenario : Scenario
         Selects the power model and whether braking rotors return energy.
     """
@@ -181,7 +182,7 @@ def declare_error(m: ConcreteModel) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        With `power`, to whose total no other component refers yet.
+        Model that already declares `power`, to whose total no other component refers yet.
     """
     b = m.power
     b.error = Param(initialize=0.0, mutable=True, doc="relative error of the modelled power")

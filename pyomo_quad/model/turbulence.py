@@ -162,8 +162,8 @@ def declare_turbulence(m: ConcreteModel, scenario: Scenario) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        With `time`, `rigid_body` and the mean wind of `wind`, to which no component refers yet:
-        each wind component is replaced by its sum with the gust.
+        Model that already declares `time`, `rigid_body` and the mean wind of `wind`, to which no
+        component refers yet: each wind component is replaced by its sum with the gust.
     scenario : Scenario
         With ``wind.turbulence``.
     """

@@ -194,7 +194,7 @@ def declare_wind(m: ConcreteModel, scenario: Scenario) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        With `time`, `clock`, `rigid_body` and an empty block `wind`.
+        Model that already declares `time`, `clock`, `rigid_body` and an empty block `wind`.
     scenario : Scenario
         Holds the wind: eq. (11)-(12), a measured time series, or a field over places.
     """
@@ -460,7 +460,7 @@ class _OverTime:
 
     @cached_property
     def _table(self) -> Table:
-        """Spline over the rows of the table within reach of a flight of variable duration.
+        """Spline over the rows of the wind table that a flight of variable duration may reach.
 
         The cost of an evaluation grows with the number of rows. The rows that are left out are too
         far away in time to have an effect.

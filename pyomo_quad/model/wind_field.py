@@ -60,7 +60,8 @@ def declare_field(m: ConcreteModel, grid: WindGrid, scenario: Scenario) -> list[
     Parameters
     ----------
     m : ConcreteModel
-        With `time`, `rigid_body` and `wind`, which has `wind_time` and `field_unit`.
+        Model that already declares `time`, `rigid_body` and `wind`, which has `wind_time` and
+        `field_unit`.
     grid : WindGrid
         Grid points and wind components of the field.
     scenario : Scenario
