@@ -64,7 +64,7 @@ _STATE_OF_CHARGE = "battery.state_of_charge"
 
 
 def start_state(scenario: Scenario, dynamics: Dynamics, plan: Plan | None = None) -> FloatArray:
-    """Return the initial state of a simulated flight: that of a plan or, without a plan, hover.
+    """Return the initial state of a simulated flight: the plan's state or, without a plan, hover.
 
     Parameters
     ----------
@@ -454,7 +454,8 @@ def fly_reference(
     rate_hz : float, optional
         Samples per second; the first and the last time are always included.
     tolerance : float, optional
-        Relative and absolute tolerance of the integrator; by default that of a verified flight.
+        Relative and absolute tolerance of the integrator; by default the tolerance of verified
+        flights.
 
     Returns
     -------

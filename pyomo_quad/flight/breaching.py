@@ -52,7 +52,7 @@ class Approach:
         Scenario field that sets this bound.
     room : ndarray, shape (n,)
         Distance of the mean flight (without gusts) from the bound, in the unit of the bound. The
-        bound is the scenario's, without the margin that a plan keeps from it.
+        bound is the scenario's; the margin that a plan keeps from the bound is not subtracted.
     planned : ndarray, shape (n,)
         Distance of the plan from the bound.
     deviation : ndarray, shape (n,)

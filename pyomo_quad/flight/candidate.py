@@ -480,7 +480,7 @@ class Candidate:
         Parameters
         ----------
         carry_out : callable
-            Takes a candidate and applies the planning strategies to it.
+            Function of a candidate that applies the planning strategies.
 
         Returns
         -------

@@ -133,8 +133,8 @@ class LineCosts:
     ends : ndarray, shape (2, 3)
         Ends of the leg, from one waypoint to the next [m].
     duration : float
-        Duration of the leg or, if it is free, a guess of it [s]; it gives the time at which the
-        flight passes a place.
+        Duration of the leg, or a guess if the duration is free [s]. The time at which the flight
+        passes a place follows from it.
     fastest : float
         Limit on the ground speed, m/s.
     """
@@ -261,7 +261,7 @@ class Corridors:
     ends : ndarray, shape (2, 3)
         Start and goal of the leg [m].
     duration : float
-        Duration of the leg or, if it is free, a guess of it [s].
+        Duration of the leg, or a guess if the duration is free [s].
     """
 
     def __init__(

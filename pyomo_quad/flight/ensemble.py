@@ -111,7 +111,7 @@ class Ending:
     largest_deviation_m, peak_tilt_rad : float
         Largest distance from the reference path, and largest tilt.
     broken : mapping
-        Limit in words -> the flight's violation of it, relative to the larger of 1 and the limit;
+        Limit in words -> largest violation of the limit, relative to the larger of 1 and the limit;
         empty if the flight arrived and kept every limit.
     """
 

@@ -25,7 +25,8 @@ _SAMPLES = 2001
 def departures(plan: "Plan") -> tuple[str, ...]:
     """Return a message for each quantity in which a plan leaves the validated range of its vehicle.
 
-    The validated range of airspeed, climb, descent and payload is that of measured flights.
+    The validated range of airspeed, climb, descent and payload is the range that measured flights
+    cover.
 
     Returns
     -------

@@ -87,8 +87,8 @@ def integrate(
 def _within(rates: Rates, first: float, last: float) -> Rates:
     """Return the right-hand side with its time limited to the inside of an interval.
 
-    The rates jump at both ends of the interval, `first` and `last` [s]; there, the right-hand side
-    is evaluated slightly inside.
+    The rates jump at both ends of the interval, `first` and `last` [s]. For times at the ends, the
+    right-hand side is evaluated slightly inside the interval.
     """
     margin = _INSIDE * (last - first)
 

@@ -1,9 +1,9 @@
 """Initial guess and meshes for a long flight: accelerate, cruise, brake.
 
-A vehicle changes its attitude within a second, whatever the duration of the flight. If elements of
-equal length would be longer than a second, the mesh has short elements at both ends, and their
-length grows towards the middle. The cruise speed of the guess follows from the duration or, if that
-is free, is the speed of least energy per metre.
+A vehicle changes its attitude within a second, however long the flight is. If elements of equal
+length would be longer than a second, the mesh has short elements at both ends, and their length
+grows towards the middle. The cruise speed of the guess follows from the duration or, if that is
+free, is the speed of least energy per metre.
 """
 
 from __future__ import annotations

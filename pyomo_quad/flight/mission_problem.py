@@ -118,7 +118,7 @@ class MissionProblem:
             Parameter values that replace those of the mission, by full name. If given, solutions on
             intermediate meshes are not offered to the search as plans.
         **chosen
-            Arguments of `Problem.solve` that replace those of `arguments`.
+            Arguments of `Problem.solve`, which take precedence over `arguments`.
 
         Returns
         -------
@@ -150,9 +150,9 @@ class MissionProblem:
         Parameters
         ----------
         guess : mapping, DataFrame or Trajectory, optional
-            Initial guess; by default that of the model.
+            Initial guess; by default the model's guess.
         mesh : Mesh, optional
-            First mesh; by default that of the scenario.
+            First mesh; by default the scenario's mesh.
 
         Returns
         -------
@@ -205,7 +205,7 @@ class MissionProblem:
         """Return the last point of an interrupted solve, evaluated with the mission's parameters.
 
         The interrupted solve had easier parameters; energy and errors of the returned solution are
-        those of the mission.
+        computed with the mission's parameters.
         """
         read = self.unsolved(mesh=stopped.mesh, warm_start=stopped)
         return replace(read, status=stopped.status, message=stopped.message)

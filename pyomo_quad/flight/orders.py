@@ -267,8 +267,8 @@ def _made_symmetric(costs: FloatArray, finite: FloatArray) -> FloatArray:
     A leg is the flight from one place to another. A potential is a number for each place; the
     difference of the potentials of its two ends is added to the cost of a leg. This changes the
     cost of no order, see docs/theory/orders.md, eq. (3), and it removes most of the dependence of
-    costs on direction, which climbs and head winds cause. The symmetric cost is that of the cheaper
-    direction. Legs that are allowed in one direction only do not enter the potentials.
+    costs on direction, which climbs and head winds cause. The symmetric cost is the cost in the
+    cheaper direction. Legs that are allowed in one direction only do not enter the potentials.
     """
     potential = np.zeros(len(costs))
     is_both = np.isfinite(costs + costs.T)[1:-1, 1:-1]

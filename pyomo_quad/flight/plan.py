@@ -772,7 +772,7 @@ class Plan(Summarised):
         Returns
         -------
         Flight
-            Result with the energy of the plan; misses and violations are those of its simulated
+            Result with the energy of the plan, and with the misses and violations of its simulated
             flight.
         """
         verification = self.verification
@@ -832,7 +832,7 @@ class Plan(Summarised):
         Raises
         ------
         ScenarioError
-            If this plan has neither such a figure nor such a column.
+            If the plan has no figure and no column of this name.
 
         Examples
         --------

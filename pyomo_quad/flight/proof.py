@@ -1,7 +1,7 @@
 """Verification of a plan read from a file, without trust in the numbers that the file states.
 
-The ends of the flight and its horizon must be those of the mission. The controls, simulated by
-SciPy through the scenario's own equations, must reproduce the states of the file.
+The initial state, final state and horizon of the plan must agree with the mission. The controls,
+simulated by SciPy through the scenario's own equations, must reproduce the states of the file.
 """
 
 from dataclasses import replace

@@ -223,8 +223,9 @@ class SampledPath:
     def __call__(self, t: float) -> Setpoint:
         """Return the setpoint at time t [s].
 
-        Before the first and after the last sample, position and acceleration are those of that
-        sample, so that the setpoint of a controller that looks ahead does not change after the end.
+        Before the first and after the last sample, the path keeps the position and acceleration of
+        this sample, so that the setpoint of a controller that looks ahead does not change after the
+        end.
         """
         row, is_inside = self._row(t)
         return Setpoint(row[:4], row[4:8] if is_inside else _AT_REST, row[8:])
@@ -267,8 +268,8 @@ class PlannedPath:
     def __call__(self, t: float) -> Setpoint:
         """Return the setpoint at time t [s].
 
-        Before the first and after the last sample, position and acceleration are those of that
-        sample, and all rates are zero.
+        Before the first and after the last sample, the path keeps the position and acceleration of
+        this sample, and all rates are zero.
         """
         row, is_inside = self._row(t)
         moving = (row[4:8], row[12:]) if is_inside else (_AT_REST, _AT_REST)

@@ -450,8 +450,8 @@ class Replanner:
         If the flight is near its plan, the result is the state of the plan: the controller corrects
         the deviation, and a re-plan from the measured state would follow each lag of the vehicle.
         Otherwise, position and velocity are moved from the plan towards the measured values, just
-        as far as needed to bring the flight near the re-plan.  Attitude and rotor speeds are those
-        of the plan, changed to include the acceleration that the controller has learnt to add
+        as far as needed to bring the flight near the re-plan. Attitude and rotor speeds are taken
+        from the plan, and changed to include the acceleration that the controller has learnt to add
         against the wind; without this change, the re-plan would begin with a turn to the new
         attitude.
 
@@ -541,9 +541,9 @@ def _remainders(believed: Scenario) -> tuple[Remainder, ...]:
 def _ahead(believed: Scenario, k: int) -> Scenario:
     """Return the mission that remains after its first k waypoints, for re-plans in flight.
 
-    If the vehicle still has to hover at a waypoint, the remaining mission ends there, some time
-    after the start of the hover, and the waypoint's position is its goal: a hovering vehicle does
-    not depend on the later parts of the mission.
+    If the vehicle still has to hover at a waypoint, the remaining mission ends some time after the
+    start of this hover, and its goal is the waypoint's position: a hovering vehicle does not depend
+    on the later parts of the mission.
     """
     mission = believed.mission
     left = mission.waypoints[k:]

@@ -177,7 +177,7 @@ class _Aircraft:
         self._measured = [dynamics.state_names.index(n) for n in replanner.dynamics.state_names]
 
     def measured(self, state: FloatArray) -> FloatArray:
-        """Return the states that the vehicle measures, without those of the turbulence."""
+        """Return the states that the vehicle measures; the states of the turbulence are left out."""
         return state[self._measured]
 
     def seen(self, flown: Flown) -> Flown:
@@ -379,7 +379,7 @@ def fly_replanned(
     Raises
     ------
     ScenarioError
-        If the model is not that of the package.
+        If the model is not the package's own model.
     SolveError
         If there is no plan before take-off, or the flight is out of control.
     """

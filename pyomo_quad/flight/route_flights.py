@@ -135,8 +135,8 @@ class RouteFlights:
         Parameters
         ----------
         known : dict
-            Solutions by number of the journey (a route for each leg of the mission). Finer
-            solutions replace coarse solutions in it, and duplicates are removed from it.
+            Solutions by number of the journey (a route for each leg of the mission). The mapping is
+            changed in place: finer solutions replace coarse solutions, and duplicates are removed.
 
         Returns
         -------

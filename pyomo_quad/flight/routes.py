@@ -354,7 +354,7 @@ class TriedRoute:
     length_m : float
         Length of the shortest route in its class.
     energy_J : float or None
-        Energy of the optimal flight along the route [J]. Unless `is_refined`, it is that of a
+        Energy of the optimal flight along the route [J]. Unless `is_refined`, it is the energy on a
         coarse mesh. None if the solve failed.
     is_refined : bool
         Whether the flight was solved to the mission's tolerance.

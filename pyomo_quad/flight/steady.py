@@ -104,7 +104,7 @@ class SteadyFlight:
     def trim(self, velocity: ArrayLike = _STILL, near: Trim | None = None) -> Trim:
         """Return the steady flight at a velocity over ground.
 
-        Position and heading are those of the mission's start. Some states can never be at rest
+        Position and heading are taken from the mission's start. Some states can never be at rest
         because the flight uses them up, such as the charge drawn: the mission fixes them at the
         start and leaves them free at the end. They keep their initial values. All other states, and
         the controls, are solved for.

@@ -181,7 +181,7 @@ class LegTable:
     def _features(self, leg: _Leg) -> list[float]:
         """Return the regressors that predict the energy of a flight between two places.
 
-        They are those of docs/theory/orders.md, eq. (1).
+        See docs/theory/orders.md, eq. (1).
         """
         here, there = (np.array(self._scenario.mission.positions[k]) for k in leg)
         (dx, dy, dz), height = there - here, float(here[2] + there[2]) / 2.0

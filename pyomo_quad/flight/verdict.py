@@ -93,7 +93,7 @@ def verified(plan: Plan, solution: Solution, accuracy: Accuracy | None = None) -
     solution : Solution
         The solution from which the plan was made.
     accuracy : Accuracy, optional
-        Accuracy to confirm; that of the scenario by default.
+        Accuracy to confirm; by default the scenario's accuracy.
 
     Returns
     -------

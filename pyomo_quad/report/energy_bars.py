@@ -34,7 +34,7 @@ def draw_energy_split(flights: Sequence[StyledFlight], hover_energy_J: float) ->
 
     The left panel shows the total energy, and in grey the energy of hovering for the same time. The
     right panel shows the energy above hovering or, if the durations of the flights differ, the
-    energy above that of the first flight.
+    difference from the first flight's energy.
 
     Parameters
     ----------

@@ -331,6 +331,6 @@ def refuse(place: str, reason: str) -> NoReturn:
     place : str
         Start of the message: the field that names the file.
     reason : str
-        What is wrong, and what to do.
+        The fault and its remedy, as the rest of the sentence.
     """
     raise ScenarioError(f"{place}; {reason}.") from None

@@ -133,7 +133,7 @@ class NamedDuration(NamedTuple):
 
 
 class Mission(Part):
-    """Start, goal, waypoints and duration of a flight, and what the plan minimises."""
+    """Start, goal, waypoints and duration of a flight, and the quantity that the plan minimises."""
 
     frame: Frame = late_quantity(
         "", "directions of the world axes, enu: x east, y north, z up from the origin", Frame.ENU

@@ -514,9 +514,9 @@ def with_coupling(
     """Set the wind's coupling, its effect on the vehicle, where the scenario does not give it.
 
     By default the wind acts through the drag, which depends on the airspeed. A vehicle without drag
-    coefficients would not feel the wind; for it the default is the acceleration of eq. (9) of Yacef
-    et al. as printed. The forecast has the same coupling as the wind, unless the scenario gives
-    another for it.
+    coefficients would not feel the wind; its default coupling is the acceleration of eq. (9) of
+    Yacef et al. as printed. The forecast has the same coupling as the wind, unless the scenario
+    gives the forecast a coupling of its own.
 
     Parameters
     ----------

@@ -190,7 +190,7 @@ class RunResult(Summarised):
         Raises
         ------
         ScenarioError
-            If this run has neither such a figure nor such a column.
+            If the run has no figure and no column of this name.
 
         Examples
         --------

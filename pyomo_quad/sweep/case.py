@@ -195,7 +195,7 @@ def perform(task: CaseTask) -> CaseOutcome:
     Parameters
     ----------
     task : CaseTask
-        The case's scenario, what to do, and the initial guess.
+        The case's scenario, the task (plan or fly), and the initial guess.
 
     Returns
     -------
@@ -447,7 +447,7 @@ def solve_case(task: CaseTask) -> CaseResult:
     Parameters
     ----------
     task : CaseTask
-        The case's scenario, what to do, and the initial guess.
+        The case's scenario, the task (plan or fly), and the initial guess.
 
     Returns
     -------

@@ -370,7 +370,7 @@ def best_along(curve: Curve, field: str, quantity: str, tried: Sequence[float]) 
     Returns
     -------
     Best
-        The best value of the field, the quantity there, and the neighbouring values.
+        The best value of the field, the quantity at this value, and the neighbouring values.
     """
     best = pareto_front(curve.rows, field, quantity).iloc[-1]
     at, flown = float(best[field]), set(curve.rows[field])
