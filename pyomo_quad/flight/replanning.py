@@ -177,7 +177,7 @@ class _Aircraft:
         self._measured = [dynamics.state_names.index(n) for n in replanner.dynamics.state_names]
 
     def measured(self, state: FloatArray) -> FloatArray:
-        """Return the states that the vehicle measures; the states of the turbulence are left out."""
+        """Return the states that the vehicle measures, without the states of the turbulence."""
         return state[self._measured]
 
     def seen(self, flown: Flown) -> Flown:
