@@ -120,9 +120,9 @@ class Allowance:
 class ErrorEstimate:
     """Estimated relative errors of a solution, element by element.
 
-    Some effects of an element's errors on the objective add up over the elements. For comparison
-    with the tolerance they are given as the effect on the whole horizon if all elements were as bad
-    as this element, but at most the sum over all elements ("extrapolated" below).
+    Some effects of the elements' errors on the objective add up over the elements. So that such an
+    effect can be compared with the tolerance, the effect of each element is multiplied by the
+    number of elements, but limited to the sum over all elements ("extrapolated" below).
 
     Attributes
     ----------
@@ -566,8 +566,8 @@ def _missed(solution: Solution, moved: list[FloatArray], weight: float) -> Float
     """Return the share of each element in the error of the final states, times a weight.
 
     Only the final state with the largest error counts. The element that contributes most to this
-    error gets the whole error, as if the other elements had none. The other elements get values in
-    proportion to their contributions. Shape (n_elements,).
+    error is assigned the whole error; each other element is assigned a part of it, in proportion to
+    its contribution. The result has shape (n_elements,).
     """
     if weight == 0.0:
         return np.zeros(solution.mesh.elements)
