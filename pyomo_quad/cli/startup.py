@@ -1,4 +1,4 @@
-"""Start of a process that runs a single command, in less time.
+"""Faster start of a process that runs a single command.
 
 A library must leave the process unchanged. A command owns its process, and saves about a second
 with `own_process` and `import_scipy_alone`.
@@ -17,7 +17,10 @@ _is_own = False
 
 
 def own_process() -> None:
-    """Set threads and garbage collection of a process that runs one command only."""
+    """Make a process that runs a single command faster: one BLAS thread, rare garbage collection.
+
+    A number of threads that the user has set in the environment is kept.
+    """
     global _is_own  # noqa: PLW0603  a fact about the process
     _is_own = True
     # On small matrices, BLAS threads save little and take processor time from parallel flights.
@@ -28,10 +31,10 @@ def own_process() -> None:
 def import_scipy_alone() -> None:
     """Import SciPy without further slow modules that Pyomo would import with it.
 
-    At the first import of SciPy and of matplotlib, Pyomo imports modules that it may need later,
-    half a second each. This function removes these import hooks after the hook for NumPy has run;
-    Pyomo still imports either library when it uses it. In a process that does not belong to a
-    command, the function does nothing.
+    Pyomo installs import hooks: when SciPy or matplotlib is first imported, they import further
+    modules that Pyomo may need later, which takes half a second for each library. This function
+    removes the hooks, after the hook for NumPy has run. Pyomo then imports these modules only when
+    it uses them. In a process that does not belong to a command, the function does nothing.
     """
     if _is_own and _PYOMO_WATCHERS not in sys.modules and "scipy" not in sys.modules:
         importlib.import_module("numpy")

@@ -288,8 +288,8 @@ class OutputStates:
     ) -> FloatArray:
         """Solve the collocation equations of the output states by Newton's method.
 
-        Output states are states that nothing else depends on, and no unknowns of the nonlinear
-        program.
+        Output states are states that nothing else depends on. They are not among the unknowns of
+        the nonlinear program.
 
         Parameters
         ----------
@@ -438,9 +438,9 @@ class Formulation:
         Parameters
         ----------
         parameters : mapping, optional
-            Values that replace those of the model's mutable parameters, by component or full name.
+            New values of the model's mutable parameters, by component or full name.
         horizon : (float, float), optional
-            Start and end of the horizon, in place of the continuous set's.
+            Start and end of the horizon; by default the ends of the continuous set.
 
         Raises
         ------
@@ -590,9 +590,8 @@ def structural_index(declared: Declarations) -> StructuralIndex:
 
     The index is 0 for an ODE. It is also 0 where the method does not apply: there are no equations,
     more equations than variables, or no assignment of equations to variables. Controls count as
-    unknowns, like all algebraic variables; an equation among states therefore raises the index
-    whether the states are driven by controls or not. Source: Pryce (2001), BIT Numerical
-    Mathematics 41, 364-394.
+    unknowns, like all algebraic variables. An equation among states therefore raises the index even
+    if controls drive these states. Source: Pryce (2001), BIT Numerical Mathematics 41, 364-394.
     """
     equations = [e for e in declared.equations if e.is_equality]
     names = [s.name for s in (*declared.states, *declared.algebraics)]
@@ -629,7 +628,8 @@ def refuse_high_index(declared: Declarations) -> None:
     Raises
     ------
     TranscriptionError
-        Naming the equation to differentiate, and the number of differentiations.
+        If the index is above 2. The message names an equation, and says how often to differentiate
+        it.
     """
     found = structural_index(declared)
     if found.index <= _HIGHEST:

@@ -447,8 +447,8 @@ def control_polynomial(
 ) -> Callable[[float], FloatArray]:
     """Return the controls in one element as polynomials of physical time.
 
-    The polynomials pass through the values at the element's collocation points. They are clipped to
-    the limits where they exceed them between the points.
+    The polynomials pass through the values at the element's collocation points. Where a polynomial
+    exceeds a limit between the points, the control is set to the limit.
 
     Parameters
     ----------
@@ -625,8 +625,8 @@ class Mesh(Summarised):
     def with_breakpoints(self, fractions: Iterable[float]) -> Mesh:
         """Return this mesh with additional element boundaries.
 
-        Both parts of an element that is split keep its degree; existing boundaries are not
-        repeated.
+        If an element is split, both parts have the degree of the element. Boundaries that exist
+        already are not repeated.
 
         Parameters
         ----------

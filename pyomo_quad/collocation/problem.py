@@ -195,8 +195,8 @@ class Problem(Summarised, Formulation):
     ) -> Solution:
         """Solve from one starting point (warm start or guess), with mesh refinement if required.
 
-        The arguments are those of `solve`, with defaults resolved; `instance` holds the parameter
-        values and the horizon of this solve.
+        The arguments have the meaning that they have in `solve`, but no default values; `instance`
+        holds the parameter values and the horizon of this solve.
         """
         if self.has_horizon and tolerance is not None:
             options = options.suiting(tolerance)
@@ -503,7 +503,8 @@ def _refined(
 ) -> Solution:
     """Solve with mesh refinement on one horizon.
 
-    This adapts a solve on one mesh to the function `refine`, which requires a solve of this form.
+    The function `refine` expects tuples with one mesh and one damping per horizon. This function
+    calls `refine` with tuples of length one.
 
     Parameters
     ----------

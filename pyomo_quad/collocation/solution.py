@@ -385,7 +385,7 @@ class Solution(Outcome):
         return np.clip(fractions, 0.0, 1.0)
 
     def value(self, component: Any, t: Any = None, index: Any = None) -> Any:
-        """Return the value of a variable or expression, at times if it depends on time.
+        """Return the value of a variable or expression, at given times if it depends on time.
 
         Parameters
         ----------

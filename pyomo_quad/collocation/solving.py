@@ -66,7 +66,7 @@ class _WholeSolve(Search[S], Generic[S]):
     has_ended: bool = False
 
     def holds(self, fact: Fact) -> bool:
-        """Return whether a condition (`Fact`) of a strategy in the table is true at present.
+        """Return whether a condition that a strategy requires (`Fact`) is true at this stage.
 
         `WARM_START`: a warm start was given. `COLD_FAILED`: a warm start was tried, and the solve
         from the guess that followed has failed.
@@ -108,7 +108,8 @@ class _WholeSolve(Search[S], Generic[S]):
     def is_final(self, found: S) -> bool:
         """Return whether a result ends the search.
 
-        Every result does, unless the solve stopped because it exceeded its budget of iterations.
+        Every result ends the search, unless the solve stopped because it exceeded its budget of
+        iterations.
         """
         del found
         return self.has_ended

@@ -142,8 +142,8 @@ class WarmStart:
         mesh : Mesh
             Mesh of the result.
         was, now : Timeline
-            Physical times of the horizon of this warm start, and of the horizon of the result,
-            which is the same or lies inside it.
+            Mappings to physical time on the horizon of this warm start, and on the horizon of the
+            result. The horizon of the result must not extend beyond the horizon of this warm start.
 
         Returns
         -------

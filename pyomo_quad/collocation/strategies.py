@@ -199,7 +199,7 @@ class Search(ABC, Generic[S]):
 
     @abstractmethod
     def holds(self, fact: Fact) -> bool:
-        """Return whether a condition (`Fact`) of a strategy in the table is true at present."""
+        """Return whether a condition that a strategy requires (`Fact`) is true at this stage."""
 
     @abstractmethod
     def attempt(self, strategy: Strategy) -> S | None:

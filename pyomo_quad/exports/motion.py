@@ -46,7 +46,7 @@ class ProvenPlan:
         The mission, with the plan's duration and passing times of waypoints.
     held : Trajectories
         States and controls of the plan. A report's table does not say which of its columns are
-        states, so a plan that was read from a report lists every column as a state and as a
+        states. For a plan read from a report, every column is therefore listed as a state and as a
         control.
     is_paper_plan : bool
         True if the scenario states no risk (`mission.risk`). The plan then goes up to its limits

@@ -92,8 +92,8 @@ def declare_aerodynamics(m: ConcreteModel, scenario: Scenario) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        With `time`, `vehicle`, `wind` and the velocities of `rigid_body`; the rotor speeds of
-        `rotors` for a vehicle with rotor forces.
+        Model that already declares `time`, `vehicle`, `wind` and the velocities of `rigid_body`;
+        the rotor speeds of `rotors` for a vehicle with rotor forces.
     scenario : Scenario
         Selects the coupling of the wind and the forces to declare.
     """
@@ -129,8 +129,9 @@ def declare_unexplained(m: ConcreteModel) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        With the forces of block `aerodynamics`, to which no other component refers yet: each
-        horizontal force is replaced by its sum with mass times the unexplained acceleration.
+        Model that already declares the forces of block `aerodynamics`, to which no other component
+        refers yet: each horizontal force is replaced by its sum with mass times the unexplained
+        acceleration.
     """
     b = m.aerodynamics
     b.unexplained = Param(

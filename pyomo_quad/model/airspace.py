@@ -5,7 +5,7 @@ c_k | centre[zone, ball, axis] | m | centre of ball k of a zone, on the axes of 
 n_k | normal[zone, ball, axis] | - | direction across an edge of a polygon, of length one
 R_k | radius[zone, ball] | m | radius of ball k
 c | clearance | m | distance kept from every zone
-d_k | beyond[zone, ball] | m | distance from the surface of the ball, less the clearance
+d_k | beyond[zone, ball] | m | distance from the surface of the ball minus the clearance
 w | edge_width | m | width over which two faces of a zone are blended
 
 A zone is the intersection of balls (`scenario.airspace.Ball`): a disk and an interval of height for
@@ -190,7 +190,7 @@ def declare_airspace(m: ConcreteModel, scenario: Scenario) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        With `time`, `rigid_body` and, over terrain, `ground`.
+        Model that already declares `time`, `rigid_body` and, over terrain, `ground`.
     scenario : Scenario
         Source of the limits.
 
@@ -296,7 +296,7 @@ def _refuse_touching(scenario: Scenario) -> None:
 
 
 def _room(zone: KeepOut, clearance: float, place: Sequence[float]) -> float:
-    """Return the distance of a place from a keep-out zone as the path constraint smooths it [m]."""
+    """Return the distance of a place from a zone, smoothed as in the path constraint [m]."""
     distances = [
         _beyond(
             float(np.sum((ball.coordinates(place) - ball.centre) ** 2)),

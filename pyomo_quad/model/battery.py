@@ -125,7 +125,7 @@ def declare_battery(m: ConcreteModel, scenario: Scenario) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        With `time`, `power` and `scaling_factor`.
+        Model that already declares `time`, `power` and `scaling_factor`.
     scenario : Scenario
         Source of the battery's numbers; with relaxation or temperature, these states are declared
         too.
@@ -161,7 +161,7 @@ def declare_loss(m: ConcreteModel) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        With `battery`.
+        Model that already declares `battery`.
     """
     b, start = m.battery, m.time.first()
     charge, missing = b.charge_drawn[start], 1 - b.initial_state_of_charge / (100 * units.percent)

@@ -345,8 +345,8 @@ def load_builder(spec: str, base_folder: Path) -> Builder:
     Raises
     ------
     ScenarioError
-        If there is no such file or function, or the file fails; and, raised by the returned
-        function, if it returns no ConcreteModel.
+        If there is no such file or function, or the file fails. The returned function raises the
+        same exception if the user's function returns no ConcreteModel.
 
     Examples
     --------

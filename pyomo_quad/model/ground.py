@@ -37,7 +37,7 @@ def declare_ground(m: ConcreteModel, scenario: Scenario) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        With `time` and `rigid_body`.
+        Model that already declares `time` and `rigid_body`.
     scenario : Scenario
         Holds the terrain; without terrain nothing is declared.
     """

@@ -79,7 +79,7 @@ def declare_homing(m: ConcreteModel, scenario: Scenario) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        With `time`, `rigid_body`, `wind` and `battery`.
+        Model that already declares `time`, `rigid_body`, `wind` and `battery`.
     scenario : Scenario
         Nothing is declared if its mission keeps no charge for a return.
     """

@@ -7,7 +7,8 @@ function the problem has no minimum otherwise.
 
 A plan uses only a part of the largest rotor speed and thrust; the fraction `reserve` is left to the
 controller that follows the plan. A motor with lag accelerates its rotor by at most (rotor_speed_max
-- speed) / time constant. Both limits are declared only where they are not zero.
+- speed) / time constant. The reserve and the limit by the lag are declared only if `reserve` and
+the time constant are not zero.
 """
 
 from pyomo.core import Block, ConcreteModel, inequality, sqrt
@@ -71,7 +72,7 @@ def declare_limits(m: ConcreteModel, scenario: Scenario) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        With `time`, `rigid_body`, `rotors`, `wind` and `battery`.
+        Model that already declares `time`, `rigid_body`, `rotors`, `wind` and `battery`.
     scenario : Scenario
         Source of the limits; an optional limit is declared only if the scenario sets it.
     """

@@ -98,7 +98,7 @@ _PASSAGES = tuple(
 
 @parameters_in("mission")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters of block `mission`: both ends, duration, waypoints."""
+    """Return the parameters of block `mission`: start, goal, duration and waypoints."""
     duration = _DURATION if scenario.mission.is_free else ()
     return (*_ENDS, *duration, *((_TURNING,) if scenario.keeps_yaw else ()), *_PASSAGES)
 
@@ -113,7 +113,7 @@ def declare_mission(m: ConcreteModel, scenario: Scenario) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        With `time`, `vehicle`, `rigid_body` and `rotors`.
+        Model that already declares `time`, `vehicle`, `rigid_body` and `rotors`.
     scenario : Scenario
         Holds start, goal and waypoints.
     """
@@ -314,7 +314,7 @@ def start_where_measured(m: ConcreteModel) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        With all its states and `mission`.
+        Model that already declares all its states and the block `mission`.
     """
     for said in (m.mission.start_place, m.mission.start_rest, m.mission.start_rotor_speed):
         said.deactivate()
@@ -359,7 +359,7 @@ def end_in_equilibrium(m: ConcreteModel) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        With `rigid_body`, `rotors` and `mission`.
+        Model that already declares `rigid_body`, `rotors` and `mission`.
     """
     for state in ("phi", "theta"):
         m.mission.goal_rest[state].deactivate()

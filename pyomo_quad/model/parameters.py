@@ -171,7 +171,8 @@ def floored(
     Returns
     -------
     expression
-        Above the exact maximum everywhere: by width/2 where the two are equal.
+        Larger than the exact maximum, by width/2 where `value` equals `floor` and by less
+        elsewhere.
     """
     return floor + positive_part(value - floor, width)
 

@@ -14,9 +14,10 @@ constant_efficiency | tau omega / eta | yes | yes
 efficiency | tau omega / f_r(tau, omega) | no | no
 momentum | induced, profile and axial power, in moving air | yes | yes
 
-By default, braking returns energy in the first three models and the last, because their balances
-hold for either direction of the energy flow. The other models have no such balance: a braking power
-divided by an efficiency would return more energy than braking absorbs.
+By default, braking returns energy in the models `motor`, `motor_with_friction`, `shaft` and
+`momentum`, because their balances hold for either direction of the energy flow. The two models with
+an efficiency have no such balance: a braking power divided by an efficiency would return more
+energy than braking absorbs.
 
 Alternating acceleration and braking of the rotors saves no energy: see docs/theory/bound.md, eq.
 (5).
@@ -50,11 +51,11 @@ is Bennett's, in Leishman (2006), section 5.4.
 Rotor acceleration takes the power stored in the rotor, I_r omega alpha, plus the copper loss of the
 torque I_r alpha.
 
-Validated on flights: 120 of a DJI Matrice 100 with 0 to 0.5 kg, airspeeds to 16 m/s, climb to 4
-m/s, descent to 3.5 m/s (`reports/m100`). Faster descent is theory only. In cruise at 1 to 4 m/s the
-measured power is some 14 W above this model. An additional 4 % peak of the induced power at about 3
-m/s, fitted with the other coefficients, gave an out-of-sample error of 1.89 % instead of 1.86 % and
-was left out.
+The model is validated with 120 flights of a DJI Matrice 100: payloads of 0 to 0.5 kg, airspeeds to
+16 m/s, climb to 4 m/s, descent to 3.5 m/s (`reports/m100`). Faster descent is theory only. In
+cruise at 1 to 4 m/s the measured power is some 14 W above this model. An additional 4 % peak of the
+induced power at about 3 m/s, fitted with the other coefficients, gave an out-of-sample error of
+1.89 % instead of 1.86 % and was left out.
 """
 
 from collections.abc import Callable
@@ -152,7 +153,8 @@ def declare_power(m: ConcreteModel, scenario: Scenario) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        With `time`, `vehicle` and `rotors`; for `momentum`, also the airspeeds.
+        Model that already declares `time`, `vehicle` and `rotors`; for `momentum`, also the
+        airspeeds.
     scenario : Scenario
         Selects the power model and whether braking rotors return energy.
     """
@@ -180,7 +182,7 @@ def declare_error(m: ConcreteModel) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        With `power`, to whose total no other component refers yet.
+        Model that already declares `power`, to whose total no other component refers yet.
     """
     b = m.power
     b.error = Param(initialize=0.0, mutable=True, doc="relative error of the modelled power")

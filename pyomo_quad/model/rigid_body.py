@@ -57,7 +57,7 @@ def declare_motion(m: ConcreteModel, scenario: Scenario) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        With `time` and `scaling_factor`.
+        Model that already declares `time` and `scaling_factor`.
     """
     m.rigid_body = Block(doc="rigid body, Yacef et al., eqs. (6) and (9)")
     _declare_states(m, scenario)
@@ -75,7 +75,8 @@ def declare_balances(m: ConcreteModel, scenario: Scenario) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        With `vehicle`, `rotors`, `aerodynamics` and the states of `rigid_body`.
+        Model that already declares `vehicle`, `rotors`, `aerodynamics` and the states of
+        `rigid_body`.
     """
     _declare_force_balances(m.rigid_body, m)
     _declare_tilting_balances(m.rigid_body, m)

@@ -62,8 +62,8 @@ def declare_motors(m: ConcreteModel, scenario: Scenario) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        With `time`, `vehicle` and the speeds and accelerations of `rotors`, to which the
-        expressions are added.
+        Model that already declares `time`, `vehicle` and the speeds and accelerations of `rotors`,
+        to which the expressions are added.
     scenario : Scenario
         Its vehicle has a table `motor` if the constants are known.
     """
@@ -102,7 +102,7 @@ def declare_rotors(m: ConcreteModel, scenario: Scenario) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        With `time`, `vehicle` and `scaling_factor`.
+        Model that already declares `time`, `vehicle` and `scaling_factor`.
     scenario : Scenario
         Its vehicle gives the rotor layout.
     """

@@ -92,7 +92,7 @@ def soften(m: ConcreteModel, scenario: Scenario) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        With its `objective`. The penalty per unit of violation becomes the mutable parameter
+        Model with its `objective`. The penalty per unit of violation becomes the mutable parameter
         `soft.price` [J per unit].
     scenario : Scenario
         Its vehicle's weight sets the initial penalty.

@@ -16,8 +16,8 @@ With a = V / L, each filter has one of two state forms (see docs/theory/risk.md,
     xi_1' = -a xi_1 + sqrt(a) n,  xi_2' = a (xi_1 - xi_2),
                                           v, w = sigma (sqrt(3) xi_1 + (1 - sqrt(3)) xi_2)
 
-The lengths of MIL-HDBK-1797 are half of those of MIL-F-8785C, and its filters have twice the
-length; at low altitude both give the same spectra.
+MIL-HDBK-1797 gives half the lengths of MIL-F-8785C, but uses twice the length in the filters. At
+low altitude the two specifications therefore give the same spectra.
 
 Gusts are frozen (Taylor's hypothesis) only for a vehicle that crosses them faster than they change
 by themselves, which takes about L / sigma (Tennekes and Lumley, 1972, section 1.5). Therefore V is
@@ -162,8 +162,8 @@ def declare_turbulence(m: ConcreteModel, scenario: Scenario) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        With `time`, `rigid_body` and the mean wind of `wind`, to which no component refers yet:
-        each wind component is replaced by its sum with the gust.
+        Model that already declares `time`, `rigid_body` and the mean wind of `wind`, to which no
+        component refers yet: each wind component is replaced by its sum with the gust.
     scenario : Scenario
         With ``wind.turbulence``.
     """

@@ -194,7 +194,7 @@ def declare_wind(m: ConcreteModel, scenario: Scenario) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        With `time`, `clock`, `rigid_body` and an empty block `wind`.
+        Model that already declares `time`, `clock`, `rigid_body` and an empty block `wind`.
     scenario : Scenario
         Holds the wind: eq. (11)-(12), a measured time series, or a field over places.
     """
@@ -272,8 +272,8 @@ def _at_height(b: Block, t: float, velocity: NumericExpression) -> NumericExpres
 def still_air(m: ConcreteModel) -> dict[str, float | Callable[[float], float]]:
     """Return the parameter values that set the wind of a model to zero, by full name.
 
-    Every mutable parameter of block `wind` with the unit of a speed is zero, so that a wind of the
-    user's own is switched off as well. A wind that is not a parameter remains.
+    Every mutable parameter of block `wind` with the unit of a speed is zero, so that a wind that a
+    user has declared is switched off as well. A wind that is not a parameter remains.
     """
     calm: dict[str, float | Callable[[float], float]] = {}
     block = m.component("wind")
@@ -460,7 +460,7 @@ class _OverTime:
 
     @cached_property
     def _table(self) -> Table:
-        """Spline over the rows of the table within reach of a flight of variable duration.
+        """Spline over the rows of the wind table that a flight of variable duration may reach.
 
         The cost of an evaluation grows with the number of rows. The rows that are left out are too
         far away in time to have an effect.

@@ -4,16 +4,16 @@ symbol | name | unit | meaning
 s | field_unit | m/s | factor on the wind of the field, as a speed
 x, y, z, t | - | m, s | the vehicle's place, and the wind time
 
-Each component is the tensor product of cubic B-splines through its values on the grid, without
-knots beside the ends (not-a-knot): twice differentiable, with exact derivatives, and its
-evaluation costs the same on any grid (`collocation.Table`).  An axis of two or three points is the
-line or parabola through them.  Grid points without wind, such as points inside a building, get the
-wind of the nearest point with wind, because a spline needs a value everywhere; a flight through
-them is refused (`unknown_wind`) unless `wind.beyond` is "hold".
+Each component is a tensor product of cubic not-a-knot B-splines through its values on the grid
+(`collocation.Table`). It is twice differentiable with exact derivatives, and the cost of an
+evaluation does not grow with the grid.  Along an axis of two or three points, the component is the
+line or parabola through the values.  Grid points without wind, such as points inside a building,
+get the wind of the nearest point with wind, because a spline needs a value everywhere; a flight
+through them is refused (`unknown_wind`) unless `wind.beyond` is "hold".
 
-With `wind.beyond` "hold", the place is clipped smoothly to the grid: inside the border by more than
-a tenth of a step the clipped place is the vehicle's own to 1e-10 of a step, and outside the grid
-the wind is that of its border.
+With `wind.beyond` "hold", the place is clipped smoothly to the grid, and outside of the grid the
+wind of the border blows. Inside of the grid, at more than a tenth of a step from the border, the
+clipped place equals the vehicle's place to 1e-10 of a step.
 """
 
 from collections.abc import Sequence
@@ -60,7 +60,8 @@ def declare_field(m: ConcreteModel, grid: WindGrid, scenario: Scenario) -> list[
     Parameters
     ----------
     m : ConcreteModel
-        With `time`, `rigid_body` and `wind`, which has `wind_time` and `field_unit`.
+        Model that already declares `time`, `rigid_body` and `wind`, which has `wind_time` and
+        `field_unit`.
     grid : WindGrid
         Grid points and wind components of the field.
     scenario : Scenario

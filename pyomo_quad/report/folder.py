@@ -79,7 +79,7 @@ def output_file(path: str | Path, mark: str = MARK) -> Iterator[Path]:
 
     The ``with`` block writes to a temporary file, which replaces the final file when the block
     ends. If the final path is a character device or a FIFO, such as ``/dev/stdout``, the bytes are
-    copied to it instead.
+    copied to this device instead.
 
     Parameters
     ----------
@@ -266,7 +266,7 @@ def _finish_swap(final: Path, path: str | Path, aside: Path) -> None:
     """Replace the final folder by a complete new folder ``ready``, if there is one.
 
     The old folder is renamed to `aside` until it is removed. Between the two renames there is no
-    final folder: if a run is killed there, the next run puts the new folder in place.
+    final folder: if a run is killed at this time, the next run puts the new folder in place.
 
     Parameters
     ----------
@@ -300,7 +300,7 @@ def _remove_leftovers(final: Path) -> None:
 
 
 def _is_of_a_run(folder: Path) -> bool:
-    """Return whether a hidden folder was made by this package, whose folders hold a manifest."""
+    """Return whether this package made a hidden folder: its folders hold a manifest."""
     return not folder.is_symlink() and (folder / MANIFEST_NAME).is_file()
 
 

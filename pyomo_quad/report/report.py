@@ -178,9 +178,9 @@ class RunRecord:
 def find_run(folder: Path, scenario: "Scenario") -> RunRecord | None:
     """Read an earlier, verified run of the same scenario from a report folder.
 
-    With it, a comparison of scenarios need not solve the scenario again. A run by other versions of
-    the package or its dependencies is ignored, because its numbers may differ. A run of a user's
-    own model is also ignored, because the model's code may have changed.
+    A comparison of scenarios uses this run instead of solving the scenario again. A run by other
+    versions of the package or its dependencies is ignored, because its numbers may differ. A run of
+    a user's own model is also ignored, because the model's code may have changed.
 
     Parameters
     ----------
@@ -311,11 +311,11 @@ class FreeClimb:
 
 
 def _free_climb(plan: "Plan") -> FreeClimb | None:
-    """Return the mission's climb if the flight uses less energy above hovering than it gains.
+    """Return the mission's climb if its potential energy exceeds the energy used above hovering.
 
-    Only the power model `momentum`, and possibly a user's model, depend on the airspeed and so
-    account for the energy of a climb; for these models the result is None. It is also None if the
-    mission releases parcels on the way, because the parcels do not climb to the goal.
+    The result is None for power models that depend on the airspeed and so account for the energy of
+    a climb: these are `momentum` and, possibly, a user's model. It is also None if the mission
+    releases parcels on the way, because the parcels do not climb to the goal.
     """
     scenario = plan.scenario
     height, potential = climb_of(scenario)
@@ -410,7 +410,7 @@ def _comparison_values(comparison: "pd.DataFrame") -> dict[str, Any]:
 
 
 def _run_values(result: "RunResult", replanned: "pd.DataFrame") -> dict[str, Any]:
-    """Return the template variables that describe a run, besides those of its plan."""
+    """Return the template variables that describe a run, except the variables of its plan."""
     comparison, certificate = result.comparison, result.certificate
     by_name = comparison.set_index(ComparisonColumn.FLIGHT, drop=False).to_dict("index")
     followed, fair = by_name.get(baseline_name(Reference.PLAN)), by_name.get(FAIR_BASELINE)

@@ -329,7 +329,7 @@ def read_report(folder: Path, table: str = PLAN_NAME) -> tuple[dict[str, Any], "
     Raises
     ------
     ScenarioError
-        If a file is missing, too large or damaged, or the table is not that of a flight.
+        If a file is missing, too large or damaged, or the table is not a flight's table.
     """
     file = folder / SUMMARY_NAME
     content = _content(file)

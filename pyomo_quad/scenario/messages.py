@@ -54,8 +54,8 @@ def complaints(
 ) -> list[tuple[FieldPath, str]]:
     """Convert the validation errors of pydantic to messages of one line.
 
-    Unknown keys come first. The key that an unknown key probably stands for is not reported as
-    missing.
+    Unknown keys come first. An unknown key is probably a misspelt field; a required field that is
+    misspelt in this way is not reported as missing too.
 
     Parameters
     ----------
@@ -103,16 +103,17 @@ _MOST_LINES = 20
 
 
 def listed(lines: Sequence[str]) -> str:
-    """Join messages, one per line; of more than twenty only the first are printed."""
+    """Join messages, one per line; from the twenty-first on, messages are only counted."""
     more = len(lines) - _MOST_LINES
     left_out = [f"... and {more} more."] if more > 0 else []
     return "\n".join([*lines[:_MOST_LINES], *left_out])
 
 
 def _without_branches(path: FieldPath, model: type[BaseModel]) -> FieldPath:
-    """Return the path of an error without the name of the type that pydantic tried there.
+    """Return the path of an error of pydantic without names of types, which the file lacks.
 
-    Pydantic adds the name for fields that accept a number or a word, such as `mission.duration`.
+    For a field that accepts a number or a word, such as `mission.duration`, pydantic reports an
+    error for each type, and adds the type's name to the path.
     """
     table, _ = declared_place(model, path[:-1])
     last = path[-1] if path else None
@@ -282,7 +283,7 @@ def _example(model: type[BaseModel], name: str) -> str:
 
 
 def table_of(model: type[BaseModel], name: str) -> type[BaseModel] | None:
-    """Return the class of the table, or of the tables in the list, that a field holds.
+    """Return the class of the table that a field holds; for a list of tables, of its items.
 
     Parameters
     ----------
@@ -330,6 +331,6 @@ def refuse(place: str, reason: str) -> NoReturn:
     place : str
         Start of the message: the field that names the file.
     reason : str
-        What is wrong, and what to do.
+        The fault and its remedy, as the rest of the sentence.
     """
     raise ScenarioError(f"{place}; {reason}.") from None

@@ -61,7 +61,11 @@ class Yaw(StrEnum):
 
 
 class Waypoint(Part):
-    """Place to pass between start and goal, with distance, hold, heading, speed and time."""
+    """Place to pass between start and goal.
+
+    It may prescribe the distance within which the flight must pass, a time of hovering, heading,
+    largest speed, time of passing and a release of payload.
+    """
 
     position: Triple = quantity(
         "m", "position x, y, z to pass, in world axes", example="[3.0, 0.0, 2.0]", sound=_FAR
@@ -99,7 +103,7 @@ class Waypoint(Part):
 
 
 class ReturnFlight(Part):
-    """Steady, level return flight for which battery charge is kept, and its safety margin."""
+    """Steady, level return flight; a plan must keep battery charge for it, with a margin."""
 
     margin: Number = quantity(
         "1",
@@ -129,7 +133,7 @@ class NamedDuration(NamedTuple):
 
 
 class Mission(Part):
-    """Start, goal, waypoints and duration of a flight, and what the plan minimises."""
+    """Start, goal, waypoints and duration of a flight, and the quantity that the plan minimises."""
 
     frame: Frame = late_quantity(
         "", "directions of the world axes, enu: x east, y north, z up from the origin", Frame.ENU
@@ -312,8 +316,9 @@ class Mission(Part):
     def chosen(self, duration: float) -> dict[str, float | str | None]:
         """Return the fields that replace a free duration by a fixed one.
 
-        Limits on the duration and the price of time (the value of a second, in W) get their
-        defaults. The aim of least time becomes least energy, because the time is then fixed.
+        The limits on the duration, and the price of time (the value of a second, in W), are set to
+        their defaults. If the mission's aim is least time, it becomes least energy, because the
+        time is then fixed.
 
         Parameters
         ----------

@@ -8,8 +8,8 @@ limit of the vehicle or misses the goal is penalised.  One triple of settings se
 mission.
 
 Where all legs are long compared with the distance over which the vehicle reaches its speed, the
-energy is nearly that of steady flight. There the search begins at the speed of least energy per
-metre in steady flight, and tries speeds near it.
+energy is nearly that of steady flight. In this case the search begins at the speed of least energy
+per metre in steady flight, and tries speeds near it.
 """
 
 from dataclasses import dataclass, replace
@@ -162,9 +162,14 @@ def fly_cruise(
 def _longest(
     scenario: Scenario, settings: CruiseSettings, planner: Planner
 ) -> tuple[Scenario, Dynamics]:
-    """Return the scenario of an autopilot's flight with the longest wait at the goal.
+    """Return scenario and dynamics of an autopilot's flight, with the longest wait at the goal.
 
-    The second value is the dynamics of the vehicle in this scenario.
+    Returns
+    -------
+    Scenario
+        The mission, flown by the autopilot with the given settings.
+    Dynamics
+        Dynamics of the vehicle in this scenario.
     """
     told = cruise_at(
         scenario.cruising(settings), settling_s=SETTLINGS_S[-1], least_s=_least(scenario)
@@ -177,9 +182,10 @@ def _least(scenario: Scenario) -> float:
 
 
 def _end(scenario: Scenario, settings: CruiseSettings, flown: Flown, dynamics: Dynamics) -> float:
-    """Return the time at which a flight has arrived, not before the mission's own time [s].
+    """Return the time at which an autopilot's flight has arrived at the goal [s].
 
-    If the vehicle does not arrive, the result is the end of the flight.
+    It is not earlier than the end of the reference trajectory, nor than a fixed duration of the
+    mission. If the vehicle does not arrive, it is the end of the flight.
     """
     moving = cruise_at(scenario.cruising(settings)).mission.fixed_duration
     places, velocities = (

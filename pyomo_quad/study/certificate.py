@@ -272,7 +272,7 @@ def certify(scenario: Scenario, *, planner: Planner | None = None) -> Certificat
     scenario : Scenario
         The mission.
     planner : Planner, optional
-        Holds the compiled equations; a new one without it.
+        Holds the compiled equations; by default a new planner.
 
     Returns
     -------

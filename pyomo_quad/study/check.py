@@ -395,7 +395,7 @@ def check_mission(
         Builds the Pyomo model. Of a user's model only the declarations are screened, because the
         limits of its vehicle are unknown.
     planner : Planner, optional
-        Holds the compiled equations; a new one without it.
+        Holds the compiled equations; by default a new planner.
 
     Returns
     -------
@@ -507,7 +507,7 @@ def plan_cautions(plan: "Plan", *, planner: "Planner | None" = None) -> tuple[st
     plan : Plan
         Plan of any status.
     planner : Planner, optional
-        Holds the compiled equations; a new one without it.
+        Holds the compiled equations; by default a new planner.
 
     Returns
     -------

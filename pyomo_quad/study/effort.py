@@ -105,8 +105,9 @@ class Effort:
     seconds : float
         Estimated processor time of planning.
     features : tuple of (str, float)
-        Costly features in words and the time that the scenario would take less without each [s],
-        the largest first. These times do not add up to `seconds`, because the features multiply.
+        Costly features in words, each with the time that planning would save without the feature
+        [s], the largest first. These times do not add up to `seconds`, because the effects of the
+        features multiply.
     """
 
     seconds: float

@@ -158,7 +158,7 @@ class Ensemble(Summarised):
         }
 
     def table(self) -> "pd.DataFrame":
-        """Return the results of the flights as a table with one row for each."""
+        """Return the results of the flights as a table with one row per flight."""
         import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
         endings = self.flown.endings
@@ -304,7 +304,8 @@ class Saving:
         `BAND` quantiles over the winds of (rival - plan) / rival in per cent, of the energies in
         the same wind.
     both_held : int
-        Number of winds in which both arrived and kept every limit; the percentages cover all winds.
+        Number of winds in which both flights arrived and kept every limit; the percentages cover
+        all winds.
     """
 
     rival: Ensemble

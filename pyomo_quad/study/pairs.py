@@ -524,8 +524,8 @@ class _Program:
     def add(self, k: int, pair: FloatArray) -> None:
         """Add the constraint that H of leg ``k`` is at most its value at a pair.
 
-        H is the power of a pair of thrust and airspeed less the terms of the prices (multipliers),
-        `pair` a result of `Pairs.cheapest`.
+        H is the power of a pair of thrust and airspeed minus the terms of the prices (multipliers).
+        `pair` is a result of `Pairs.cheapest`.
         """
         mass, line = self._legs[k].mass, np.zeros(self.size)
         line[:3], line[self._of(self._way, k)] = -pair[1:4] / mass, -pair[4:7]

@@ -96,8 +96,9 @@ def side_by_side(
 def _cores(most: int, *, use_blas: bool) -> int:
     """Return the number of processes to use, 1 where forking is unsafe or forbidden.
 
-    It is at most ``most``. A copy lacks the threads that BLAS or OpenMP wait for; a worker already
-    shares the cores.
+    It is at most ``most``. Forking is unsafe if BLAS or OpenMP use several threads, because a
+    forked copy lacks these threads. It is not done in a worker process, because several workers
+    share the cores already.
     """
     is_safe = not use_blas or os.environ.get("OMP_NUM_THREADS") == "1"
     is_own = multiprocessing.parent_process() is None

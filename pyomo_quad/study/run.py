@@ -190,7 +190,7 @@ class RunResult(Summarised):
         Raises
         ------
         ScenarioError
-            If this run has neither such a figure nor such a column.
+            If the run has no figure and no column of this name.
 
         Examples
         --------
@@ -246,7 +246,7 @@ def run_scenario(
     scenario : Scenario
         Mission, vehicle, wind and settings.
     planner : Planner, optional
-        Planner whose compiled models the run uses; a new one without it.
+        Planner whose compiled models the run uses; by default a new planner.
     baselines : sequence of Reference, optional
         References that the controller flies for comparison; by default the references that the
         scenario names.

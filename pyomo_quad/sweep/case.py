@@ -34,7 +34,7 @@ LARGEST_OUTPUT = 1e15
 
 
 class StudyTask(StrEnum):
-    """What a sweep does for each case: plan its flight, or fly another plan in its scenario.
+    """Task of a sweep for each case: plan its flight, or fly another plan in its scenario.
 
     `OPTIMISE` plans the minimum-energy flight of each case. `FLY_PLAN` plans the base case only,
     and the controller tracks this plan under the changed conditions of each case.
@@ -195,7 +195,7 @@ def perform(task: CaseTask) -> CaseOutcome:
     Parameters
     ----------
     task : CaseTask
-        The case's scenario, what to do, and the initial guess.
+        The case's scenario, the task (plan or fly), and the initial guess.
 
     Returns
     -------
@@ -447,7 +447,7 @@ def solve_case(task: CaseTask) -> CaseResult:
     Parameters
     ----------
     task : CaseTask
-        The case's scenario, what to do, and the initial guess.
+        The case's scenario, the task (plan or fly), and the initial guess.
 
     Returns
     -------

@@ -127,9 +127,10 @@ def _names_at(declared: Declarations, slot: Slot) -> frozenset[str]:
 
 
 def _one_output(declared: Declarations) -> tuple[Slot, PathEquation] | None:
-    """Return a state that nothing else depends on, with its equation, or None.
+    """Return an output state with its equation; None if the model has no such state.
 
-    The criteria are given in `set_outputs_aside`.
+    An output state affects neither the objective nor other equations. It appears in a single
+    equality, has no bounds, and is fixed at the start and nowhere else.
     """
     uses = Counter[str]()
     for equation in declared.equations:

@@ -176,8 +176,8 @@ class CoupledDeclarations:
     coupling : Declarations, ModelReader
         The objective, and the conditions on values of several horizons or of none.
     states : dict
-        For each static variable of the coupling that equals a state of a horizon, by the variable's
-        name: name of the horizon, and the state with its declared time.
+        Static variables of the coupling that equal a state of a horizon. The key is the variable's
+        name; the value is the name of the horizon, and the state with its declared time.
     links : tuple of str
         Names of the static variables that equal any other value of a horizon. A condition on the
         horizon imposes each equality, and has the same name as the variable.
@@ -247,10 +247,12 @@ def read_horizons(model: Any, times: FreeTimes | None) -> CoupledDeclarations:
 def _refuse_gaps(
     conditions: list[PointCondition], links: list[Link], free: dict[str, dict[float, Any]]
 ) -> None:
-    """Raise an error for a condition that links a horizon's end to another's later start.
+    """Raise an error for a condition that links two horizons with a gap of time between them.
 
-    Such a condition is meant to continue one phase in the next, but the declared times leave a gap
-    between them. A gap is accepted if a static variable replaces one of the two times.
+    An equality between a value at the end of one horizon and a value at the start of another is
+    meant to continue the first horizon in the second. It is refused if the second horizon is
+    declared to start later than the first ends. A gap is accepted if a static variable replaces one
+    of the two times.
 
     Parameters
     ----------
@@ -281,8 +283,8 @@ def _refuse_gaps(
 def _own_cost(reader: ModelReader, cost: Any, in_conditions: frozenset[str]) -> tuple[Any, Any]:
     """Split the objective into integrals over one horizon that enter it linearly, and the rest.
 
-    `cost` is the objective as a CasADi expression. Integrals that also appear in conditions
-    (`in_conditions` has the names of all symbols there) stay in the rest.
+    `cost` is the objective as a CasADi expression. `in_conditions` has the names of all symbols in
+    conditions; an integral that appears in a condition stays in the rest.
     """
     own = casadi.SX(0)
     for integral in reader.writer.integrals.values():
@@ -423,8 +425,8 @@ class Union:
     def nominal(self, whole: Bounds, z: FloatArray) -> FloatArray:
         """Return the magnitudes of the joint program's unknowns, shape (n_unknowns,).
 
-        `whole` are the bounds of the joint program, and `z` is the point at which the sizes of the
-        unknowns count.
+        The magnitude of an unknown follows from its declared scaling factor, else from its bounds
+        and its value. `whole` has the bounds of the joint program, and `z` the values.
         """
         return self.joined(
             [

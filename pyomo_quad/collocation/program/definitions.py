@@ -31,9 +31,9 @@ def definitions(
 ) -> list[Definition]:
     """Find equations without rates that define one algebraic variable each.
 
-    An equation defines a variable if the variable enters with a constant coefficient and no other
-    undefined variable does: ``k == exp(-1 / x)`` defines k and leaves x free; ``p - q == y``
-    defines neither p nor q. Variables that other equations define do not count.
+    An equation defines an algebraic variable if the variable enters with a constant coefficient,
+    and if other equations define all other algebraic variables that enter in this way. For example,
+    ``k == exp(-1 / x)`` defines k and leaves x free; ``p - q == y`` defines neither p nor q.
 
     Parameters
     ----------

@@ -67,8 +67,7 @@ def _with_slacks(
     -------
     ExtendedProgram
         With 2 k more unknowns: first the slacks that increase the constraints' values, then the
-        slacks that decrease the
-    values.
+        slacks that decrease them.
     """
     slacks = n + np.arange(2 * rows.size)
     entries = np.append(sizes, -sizes), (np.tile(rows, 2), slacks)

@@ -682,9 +682,9 @@ def run_past_the_barrier(
     """Solve as `run` does, and continue until the complementarity gap is small enough.
 
     Ipopt stops when complementarity gap and gradients are small relative to the scaled objective.
-    If the initial point is steep, the scaling makes the scaled objective so small that the gap may
-    exceed the objective itself. The solve is then repeated with a larger factor on the objective,
-    until the gap is a small fraction of the objective.
+    If the objective is steep at the initial point, its scaling factor becomes so small that the gap
+    may exceed the objective itself. The solve is then repeated with a larger factor on the
+    objective, until the gap is a small fraction of the objective.
 
     Parameters
     ----------
@@ -725,7 +725,7 @@ def run_past_the_barrier(
 
 
 def _set_options(problem: Any, options: SolverOptions, *, is_warm: bool) -> None:
-    """Pass the default settings, those of a warm start, and the caller's options to Ipopt."""
+    """Pass the default settings, the caller's options and settings for a warm start to Ipopt."""
     chosen = _DEFAULTS | {
         "tol": options.tolerance or _TOLERANCE,
         "max_iter": options.max_iterations,

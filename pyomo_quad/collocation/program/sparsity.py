@@ -394,8 +394,8 @@ def jacobian_scatter(compiled: CompiledModel, layout: Layout) -> JacobianScatter
     """Return the linear maps that assemble Jacobian and gradient from derivatives at points.
 
     Their inputs (sources) are the values that CasADi returns at each evaluation: the nonzeros of
-    the path equations' and integrands' Jacobian, point by point, then the nonzeros of the
-    conditions' and objective's Jacobian, and a final 1.
+    the Jacobian of path equations and integrands, point by point, then the nonzeros of the Jacobian
+    of conditions and objective, and a final 1.
     """
     path, points = compiled.path, compiled.points
     n_path = layout.points * len(path.jacobian_rows)

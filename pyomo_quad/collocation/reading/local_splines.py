@@ -49,9 +49,9 @@ _VALUE_SLOPE_BEND = 3
 class LocalSpline:
     """Tensor-product B-spline in a form whose evaluation cost does not depend on its size.
 
-    The spline is linear in the first and last interval of each axis. A CasADi function returns
-    value, gradient and Hessian at a place near the arguments, to which they are rounded; a Taylor
-    polynomial of degree two gives the value at the arguments themselves.
+    The spline is linear in the first and last interval of each axis. The arguments are rounded to a
+    nearby place, at which a CasADi function returns value, gradient and Hessian. From these, a
+    Taylor polynomial of degree two gives the value at the arguments themselves.
 
     Attributes
     ----------

@@ -458,9 +458,9 @@ class ModelSnapshot:
 
 
 def as_reading(signal: Callable[[float], float], time: float) -> Reading:
-    """Return a function's value at a time as a `Reading`, the form of a rule's result.
+    """Return a function's value at a time as a `Reading`, which the function `jumps` requires.
 
-    The reading has no key, because a function has no alternative forms. The function `jumps`, which
-    needs readings, can thus search the jumps of any function of time.
+    A `Reading` consists of numbers and a key; a change of the key is a jump. This reading has the
+    value as its only number and no key, so that `jumps` finds the jumps of the function.
     """
     return Reading(None, (signal(time),))

@@ -144,7 +144,7 @@ for _operation in (
 
 
 class Instant(float):
-    """Time with which a rule is called as a number, but which equals the template time as an index.
+    """Number that a rule receives as its time, and that equals the template time as an index.
 
     The template time is the added interior time at which equations are read. A rule that branches
     on time is called with several instants; the variables in its results are always the members at

@@ -561,7 +561,7 @@ class TemplateWriter:
         return symbol
 
     def named(self, expression: Any) -> Any:
-        """Return what replaces a named Pyomo expression; None keeps the expression itself.
+        """Return the replacement of a named Pyomo expression; None keeps the expression itself.
 
         Integrals are replaced by their symbols, and expressions over time by the result of their
         rules.

@@ -95,7 +95,7 @@ class Damping:
 
 
 def _smoothed(mesh: Mesh, values: FloatArray, fractions: FloatArray) -> FloatArray:
-    """Return values smoothed in each element: the lower half of their Legendre terms.
+    """Smooth values in each element, by the lower half of the terms of a Legendre series.
 
     Parameters
     ----------

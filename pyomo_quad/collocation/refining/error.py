@@ -99,10 +99,10 @@ class Allowance:
     Attributes
     ----------
     control_breach : float
-        Largest violation of a control's bound between the collocation points that is flown as it
-        is, relative to max(1, abs(bound)). If the violation is larger, the control is clipped, and
-        the effect of clipping on states and objective counts as error. If it is smaller, the change
-        of states that it causes counts as error.
+        Largest violation of a control's bound between the collocation points at which the control
+        is not clipped to the bound, relative to max(1, abs(bound)). If the violation is larger, the
+        effect of clipping on states and objective counts as error. If it is smaller, the change of
+        states that the violation causes counts as error.
     limit_breach : float
         Largest tolerable violation of any other limit, relative to max(1, abs(limit)). If the
         violation is larger, the violation itself counts as error. If it is smaller, its effect on
@@ -120,9 +120,9 @@ class Allowance:
 class ErrorEstimate:
     """Estimated relative errors of a solution, element by element.
 
-    Some effects of an element's errors on the objective add up over the elements. For comparison
-    with the tolerance they are given as the effect on the whole horizon if all elements were as bad
-    as this element, but at most the sum over all elements ("extrapolated" below).
+    Some effects of the elements' errors on the objective add up over the elements. So that such an
+    effect can be compared with the tolerance, the effect of each element is multiplied by the
+    number of elements, but limited to the sum over all elements ("extrapolated" below).
 
     Attributes
     ----------
@@ -210,8 +210,8 @@ def estimate_error(
     ----------
     solution : Solution
     tolerance : float, optional
-        Tolerance with which the errors will be compared. An error in the final states that equals
-        its own limit (`Allowance.final_miss`) is given as this number. The costs of misplaced
+        Tolerance with which the errors will be compared. Errors in the final states are scaled so
+        that their limit (`Allowance.final_miss`) becomes this tolerance. The costs of misplaced
         control switches count only if all other errors are below the tolerance, so that coarse
         elements are refined first.
     allowance : Allowance, optional
@@ -563,11 +563,11 @@ def _integrands(program: Transcription, samples: _Samples) -> FloatArray:
 
 
 def _missed(solution: Solution, moved: list[FloatArray], weight: float) -> FloatArray:
-    """Return the error in the final states, attributed to elements in proportion, times a weight.
+    """Return the share of each element in the error of the final states, times a weight.
 
-    Only the final state with the largest error counts. The element that contributes most gets the
-    sum over all elements, and the others get values in proportion to their contributions. Shape
-    (n_elements,).
+    Only the final state with the largest error counts. The element that contributes most to this
+    error is assigned the whole error; each other element is assigned a part of it, in proportion to
+    its contribution. The result has shape (n_elements,).
     """
     if weight == 0.0:
         return np.zeros(solution.mesh.elements)
@@ -582,7 +582,8 @@ def _breaches(solution: Solution, samples: _Samples, allowance: Allowance) -> Fl
     The measure of a violation depends on its kind. For an equation, it is the relative residual.
     For a bound or limit on controls alone, it is the change of states that the violation causes
     within the element. For any other limit, it is the effect on the objective, estimated from the
-    limit's multipliers. A violation that is too large to be flown (see `Allowance`) counts itself.
+    limit's multipliers. If a violation exceeds its tolerance in `Allowance`, the violation itself
+    counts.
     """
     mesh = solution.mesh
     residuals, limits, controls = (

@@ -201,9 +201,9 @@ class _Refinement(Generic[S]):
 
         `met` is the solution within tolerance on the present meshes. The result is None if the
         refinement was restarted. Otherwise it is the final solution: `met`, or the solution before
-        the previous restart if that is better. No further restart follows one whose gain was below
-        the tolerance, because the Hamiltonian of a singular control is so flat that rounding alone
-        would produce lower values again and again.
+        the previous restart if that is better. After a restart whose gain was below the tolerance,
+        no further restart is tried: the Hamiltonian of a singular control is so flat that rounding
+        alone would produce lower values again and again.
         """
         if self.reached is not None and self.reached.gain(met) <= self.tolerance:
             return self.reached.better(met)
@@ -255,7 +255,10 @@ class _Refinement(Generic[S]):
         self.start, self.meshes, self.before = replace(self.start, warm=warm), meshes, before
 
     def _damped(self, parts: tuple[Solution, ...], **how: Any) -> tuple[Damping | None, ...]:
-        """Return the damping of controls towards the given solutions, one per horizon."""
+        """Return the damping of controls towards the given solutions, one per horizon.
+
+        `how` has the keyword arguments `gap` and `is_still` of `damping_of`.
+        """
         weight = self.firmness * self.options.damping * self.tolerance
         return tuple(damping_of(part, weight, **how) for part in parts)
 
@@ -415,7 +418,7 @@ class _MeshSolve(Search[S], Generic[S]):
     gap: float
 
     def holds(self, fact: Fact) -> bool:
-        """Return whether a condition (`Fact`) of a strategy in the table is true at present."""
+        """Return whether a condition that a strategy requires (`Fact`) is true at this stage."""
         is_held = self.change is not None or _are_damped(self.dampings)
         has_warm = self.start.warm is not None
         return {Fact.WARM_START: has_warm, Fact.HELD: is_held, Fact.FREE: not is_held}[fact]

@@ -243,7 +243,10 @@ def refined_mesh(
 def _lowered(
     solution: Solution, e: int, error: float, tolerance: float, options: RefinementOptions
 ) -> _Piece:
-    """Return an accurate element with a lower degree if its highest terms are negligible."""
+    """Return an accurate element for the next mesh, with its degree lowered if possible.
+
+    The degree is lowered as far as the highest Legendre terms are negligible.
+    """
     mesh = solution.mesh
     degree = mesh.degrees[e]
     if error < _MARGIN * tolerance:
@@ -256,7 +259,8 @@ def _lowered(
 def _switches(solution: Solution, marks: Marks) -> dict[int, float]:
     """Return the times of the control switches to be isolated in small elements, by element.
 
-    A switch is a kink of a control, if the element has exactly one; otherwise a jump of a control.
+    If the element contains exactly one kink of a control, the switch is the kink; otherwise it is a
+    jump of a control.
 
     Parameters
     ----------
@@ -283,10 +287,10 @@ def _switches(solution: Solution, marks: Marks) -> dict[int, float]:
 def _isolated(mesh: Mesh, e: int, jump: float, size: float) -> list[_Piece]:
     """Split an element around a jump or kink of a control into three: before, sliver, and after.
 
-    The sliver is a narrow element of degree 1. The control is constant in the sliver, so that it
-    satisfies its limits everywhere if it does so at the only point, and the error of the states
-    decreases with the square of the sliver's width. If an adjacent sliver was cut for the same jump
-    and does not contain all of the jump, the element is split into thirds instead.
+    The sliver is a narrow element of degree 1, with one collocation point. The control is constant
+    in the sliver: if it satisfies its limits at the point, it satisfies them everywhere. The error
+    of the states decreases with the square of the sliver's width. If an adjacent sliver was cut for
+    the same jump and does not contain all of the jump, the element is split into thirds instead.
 
     Parameters
     ----------
@@ -320,7 +324,8 @@ def _finer(
 ) -> list[_Piece]:
     """Return the elements that replace an element whose error is too large.
 
-    Its degree is raised if the solution is smooth in it, else the element is split.
+    If the solution is smooth in the element, the element's degree is raised; otherwise the element
+    is split.
     """
     mesh = solution.mesh
     degree, size = mesh.degrees[e], float(error.per_element[e])
