@@ -170,7 +170,8 @@ RATE_HZ = 100.0
 class TumblingGuard:
     """Guard that stops the simulation of a tumbling vehicle, by counting evaluations.
 
-    A tumbling vehicle needs far more evaluations of the right-hand side than a controlled one.
+    The integration of a tumbling vehicle needs far more evaluations of the right-hand side than the
+    integration of a controlled vehicle.
 
     Parameters
     ----------
@@ -443,7 +444,7 @@ def fly_reference(
 ) -> ClosedLoopFlight:
     """Simulate a mission once under the adaptive controller along a reference.
 
-    Unlike `fly_baseline`, it neither verifies the flight nor tabulates it.
+    Unlike `fly_baseline`, this function neither verifies nor tabulates the flight.
 
     Parameters
     ----------

@@ -323,7 +323,8 @@ class Candidate:
     def slow_down(self, by: float) -> str:
         """Solve the mission in ``by`` times its duration, from the solution of a longer duration.
 
-        Without such a solution the model's own initial guess is used.
+        If no solution of a longer duration is known, the solve starts from the model's own initial
+        guess.
 
         Returns
         -------

@@ -251,7 +251,8 @@ class Allocation:
         Returns
         -------
         roll, pitch : float
-            Each available on its own, N m.
+            Largest roll moment without pitch moment, and largest pitch moment without roll moment,
+            N m.
         """
         squares = [self._share * thrust] * len(self._roll)
         _, roll = _steps_within(squares, self._roll, self._lowest, self._highest)
@@ -384,7 +385,8 @@ class BacksteppingLoop:
     Law and proof: see docs/theory/controller.md, eqs. (1) to (7).
 
     The states of the loop, in order: xi_p (3) and xi_v (3), the effects of actuator lag on error
-    and error rate, and d_hat (3), the estimated disturbance.
+    and error rate, and d_hat (3), the estimated disturbance. Errors are in m for the position and
+    in rad for the attitude; rates and accelerations are in the same unit per s and per s^2.
     """
 
     outer: tuple[float, float, float]

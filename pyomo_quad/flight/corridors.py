@@ -366,7 +366,7 @@ def _price_of(
 ) -> float:
     """Return the price of time [W] at which the cheapest route takes a given duration [s].
 
-    It is found by bisection.
+    The price is found by bisection.
     """
     hover = float(costs.power(np.zeros(1))[0])
     low, high = -0.95 * hover, 20.0 * hover

@@ -97,7 +97,7 @@ def spread_along(scenario: Scenario, plan: Plan, planner: Planner) -> Spread:
     Returns
     -------
     Spread
-        In steps of `NOISE_STEP`.
+        Distribution at times that are `NOISE_STEP` seconds apart.
     """
     mean = _MeanFlight(scenario, plan, planner)
     count = ceil(scenario.mission.fixed_duration / NOISE_STEP)

@@ -62,7 +62,7 @@ _CURRENT: ContextVar[_Watch | None] = ContextVar("time_limit", default=None)
 class Deadline:
     """Context that stops solves and simulations in its block at the scenario's time limit.
 
-    A deadline inside the block of another deadline uses the limit of the outer one, because a
+    A deadline inside the block of another deadline uses the limit of the outer deadline, because a
     command has a single time limit.
 
     Parameters

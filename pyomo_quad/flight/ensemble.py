@@ -7,7 +7,7 @@ with the fastest mode of the closed loop. A test compares the result with SciPy'
 integration.
 
 Every flight is assessed in the same way as a single flight: whether it keeps the declared limits
-and those at the waypoints, and whether it arrives at the goal.
+and the limits at the waypoints, and whether it arrives at the goal.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

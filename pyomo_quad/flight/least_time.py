@@ -46,8 +46,9 @@ def shortest_flight(
 ) -> Solution | None:
     """Solve for the least duration of a mission.
 
-    The mesh is refined a few times only, unless the result is close to the duration of the mission:
-    then it is refined to the mission's own tolerance, to decide which is greater.
+    The mesh is refined a few times only, unless the least duration is close to the duration of the
+    mission. The mesh is then refined to the mission's own tolerance, to decide whether the
+    mission's duration is long enough.
 
     Parameters
     ----------

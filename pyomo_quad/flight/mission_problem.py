@@ -177,7 +177,10 @@ class MissionProblem:
         mesh: Mesh,
         reached: Solution | None = None,
     ) -> tuple[Solution, Solution | None]:
-        """Solve by continuation in the parameters, from easier ones to the mission's.
+        """Solve by continuation, from easier parameter values to the values of the mission.
+
+        `easier` holds parameter values that make the problem easier, the easiest first. The first
+        solve starts from `guess` on `mesh` or, if given, from the solution `reached`.
 
         Returns
         -------

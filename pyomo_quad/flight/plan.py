@@ -66,15 +66,15 @@ class Trajectories:
     state_names, control_names, costate_names : tuple of str
         Names of the columns.
     states : ndarray, shape (n_points + 1, n_states)
-        At the nodes: the start and the collocation points.
+        States at the nodes, which are the start and the collocation points.
     controls : ndarray, shape (n_points, n_controls)
-        At the collocation points.
+        Controls at the collocation points.
     energy : ndarray, shape (n_points + 1,)
         Energy spent until each node [J].
     costates : ndarray, shape (n_points, n_costates)
-        At the collocation points, J per unit of the state.
+        Costates at the collocation points, J per unit of the state.
     hamiltonian : ndarray, shape (n_points,)
-        At the collocation points [W].
+        Hamiltonian at the collocation points [W].
     """
 
     mesh: Mesh
@@ -194,7 +194,7 @@ _Error = Annotated[float, AllowInfNan()]
 
 
 class PlanRecord(Part):
-    """Contents of a plan file other than its arrays; the attributes are those of `Plan`."""
+    """Contents of a plan file other than its arrays; `Plan` explains the attributes."""
 
     status: PlanStatus
     message: str
@@ -540,7 +540,7 @@ class Plan(Summarised):
 
     @property
     def accuracy_reached(self) -> Accuracy | None:
-        """Highest accuracy that simulation and error estimate confirm, up to the one requested.
+        """Highest accuracy, limited to the requested one, that simulation and error estimate confirm.
 
         None if they do not confirm even the lowest accuracy.
         """
@@ -673,7 +673,7 @@ class Plan(Summarised):
         Parameters
         ----------
         rate_hz : float, optional
-            Rows per second of dense output; the mesh's nodes without it.
+            Rows per second of dense output; by default one row for each node of the mesh.
 
         Returns
         -------

@@ -119,8 +119,8 @@ class Problems:
     def dynamics(self, scenario: Scenario) -> Dynamics:
         """Return the equations of a scenario's vehicle in its wind, for simulations.
 
-        The limits are those that apply to simulated flights; these may use the thrust that plans
-        reserve for the controller.
+        The equations contain the limits for simulated flights. A simulated flight may use the
+        thrust that plans reserve for the controller.
         """
         problem, numbers = self.problem_for(scenario)[0], self.parameters(scenario)
         return problem.dynamics(parameters=without_reserve(numbers), horizon=horizon_of(scenario))

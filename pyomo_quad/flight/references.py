@@ -292,7 +292,7 @@ class _Pieces:
     def __call__(self, t: float) -> tuple[list[float], bool]:
         """Return all quantities at time t [s], and whether t lies between the first and last knot.
 
-        Outside the knots, the quantities are those at the nearest knot.
+        Outside the knots, the quantities have their values at the nearest knot.
         """
         held = min(max(t, self._knots[0]), self._knots[-1])
         k = min(bisect_right(self._knots, held), len(self._pieces)) - 1

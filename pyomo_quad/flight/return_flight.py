@@ -1,9 +1,9 @@
 """Airspeed and battery current of a vehicle's steady return flight.
 
 The charge that a mission must reserve for a return to the start or to a rally point follows from
-them. The airspeed is the one that takes the least charge per metre over the ground against the wind
-at the start of the mission. The current is evaluated at this airspeed and at the lowest state of
-charge that the return may reach, because the current is greatest then.
+airspeed and current. The airspeed is the one that takes the least charge per metre over the ground
+against the wind at the start of the mission. The current is evaluated at this airspeed and at the
+lowest state of charge that the return may reach, because the current is greatest then.
 """
 
 from typing import TYPE_CHECKING

@@ -497,7 +497,7 @@ class _Search:
         return margins
 
     def _agree(self, held: Mapping[str, float], wanted: Mapping[str, float]) -> bool:
-        """Return whether the margins of a plan are close to those that its flights need.
+        """Return whether the margins of a plan are close to the margins that its flights need.
 
         `held` has the margins of the plan, `wanted` the margins that its flights need. Both map a
         scenario field to the amount by which the plan stays inside the limit.

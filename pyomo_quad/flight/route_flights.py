@@ -2,8 +2,8 @@
 
 A journey is a route for each leg of a mission, from one waypoint to the next.  The energy of steady
 flight estimates the cost of each journey, and journeys with a much higher estimate are left out.
-All others are solved on one coarse mesh. The best of them are solved on the next mesh, and the best
-of those are refined to the tolerance.
+All others are solved on one coarse mesh. The best journeys are solved again on the next mesh, and
+the best of these solutions are refined to the tolerance.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -190,9 +190,9 @@ class RouteFlights:
     def _journeys(self, most: int | None) -> tuple[Journey, ...]:
         """Return the candidate journeys of the mission, at most ``most``.
 
-        A journey is a route for each leg, from one waypoint to the next. The shortest come first;
-        in a wind field, those that are cheapest in steady flight come first. Journeys of high
-        estimated cost are left out, except for accuracy `proof`.
+        A journey is a route for each leg, from one waypoint to the next. The shortest journeys come
+        first; in a wind field, the journeys of least cost in steady flight come first. Journeys of
+        high estimated cost are left out, except for accuracy `proof`.
         """
         told = self._told
         journeys = find_journeys(told.airspace, told.mission.positions)[:most]

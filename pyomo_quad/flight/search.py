@@ -195,7 +195,7 @@ class Search:
             self.stage = Stage.REFINING
 
     def _seek_usable(self) -> None:
-        """In a long search without a usable plan, compute one from the last coarse solution.
+        """In a long search without a usable plan, compute such a plan from a coarse solution.
 
         A usable plan is one that simulation confirms at lower accuracy than requested.
         """

@@ -84,7 +84,7 @@ class LegTable:
         The mission.
     solve : callable
         Solves a scenario without waypoints on a mesh; its arguments are the scenario, the mesh, and
-        the shortest route round the zones, or None if that is straight. Returns a Solution.
+        the shortest route round the zones, or None if no zone is in the way. Returns a Solution.
     """
 
     def __init__(self, scenario: Scenario, solve: LegSolver) -> None:
@@ -212,7 +212,7 @@ def find_orders(
         The mission.
     solve : callable
         Solves a leg; its arguments are a scenario without waypoints, a mesh, and the shortest route
-        round the zones, or None if that is straight. Returns a Solution.
+        round the zones, or None if no zone is in the way. Returns a Solution.
     count : int, optional
         Number of orders to return.
 

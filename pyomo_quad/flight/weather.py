@@ -129,7 +129,7 @@ def as_expected(scenario: Scenario) -> Scenario:
 def unknowns(planner: Planner, scenario: Scenario) -> tuple[dict[str, float], ...]:
     """Return for each uncertain quantity the parameter changes of one standard deviation.
 
-    The quantities are speed and direction of the wind, mass, and hover power. Those without a
+    The quantities are speed and direction of the wind, mass, and hover power. Quantities without a
     standard deviation in the scenario are left out.
 
     Returns

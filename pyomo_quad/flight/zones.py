@@ -3,8 +3,8 @@
 A leg is the line between two waypoints. The side on which a route passes a zone is determined where
 the route crosses a vertical plane across the leg. The plane goes through the middle of the part of
 the leg inside the zone or, if the leg is outside, through the point of the leg nearest to the zone.
-Such a plane separates the start of the leg from its goal and always cuts the zone; a plane through
-the centre of the zone may not.
+Such a plane separates the start of the leg from its goal, and always cuts the zone. A plane through
+the centre of the zone need not separate them.
 """
 
 from collections.abc import Sequence
@@ -183,8 +183,8 @@ def _passage(zone: KeepOut, ends: FloatArray, clearance: float) -> tuple[float, 
     """Return where a leg passes a zone, as a fraction of the leg, and the clearance used.
 
     A leg is the line between two waypoints. The fraction is the middle of the part of the leg that
-    is nearer to the zone than the clearance. If no part is, the clearance is enlarged until it just
-    reaches the leg.
+    is nearer to the zone than the clearance. If the whole leg is farther away, the clearance is
+    enlarged until it just reaches the leg.
     """
 
     def span(reach: float) -> tuple[float, float]:

@@ -185,7 +185,8 @@ def critical_acceleration(samples: int = 151) -> tuple[float, float]:
     Returns
     -------
     bound, speed : float
-        Smallest absolute acceleration with f_r = 0 [rad/s²], and rotor speed there [rad/s].
+        Smallest absolute acceleration at which f_r is zero [rad/s²], and the rotor speed at which
+        this happens [rad/s].
     """
     scenario = paper_scenario(Experiment.CALM, Reading.LITERAL.values())
     dynamics = Reading.LITERAL.planner().dynamics(scenario)

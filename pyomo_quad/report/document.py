@@ -37,7 +37,7 @@ class Drawing:
     draw : callable
         Function without arguments that draws and returns the matplotlib Figure.
     needs : tuple of str
-        Columns of a flight's table that the figure shows; without them it is left out.
+        Columns of a flight's table that the figure shows; the figure is left out if one is missing.
     formats : tuple of str
         File endings in which the figure is written.
     """

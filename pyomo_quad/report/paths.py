@@ -359,8 +359,8 @@ def draw_mission(axes: Axes, mission: Scenario, directions: tuple[int, int]) -> 
     Returns
     -------
     list of Label
-        Labels for `write_labels`: first those of waypoints, then, in the view from above, the names
-        of zones.
+        Labels for `write_labels`: first the labels of waypoints, then, in the view from above, the
+        names of zones.
     """
     airspace = mission.airspace
     draw_relief(axes, airspace.ground, directions)

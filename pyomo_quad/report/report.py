@@ -465,7 +465,7 @@ def _is_good(result: "RunResult") -> bool:
 def prepare_figures(figures: Figures) -> None:
     """Import matplotlib and the module of figures ahead of use, unless no figures are wanted.
 
-    A command does so while other processes compute.
+    A command calls this function while other processes compute.
     """
     if figures is not Figures.NONE:
         _gallery()

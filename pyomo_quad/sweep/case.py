@@ -262,7 +262,7 @@ class _Flown:
 
     @property
     def repeats(self) -> float:
-        """Number of such flights that one battery charge permits.
+        """Number of repetitions of the flight that one battery charge permits.
 
         The charge between the initial and the lowest permitted state of charge counts. Each flight
         is taken to use as much charge as the first; in truth the falling battery voltage makes the

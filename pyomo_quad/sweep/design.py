@@ -243,7 +243,7 @@ class Dimension:
         """Whether each step has one plain value for each field, and each field keeps one type.
 
         Plain values are finite numbers, texts, booleans and lists of these. A dimension that a
-        study file describes is always sound; one read from a damaged result store may not be.
+        study file describes is always sound; a dimension from a damaged result store may not be.
         """
         columns = list(zip(*self.steps, strict=False))
         kinds = [{kind_of(value) for value in column} for column in columns]
@@ -424,7 +424,7 @@ _KEY_LENGTH = 20  # hexadecimal digits of a case's key
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """One case of a sweep: a place in the grid, with the values of the scenario fields there.
+    """One case of a sweep: a place in the grid, with its values of the scenario fields.
 
     Attributes
     ----------
@@ -435,9 +435,9 @@ class Case:
     overrides : mapping
         Value of each field that varies, by its dotted path.
     parent : int or None
-        Position of the neighbouring case whose solution is the initial guess of this case. None
-        for the case that is solved first, and for all cases if the task is `FLY_PLAN`, which plans
-        none of them.
+        Position of the neighbouring case whose solution is the initial guess of this case. None for
+        the case that is solved first, and for all cases if the task is `FLY_PLAN`, which plans none
+        of them.
     """
 
     position: int

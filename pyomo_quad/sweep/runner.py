@@ -37,9 +37,9 @@ class SweepListener(Protocol):
         case : Case
             The case.
         outcome : CaseOutcome
-            Its row in the result table.
+            The row of the case in the result table.
         done : int
-            Number of cases that have ended, those of earlier runs included.
+            Number of cases that have ended in this run and in earlier runs.
         """
 
 

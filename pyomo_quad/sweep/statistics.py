@@ -162,9 +162,9 @@ class SweepResults:
     def central_case(self) -> dict[str, Any]:
         """Field values of the sweep's central case, by dotted path, without random fields.
 
-        A field has the base scenario's value if this is one of its values, otherwise the middle one
-        of its values. Heat maps and sensitivities vary one or two fields and keep the others at
-        these values.
+        A field has the base scenario's value if the sweep contains this value, otherwise the middle
+        of the field's values. Heat maps and sensitivities vary one or two fields and keep the
+        others at these values.
         """
         grid = (one for one in self.design.dimensions if not one.is_random)
         return {one.paths[0]: self._central(one) for one in grid}
@@ -215,8 +215,8 @@ class SweepResults:
     def beside(self, *along: Dimension) -> dict[str, Any]:
         """Return the central case's field values without the fields of the given dimensions.
 
-        The central case has the base scenario's values, or the middle ones, of all fields that
-        vary.
+        In the central case, each field that varies has the base scenario's value or, if the sweep
+        does not contain this value, the middle of the field's values.
 
         Parameters
         ----------
@@ -255,10 +255,11 @@ class SweepResults:
     def sensitivities(self, quantity: str) -> list[Sensitivity]:
         """Compute the range of a quantity along each numeric field, the widest range first.
 
-        For a field of the grid, the range is taken over all its values and not only between its two
-        ends, where an angle that goes once around has the same value; all other fields are as in
-        the central case. For a random field, a plane is fitted to the quantity by least squares;
-        the range is the plane's range between the 5 % and 95 % quantiles of the field's draws.
+        For a field of the grid, the range is taken over all values of the field, with all other
+        fields as in the central case. The first and the last value alone do not suffice: for an
+        angle that goes once around, the quantity is the same at both. For a random field, a plane
+        is fitted to the quantity by least squares; the range is the plane's range between the 5 %
+        and 95 % quantiles of the field's draws.
 
         Parameters
         ----------
