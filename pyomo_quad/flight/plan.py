@@ -540,7 +540,7 @@ class Plan(Summarised):
 
     @property
     def accuracy_reached(self) -> Accuracy | None:
-        """Highest accuracy, limited to the requested one, that simulation and error estimate confirm.
+        """Highest accuracy that simulation and error estimate confirm, limited to the request.
 
         None if they do not confirm even the lowest accuracy.
         """
