@@ -228,7 +228,7 @@ def with_options(command: Callable[..., int]) -> Callable[..., int]:
 
 
 def folder_of(scenario: Scenario, output: Path | None) -> Path:
-    """Return the report folder: the given one, or ``reports/NAME`` for a scenario's name."""
+    """Return the report folder: `output` or, by default, ``reports/NAME`` for a scenario's name."""
     return output or Path("reports") / scenario.name
 
 

@@ -46,10 +46,11 @@ class SoftRows:
     family : ndarray of int, shape (n,)
         Position of each limit's family in `names`.
     row, column : ndarray of int, shape (n,)
-        For a limit on a constraint: index of the constraint in the program, and -1. For a limit on
-        an unknown: -1, and index of the unknown.
+        For a limit on a constraint, `row` is the index of the constraint in the program and
+        `column` is -1. For a limit on an unknown, `row` is -1 and `column` is the index of the
+        unknown.
     sign : ndarray, shape (n,)
-        1 for an upper limit, -1 for a lower one.
+        1 for an upper limit, -1 for a lower limit.
     limit : ndarray, shape (n,)
         Value of the limit.
     size : ndarray, shape (n,)

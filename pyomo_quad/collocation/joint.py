@@ -208,9 +208,10 @@ class JointProblem(Summarised):
         With several ContinuousSets that are not discretised, each the horizon of its own variables.
         Values at their ends, integrals and static variables couple the horizons.
     times : mapping, optional
-        Free times of each horizon, as in {"flight": {1.0: m.T1}}, by the name of its continuous
-        set. A key of the inner mapping is a declared time, which is a member of the set; the solve
-        finds the physical time to which it corresponds, as the value of the static variable.
+        Free times of each horizon, by the name of its continuous set, for example {"flight": {1.0:
+        m.T1}}. The key 1.0 is a declared time (a member of the set), and its value is a static
+        variable. The solve determines the variable, which is the physical time at which the
+        conditions declared at 1.0 hold.
 
     Attributes
     ----------
@@ -367,7 +368,7 @@ class JointProblem(Summarised):
         return [*self.horizons.values(), self.coupling]
 
     def _guesses(self, guess: Mapping[str, Any] | None) -> list[Any]:
-        """Return a guess for the variables of each horizon, and one for variables of no horizon.
+        """Return a guess for each horizon's variables, and a guess for variables of no horizon.
 
         Raises
         ------

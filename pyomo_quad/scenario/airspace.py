@@ -66,7 +66,7 @@ class Ball(NamedTuple):
     normal: tuple[float, float] | None = None
 
     def coordinates(self, places: "ArrayLike") -> "FloatArray":
-        """Return those coordinates of places that determine their distance from the ball's centre.
+        """Return the coordinates of places in which distances from the ball's centre are measured.
 
         A ball is a sphere (three coordinates), a vertical cylinder without ends (x and y) or an
         interval.

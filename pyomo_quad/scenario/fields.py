@@ -414,7 +414,7 @@ def merge(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]:
     Parameters
     ----------
     lower, upper : mapping
-        Nested tables; values of `upper` replace those of `lower`.
+        Nested tables. If both have a value for a key, the result has the value in `upper`.
     """
     merged = dict(lower)
     for key, value in upper.items():

@@ -328,7 +328,7 @@ def _from_table(file: Path, place: str, quantity: Quantity) -> Gridded:
 
 
 def _check_columns(columns: list[str], place: str, quantity: Quantity) -> None:
-    """Raise an error if a table lacks a column of the quantity, or has an unknown one."""
+    """Raise an error if a table lacks a column of the quantity, or has an unknown column."""
     here, beside = list(_AXIS_COLUMNS.values())[:2], quantity.columns[quantity.needed :]
     known = (*(_AXIS_COLUMNS[axis] for axis in quantity.axes), *quantity.columns)
     needed = (*here, *quantity.columns[: quantity.needed])

@@ -283,7 +283,7 @@ def _example(model: type[BaseModel], name: str) -> str:
 
 
 def table_of(model: type[BaseModel], name: str) -> type[BaseModel] | None:
-    """Return the class of the table that a field holds; for a list of tables, of its items.
+    """Return the class of the table, or of the tables in a list, that a field holds.
 
     Parameters
     ----------

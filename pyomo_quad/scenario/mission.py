@@ -314,7 +314,7 @@ class Mission(Part):
         return NamedDuration(f"mission.{field}", self.duration_limits[1])
 
     def chosen(self, duration: float) -> dict[str, float | str | None]:
-        """Return the fields that replace a free duration by a fixed one.
+        """Return the fields that replace a free duration by a fixed duration.
 
         The limits on the duration, and the price of time (the value of a second, in W), are set to
         their defaults. If the mission's aim is least time, it becomes least energy, because the

@@ -86,7 +86,7 @@ class Surface:
 def surface_of(x: ArrayLike, y: ArrayLike, heights: FloatArray, side: int) -> Surface:
     """Construct a smooth surface that is nowhere below the ground, or nowhere above it.
 
-    The method is described at the head of this file.
+    The docstring of this module describes the method.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def surface_of(x: ArrayLike, y: ArrayLike, heights: FloatArray, side: int) -> Su
     heights : ndarray, shape (len(x), len(y))
         Heights of the ground at the points [m].
     side : int
-        1 for nowhere below the ground, -1 for nowhere above.
+        1 for a surface that is nowhere below the ground, -1 for a surface that is nowhere above it.
 
     Returns
     -------
