@@ -304,7 +304,8 @@ class Saving:
         `BAND` quantiles over the winds of (rival - plan) / rival in per cent, of the energies in
         the same wind.
     both_held : int
-        Number of winds in which both arrived and kept every limit; the percentages cover all winds.
+        Number of winds in which both flights arrived and kept every limit. The percentages cover
+        all winds.
     """
 
     rival: Ensemble
