@@ -110,7 +110,7 @@ class Legs:
 
 
 def thin(motion: Motion, path_error_m: float) -> Legs:
-    """Approximate a plan by few straight legs that are within a given distance of it at all times.
+    """Approximate a plan by few straight legs, within a given distance of the plan at all times.
 
     The first legs lead from waypoint to waypoint. Positions on plan and leg at the same time are
     compared; a leg that deviates too far is split at the time of its largest deviation, until the

@@ -26,8 +26,8 @@ Over terrain, floor and ceiling limit the height above the ground (`model.ground
 where the ground is known, within the edges of its grid.  Zones have their own heights z: terrain
 moves neither their bottom nor their top.
 
-A flight cannot start, end or pass a waypoint on the surface of a zone, because no neighbourhood is
-free there. The declaration refuses it before any solve.
+A flight cannot start, end or pass a waypoint on the surface of a zone, because no neighbourhood of
+such a place is free. The declaration refuses such a mission before any solve.
 """
 
 from collections.abc import Sequence

@@ -30,7 +30,7 @@ v_i | induced_velocity | m/s | velocity that the rotors add to the air, equal fo
 v_a | axial_airspeed | m/s | airspeed along the thrust, positive in climb
 v_p | in_plane_airspeed | m/s | airspeed across the thrust
 v_h | | m/s | v_i of hover, v_h^2 = T / (2 rho A)
-k_i | induced_power_factor | - | induced power over that of an ideal rotor
+k_i | induced_power_factor | - | induced power over the power of an ideal rotor
 c_0 | profile_power_coefficient | - | profile power over T^(3/2) / sqrt(rho A) of one rotor
 K | profile_advance_factor | - | growth of the profile power with the square of the advance ratio
 k_c, k_d | climb_power_factor, descent_power_factor | - | power over T v_a, up and down

@@ -263,7 +263,7 @@ def _declare_profile(b: Block, m: ConcreteModel, law: WindLaw) -> None:
 def _at_height(b: Block, t: float, velocity: NumericExpression) -> NumericExpression:
     """Return the wind at the vehicle's height, given the wind at the reference height [m/s].
 
-    Without a wind profile the two are equal.
+    Without a wind profile, the wind is the same at both heights.
     """
     profile = b.component("profile")
     return velocity if profile is None else profile[t] * velocity

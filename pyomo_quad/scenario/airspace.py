@@ -219,9 +219,9 @@ class KeepOut(Part):
     )
     radius: Number | None = quantity("m", "cylinder, sphere: radius", None, gt=0, sound=_WIDE)
     bottom: Number | None = quantity(
-        "m", "cylinder, polygon: height where it begins", None, sound=_FAR
+        "m", "cylinder, polygon: height of the bottom", None, sound=_FAR
     )
-    top: Number | None = quantity("m", "cylinder, polygon: height where it ends", None, sound=_FAR)
+    top: Number | None = quantity("m", "cylinder, polygon: height of the top", None, sound=_FAR)
     low: Triple | None = quantity("m", "box: corner of least x, y and z", None, sound=_FAR)
     high: Triple | None = quantity("m", "box: corner of largest x, y and z", None, sound=_FAR)
     corners: tuple[Corner, ...] | None = late_quantity(

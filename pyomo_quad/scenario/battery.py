@@ -31,12 +31,12 @@ class Relaxation(Part):
     )
     time_constant: Number = quantity(
         "s",
-        "time in which the slow drop covers 63 % of its way",
+        "time in which the slow part of the voltage drop reaches 63 % of its final value",
         sound=positive(1e-2, 1e5, "diffusion in a cell takes seconds to hours"),
     )
     initial_voltage: Number = quantity(
         "V",
-        "slow drop of one cell at the start, 0 after a rest",
+        "slow part of the voltage drop of one cell at the start, 0 after a rest",
         0.0,
         sound=Sound(-5, 5, "cells have 1 to 5 V"),
     )
@@ -51,20 +51,28 @@ class Thermal(Part):
         sound=positive(1e-2, 1e6, "cells weigh grams to kilograms and take about 1 J/g/K"),
     )
     cooling: Number = quantity(
-        "W/K", "heat lost to the air per kelvin above it, of one cell", 0.0, ge=0, le=1e4
+        "W/K",
+        "heat that one cell loses to the air, per kelvin of temperature difference",
+        0.0,
+        ge=0,
+        le=1e4,
     )
     ambient_temperature: Number = quantity(
         "K", "temperature of the air round the pack", 298.15, sound=_TEMPERATURE
     )
     initial_temperature: Number | None = quantity(
-        "K", "temperature at the start, that of the air when absent", None, sound=_TEMPERATURE
+        "K",
+        "temperature at the start; when absent, the temperature of the air",
+        None,
+        sound=_TEMPERATURE,
     )
     reference_temperature: Number = quantity(
         "K", "temperature at which the resistances are given", 298.15, sound=_TEMPERATURE
     )
     activation_energy: Number = quantity(
         "J/mol",
-        "by which the resistances fall with the temperature (Arrhenius); 0 leaves them constant",
+        "activation energy of the decrease of the resistances with temperature (Arrhenius); 0 for "
+        "constant resistances",
         0.0,
         sound=not_negative(1e6, "cells have 10 to 60 kJ/mol"),
     )
@@ -83,10 +91,10 @@ class Health(Part):
     """State of health of a used pack: remaining share of the capacity, growth of the resistance."""
 
     capacity_factor: Number = quantity(
-        "1", "capacity over that of the new pack", 1.0, sound=_FACTOR
+        "1", "capacity divided by the capacity of the new pack", 1.0, sound=_FACTOR
     )
     resistance_factor: Number = quantity(
-        "1", "resistances over those of the new pack", 1.0, sound=_FACTOR
+        "1", "resistances divided by the resistances of the new pack", 1.0, sound=_FACTOR
     )
 
 

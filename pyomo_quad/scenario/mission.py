@@ -113,13 +113,15 @@ class ReturnFlight(Part):
     )
     airspeed: Number | None = quantity(
         "m/s",
-        "airspeed of the return; when absent, that of least charge against the wind",
+        "airspeed of the return; when absent, the airspeed of least charge per metre against the "
+        "wind",
         None,
         sound=positive(1e-3, 1e3, "rotorcraft fly below 340 m/s, the speed of sound"),
     )
     current: Number | None = quantity(
         "A",
-        "current of the pack at that airspeed; when absent, that of steady flight",
+        "current of the pack during the return; when absent, the current of steady flight at the "
+        "airspeed of the return",
         None,
         sound=positive(1e-3, 1e4, "packs give at most 10 kA"),
     )

@@ -130,7 +130,8 @@ class Replanning(Part):
     )
     solve_time: Number = quantity(
         "s",
-        "time allowed for a solve; its plan starts at the state predicted for the end of it",
+        "time allowed for a solve; the new plan starts at the state predicted for the end of this "
+        "time",
         0.06,
         sound=not_negative(1e3, "an older plan is useless"),
     )
@@ -176,7 +177,7 @@ class Baseline(Part):
     )
     cruise_speeds: tuple[Annotated[Number, Field(gt=0)], ...] | None = late_quantity(
         "m/s",
-        "speeds of reference cruise, one flight for each beside the tuned one",
+        "speeds of reference cruise, one flight for each in addition to the tuned flight",
         None,
         min_length=1,
         max_length=_MOST_SPEEDS,

@@ -82,12 +82,20 @@ class Validated(Part):
         "m/s", "largest airspeed of the flights that confirm the vehicle", None, sound=_SLOW
     )
     climb_speed: Number | None = quantity(
-        "m/s", "largest climb speed of those flights, over ground", None, sound=_SLOW
+        "m/s",
+        "largest climb speed of the flights that confirm the vehicle, over ground",
+        None,
+        sound=_SLOW,
     )
     descent_speed: Number | None = quantity(
-        "m/s", "largest descent speed of those flights, over ground", None, sound=_SLOW
+        "m/s",
+        "largest descent speed of the flights that confirm the vehicle, over ground",
+        None,
+        sound=_SLOW,
     )
-    payload: Number | None = quantity("kg", "largest payload of those flights", None, sound=CARRIED)
+    payload: Number | None = quantity(
+        "kg", "largest payload of the flights that confirm the vehicle", None, sound=CARRIED
+    )
 
 
 class Attitude(StrEnum):
@@ -213,7 +221,11 @@ class Vehicle(Part):
         sound=positive(1e-3, 100, "rotor radii range from 1 mm to 100 m"),
     )
     induced_power_factor: Number = late_quantity(
-        "1", "momentum: induced power over that of an ideal rotor", 1.0, ge=1, le=10
+        "1",
+        "momentum: induced power divided by the induced power of an ideal rotor",
+        1.0,
+        ge=1,
+        le=10,
     )
     profile_power_coefficient: Number = late_quantity(
         "1", "momentum: profile power over thrust^1.5 / sqrt(density * disc area)", 0.0, ge=0, le=10
@@ -270,7 +282,8 @@ class Vehicle(Part):
     )
     motor_time_constant: Number = late_quantity(
         "s",
-        "lag of the motors: rotors accelerate by at most (rotor_speed_max - speed) over it",
+        "time constant of the motors: a rotor accelerates by at most (rotor_speed_max - speed) / "
+        "motor_time_constant",
         0.0,
         sound=not_negative(1e3, "rotors take from 1 ms to minutes to reach their speed"),
     )

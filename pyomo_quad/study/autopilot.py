@@ -8,7 +8,7 @@ limit of the vehicle or misses the goal is penalised.  One triple of settings se
 mission.
 
 Where all legs are long compared with the distance over which the vehicle reaches its speed, the
-energy is nearly that of steady flight. In this case the search begins at the speed of least energy
+energy is nearly the energy of steady flight. The search then begins at the speed of least energy
 per metre in steady flight, and tries speeds near it.
 """
 

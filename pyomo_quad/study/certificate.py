@@ -233,7 +233,7 @@ class Certificate:
     hover_energy_J : float
         Energy of hovering in still air for the same time.
     applies : bool
-        Whether there is a bound.
+        Whether a bound is known.
     reason : str
         Basis of the bound, or why there is none.
     durations_s : tuple of float
@@ -408,8 +408,8 @@ def _bound_by_legs(
 def _energy_returned(scenario: Scenario, planner: Planner) -> float:
     """Return the energy that slowing rotors can give back at the goal after a payload release [J].
 
-    The vehicle is lighter at the goal than at the start, so that its rotors hover more slowly
-    there.
+    The vehicle is lighter at the goal than at the start, so that its rotors turn more slowly in the
+    hover at the goal.
     """
     if not scenario.mission.released:
         return 0.0

@@ -98,7 +98,7 @@ class Counts:
 
 @dataclass(frozen=True, kw_only=True)
 class Effort:
-    """Estimated processor time of planning a scenario, and the part of each feature in it.
+    """Estimated processor time of planning a scenario, and the contributions of its features.
 
     Attributes
     ----------
@@ -131,7 +131,7 @@ def _rounded(seconds: float) -> str:
 
 
 def estimate_effort(scenario: Scenario, unknowns: int) -> Effort:
-    """Estimate the processor time of planning a scenario, and the part of each feature in it.
+    """Estimate the processor time of planning a scenario, and the contributions of its features.
 
     Parameters
     ----------

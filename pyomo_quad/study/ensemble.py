@@ -304,7 +304,7 @@ class Saving:
         `BAND` quantiles over the winds of (rival - plan) / rival in per cent, of the energies in
         the same wind.
     both_held : int
-        Number of winds in which both flights arrived and kept every limit; the percentages cover
+        Number of winds in which both flights arrived and kept every limit. The percentages cover
         all winds.
     """
 

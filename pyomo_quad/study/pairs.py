@@ -196,7 +196,7 @@ class Pairs:
 
         The rows are H without the terms of `_constant`, thrust, rotor speed, error margin, two
         components of the force of the air, power, and its excess. `points` has shape (3, n). H is
-        the power of a pair of thrust and airspeed less the terms of the prices (multipliers of
+        the power of a pair of thrust and airspeed minus the terms of the prices (multipliers of
         momentum, displacement and kinetic energy).
         """
         found = self._enclosure.at(points, (*numbers, 1.0))
@@ -242,8 +242,8 @@ class Pairs:
     def cheapest(self, prices: MotionPrices, mass: float) -> tuple[float, list[FloatArray]]:
         """Sample the function H over all pairs; return its least value and its local minima.
 
-        H is the power of a pair of thrust and airspeed less the terms of the prices, multipliers of
-        momentum, displacement and kinetic energy (docstring of this module).
+        H is the power of a pair of thrust and airspeed minus the terms of the prices, multipliers
+        of momentum, displacement and kinetic energy (docstring of this module).
 
         Parameters
         ----------
@@ -292,9 +292,9 @@ class Pairs:
     def _pair(self, at: FloatArray, prices: MotionPrices, mass: float) -> FloatArray:
         """Return power and gradient of H by the prices for a pair in its orientation of least H.
 
-        H is the power of a pair of thrust and airspeed less the terms of the prices, multipliers of
-        momentum, displacement and kinetic energy. `at` has the three coordinates of the pair; the
-        result has shape (8,).
+        H is the power of a pair of thrust and airspeed minus the terms of the prices, multipliers
+        of momentum, displacement and kinetic energy. `at` has the three coordinates of the pair;
+        the result has shape (8,).
         """
         momentum, way = prices.momentum, prices.way - prices.motion * mass * self.standing
         _, along, across = at
@@ -325,8 +325,8 @@ class Pairs:
     def least(self, prices: MotionPrices, mass: float, tolerance: float) -> float:
         """Return a proven lower bound on H over all pairs, by branch and bound [W].
 
-        H is the power of a pair of thrust and airspeed less the terms of the prices, multipliers of
-        momentum, displacement and kinetic energy (docstring of this module). The bound is within
+        H is the power of a pair of thrust and airspeed minus the terms of the prices, multipliers
+        of momentum, displacement and kinetic energy (docstring of this module). The bound is within
         ``tolerance`` [W] of the least value.
         """
         numbers = self._numbers(prices, mass)
@@ -561,7 +561,7 @@ class _Program:
     def bound(self, prices: Sequence[MotionPrices], least: FloatArray) -> float:
         """Return the lower bound on the energy for the multipliers (prices) on each leg [J].
 
-        `least` holds for each leg the least H, the power of a pair of thrust and airspeed less the
+        `least` holds for each leg the least H, the power of a pair of thrust and airspeed minus the
         terms of the prices, shape (n_legs,), W.
         """
         found = sum(

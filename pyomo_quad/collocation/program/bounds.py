@@ -319,7 +319,10 @@ def nominal_magnitudes(program: Transcription, bounds: Bounds, z: FloatArray) ->
 
 
 def _magnitude(slot: Slot, bounds: Bounds, z: FloatArray, columns: Any) -> float:
-    """Return the magnitude of one variable over all its unknowns; see `nominal_magnitudes`."""
+    """Return the magnitude of one variable, the same for all unknowns that belong to it.
+
+    It is the declared magnitude, else the largest absolute value among finite bounds and values.
+    """
     if slot.nominal is not None:
         return slot.nominal
     ends = np.abs(np.concatenate([bounds.lower[columns], bounds.upper[columns]]))

@@ -83,7 +83,7 @@ def with_defined(
 ) -> FloatArray:
     """Solve for the algebraic variables that equations define, at several points.
 
-    Definitions may depend on each other. If they do so in a circle and the residuals do not
+    Definitions may depend on each other. If the dependencies are circular and the residuals do not
     decrease, the variables are returned unchanged.
 
     Parameters

@@ -191,8 +191,8 @@ class RelationReader:
 
         The collocation points include the end but not the start. At the start an equation among
         states only is imposed as a condition; an equation with rates or algebraic variables has no
-        meaning there. A member at the end that differs from the path equation is a condition of its
-        own.
+        meaning at the start. A member at the end that differs from the path equation becomes a
+        separate condition.
         """
         added = []
         first, last = self.copy.declared_times[0], self.copy.declared_times[-1]
@@ -210,8 +210,8 @@ class RelationReader:
     ) -> list[PointCondition]:
         """Return the members at declared interior times that differ from the path equation.
 
-        They are conditions of their own. `template` is the member at the template time, `instances`
-        the members at declared times.
+        Each of them becomes a separate condition. `template` is the member at the template time,
+        `instances` has the members at declared times.
         """
         added = []
         for time in self.copy.declared_times[1:-1]:

@@ -101,7 +101,7 @@ def declared_magnitudes(model: Any) -> dict[str, float]:
 
 
 class LiveModel:
-    """The user's Pyomo model as a source of numbers, read anew at every call.
+    """The user's Pyomo model as a source of numbers; every call reads the present values.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ class LiveModel:
         """Return a variable's `initialize` rule as a function of time.
 
         The result is None if the variable has no such rule, or if the values in the model differ
-        from the rule's.
+        from the values of the rule.
 
         Raises
         ------

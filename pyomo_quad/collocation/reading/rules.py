@@ -92,7 +92,8 @@ def initial_rule_of(variable: Any) -> Any:
 def refuse_lost_members(copy: Any, template_time: float) -> None:
     """Raise an error for rules that fail at a time that the model does not declare.
 
-    Pyomo takes a `KeyError` in a rule as a request to skip the member; an equation would be lost.
+    Pyomo takes a `KeyError` in a rule as a request to skip the member. Without this check, the
+    equation would be missing from the program without notice.
 
     Parameters
     ----------

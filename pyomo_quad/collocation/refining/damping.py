@@ -136,7 +136,8 @@ def damping_of(
     """Return the damping of a solution's controls for the solve on the next mesh.
 
     Damping is a penalty on the distance from the controls of the solution. A control is damped if
-    it is bounded and the Lagrangian has little curvature in it, so that it enters nearly linearly.
+    it is bounded and enters nearly linearly, that is if the Lagrangian's second derivative with
+    respect to the control is small.
     Next to a corner of the cost, which has curvature at the corner only, a control chatters like a
     control that enters linearly.
 
