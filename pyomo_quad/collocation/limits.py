@@ -51,7 +51,7 @@ class LimitValues:
         Returns
         -------
         Violation
-            With a size of 0 if the limit is satisfied at all of them.
+            The worst violation; its size is 0 if the limit is satisfied at all chosen times.
         """
         values, lower, upper = self.values[chosen], self.lower[chosen], self.upper[chosen]
         below, above = lower - values, values - upper

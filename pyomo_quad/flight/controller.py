@@ -360,9 +360,9 @@ def project(estimate: Sequence[float], rate: Sequence[float], bound: float) -> l
     Returns
     -------
     list of float
-        The rate to apply. Continuous in its arguments; for every true value inside 90 % of the
-        ball, (estimate - true) . (result - rate) <= 0, so that the projection never increases the
-        Lyapunov function V.
+        The rate to apply, a continuous function of the arguments. For every true value inside 90 %
+        of the ball, (estimate - true) . (result - rate) <= 0, so that the projection never
+        increases the Lyapunov function V.
     """
     outward = sum(d * r for d, r in zip(estimate, rate, strict=True))
     inner = bound * (1 - _PROJECTION_LAYER)

@@ -65,8 +65,8 @@ _SHARES = (0.0, 0.5, 1.0)
 def steady_power(steady: SteadyFlight) -> Callable[[FloatArray], FloatArray]:
     """Return the power of level flight in still air [W] as a function of airspeed [m/s].
 
-    The function interpolates a table; it is infinite above the largest airspeed of the table with a
-    steady flight.
+    The function interpolates a table. It is infinite above the largest tabulated airspeed at which
+    the vehicle can fly steadily.
     """
     speeds, powers = [], []
     near = None

@@ -119,7 +119,7 @@ class PackIdentification:
 
 
 class _Flown(NamedTuple):
-    """Power and cell voltage of one flight, from a few seconds before the load on.
+    """Power and cell voltage of one flight, beginning a few seconds before the load.
 
     `rest` has the mean voltage and power before the load; the first `aloft` rows are in flight.
     """

@@ -9,12 +9,13 @@ d_k | beyond[zone, ball] | m | distance from the surface of the ball minus the c
 w | edge_width | m | width over which two faces of a zone are blended
 
 A zone is the intersection of balls (`scenario.airspace.Ball`): a disk and an interval of height for
-a cylinder, three intervals for a box, an interval across each edge and one of height for a convex
-polygon. A place is outside if it is outside one of the balls, that is
-if the largest of the d_k is positive. A smooth lower bound replaces this maximum, so that no place
+a cylinder, three intervals for a box, an interval across each edge and an interval of height for a
+convex polygon. A place is outside the zone if it is outside at least one of the balls, that is if
+the largest of the d_k is positive. A smooth lower bound replaces this maximum, so that no place
 inside a zone is allowed. Near an edge, where two of the d_k agree to about w, places up to 0.14 w =
 70 mm outside the zone (0.28 w = 140 mm at the corners of a box) are forbidden too. Elsewhere the
-zone is exact. The clearance moves the faces outwards, so that edges stay sharp.
+forbidden places are exactly the zone. The clearance moves the faces outwards, so that edges stay
+sharp.
 
 A polygon with k corners has k + 1 faces, blended in the same way. Near a corner with several faces
 at nearly the same distance, up to 0.14 w more is forbidden for each further face.

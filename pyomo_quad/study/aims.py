@@ -1,8 +1,8 @@
 """Least energy compared with least charge: the same mission solved for each of the two objectives.
 
-The energy that leaves the battery is not all that the battery loses: swings of power heat its
-resistance. `mission.aim` selects the objective; this module solves for the other objective on the
-same mesh and tabulates both plans.
+A battery loses more energy than it delivers, because the current heats its resistance; variations
+of the power increase this loss. `mission.aim` selects the objective; this module solves for the
+other objective on the same mesh and tabulates both plans.
 """
 
 from typing import TYPE_CHECKING

@@ -172,6 +172,9 @@ class Itinerary:
     def _terms(self, prices: FloatArray) -> tuple[FloatArray, FloatArray, float, FloatArray]:
         """Return the terms of the lower bound for prices of momentum, with their gradients.
 
+        The bound is the sum over the legs k of A_k / T_k + G_k T_k, where T_k is the duration of
+        leg k.
+
         Parameters
         ----------
         prices : ndarray, shape (n_prices, 3)
@@ -180,7 +183,7 @@ class Itinerary:
         Returns
         -------
         gained, spent : ndarray, shape (n_legs,)
-            A_k [J s] and G_k [W] of the docstring of this module.
+            A_k [J s] and G_k [W] of each leg.
         jumped : float
             Term by which the jumps of the prices lower the bound, J, not positive.
         slopes : ndarray, shape (2 n_legs + 1, n_prices, 3)

@@ -102,10 +102,11 @@ class CaseResult:
     values : mapping
         Number of each output column, by column name.
     warm_start : bytes or None
-        Packed solution, the initial guess of the children: neighbouring cases that are solved
-        after this case.
+        Packed solution, the initial guess of the children: neighbouring cases that are solved after
+        this case.
     reason : str
-        Reason of the failure; empty for a success. The values are kept in both cases.
+        Reason of the failure; empty for a success. After a failure, `values` still holds the
+        numbers that could be computed.
     """
 
     values: Mapping[str, float]
