@@ -435,7 +435,10 @@ class Dynamics:
         return Instants(inputs=inputs, read=self._formulation.evaluator, numbers=self._with_numbers)
 
     def _with_numbers(self, data: FloatArray, numbers: Mapping[str, ArrayLike]) -> FloatArray:
-        """Return a copy of a table of data with new values of some parameters, by full name."""
+        """Return a copy of a table of data, with new values of the parameters in `numbers`.
+
+        The table has one row per time; `numbers` has full names of parameters as keys.
+        """
         names = self.parameter_names
         changed = data.copy()
         for name, column in numbers.items():

@@ -299,6 +299,7 @@ class Timeline:
         Parameters
         ----------
         fractions : float or ndarray
+            Fractions of the declared horizon, from 0 to 1.
 
         Returns
         -------

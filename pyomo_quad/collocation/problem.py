@@ -67,7 +67,7 @@ class Problem(Summarised, Formulation):
     Parameters
     ----------
     model : ConcreteModel
-        With one ContinuousSet that is not discretised, or none.
+        Model with one ContinuousSet that is not discretised, or with none.
     final_time : Var, optional
         Static variable of the model that becomes the end of the horizon; the end of the continuous
         set then only defines where boundary conditions are declared.

@@ -79,7 +79,7 @@ class Column:
 
     @property
     def stored_unit(self) -> str:
-        """Unit of the column's values in a table; for an angle not the printed unit."""
+        """Unit of the values in a table, for example rad for an angle printed in degrees."""
         return _STORED_UNITS.get(self.unit, self.unit)
 
     @property

@@ -77,7 +77,10 @@ class EquatedRates:
 
 
 class EulerRates:
-    """Exact kinematics of the Euler angles: Beard and McLain (2012), eq. (3.3), with derivative."""
+    """Exact kinematics of the Euler angles, for rates and for accelerations.
+
+    The rates follow Beard and McLain (2012), eq. (3.3), the accelerations its time derivative.
+    """
 
     def angle_rates(self, attitude: Vector, body_rates: Vector) -> Vector:
         """Return the rates of roll, pitch and yaw [rad/s], singular at a pitch of 90 degrees."""

@@ -63,8 +63,8 @@ class MissionProblem:
     timings : mapping
         Seconds spent on building and compiling.
     easier : tuple of mapping
-        Parameter values that make the problem easier, the easiest first: they round the corner that
-        the power has at zero more widely. A final plan never uses them.
+        Parameter values that make the problem easier, the easiest first. They widen the smoothing
+        of the corner of the power at zero. A final plan never uses them.
     """
 
     def __init__(self, problems: Problems, told: Scenario, search: Search | None = None) -> None:

@@ -140,7 +140,7 @@ class Search:
         self.effort, self._most_effort = 0, most
 
     def __call__(self, iteration: Iteration) -> bool:
-        """Count an iteration of Ipopt; return False, which stops the solve, beyond a limit."""
+        """Count an iteration of Ipopt; return False beyond a limit, so that Ipopt stops."""
         self.effort += iteration.mesh_points
         if self._show is not None:
             self._show(

@@ -516,7 +516,8 @@ def _undercut(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
     """Return the caption's sentence on energy bars that end below the hover energy.
 
     A flight can use less energy than hovering for the same time, for example in descent or in
-    forward flight. Its bar then ends inside the grey bar of the hover energy. "" if no flight does.
+    forward flight. Its bar then ends inside the grey bar of the hover energy. The sentence is empty
+    if no flight uses less energy than hovering.
     """
     hover_power = hover_energy_J / flights[0].duration_s
     is_below = any(flight.energy_J < hover_power * flight.duration_s for flight in flights)

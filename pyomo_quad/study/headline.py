@@ -75,7 +75,7 @@ class Headline:
 
     @property
     def summary(self) -> dict[str, Any]:
-        """The headline and the numbers of its saving, as values for JSON."""
+        """The headline in words, and the saving that it states as numbers, as values for JSON."""
         against = (
             {
                 "flight": self.rival[ComparisonColumn.FLIGHT],
