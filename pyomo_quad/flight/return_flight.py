@@ -1,9 +1,10 @@
-"""Airspeed and battery current of a vehicle's steady return flight.
+"""Airspeed and battery currents of a vehicle's steady return flight.
 
 The reserve of charge for a return to the start or a rally point follows from them. The airspeed is
 that of least charge per metre over the ground against the wind at the start; the current is the
 battery's at that airspeed and at the state of charge at which the return may end, where it is
-greatest.
+greatest. Over terrain the return begins with a climb, whose current is the greater of two: in a
+vertical climb in still air, and in a climb at the airspeed of the return.
 """
 
 from typing import TYPE_CHECKING
@@ -25,9 +26,10 @@ _SECONDS_PER_HOUR = 3600.0
 
 
 def with_return_flight(problems: "Problems", scenario: Scenario) -> Scenario:
-    """Return the scenario with airspeed and current of the return flight filled in.
+    """Return the scenario with airspeed and currents of the return flight filled in.
 
-    A scenario that keeps no charge for a return, or with both given, is returned unchanged.
+    A scenario that keeps no charge for a return, or with all of them given, is returned unchanged;
+    the current of the climb is needed over terrain only.
 
     Raises
     ------
@@ -36,7 +38,9 @@ def with_return_flight(problems: "Problems", scenario: Scenario) -> Scenario:
     """
     mission = scenario.mission
     told = mission.return_flight
-    if not mission.return_reserve or None not in {told.airspeed, told.current}:
+    is_hilly = scenario.airspace.ground is not None
+    needed = {told.airspeed, told.current, *([told.climb_current] if is_hilly else [])}
+    if not mission.return_reserve or None not in needed:
         return scenario
     plain = scenario.as_forecast().with_mission(return_reserve=False)
     steady = problems.steady_flight(plain)
@@ -44,6 +48,9 @@ def with_return_flight(problems: "Problems", scenario: Scenario) -> Scenario:
     airspeed = told.airspeed or _cheapest(scenario, steady, wind)
     current = told.current or _current(scenario, steady, airspeed)
     held = told.model_copy(update={"airspeed": airspeed, "current": current})
+    if is_hilly:
+        climbing = told.climb_current or climb_current(scenario, steady, airspeed)
+        held = held.model_copy(update={"climb_current": climbing})
     return scenario.with_mission(return_flight=held)
 
 
@@ -68,10 +75,33 @@ def _cheapest(scenario: Scenario, steady: SteadyFlight, wind: float) -> float:
     return float(found.x)
 
 
-def _current(scenario: Scenario, steady: SteadyFlight, airspeed: float) -> float:
-    """Return the battery current of steady flight at an airspeed and the lowest charge [A]."""
+def climb_current(scenario: Scenario, steady: SteadyFlight, airspeed: float) -> float:
+    """Return the battery current of the return flight's climb at the lowest charge [A].
+
+    It is the greater of the currents at airspeed zero and at the given airspeed [m/s]: between them
+    power falls and rises again, so that no airspeed between takes more.
+
+    Raises
+    ------
+    SolveError
+        If the vehicle or its pack cannot climb at `mission.return_flight.climb_rate`.
+    """
+    rate = scenario.mission.return_flight.climb_rate
+    return max(_current(scenario, steady, level, rate) for level in (0.0, airspeed))
+
+
+def _current(
+    scenario: Scenario, steady: SteadyFlight, airspeed: float, climb: float = 0.0
+) -> float:
+    """Return the battery current of steady flight at the lowest charge [A].
+
+    `airspeed` is horizontal and `climb` upward, both in m/s.
+    """
     drawn = (1.0 - scenario.limits.least_charge) * steady.pack_capacity
-    rate, reserve = steady.charge_rates(steady.trim([airspeed, 0.0, 0.0]), np.array([drawn]))
+    rate, reserve = steady.charge_rates(steady.trim([airspeed, 0.0, climb]), np.array([drawn]))
     if reserve[0] < 0.0:
-        raise SolveError(f"the pack cannot give the power of flight at {airspeed:g} m/s.")
+        raise SolveError(
+            f"the pack cannot give the power of flight at {airspeed:g} m/s"
+            f"{f' in a climb at {climb:g} m/s' if climb > 0.0 else ''}."
+        )
     return float(rate[0] * _SECONDS_PER_HOUR)
