@@ -1,9 +1,11 @@
-"""Airspeed and battery current of a vehicle's steady return flight.
+"""Airspeed and battery currents of a vehicle's steady return flight.
 
 The charge that a mission must reserve for a return to the start or to a rally point follows from
-airspeed and current. The airspeed is the one that takes the least charge per metre over the ground
+airspeed and currents. The airspeed is the one that takes the least charge per metre over the ground
 against the wind at the start of the mission. The current is evaluated at this airspeed and at the
-lowest state of charge that the return may reach, because the current is greatest then.
+lowest state of charge that the return may reach, because the current is greatest then. Over
+terrain the return begins with a climb; its current is the greater of the current of a vertical
+climb in still air and the current of a climb at the airspeed of the return.
 """
 
 from typing import TYPE_CHECKING
@@ -27,10 +29,10 @@ _SECONDS_PER_HOUR = 3600.0
 
 
 def with_return_flight(problems: "Problems", scenario: Scenario) -> Scenario:
-    """Return the scenario with airspeed and current of the return flight filled in.
+    """Return the scenario with airspeed and currents of the return flight filled in.
 
-    A scenario is returned unchanged if it reserves no charge for a return, or if it gives both
-    values.
+    A scenario is returned unchanged if it reserves no charge for a return, or if it gives all
+    values. The current of the climb is filled in over terrain only.
 
     Raises
     ------
@@ -39,7 +41,9 @@ def with_return_flight(problems: "Problems", scenario: Scenario) -> Scenario:
     """
     mission = scenario.mission
     told = mission.return_flight
-    if not mission.return_reserve or None not in {told.airspeed, told.current}:
+    is_hilly = scenario.airspace.ground is not None
+    needed = {told.airspeed, told.current, *([told.climb_current] if is_hilly else [])}
+    if not mission.return_reserve or None not in needed:
         return scenario
     plain = scenario.as_forecast().with_mission(return_reserve=False)
     steady = problems.steady_flight(plain)
@@ -47,6 +51,9 @@ def with_return_flight(problems: "Problems", scenario: Scenario) -> Scenario:
     airspeed = told.airspeed or _cheapest(scenario, steady, wind)
     current = told.current or _current(scenario, steady, airspeed)
     held = told.model_copy(update={"airspeed": airspeed, "current": current})
+    if is_hilly:
+        climbing = told.climb_current or climb_current(scenario, steady, airspeed)
+        held = held.model_copy(update={"climb_current": climbing})
     return scenario.with_mission(return_flight=held)
 
 
@@ -71,10 +78,33 @@ def _cheapest(scenario: Scenario, steady: SteadyFlight, wind: float) -> float:
     return float(found.x)
 
 
-def _current(scenario: Scenario, steady: SteadyFlight, airspeed: float) -> float:
-    """Return the battery current [A] of steady flight at the lowest state of charge allowed."""
+def climb_current(scenario: Scenario, steady: SteadyFlight, airspeed: float) -> float:
+    """Return the battery current [A] of the return flight's climb at the lowest charge allowed.
+
+    The result is the greater of the currents at airspeed zero and at the given airspeed [m/s]. In
+    a climb, power falls and then rises with airspeed, so no airspeed between the two takes more.
+
+    Raises
+    ------
+    SolveError
+        If the vehicle or its pack cannot climb at `mission.return_flight.climb_rate`.
+    """
+    rate = scenario.mission.return_flight.climb_rate
+    return max(_current(scenario, steady, level, rate) for level in (0.0, airspeed))
+
+
+def _current(
+    scenario: Scenario, steady: SteadyFlight, airspeed: float, climb: float = 0.0
+) -> float:
+    """Return the battery current [A] of steady flight at the lowest state of charge allowed.
+
+    `airspeed` is the horizontal airspeed and `climb` the rate of climb, both in m/s.
+    """
     drawn = (1.0 - scenario.limits.least_charge) * steady.pack_capacity
-    rate, reserve = steady.charge_rates(steady.trim([airspeed, 0.0, 0.0]), np.array([drawn]))
+    rate, reserve = steady.charge_rates(steady.trim([airspeed, 0.0, climb]), np.array([drawn]))
     if reserve[0] < 0.0:
-        raise SolveError(f"the pack cannot give the power of flight at {airspeed:g} m/s.")
+        raise SolveError(
+            f"the pack cannot give the power of flight at {airspeed:g} m/s"
+            f"{f' in a climb at {climb:g} m/s' if climb > 0.0 else ''}."
+        )
     return float(rate[0] * _SECONDS_PER_HOUR)

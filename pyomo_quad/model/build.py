@@ -244,6 +244,7 @@ def structure_key(scenario: Scenario) -> Hashable:
         None if series is None else (series, scenario.wind.time_offset, longest),
         (scenario.wind.grid, scenario.wind.beyond),
         scenario.airspace.ground,
+        homing.terrain_key(scenario),
         battery.may_lose_voltage(scenario),
         (scenario.mission, tuple(t / end for t in passages)) if passages else None,
         scenario.mission.aim is Aim.CHARGE,

@@ -4,6 +4,8 @@ symbol | name | unit | meaning
 d_k | way | m | straight distance to home k: the start, or a rally point
 w_k | tail_wind | m/s | component of the wind towards home k, at the vehicle
 g_k | ground_speed | m/s | ground speed towards home k at the airspeed V, by the wind triangle
+H_k | height_home | m | least height of the level return to home k over terrain
+c_k | climb | m | climb from the vehicle's height to H_k, over terrain
 q_k | charge_to | A h | charge of the return to home k, including the margin
 q | charge_home | A h | charge of the return to the nearest home
 
@@ -11,13 +13,20 @@ The return is a steady, level flight at one airspeed V, at which the pack delive
 current i. At the ground speed g = w + sqrt(V^2 - |wind|^2 + w^2) the distance d takes the time d /
 g, so that the charge of the return is (1 + margin) i d / g. The wind along the return is taken
 equal to the wind at the vehicle, and a difference of height counts as distance; the margin covers
-the errors of these assumptions. See docs/theory/homing.md.
+the errors of these assumptions.
+
+Over terrain the vehicle first climbs, without progress, until it clears the highest ground on its
+straight way home by the floor of the airspace. It then flies level to the place above the home, and
+descends; the descent counts as distance. See docs/theory/homing.md.
 """
+
+from collections.abc import Hashable
 
 from pyomo.core import Block, ConcreteModel, Set, exp, sqrt, tanh
 from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression, RelationalExpression
 
+from pyomo_quad.collocation import Table
 from pyomo_quad.model.battery import CHARGE
 from pyomo_quad.model.parameters import (
     Parameter,
@@ -26,6 +35,7 @@ from pyomo_quad.model.parameters import (
     parameters_in,
     saturated,
 )
+from pyomo_quad.model.wind_field import smooth_positive
 from pyomo_quad.scenario import Scenario
 
 # Added in quadrature to the way home, so that its length is differentiable at the home itself.
@@ -37,11 +47,16 @@ _STOPPED, _SQUARE_WIDTH = 0.25 * units.m**2 / units.s**2, 0.025 * units.m**2 / u
 # Sharpness of the smooth minimum over homes: where the charges of two returns differ by 1/200 of
 # the pack, the weight of the return with more charge is smaller by a factor e.
 _SHARPNESS = 200.0
+# Width over which the climb is rounded upwards near zero.
+_CLIMB_WIDTH = 1.0 * units.m
+
+
+def _homes(scenario: Scenario) -> tuple[tuple[float, float, float], ...]:
+    return (scenario.mission.start.position, *scenario.mission.rally)
 
 
 def _places(axis: int, scenario: Scenario) -> dict[int, float]:
-    homes = (scenario.mission.start.position, *scenario.mission.rally)
-    return {k: place[axis] for k, place in enumerate(homes)}
+    return {k: place[axis] for k, place in enumerate(_homes(scenario))}
 
 
 _HOMES = tuple(
@@ -66,8 +81,19 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters of the return flight; empty for a mission without return reserve."""
     if not scenario.mission.return_reserve:
         return ()
-    of_flight = fields_of("mission.return_flight", "margin", "airspeed", "current")
-    return (*_HOMES, _USABLE_CHARGE, *of_flight)
+    names = ["margin", "airspeed", "current"]
+    if scenario.airspace.ground is not None:
+        names += ["climb_rate", "climb_current"]
+    return (*_HOMES, _USABLE_CHARGE, *fields_of("mission.return_flight", *names))
+
+
+def terrain_key(scenario: Scenario) -> Hashable:
+    """Return the homes if tables of terrain on the ways home are part of the model, else None.
+
+    Models of scenarios with different homes then differ in more than parameter values.
+    """
+    has_tables = scenario.mission.return_reserve and scenario.airspace.ground is not None
+    return _homes(scenario) if has_tables else None
 
 
 def declare_homing(m: ConcreteModel, scenario: Scenario) -> None:
@@ -89,6 +115,8 @@ def declare_homing(m: ConcreteModel, scenario: Scenario) -> None:
     declare_parameters(b, scenario)
     b.home = Set(initialize=list(_places(0, scenario)))
     _declare_way(b, m)
+    if scenario.airspace.ground is not None:
+        _declare_climb(b, m, scenario)
     _declare_charge(b, m)
 
     @b.Constraint(m.time, doc="charge left in the pack suffices for the return [A h]")
@@ -127,15 +155,62 @@ def _declare_way(b: Block, m: ConcreteModel) -> None:
         return saturated(held * along, _SLOWEST, _SPEED_WIDTH)
 
 
+def _declare_climb(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
+    """Declare the height of the return over terrain, the climb to it, and the way flown.
+
+    Parameters
+    ----------
+    b : Block
+        Block `homing`, with its homes.
+    m : ConcreteModel
+        With `time`, `rigid_body` and `airspace`.
+    scenario : Scenario
+        Has terrain.
+    """
+    ground, floor = scenario.airspace.ground, m.airspace.component("floor")
+    if ground is None:
+        return
+    tables = {}
+    for k, home in enumerate(_homes(scenario)):
+        surface = ground.surface_of_ways(home)
+        lengths = {"units": units.m, "arg_units": [units.m, units.m]}
+        tables[k] = Table(surface.x, surface.y, surface.heights, **lengths)
+        b.add_component(f"ground_on_way_{k}", tables[k])
+
+    @b.Expression(
+        b.home, m.time, doc="least height of the return, docs/theory/homing.md eq. (7) [m]"
+    )
+    def height_home(b: Block, k: int, t: float) -> NumericExpression:
+        body = b.parent_block().rigid_body
+        above = tables[k](body.x[t], body.y[t])
+        return above if floor is None else above + floor
+
+    @b.Expression(b.home, m.time, doc="climb to that height, docs/theory/homing.md eq. (8) [m]")
+    def climb(b: Block, k: int, t: float) -> NumericExpression:
+        missing = b.height_home[k, t] - b.parent_block().rigid_body.z[t]
+        return smooth_positive(missing, _CLIMB_WIDTH)
+
+    @b.Expression(b.home, m.time, doc="level way and descent, docs/theory/homing.md eq. (9) [m]")
+    def way_flown(b: Block, k: int, t: float) -> NumericExpression:
+        body = b.parent_block().rigid_body
+        descent = body.z[t] + b.climb[k, t] - b.home_z[k]
+        level = (b.home_x[k] - body.x[t]) ** 2 + (b.home_y[k] - body.y[t]) ** 2
+        return sqrt(level + _AT_HOME**2) + sqrt(descent**2 + _AT_HOME**2)
+
+
 def _declare_charge(b: Block, m: ConcreteModel) -> None:
     @b.Expression(
         b.home,
         m.time,
-        doc="charge of the return with its margin, docs/theory/homing.md eq. (4) [A h]",
+        doc="charge of the return with its margin, docs/theory/homing.md eqs. (4), (10) [A h]",
     )
     def charge_to(b: Block, k: int, t: float) -> NumericExpression:
-        lasting = b.way[k, t] / b.ground_speed[k, t]
-        return units.convert((1 + b.margin) * b.current * lasting, to_units=CHARGE)
+        if b.component("climb") is None:
+            drawn = b.current * b.way[k, t] / b.ground_speed[k, t]
+        else:
+            drawn = b.current * b.way_flown[k, t] / b.ground_speed[k, t]
+            drawn += b.climb_current * b.climb[k, t] / b.climb_rate
+        return units.convert((1 + b.margin) * drawn, to_units=CHARGE)
 
     @b.Expression(
         m.time, doc="charge of the return to the nearest home, docs/theory/homing.md eq. (5) [A h]"

@@ -1,9 +1,12 @@
 """Reach of a vehicle on one battery charge in a wind, one way or out and back.
 
 The flight is straight and level, at the height of the start and at the ground speed of least energy
-per metre in the local wind. Each metre uses the fraction 1 / range of the battery charge, where
-range is the distance that a full battery lasts for in the local wind. The boundary lies where these
-fractions add up to 1: over the way out or, if the vehicle returns, over the ways out and back.
+per metre in the local wind. Over terrain the vehicle climbs where the ground ahead comes nearer
+than the floor of the airspace, and keeps the height gained until it is back above that place; a
+climb counts as time without progress. The boundary ends where the terrain ends. Each metre uses the
+fraction 1 / range of the battery charge, where range is the distance that a full battery lasts for
+in the local wind. The boundary lies where these fractions add up to 1: over the way out or, if the
+vehicle returns, over the ways out and back.
 Keep-out zones are ignored.
 """
 
@@ -17,10 +20,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
 from pyomo_quad.arrays import FloatArray
 from pyomo_quad.flight import Planner
+from pyomo_quad.flight.return_flight import climb_current
+from pyomo_quad.flight.steady import SteadyFlight
 from pyomo_quad.model.wind_field import is_wind_known
 from pyomo_quad.polar.polar import COURSE, REACH, SteadyCurve, steady_curve
 from pyomo_quad.report import Figures
@@ -37,6 +43,9 @@ _COURSES = 72  # number of courses, every 5 degrees
 _STEPS = 400  # steps along each course, in the integral of the battery's share
 # Speeds and angles of the wind between which the share of the pack per metre is interpolated.
 _WIND_STEP_M_S, _ANGLES = 0.5, 37
+# Samples of the ground per step of its grid, under a course.
+_LOOKS_PER_CELL = 4
+_SECONDS_PER_HOUR = 3600.0
 _KILO = 1e-3
 
 
@@ -52,7 +61,7 @@ class Reach:
         Whether the charge also suffices for the way back.
     boundary : DataFrame
         One row for each course: course [deg from x, counter-clockwise], distance and position [m],
-        and whether the wind field ends before the battery is empty.
+        and whether the wind field or the terrain ends before the battery is empty.
     depth : float
         Fraction of the battery charge that may be used.
     """
@@ -76,11 +85,11 @@ def find_reach(scenario: Scenario, *, has_return: bool) -> Reach:
     Raises
     ------
     SolveError
-        If the vehicle cannot hover.
+        If the vehicle cannot hover, or cannot climb over terrain.
     """
     planner = Planner()
-    depth = 1.0 - scenario.limits.least_charge
-    curve = steady_curve(scenario, planner.steady_flight(scenario), depth)
+    depth, steady = 1.0 - scenario.limits.least_charge, planner.steady_flight(scenario)
+    curve = steady_curve(scenario, steady, depth)
     courses = np.linspace(0.0, 2.0 * np.pi, _COURSES, endpoint=False)
     # An upper bound on the distance: greatest airspeed with a tail wind of the same speed, for the
     # longest endurance.
@@ -89,15 +98,69 @@ def find_reach(scenario: Scenario, *, has_return: bool) -> Reach:
     headings = np.column_stack([np.cos(courses), np.sin(courses), np.zeros(_COURSES)])
     start = np.array(scenario.mission.start.position)
     places = start + along[None, :, None] * headings[:, None, :]
+    places[..., 2] = _heights(scenario, along, headings)
     is_known = is_wind_known(scenario, 0.0, places.reshape(-1, 3)).reshape(_COURSES, _STEPS)
+    is_known &= _is_within_terrain(scenario, places)
     winds = np.zeros((*is_known.shape, 2))
     winds[is_known] = planner.winds_at(scenario, places[is_known])
     share = _shares(curve, winds, courses[:, None], has_return=has_return)
+    climbed = _share_per_climb(scenario, steady, curve) * (places[..., 2] - start[2])
     rows = [
-        _boundary_on(course, along, share[k], is_known[k], start)
+        _boundary_on(course, along, share[k], climbed[k], is_known[k], start)
         for k, course in enumerate(courses.tolist())
     ]
     return Reach(scenario=scenario, has_return=has_return, boundary=pd.DataFrame(rows), depth=depth)
+
+
+def _heights(scenario: Scenario, along: FloatArray, headings: FloatArray) -> FloatArray:
+    """Return the least height of a flight on each course that clears all ground flown over so far.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Scenario with start, terrain and floor above it.
+    along : ndarray, shape (n_steps,)
+        Distances from the start, in equal steps [m].
+    headings : ndarray, shape (n_courses, 3)
+        Unit vectors of the courses.
+
+    Returns
+    -------
+    ndarray, shape (n_courses, n_steps)
+        Heights z [m], at least that of the start.
+    """
+    start, airspace = np.array(scenario.mission.start.position), scenario.airspace
+    found = np.full((len(headings), along.size), start[2])
+    if airspace.ground is None:
+        return found
+    parts = int(np.ceil(_LOOKS_PER_CELL * (along[1] - along[0]) / airspace.ground.least_step))
+    fine = np.linspace(0.0, along[-1], parts * (along.size - 1) + 1)
+    under = start + fine[None, :, None] * headings[:, None, :]
+    needed = start[2] - airspace.height_above_ground(under) + (airspace.floor or 0.0)
+    return np.maximum(found, np.maximum.accumulate(needed, axis=1)[:, ::parts])
+
+
+def _is_within_terrain(scenario: Scenario, places: FloatArray) -> NDArray[np.bool_]:
+    """Return which places, shape (..., 3), lie over the terrain; all of them without terrain."""
+    within, ground = np.ones(places.shape[:-1], dtype=bool), scenario.airspace.ground
+    for axis, side, end in () if ground is None else ground.edges.values():
+        within &= side * (places[..., axis] - end) <= 0.0
+    return within
+
+
+def _share_per_climb(scenario: Scenario, steady: SteadyFlight, curve: SteadyCurve) -> float:
+    """Return the share of the battery charge that a metre of climb uses [1/m]; 0 without terrain.
+
+    The climb is that of the return flight of a mission: `climb_current`.
+    """
+    if scenario.airspace.ground is None:
+        return 0.0
+    told = scenario.mission.return_flight
+    current = told.climb_current or climb_current(
+        scenario, steady, curve.best_over_ground().airspeed
+    )
+    usable = (1.0 - scenario.limits.least_charge) * steady.pack_capacity
+    return current / told.climb_rate / _SECONDS_PER_HOUR / usable
 
 
 def _shares(
@@ -165,12 +228,32 @@ def _share_per_metre(
 
 
 def _boundary_on(
-    course: float, along: FloatArray, share: FloatArray, is_known: FloatArray, start: FloatArray
+    course: float,
+    along: FloatArray,
+    share: FloatArray,
+    climbed: FloatArray,
+    is_known: NDArray[np.bool_],
+    start: FloatArray,
 ) -> dict[str, Any]:
+    """Return the row of the boundary on one course.
+
+    Parameters
+    ----------
+    course : float
+        Direction from x, counter-clockwise [rad].
+    along : ndarray, shape (n_steps,)
+        Distances from the start [m].
+    share, climbed : ndarray, shape (n_steps,)
+        Share of the battery charge for a metre at each distance [1/m], and for all climbs so far.
+    is_known : ndarray of bool, shape (n_steps,)
+        Whether wind and ground are known at each distance.
+    start : ndarray, shape (3,)
+        Position of the start [m].
+    """
     pieces = np.diff(along) * (share[1:] + share[:-1]) / 2.0
-    used = np.concatenate([[0.0], np.cumsum(pieces)])
+    used = climbed + np.concatenate([[0.0], np.cumsum(pieces)])
     reached = float(np.interp(1.0, used, along)) if np.isfinite(used).all() else 0.0
-    unknown = np.flatnonzero(~is_known.astype(bool))
+    unknown = np.flatnonzero(~is_known)
     known_to = float(along[max(unknown[0] - 1, 0)]) if unknown.size else np.inf
     distance = min(reached, known_to)
     return {
@@ -258,8 +341,8 @@ def reach_summary(reach: Reach) -> dict[str, Any]:
 
 _CAPTION = (
     "The boundary of what one pack reaches from the start, flown straight at the height of the "
-    "start. Arrows show the wind there; a dotted edge is where the wind field ends before the pack "
-    "does."
+    "start, or higher where the ground demands it. Arrows show the wind there; a dotted edge is "
+    "where the wind field or the terrain ends before the pack does."
 )
 _ARROWS = 9  # along each side of the map
 

@@ -402,6 +402,14 @@ class TerrainGrid(Part):
         """
         return _surface(self, side)
 
+    def surface_of_ways(self, home: tuple[float, float, float]) -> "Surface":
+        """Return a smooth surface nowhere below the highest ground on the straight way to a home.
+
+        At each place its height bounds the ground on the straight way from that place to the home,
+        a position x, y, z [m] whose height is ignored.
+        """
+        return _surface_of_ways(self, home)
+
     @property
     def least_step(self) -> float:
         """Least distance between neighbouring grid lines in x or y [m]."""
@@ -427,6 +435,16 @@ def _surface(grid: TerrainGrid, side: int) -> "Surface":
     from pyomo_quad.scenario.surfaces import surface_of  # noqa: PLC0415  see `Ball.coordinates`
 
     return surface_of(grid.x, grid.y, grid.elevations, side)
+
+
+@lru_cache(maxsize=8)
+def _surface_of_ways(grid: TerrainGrid, home: tuple[float, float, float]) -> "Surface":
+    from pyomo_quad.scenario.surfaces import (  # noqa: PLC0415  see `Ball.coordinates`
+        highest_on_ways,
+        surface_of,
+    )
+
+    return surface_of(grid.x, grid.y, highest_on_ways(grid.x, grid.y, grid.elevations, home), 1)
 
 
 class Airspace(Part):

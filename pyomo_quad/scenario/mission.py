@@ -125,6 +125,18 @@ class ReturnFlight(Part):
         None,
         sound=positive(1e-3, 1e4, "packs give at most 10 kA"),
     )
+    climb_rate: Number = quantity(
+        "m/s",
+        "rate at which the return climbs above the terrain on its way",
+        2.0,
+        sound=positive(1e-2, 1e2, "rotorcraft climb at less than 100 m/s"),
+    )
+    climb_current: Number | None = quantity(
+        "A",
+        "current of the pack in that climb; when absent, that of steady flight",
+        None,
+        sound=positive(1e-3, 1e4, "packs give at most 10 kA"),
+    )
 
 
 class NamedDuration(NamedTuple):

@@ -132,6 +132,54 @@ def surface_of(x: ArrayLike, y: ArrayLike, heights: FloatArray, side: int) -> Su
     return Surface(x=x, y=y, heights=side * heights.T, excess=excess)
 
 
+def highest_on_ways(x: ArrayLike, y: ArrayLike, heights: FloatArray, home: ArrayLike) -> FloatArray:
+    """Return heights on a grid that bound the ground on every straight way to one place, the home.
+
+    Interpolated bilinearly at any place, the returned heights are nowhere below the highest ground
+    on the straight way from that place to the home. Derivation: docs/theory/homing.md, eq. (7).
+
+    Parameters
+    ----------
+    x, y : array_like
+        Points of the grid [m], ascending.
+    heights : ndarray, shape (len(x), len(y))
+        Heights of the ground at the points [m]; between them the ground is bilinear.
+    home : array_like
+        Coordinates x and y of the home [m]; further coordinates are ignored.
+
+    Returns
+    -------
+    ndarray, shape (len(x), len(y))
+        Heights at the points of the grid [m].
+    """
+    from scipy.ndimage import maximum_filter  # noqa: PLC0415  see `_through`
+
+    axes, ends = [np.array(axis, dtype=float) for axis in (x, y)], np.asarray(home)[:2]
+    steps = [np.diff(axis) for axis in axes]
+    cells = _greatest_of_corners(heights)
+    # A way from anywhere in a cell stays within half the cell of the way from the cell's centre,
+    # which the samples below follow at half a step: the neighbourhood that is searched covers both.
+    beside = [int(np.ceil((s.max() / 2 + s.min() / 4) / s.min())) for s in steps]
+    near = maximum_filter(cells, size=[2 * count + 1 for count in beside], mode="nearest")
+    longest = [np.abs(axis[[0, -1]] - end).max() for axis, end in zip(axes, ends, strict=True)]
+    count = max(int(np.ceil(far / (s.min() / 2))) for far, s in zip(longest, steps, strict=True))
+    middles = [axis[:-1] + step / 2 for axis, step in zip(axes, steps, strict=True)]
+    found = near.copy()
+    for share in np.linspace(0.0, 1.0, count + 1):
+        rows, columns = (
+            np.clip(np.searchsorted(axis, m + share * (end - m)) - 1, 0, axis.size - 2)
+            for axis, m, end in zip(axes, middles, ends, strict=True)
+        )
+        np.maximum(found, near[np.ix_(rows, columns)], out=found)
+    return _greatest_of_corners(np.pad(found, 1, constant_values=-np.inf))
+
+
+def _greatest_of_corners(values: FloatArray) -> FloatArray:
+    """Return the greatest of the four corner values of each cell of a grid."""
+    along = np.maximum(values[:-1], values[1:])
+    return np.maximum(along[:, :-1], along[:, 1:])
+
+
 def _with_enough_points(
     x: FloatArray, y: FloatArray, ground: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:

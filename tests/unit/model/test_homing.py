@@ -74,6 +74,61 @@ def test_airspeed_and_current_are_those_of_least_charge_against_the_wind():
     assert all(cost(told.airspeed) <= cost(told.airspeed + step) for step in (-1.0, -0.1, 0.1, 1.0))
 
 
+def with_hill(folder):
+    """Return the fields of terrain that is level at 5 m, with a wall of 65 m at x = 150 m."""
+    x, y = np.meshgrid(np.arange(-200.0, 401.0, 25.0), np.arange(-100.0, 101.0, 25.0))
+    heights = np.where(np.abs(x - 150.0) < 1.0, 65.0, 5.0)
+    columns = np.column_stack([axis.ravel() for axis in (x, y, heights)])
+    file = folder / "terrain.csv"
+    np.savetxt(file, columns, delimiter=",", header="x_m,y_m,height_m", comments="")
+    changed = {
+        "airspace.terrain": str(file),
+        "airspace.floor": 3.0,
+        "wind.speed": 0.0,
+        "mission.start.position": [0.0, 0.0, 10.0],
+        "mission.goal.position": [-100.0, 0.0, 10.0],
+        "mission.return_flight.climb_rate": 2.0,
+        "mission.return_flight.climb_current": 30.0,
+    }
+    return changed | {"airspace.ceiling": None, "airspace.keep_out": []}
+
+
+def test_over_terrain_the_return_climbs_above_the_highest_ground_on_its_way(tmp_path):
+    model, t = homing_at((300.0, 0.0, 20.0), **with_hill(tmp_path))
+    homing = model.homing
+    above = value(homing.height_home[0, t])
+    assert above >= 65.0 + 3.0
+    climb, level = above - 20.0, above - 10.0
+    assert value(homing.climb[0, t]) == pytest.approx(climb, rel=1e-9)
+    way = np.hypot(300.0, 1.0) + np.hypot(level, 1.0)
+    expected = 1.25 * (12.0 * way / 10.0 + 30.0 * climb / 2.0) / 3600.0
+    assert value(homing.charge_home[t]) == pytest.approx(expected, rel=1e-4)
+
+
+def test_behind_no_hill_and_above_it_nothing_is_climbed(tmp_path):
+    fields = with_hill(tmp_path)
+    for place in ((-150.0, 0.0, 30.0), (300.0, 0.0, 110.0)):
+        model, t = homing_at(place, **fields)
+        assert value(model.homing.climb[0, t]) == pytest.approx(0.0, abs=1e-9)
+        descent = place[2] - 10.0
+        way = np.hypot(place[0], 1.0) + np.hypot(descent, 1.0)
+        expected = 1.25 * 12.0 * way / 10.0 / 3600.0
+        assert value(model.homing.charge_home[t]) == pytest.approx(expected, rel=1e-4)
+
+
+def test_the_current_of_the_climb_is_the_greater_of_both_ends(tmp_path):
+    fields = with_hill(tmp_path) | {"mission.return_reserve": True}
+    del fields["mission.return_flight.climb_current"]
+    scenario = load_scenario(PARCEL, fields)
+    told = with_return_flight(Planner(), scenario).mission.return_flight
+    steady = Planner().steady_flight(scenario.with_mission(return_reserve=False))
+    drawn = np.array([(1.0 - scenario.limits.least_charge) * steady.pack_capacity])
+    for speed in (0.0, told.airspeed / 2, told.airspeed):
+        rates, _ = steady.charge_rates(steady.trim([speed, 0.0, told.climb_rate]), drawn)
+        assert told.climb_current >= rates[0] * 3600.0 * (1 - 1e-9)
+    assert told.climb_current > told.current
+
+
 @pytest.mark.slow
 def test_a_plan_keeps_the_charge_of_its_return():
     planner = Planner()

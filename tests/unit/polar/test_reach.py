@@ -44,6 +44,38 @@ def test_in_a_uniform_wind_the_boundary_is_that_of_the_wind_triangle(has_return)
         assert getattr(row, REACH) == pytest.approx(expected, rel=1e-3)
 
 
+@pytest.mark.slow
+def test_a_wall_on_the_way_takes_the_charge_of_one_climb_over_it(tmp_path):
+    x, y = np.meshgrid(np.arange(-2e4, 2.1e4, 250.0), np.linspace(-2e4, 2e4, 4))
+    heights = np.where(np.abs(x - 2000.0) < 1.0, 90.0, 0.0)
+    columns = np.column_stack([axis.ravel() for axis in (x, y, heights)])
+    file = tmp_path / "wall.csv"
+    np.savetxt(file, columns, delimiter=",", header="x_m,y_m,height_m", comments="")
+    climb = {"climb_rate": 2.0, "climb_current": 40.0}
+    fields = {
+        "wind.speed": 0.0,
+        "airspace.terrain": str(file),
+        "airspace.floor": 5.0,
+        "airspace.ceiling": None,
+        "airspace.keep_out": [],
+        "mission.start.position": [0.0, 0.0, 20.0],
+        "mission.goal.position": [100.0, 0.0, 20.0],
+        "mission.return_flight": climb,
+    }
+    scenario = load_scenario(PARCEL, fields)
+    reach = find_reach(scenario, has_return=True).boundary.set_index(COURSE)[REACH]
+    one_way = curve_of(scenario).best_over_ground().range_m
+    line = np.column_stack([np.linspace(0.0, 3000.0, 3001), np.zeros(3001), np.zeros(3001)])
+    ahead = 5.0 - scenario.airspace.height_above_ground(line).min() - 20.0
+    behind = 5.0 - scenario.airspace.height_above_ground(-5.0 * line).min() - 20.0
+    usable = (1.0 - scenario.limits.least_charge) * Planner().steady_flight(scenario).pack_capacity
+    lost = 40.0 / 2.0 / 3600.0 / usable
+    assert ahead > 70.0
+    for course, height in ((0.0, ahead), (180.0, max(behind, 0.0))):
+        expected = (1.0 - lost * height) * one_way / 2.0
+        assert reach[course] == pytest.approx(expected, rel=2e-3)
+
+
 def jet(y):
     return 6.0 * np.exp(-(((y - 1500.0) / 900.0) ** 2))
 

@@ -12,7 +12,7 @@ from pyomo_quad.scenario import ScenarioError, scenario_from_mapping
 from pyomo_quad.scenario.airspace import Airspace, TerrainGrid
 from pyomo_quad.scenario.earth import GeodeticOrigin
 from pyomo_quad.scenario.packed_arrays import packed
-from pyomo_quad.scenario.surfaces import surface_of
+from pyomo_quad.scenario.surfaces import highest_on_ways, surface_of
 from pyomo_quad.scenario.terrain_file import read_terrain
 
 X, Y = np.array([0.0, 10.0, 20.0]), np.array([0.0, 5.0])
@@ -236,3 +236,23 @@ def test_the_ground_is_not_set_by_hand(tmp_path):
     tables = {"name": "t", "airspace": {"ground": {"x": [0.0, 1.0]}}}
     with pytest.raises(ScenarioError, match=r"airspace\.ground\.x is not set by hand; name a "):
         scenario_from_mapping(tables, folder=tmp_path)
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=20, deadline=None)
+def test_the_surface_of_ways_is_nowhere_below_the_ground_on_the_way_home(seed):
+    random = np.random.default_rng(seed)
+    x, y = (np.cumsum(random.uniform(5.0, 20.0, n)) for n in (7, 6))
+    heights = random.uniform(0.0, 60.0, (7, 6))
+    ground = RegularGridInterpolator((x, y), heights)
+    home = random.uniform([x[0], y[0]], [x[-1], y[-1]])
+    bound = surface_of(x, y, highest_on_ways(x, y, heights, home), 1)
+    places = random.uniform([x[0], y[0]], [x[-1], y[-1]], (40, 2))
+    ways = places[:, None] + np.linspace(0.0, 1.0, 300)[:, None] * (home - places)[:, None]
+    assert np.all(bound.at(places) >= ground(ways).max(axis=1))
+    assert np.all(bound.at(places) <= heights.max() + bound.excess + 1e-9)
+
+
+def test_on_level_ground_the_surface_of_ways_is_the_ground():
+    bound = surface_of(X, Y, highest_on_ways(X, Y, np.full((3, 2), 7.0), (4.0, 1.0)), 1)
+    assert bound.at([[3.0, 2.0], [19.0, 4.5]]) == pytest.approx(7.0, abs=1e-5)
