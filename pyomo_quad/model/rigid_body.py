@@ -47,8 +47,9 @@ STATES = {
 }
 # States whose values at start and goal the mission sets; all others are zero there.
 PLACE = ("x", "y", "z", "psi")
-_NOMINAL_ANGLE = 0.1
-_NOMINAL_RATE = 0.1
+# Usual tilt [rad] and angular rates [rad/s] when a flight turns or brakes.
+_NOMINAL_ANGLE = 0.5
+_NOMINAL_RATE = 2.0
 
 
 def declare_motion(m: ConcreteModel, scenario: Scenario) -> None:

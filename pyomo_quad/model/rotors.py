@@ -90,7 +90,10 @@ def declare_motors(m: ConcreteModel, scenario: Scenario) -> None:
         return resistive_drop + electromotive_force
 
 
-_NOMINAL_ACCELERATION = 10.0
+# Usual rotor acceleration [rad/s^2] when a flight changes its attitude. Ipopt regularises in units
+# of the magnitudes: at a magnitude of 10, regularised steps hardly moved the accelerations, and
+# solves between waypoints and zones crept for a hundred iterations; see docs/decisions/speed.md.
+_NOMINAL_ACCELERATION = 1e3
 
 
 def declare_rotors(m: ConcreteModel, scenario: Scenario) -> None:

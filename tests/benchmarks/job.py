@@ -156,9 +156,12 @@ def replanning(file, told):
     from pyomo_quad.scenario.tables import Knowledge
 
     planner, scenario = Planner(), scenario_of(file, told)
-    given = {}
-    if "dynamics" in inspect.signature(fly_replanned).parameters:
+    given, known = {}, inspect.signature(fly_replanned).parameters
+    if "dynamics" in known:
         given["dynamics"] = planner.dynamics(scenario)
+    if "plan" in known:
+        # Its seconds are not counted; a mission of waypoints or zones cannot be flown without it.
+        given["plan"] = planner.solve(scenario)
     flight = fly_replanned(scenario, Knowledge.ESTIMATED, planner=planner, **given)
     spent = [solve.solve_s for solve in flight.resolves]
     failed = sum(not solve.is_converged for solve in flight.resolves)

@@ -25,9 +25,8 @@ from tests.benchmarks.report import FOLDER, Table
 
 TITLE = "Jobs, by an older commit and by this one"
 ABOUT = (
-    "The same job by two checkouts, in processes of their own, in turns where one run measured "
-    "both; a checkout that was not measured again keeps the seconds of an earlier run, as the "
-    "older one here, so that the two columns were not taken side by side. Processor seconds of "
+    "The same job by two checkouts, in processes of their own, one right after the other in one "
+    "run; a dash stands for a job that the run did not come to. Processor seconds of "
     "one thread from a scenario to its verified plan, without imports, the median of some runs; of "
     "a run, the clock on the wall from the start of the process to its end. `usable` asks for "
     "accuracy quick, `standard` for standard and `proof` for proof; an older checkout that knows "

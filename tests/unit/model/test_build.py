@@ -32,6 +32,19 @@ def test_every_number_is_a_mutable_parameter_under_its_full_name(tables):
     assert declared == parameter_values(told)
 
 
+@pytest.mark.parametrize("vehicle", ["dji_phantom_2", "dji_matrice_100"])
+def test_magnitudes_of_turning_are_within_a_hundred_of_what_the_limits_allow(vehicle):
+    told = scenario(vehicle={"use": vehicle})
+    model = build_model(told)
+    magnitude = 1.0 / model.scaling_factor[model.rotors.alpha]
+    most = told.limits.rotor_acceleration_max
+    assert most / 100.0 < magnitude < most
+    tilt = 1.0 / model.scaling_factor[model.rigid_body.phi]
+    assert told.limits.roll_max / 5.0 < tilt <= told.limits.roll_max
+    # A tilt is reached and left within a few tenths of a second.
+    assert tilt / 1.0 < 1.0 / model.scaling_factor[model.rigid_body.p] < tilt / 0.05
+
+
 def test_degrees_of_freedom_are_the_four_controls():
     found = inspect_model(build_model(scenario()))
     assert found.degrees_of_freedom == 4
