@@ -54,7 +54,6 @@ from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 from pyomo_quad.scenario.mission import Hover
 from pyomo_quad.scenario.tables import Reference
-from pyomo_quad.scenario.vehicle import Vehicle
 
 # Names of components of the declared model, or their beginnings.
 _RIGID_BODY = "rigid_body."
@@ -509,7 +508,7 @@ def reference_path(
             f"{scenario.name}: reference {reference.value!r} needs a plan; solve the scenario "
             "first."
         )
-    return path_of(plan.trajectories, plan.dynamics, plan.scenario.vehicle)
+    return path_of(plan.trajectories, plan.dynamics, plan.mission_flown)
 
 
 def fly_open_loop(scenario: Scenario, plan: Plan, dynamics: Dynamics) -> Flight:
@@ -670,7 +669,7 @@ def _missed_waypoints(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> I
             )
 
 
-def path_of(held: Trajectories, dynamics: Dynamics, vehicle: Vehicle) -> PlannedPath:
+def path_of(held: Trajectories, dynamics: Dynamics, scenario: Scenario) -> PlannedPath:
     """Return a plan as a reference path for the controller, sampled at 20 Hz.
 
     Velocities, accelerations and the forces of the air, which the controller feeds forward, follow
@@ -682,15 +681,15 @@ def path_of(held: Trajectories, dynamics: Dynamics, vehicle: Vehicle) -> Planned
         The plan's states and controls.
     dynamics : Dynamics
         The plan's equations.
-    vehicle : Vehicle
-        Mass and inertia.
+    scenario : Scenario
+        Mass and inertia of the vehicle, and the payloads that the mission releases at given times.
 
     Returns
     -------
     PlannedPath
         Time [s] -> Setpoint.
     """
-    times = even_times(*held.horizon, _PLAN_RATE_HZ)
+    vehicle, times = scenario.vehicle, even_times(*held.horizon, _PLAN_RATE_HZ)
     controls = held.controls_at(times, dynamics.control_limits(HELD_BREACH))
     flown = times, held.states_at(times), controls
     keys = tuple((name, None) for name in (*_PLACE, *_RATE, *_ACCELERATION))
@@ -698,7 +697,8 @@ def path_of(held: Trajectories, dynamics: Dynamics, vehicle: Vehicle) -> Planned
     air = np.zeros((len(times), len(_PLACE)))
     if all(dynamics.has(name) for name in AIR_FORCE):
         forces = dynamics.table(tuple((name, None) for name in AIR_FORCE), *flown)
-        air[:, : len(AIR_FORCE)] = forces / vehicle.total_mass
+        released = np.array([*map(scenario.release_schedule(), times.tolist())])
+        air[:, : len(AIR_FORCE)] = forces / (vehicle.total_mass - released)[:, None]
     values, rates, accelerations = np.split(rows, 3, axis=1)
     if dynamics.has(_YAW_REACTION):
         # The acceleration of the rotors turns the body more than their drag; the control law models

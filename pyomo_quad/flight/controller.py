@@ -588,35 +588,52 @@ class ThrustEnvelope:
         self._reserve = acceleration_max**2 - gravity**2
         self._slope = tan(tilt_max)
 
-    def limited(self, acceleration: Sequence[float]) -> tuple[float, float, float]:
-        """Shorten an acceleration smoothly so that thrust and tilt keep their limits.
+    def limited(
+        self, acceleration: Sequence[float], planned: Sequence[float] = (0.0,) * _AXES
+    ) -> tuple[float, float, float]:
+        """Shorten the correction that a command adds to a plan, to keep the limits.
+
+        The acceleration of the plan itself stays as it is: a plan keeps the limits of the vehicle.
+        If it uses more thrust or tilt than the set allows, the set grows to include it.
 
         Parameters
         ----------
         acceleration : sequence of three floats
             Commanded acceleration, without gravity, m/s^2.
+        planned : sequence of three floats, optional
+            Acceleration of a plan, without gravity, m/s^2; zero without a plan, for which the whole
+            command is shortened, and parallel to the command.
 
         Returns
         -------
         tuple of three floats
-            Parallel to the command and inside the envelope, m/s^2.
+            Acceleration of the plan and shortened correction, m/s^2.
         """
-        ax, ay, az = acceleration
-        size = np.fmax(_size(acceleration), _NOUGHT)
-        share = bend(size, self._reach(_size((ax, ay)) / size, az / size)) / size
-        return share * ax, share * ay, share * az
+        whole, own = (self._shortened(vector, planned) for vector in (acceleration, planned))
+        x, y, z = (a + b - c for a, b, c in zip(planned, whole, own, strict=True))
+        return x, y, z
 
-    def _reach(self, along: float, upward: float) -> float:
+    def _shortened(self, acceleration: Sequence[float], planned: Sequence[float]) -> list[float]:
+        size = np.fmax(_size(acceleration), _NOUGHT)
+        ax, ay, az = (component / size for component in acceleration)
+        length = bend(size, self._reach(_size((ax, ay)), az, planned))
+        return [length * ax, length * ay, length * az]
+
+    def _reach(self, along: float, upward: float, planned: Sequence[float]) -> float:
         """Return the largest acceleration in a direction that thrust and tilt allow [m/s^2].
 
         `along` and `upward` are the horizontal and vertical components of the direction's unit
-        vector.
+        vector. The set includes the acceleration `planned`.
         """
-        rising = self._gravity * upward
-        by_thrust = np.sqrt(rising**2 + self._reserve) - rising
-        leaning = np.fmax(along - self._slope * upward, _NOUGHT)
-        by_tilt = self._slope * self._gravity / leaning
-        by_fall = (1 - _LEAST_SUPPORT) * self._gravity / np.fmax(-upward, _NOUGHT)
+        gravity = self._gravity
+        level, lift = _size(planned[:2]), planned[2] + gravity
+        reserve = np.fmax(self._reserve, level**2 + lift**2 - gravity**2)
+        slope = np.fmax(self._slope, level / np.fmax(lift, _NOUGHT))
+        support = np.fmin(_LEAST_SUPPORT * gravity, lift)
+        rising = gravity * upward
+        by_thrust = np.sqrt(rising**2 + reserve) - rising
+        by_tilt = slope * gravity / np.fmax(along - slope * upward, _NOUGHT)
+        by_fall = (gravity - support) / np.fmax(-upward, _NOUGHT)
         return _least((by_thrust, by_tilt, by_fall))
 
 
@@ -648,14 +665,15 @@ _POSITION = slice(0, STATES_PER_LOOP)
 _ATTITUDE = slice(STATES_PER_LOOP, 2 * STATES_PER_LOOP)
 _COMMAND = slice(2 * STATES_PER_LOOP, len(CONTROLLER_STATES))
 
-COMMAND_SIZE = 18
+COMMAND_SIZE = 22
 """Length of a command: place, rate and acceleration of a setpoint, four numbers each; accelerations
 along world x and y that the tilt is to give, and rates and accelerations of roll and pitch that are
-known beforehand, two numbers each."""
+known beforehand, two numbers each; three accelerations of a plan, and the payload released."""
 # Parts of a command, in the order of `COMMAND_SIZE`; a reference may give no rates of tilt.
 _SETPOINT = slice(0, 4), slice(4, 8), slice(8, 12)
-_AHEAD, _TILT_RATE, _TILT_ACCELERATION = slice(12, 14), slice(14, 16), slice(16, COMMAND_SIZE)
-_UNKNOWN_TILTING = (0.0,) * 4
+_AHEAD, _TILT_RATE, _TILT_ACCELERATION = slice(12, 14), slice(14, 16), slice(16, 18)
+_PLANNED, _RELEASED = slice(18, 21), 21
+_UNKNOWN_TILTING, _UNPLANNED = (0.0,) * 4, (0.0,) * _AXES
 
 
 class AdaptiveController:
@@ -680,6 +698,7 @@ class AdaptiveController:
     ) -> None:
         vehicle, limits, gains = believed.vehicle, believed.limits, believed.baseline.gains
         self._kinematics = KINEMATICS[vehicle.attitude]
+        self._released = believed.release_schedule()
         self._mass = vehicle.total_mass
         self._gravity = believed.gravity
         self._inertia = (vehicle.Ix, vehicle.Iy, vehicle.Iz)
@@ -752,18 +771,21 @@ class AdaptiveController:
         -------
         list of `COMMAND_SIZE` floats
             Setpoint (position and yaw with two derivatives); the accelerations along world x and y
-            for which the vehicle tilts; rates and accelerations of roll and pitch. A plan gives all
-            of them at time t. Other references give no rates and accelerations of roll and pitch
-            (they are zero here), and the accelerations for the tilt are taken at a later time,
-            because the vehicle reaches a commanded tilt with a lag.
+            for which the vehicle tilts; rates and accelerations of roll and pitch; the plan's
+            acceleration, three numbers; and the payload released [kg]. A plan gives all of them at
+            time t. Other references give no rates and accelerations of roll and pitch and no
+            acceleration of a plan (they are zero here), and the accelerations for the tilt are
+            taken at a later time, because the vehicle reaches a commanded tilt with a lag.
         """
         place, rate, acceleration, tilting = reference(t)
+        left = self._released(t)
         if tilting is not None:
-            return [*place, *rate, *acceleration, *acceleration[:2], *tilting]
+            planned = acceleration[:_AXES]
+            return [*place, *rate, *acceleration, *planned[:2], *tilting, *planned, left]
         # The look-ahead starts at zero, because the vehicle is level at take-off.
         lead = self._tilt_lag * (1 - exp(-t / self._tilt_lag))
         ahead = reference(t + lead).acceleration[:2]
-        return [*place, *rate, *acceleration, *ahead, *_UNKNOWN_TILTING]
+        return [*place, *rate, *acceleration, *ahead, *_UNKNOWN_TILTING, *_UNPLANNED, left]
 
     def __call__(
         self,
@@ -776,7 +798,7 @@ class AdaptiveController:
 
         Parameters
         ----------
-        command : sequence of 18 floats
+        command : sequence of 22 floats
             Command from the reference, as `command` returns it.
         body : sequence of twelve floats
             The `MEASURED_STATES`.
@@ -796,7 +818,8 @@ class AdaptiveController:
         squares = [speed * speed for speed in omega]
         thrust, *achieved_moments = (_dot(row, squares) for row in self._mixer)
         direction = thrust_direction(*body[6:9])
-        specific = thrust / self._mass
+        mass = self._mass - command[_RELEASED]
+        specific = thrust / mass
         wanted, position_rates = self._position_loop(
             _difference(body[0:3], setpoint.place[:3]),
             _difference(body[3:6], setpoint.rate[:3]),
@@ -810,8 +833,8 @@ class AdaptiveController:
         )
         for axis in _HORIZONTAL:
             wanted[axis] += command[_AHEAD][axis] - setpoint.acceleration[axis]
-        ax, ay, az = self._envelope.limited(wanted)
-        force = (self._mass * ax, self._mass * ay, self._mass * (az + self._gravity))
+        ax, ay, az = self._envelope.limited(wanted, command[_PLANNED])
+        force = (mass * ax, mass * ay, mass * (az + self._gravity))
         tilt_acceleration, command_rates = self._filtered(force, body[8], command, states[_COMMAND])
         moments, attitude_rates = self._moments(
             setpoint, tilt_acceleration, body, achieved_moments, states

@@ -186,8 +186,7 @@ class _Aircraft:
 
     def fly(self, leg: _Leg, state: FloatArray, integrator: Integrator) -> ClosedLoopFlight:
         """Simulate one part of the flight from a state, along the plan of the part."""
-        released = self._replanner.released(leg.end)
-        believed = with_mass(self._scenario, leg.course.belief, released)
+        believed = with_mass(self._scenario, leg.course.belief)
         return fly(
             dynamics=self.dynamics,
             controller=AdaptiveController(believed, self._mixer, leg.learnt),

@@ -1,6 +1,6 @@
 """The scenario: all inputs of one mission, validated, immutable and in SI units."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from math import dist, sqrt
@@ -330,6 +330,19 @@ class Scenario(Part):
     def mass_at_goal(self) -> float:
         """Mass in flight after all releases of payload at waypoints [kg]."""
         return self.vehicle.total_mass - self.mission.released
+
+    def release_schedule(self) -> Callable[[float], float]:
+        """Return a function of time [s]: mass of the payloads released at waypoints before it [kg].
+
+        Waypoints without a given time are left at the estimated times, `nominal_times`.
+        """
+        left = self.nominal_times[1:-1:2]
+        dropped = [
+            (t, waypoint.release)
+            for t, waypoint in zip(left, self.mission.waypoints, strict=True)
+            if waypoint.release > 0.0
+        ]
+        return lambda t: sum(release for left, release in dropped if left < t)
 
     def as_forecast(self) -> Self:
         """Return the scenario with the forecast in place of the actual wind.

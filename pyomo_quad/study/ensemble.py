@@ -209,7 +209,7 @@ def fly_plan_often(
         The flights, named "adaptive/plan".
     """
     told = planner.dynamics(scenario.as_forecast())
-    path = path_of(in_order(scenario, held, told), told, scenario.vehicle)
+    path = path_of(in_order(scenario, held, told), told, scenario)
     name = baseline_name(Reference.PLAN)
     return _flown(name, scenario, path, planner=planner, flights=flights, seed=seed)
 

@@ -18,7 +18,12 @@ from pyomo_quad.flight.baselines import (
     start_state,
     wanted_at_goal,
 )
-from pyomo_quad.flight.controller import AdaptiveController, mixer_matrix
+from pyomo_quad.flight.controller import (
+    CONTROLLER_STATES,
+    AdaptiveController,
+    mixer_matrix,
+    thrust_direction,
+)
 from pyomo_quad.flight.flight import POSITION_STATES, Flown
 from pyomo_quad.scenario import ScenarioError, scenario_from_mapping
 from pyomo_quad.scenario.tables import MISSION_TIMED, Reference
@@ -80,6 +85,55 @@ def test_a_plan_is_followed_without_the_lag_of_the_command_filter():
         plan=flights.plan("paper_calm", *quick),
     )
     assert flight.terminal_miss_m < 0.005
+
+
+def test_a_plan_that_uses_all_the_thrust_is_followed_with_its_own_acceleration():
+    """Shortened to the controller's share of the thrust, its flight of 3.9 s ended 0.16 m off."""
+    quick = ("mission.duration=3.9",)
+    flight = fly_baseline(
+        flights.scenario("paper_calm", *quick),
+        Reference.PLAN,
+        dynamics=flights.vehicle("paper_calm", *quick),
+        plan=flights.plan("paper_calm", *quick),
+    )
+    assert flight.terminal_miss_m < 0.02
+
+
+RELEASE = (
+    "mission.goal.position=[2.0, 0.0, 0.0]",
+    "mission.duration=8.0",
+    "vehicle.payload=0.2",
+    "mission.waypoints=[{position=[1.0, 0.0, 0.0], at=3.0, hold=1.0, release=0.2}]",
+)
+
+
+def test_a_payload_that_is_released_is_no_disturbance():
+    """With the old mass the controller learnt 1.3 m/s^2 upwards, and rose by 5 cm."""
+    vehicle = flights.vehicle("paper_calm", *RELEASE)
+    mission = flights.scenario("paper_calm", *RELEASE)
+    flight = fly_reference(mission, Reference.QUINTIC, dynamics=vehicle)
+    learnt = flight.controller_states[:, CONTROLLER_STATES.index("disturbance_z_m_per_s2")]
+    assert np.abs(learnt).max() < 0.01
+    # Until the rotors have slowed down, the vehicle is too light for its thrust.
+    assert np.abs(flights.positions(vehicle, flight.flown.states)[:, 2]).max() < 0.01
+
+
+@pytest.mark.slow
+def test_a_plan_demands_the_acceleration_that_its_rotors_give_the_mass_of_the_time():
+    air = ("wind.coupling='drag'", "mission.goal.position=[12.0, 0.0, 0.0]")
+    way = "mission.waypoints=[{position=[6.0, 0.0, 0.0], at=4.0, radius=0.5, release=0.2}]"
+    plan = flights.plan("paper_calm", *RELEASE, *air, way)
+    held, mission = plan.trajectories, plan.mission_flown
+    path = reference_path(mission, Reference.PLAN, plan)
+    # At the 20 samples per second of the path.
+    for t, mass in ((3.0, 1.5), (6.0, 1.3)):
+        state = dict(zip(held.state_names, held.states_at(np.array([t]))[0], strict=True))
+        roll, pitch, yaw = (state[f"rigid_body.{angle}"] for angle in ("phi", "theta", "psi"))
+        speeds = np.array([state[f"rotors.omega[{j}]"] for j in (1, 2, 3, 4)])
+        thrust = mixer_matrix(plan.dynamics)[0] @ speeds**2
+        given = thrust / mass * np.array(thrust_direction(roll, pitch, yaw))
+        given[2] -= mission.gravity
+        assert path(t).acceleration[:3] == pytest.approx(given, abs=1e-6)
 
 
 def test_a_step_settles_in_two_to_three_seconds_without_overshoot():

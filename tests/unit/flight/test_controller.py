@@ -128,6 +128,25 @@ def test_small_accelerations_pass_untouched():
     assert envelope.limited((0.0, 0.0, 0.0)) == (0.0, 0.0, 0.0)
 
 
+@given(accelerations)
+def test_what_a_plan_asks_is_kept_and_its_direction_can_still_be_corrected(planned):
+    envelope = ThrustEnvelope(gravity=GRAVITY, acceleration_max=MOST, tilt_max=TILT)
+    assert envelope.limited(planned, planned) == pytest.approx(planned, abs=1e-9)
+    aside = np.array([-planned[1], planned[0], 0.0])
+    if np.linalg.norm(aside) > 0.1:
+        small = 1e-3 * aside / np.linalg.norm(aside)
+        corrected = np.array(envelope.limited(planned + small, planned)) - planned
+        assert 0.1 * 1e-6 < corrected @ small <= (1 + 1e-6) * 1e-6
+
+
+def test_a_plan_at_the_largest_thrust_gets_no_more_of_it():
+    envelope = ThrustEnvelope(gravity=GRAVITY, acceleration_max=MOST, tilt_max=TILT)
+    climbing = (0.0, 0.0, 4.0)
+    more = envelope.limited((0.0, 0.0, 24.0), climbing)[2]
+    # Within the twentieth by which a smooth limit stays below its bound.
+    assert climbing[2] < more < 1.06 * climbing[2]
+
+
 numbers = st.floats(-50.0, 50.0)
 vectors = arrays(float, 3, elements=numbers)
 

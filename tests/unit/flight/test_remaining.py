@@ -33,6 +33,29 @@ def course(replanner):
     return replanner.first_course(first)
 
 
+DASH = (
+    "mission.duration=6.0",
+    "mission.goal.position=[50.0, 20.0, 10.0]",
+    "mission.waypoints=[]",
+    "vehicle.payload=0.0",
+    "airspace.keep_out=[]",
+)
+
+
+def test_angles_of_a_first_plan_are_the_integrals_of_their_rates():
+    """The controller follows both: 0.2 rad apart, they took a flight beyond its pitch limit."""
+    mission = flights.scenario("delivery", *DASH)
+    plan = Replanner(mission, Knowledge.UNTOLD, flights.PLANNER).first()
+    t = np.linspace(*plan.horizon, 6001)
+    for angle, rate in (("phi", "p"), ("theta", "q")):
+        turned, turning = (
+            plan.states_at(t)[:, plan.state_names.index(f"rigid_body.{name}")]
+            for name in (angle, rate)
+        )
+        steps = np.diff(t) * (turning[1:] + turning[:-1]) / 2
+        assert turned[0] + np.cumsum(steps) == pytest.approx(turned[1:], abs=0.01)
+
+
 def state_at(replanner, course, t):
     names = list(course.plan.state_names)
     columns = [names.index(name) for name in replanner.dynamics.state_names]
