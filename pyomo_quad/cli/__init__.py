@@ -18,8 +18,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     arguments : sequence of str, optional
-        Arguments of the command. By default those of the process, which then belongs to the
-        command: signals end it, and threads and garbage collection are set for speed.
+        Arguments of the command. By default the arguments of the process are read; signals such
+        as Ctrl-C then end the process, and `own_process` sets it up for speed.
 
     Returns
     -------

@@ -58,8 +58,8 @@ class Controller(StrEnum):
     """Controller of a simulated flight.
 
     `ADAPTIVE` follows a reference with adaptive feedback, `OPEN_LOOP` applies the plan's controls
-    without feedback, `MPC` plans anew in flight, and `SE3` is the controller of the simulator
-    RotorPy.
+    without feedback, `MPC` plans the rest of the mission again and again during the flight, and
+    `SE3` is the controller of the simulator RotorPy.
     """
 
     ADAPTIVE = "adaptive"
@@ -69,7 +69,7 @@ class Controller(StrEnum):
 
 
 class Plant(StrEnum):
-    """Vehicle model of a simulated flight: the scenario's own equations, or RotorPy's."""
+    """Vehicle model of a simulated flight: the scenario's equations, or the simulator RotorPy."""
 
     DECLARED = "declared"
     ROTORPY = "rotorpy"
@@ -134,7 +134,7 @@ def fly(
     cruise: _Cruises = None,
     options: Options,
 ) -> int:
-    """Simulate a flight: under feedback, in open loop, re-planned, or many times in random wind."""
+    """Simulate a flight with feedback, in open loop or with re-planning, or many in random wind."""
     if flights is not None or is_plan(scenario):
         _refuse_other_flights(scenario, flights, controller, plant, reference)
         import_scipy_alone()
@@ -458,7 +458,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     arguments : sequence of str, optional
-        Arguments of the command; by default those of the process, as in `pyomo_quad.cli.main`.
+        Arguments of the command; by default the arguments of the process.
     """
     if arguments is None:
         before_the_end(_end_other_processes)

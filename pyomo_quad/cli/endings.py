@@ -36,7 +36,7 @@ _is_told = False
 class Stopped(Exception):  # noqa: N818  a stop by the user is not an error
     """Exception: the user stopped a command before it printed its result.
 
-    The handler prints a message, because none has been printed yet.
+    The command line catches the exception and prints a message.
     """
 
 
@@ -64,7 +64,7 @@ class Interruption:
         """Handle a signal: record the first, and start the timer that ends the process.
 
         At a second signal the process ends sooner. In a process that does not belong to the
-        command, such as a test, no timer is set and the second signal raises.
+        command, such as a test, no timer is set, and the second signal raises KeyboardInterrupt.
 
         Raises
         ------
@@ -93,8 +93,8 @@ def _heeded() -> list[signal.Signals]:
 def leave(status: int) -> int:
     """Finish the process of a command.
 
-    Ends the process at once if a signal has requested this; otherwise returns the exit status and
-    disables the slow deallocation of objects at the end.
+    If a signal has requested the end, the process ends at once. Otherwise the function returns the
+    exit status, and objects are not deallocated when the process ends, which would be slow.
     """
     if signal.getitimer(signal.ITIMER_REAL)[0] > 0.0:
         os._exit(status)

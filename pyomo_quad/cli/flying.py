@@ -69,7 +69,9 @@ def make_flight(scenario: Scenario, fly: Callable[[], _Outcome]) -> _Outcome:
 def fly_declared(
     planner: Planner, scenario: Scenario, reference: Reference | None, plan: Plan | None
 ) -> Flight:
-    """Simulate a flight of the scenario's own vehicle model, under control or in open loop.
+    """Simulate a flight of the scenario's vehicle by the package's equations.
+
+    The flight is under feedback control, or without feedback (open loop).
 
     Parameters
     ----------
@@ -82,7 +84,7 @@ def fly_declared(
         without feedback. `CRUISE` flies an autopilot at the scenario's speed, or, if the scenario
         gives none, at the speed with the least energy.
     plan : Plan or None
-        Plan, where the flight needs one.
+        Plan of the scenario; None if the flight follows a reference that is not a plan.
     """
     if reference is Reference.CRUISE:
         asked = scenario if plan is None else plan.scenario
@@ -96,7 +98,7 @@ def fly_declared(
 
 
 def fly_mpc(planner: Planner, scenario: Scenario, knowledge: Knowledge) -> Flight:
-    """Simulate a flight under model-predictive control, which re-plans the rest in flight.
+    """Simulate a flight under model-predictive control: the rest is planned again in flight.
 
     Parameters
     ----------

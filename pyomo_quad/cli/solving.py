@@ -170,7 +170,7 @@ def report_folder(folder: Path) -> Iterator[Path]:
 
 
 def _kept(plan: Plan, folder: Path) -> str:
-    """Save the best iterate of a stopped solve in a folder of its own, if nearly feasible.
+    """Save the best iterate of a stopped solve in a separate folder, if it is nearly feasible.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Start of a process that runs a single command, in less time.
+"""Faster start of a process that runs a single command.
 
 A library must leave the process unchanged. A command owns its process, and saves about a second
 with `own_process` and `import_scipy_alone`.
@@ -17,7 +17,10 @@ _is_own = False
 
 
 def own_process() -> None:
-    """Set threads and garbage collection of a process that runs one command only."""
+    """Make a process that runs a single command faster: one BLAS thread, rare garbage collection.
+
+    A number of threads that the user has set in the environment is kept.
+    """
     global _is_own  # noqa: PLW0603  a fact about the process
     _is_own = True
     # On small matrices, BLAS threads save little and take processor time from parallel flights.

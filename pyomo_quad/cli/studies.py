@@ -194,7 +194,7 @@ def outside_plant(
     figures: FigureChoice = Figures.SVG,
     quiet: Quiet = False,
 ) -> int:
-    """Fly three vehicles in the simulator RotorPy, and report differences from the own model.
+    """Fly three vehicles in the simulator RotorPy, and compare with the package's model.
 
     One vehicle is the quadrotor of Yacef et al., and two are parameter sets of RotorPy.
     """
@@ -362,8 +362,8 @@ def _parameter_lines(
     parameters : sequence
         The fitted parameters.
     together : sequence of (str, str)
-        Pairs of parameters whose effects the measurements cannot distinguish; the line of the first
-        names the second, which is "" if there is none.
+        Each parameter that the measurements do not determine, with the parameter that has the same
+        effect on the power; "" if no parameter has the same effect.
     """
     partners = dict(together)
     for one in parameters:

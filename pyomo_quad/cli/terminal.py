@@ -207,12 +207,12 @@ class Options:
         return self.quiet or self.as_json
 
     def load(self, file: Path) -> Scenario:
-        """Load a scenario with the fields that the user set."""
+        """Load a scenario file, with the fields changed that the user has set by `--set`."""
         return load_scenario(file, self.overrides or ())
 
 
 def with_options(command: Callable[..., int]) -> Callable[..., int]:
-    """Give a command the `Options` as options of its own, in place of its parameter `options`."""
+    """Replace a command's parameter `options` by one command-line option per field of `Options`."""
     own, shared = signature(command), signature(Options).parameters
     kept = [one for one in own.parameters.values() if one.name != "options"]
 

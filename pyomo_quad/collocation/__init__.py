@@ -110,7 +110,7 @@ def compile(  # noqa: A001  as casadi, re and builtins do
     Parameters
     ----------
     model : ConcreteModel
-        Model with one or several continuous sets that are not discretised, or with none.
+        Model whose continuous sets are not discretised; it may have none, one or several.
     final_time : Var, optional
         Static variable that is the free end of the horizon; see `Problem`.
     times : mapping, optional
@@ -156,7 +156,7 @@ def solve(
     Parameters
     ----------
     model : ConcreteModel
-        Model with one or several continuous sets that are not discretised, or with none. Its
+        Model whose continuous sets are not discretised; it may have none, one or several. Its
         variables receive the solution's values.
     final_time : Var, optional
         Static variable that is the free end of the horizon; see `Problem`.
@@ -177,7 +177,7 @@ def solve(
 
     Examples
     --------
-    The least integral of the square of a speed that moves 1 m in 1 s:
+    Move a point by 1 m in 1 s so that the integral of its squared speed is least:
 
     >>> from pyomo.dae import ContinuousSet, DerivativeVar, Integral
     >>> from pyomo.environ import ConcreteModel, Constraint, Objective, Var

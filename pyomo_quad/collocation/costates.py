@@ -39,9 +39,9 @@ _ROUGH = 0.02
 class Costates:
     """Costates of a solution as polynomials on the elements, with the Hamiltonian.
 
-    The multipliers at the collocation points approximate the costates directly (`stages`), but at
-    one order less than the states. Integrating the adjoint equations with these values through each
-    element, from its left end, where the costate is accurate, restores the order (`at_points`).
+    The multipliers at the collocation points approximate the costates (`stages`), but their order
+    of convergence is lower by 1 than the order of the states. More accurate values (`at_points`)
+    come from integrating the adjoint equations with `stages` over each element, from its left end.
 
     Attributes
     ----------
@@ -55,8 +55,8 @@ class Costates:
     hamiltonian : ndarray, shape (n_points,)
         Hamiltonian of the minimised objective, per unit of time.
     sizes : ndarray, shape (n_states,)
-        Largest magnitude of each costate over the horizon, but at least 1e-9 times the magnitude of
-        the objective divided by that of the state.
+        Largest magnitude of each costate over the horizon. The value is at least 1e-9 times the
+        magnitude of the objective divided by the magnitude of the state.
     """
 
     mesh: Mesh
@@ -84,7 +84,7 @@ class Costates:
 
 @lru_cache(maxsize=64)
 def _roughness(degree: int) -> FloatArray:
-    """Return the matrix from values at an element's nodes to the residuals of a smooth fit.
+    """Return the matrix that maps values at an element's nodes to the residuals of a smooth fit.
 
     The fit is the least-squares polynomial of degree - 2. The nodes are the left end and the
     collocation points, so that the matrix has shape (degree + 1, degree + 1).
@@ -133,8 +133,8 @@ def costates_of(
     multipliers : Multipliers
         Multipliers of constraints and bounds, as Ipopt returns them for the unscaled program.
     bounds : Bounds
-        Bounds of unknowns and constraints. The multiplier of a state's bound at a single time acts
-        at that time, and is left out of the adjoint equations of the element that ends there.
+        Bounds of unknowns and constraints. If a state has a bound at a single time, the bound's
+        multiplier is left out of the adjoint equations of the element that ends at this time.
     timeline : Timeline
         Mapping from fractions of the horizon to physical times.
     objective : float
@@ -176,7 +176,7 @@ def costates_of(
 def _products(
     program: Transcription, z: FloatArray, weights: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return sums of weighted derivatives of the path equations, at each collocation point.
+    """Return the gradient of a weighted sum of the path equations, at each collocation point.
 
     Parameters
     ----------
@@ -189,8 +189,8 @@ def _products(
     Returns
     -------
     ndarray, ndarray
-        Sums of derivatives with respect to the rates, and to the states, both of shape (n_points,
-        n_states).
+        Gradient with respect to the rates of the states, and gradient with respect to the states,
+        each of shape (n_points, n_states).
     """
     n, rows = program.layout.n_states, np.arange(weights.shape[1])
     slopes = program.path_slopes(
@@ -201,9 +201,10 @@ def _products(
 
 
 def _pull_of_bounds(program: Transcription, multipliers: Multipliers, bounds: Bounds) -> FloatArray:
-    """Return upper minus lower multipliers of the bounds on states, shape (n_points, n_states).
+    """Return the multipliers of the bounds on states, shape (n_points, n_states).
 
-    Bounds that hold at a single time only, such as end conditions, count as 0.
+    An entry is the multiplier of the upper bound minus the multiplier of the lower bound. It is 0
+    for a fixed state and for a bound that holds at a single time only, such as an end condition.
     """
     is_held = bounds.lower == bounds.upper
     for limit in limits_at_points(program):
@@ -222,12 +223,11 @@ def costate_errors_of(
 ) -> FloatArray:
     """Estimate the largest error of each costate over the horizon, relative to its magnitude.
 
-    Where the solution is smooth, the estimate is the change of a costate under one more integration
-    of the adjoint equations, with the integrated costates in place of those that come directly from
-    the multipliers. A limit on a state that becomes active or inactive inside an element may act on
-    the costates as an impulse anywhere in that element. Where its multiplier does not vary
-    smoothly, the whole multiplier of the element counts as error, and so does its effect on the
-    other costates.
+    Where the solution is smooth, the adjoint equations are integrated once more, with the costates
+    `Costates.at_points`. The estimate is the resulting change of each costate. A limit on a state
+    that becomes active or inactive inside an element may change the costates by a jump anywhere in
+    that element. If the limit's multiplier does not vary smoothly over an element, the error
+    therefore includes the multiplier's full effect on all costates in the element.
 
     Parameters
     ----------
@@ -239,6 +239,7 @@ def costate_errors_of(
     Returns
     -------
     ndarray, shape (n_states,)
+        Largest error of each costate divided by the costate's magnitude, dimensionless.
     """
     mesh, weights = costates.mesh, costates.mesh.quadrature_weights[:, None]
     equations = linearised(program, program.path_variables(z), program.data.at_points())

@@ -210,9 +210,9 @@ class Relaxation:
     amount : float
         Relaxation, in the unit of the limit.
     limit : float
-        Value of the limit, the largest one if it varies with time.
+        Value of the limit, or its largest value if the limit varies with time.
     unit : str
-        Unit of both, "" if they have none.
+        Unit of `amount` and `limit`, "" if they have none.
     """
 
     name: str
@@ -235,8 +235,9 @@ class Diagnosis:
     active : tuple of ActiveLimit
         Limits that are active at the best iterate.
     least_violation : float
-        Least sum of relative violations, one per component, with which all equations can be
-        satisfied; infinite if its computation did not converge.
+        Least sum, over the components that declare limits, of the relative amounts by which their
+        limits must be relaxed until all equations can be satisfied; infinite if the computation
+        did not converge.
     relaxations : tuple of Relaxation
         Components whose limits must all be relaxed together; empty if every limit can be met.
     feasible_point : Trajectory or None
@@ -251,7 +252,10 @@ class Diagnosis:
 
     @property
     def is_infeasible(self) -> bool:
-        """Whether the least violation was found and is positive: no feasible point is near."""
+        """Whether the problem has no feasible point near the last iterate.
+
+        False also if the diagnosis could not compute the least violation.
+        """
         return np.isfinite(self.least_violation) and self.feasible_point is None
 
 
@@ -320,9 +324,10 @@ def diagnose(
 def _least_slacks(solution: Solution, soft: SoftRows, progress: Progress | None) -> IpoptResult:
     """Minimise the sum of the slacks by which families of limits are violated.
 
-    Each family of limits has one slack; the slacks are the last unknowns of the result. For each
-    soft constraint its excess over the limit is an unknown too, and at most the slack of its
-    family. Soft limits on unknowns become constraints, and replace the unknowns' bounds.
+    A family is all limits that one component of the model declares. It has a single slack, which
+    bounds the relative violation of each of its limits. The result's unknowns are the program's
+    unknowns, then the violation of each relaxed constraint, then the slacks. Bounds on unknowns
+    that may be relaxed become constraints.
     """
     program, bounds, z = solution.program, solution.bounds, solution.unknowns
     n, m, count, families = z.size, program.n_rows, len(soft), len(soft.names)

@@ -84,7 +84,8 @@ class Instants:
 class Dynamics:
     """Explicit right-hand side dx/dt = f(t, x, u) of a compiled problem, for given parameters.
 
-    Algebraic variables that an equation determines are solved for; the others are the controls u.
+    The algebraic variables that equations determine are computed from these equations. The
+    remaining algebraic variables are the controls u.
 
     Attributes
     ----------
@@ -176,8 +177,8 @@ class Dynamics:
         Returns
         -------
         ndarray, ndarray
-            Shape (n_controls,) each; infinite where a control has no limit, or one that varies with
-            time.
+            Shape (n_controls,) each; infinite where a control has no limit, or a limit that varies
+            with time.
         """
         names = [s.name for s in self._formulation.compiled.declared.algebraics]
         chosen = [names.index(name) for name in self.control_names]
@@ -219,10 +220,7 @@ class Dynamics:
 
     @property
     def signal_names(self) -> tuple[str, ...]:
-        """Full names of the time-dependent parameters, in the order of `moment`.
-
-        Further entries of `moment` follow them, for rules of the model that branch on time.
-        """
+        """Full names of the time-dependent parameters, in the order of the method `moment`."""
         return tuple(slot.name for slot in self._formulation.compiled.declared.signals)
 
     def moment(self, t: float) -> list[float]:
@@ -243,7 +241,9 @@ class Dynamics:
         return [fraction, *self._signals(fraction)]
 
     def symbol(self, name: str, size: int) -> Any:
-        """Return a column of CasADi symbols of the type (SX or MX) that `written` accepts.
+        """Return a column of CasADi symbols of the type that the method `written` accepts.
+
+        The type is `casadi.SX` if the right-hand side is explicit, otherwise `casadi.MX`.
 
         Parameters
         ----------
@@ -340,7 +340,15 @@ class Dynamics:
         return self._data
 
     def _solve(self, t: float, x: FloatArray, u: FloatArray) -> list[FloatArray]:
-        """Evaluate the right-hand side at one time; see `_compile` for its two outputs."""
+        """Evaluate the right-hand side at one time.
+
+        Returns
+        -------
+        list of two ndarray, one row each
+            Rates followed by the algebraic variables that equations determine, per unit of the
+            fraction of the horizon; and the objective's integrand with the derivative of time with
+            respect to that fraction.
+        """
         row = self._row(t)
         return self._at_one(x[None, :], u[None, :], self._statics[None, :], row[None, :])
 
@@ -625,8 +633,9 @@ class Dynamics:
 def split_algebraics(formulation: Formulation) -> tuple[tuple[Slot, ...], tuple[Slot, ...]]:
     """Split the algebraic variables into controls and variables that equations determine.
 
-    Equality equations without rates determine algebraic variables. A maximum matching of equations
-    and variables decides which variables these are, with later declared variables first.
+    Each equality equation without rates determines one algebraic variable, if possible. A maximum
+    matching assigns variables to equations; among possible variables it prefers the variable that
+    is declared later. The remaining algebraic variables are the controls.
 
     Parameters
     ----------
@@ -666,7 +675,7 @@ def split_algebraics(formulation: Formulation) -> tuple[tuple[Slot, ...], tuple[
 def control_limits(
     formulation: Formulation, instance: Instance, breach: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return constant lower and upper limits of the controls among the algebraic variables.
+    """Return constant lower and upper limits of the algebraic variables that are controls.
 
     Parameters
     ----------
@@ -742,8 +751,8 @@ class _Core:
     def of(cls, rows: Any, unknowns: Any, inputs: list[Any], rest: Any) -> _Core:
         """Split equations that are nonlinear in the rates or algebraic variables.
 
-        Newton's method solves only those equations on which the others depend. Equations that are
-        linear in the remaining unknowns are solved symbolically.
+        Newton's method solves only for the unknowns that enter nonlinearly. The remaining equations
+        are linear in the remaining unknowns, and are solved symbolically.
 
         Parameters
         ----------
@@ -773,7 +782,7 @@ class _Core:
 
 
 class _WithoutIterations(Dynamics):
-    """Right-hand side whose implicit equations are solved by 20 Newton steps, as expressions."""
+    """Right-hand side that solves implicit equations by 20 Newton steps, written as expressions."""
 
     def _implicit_side(self, core: _Core, inputs: list[Any]) -> Any:
         """Return the right-hand side with Newton's steps written out as CasADi expressions."""
@@ -791,16 +800,23 @@ class _WithoutIterations(Dynamics):
 
 
 def _nonlinear_core(rows: Any, unknowns: Any) -> tuple[tuple[list[int], list[int]], ...]:
-    """Separate equations and unknowns for Newton's method from those that remain linear.
+    """Split implicit equations into a nonlinear part for Newton's method and a linear rest.
 
-    Newton's method solves for the unknowns that enter nonlinearly, with the equations that contain
-    no other unknowns. If there are not as many of these equations as of these unknowns, Newton's
-    method solves all equations.
+    The nonlinear part consists of the unknowns that enter nonlinearly, and of the equations that
+    contain no other unknowns. If its numbers of equations and of unknowns differ, Newton's method
+    must solve all equations, and the rest is empty.
+
+    Parameters
+    ----------
+    rows : casadi.SX
+        Residuals of the equations.
+    unknowns : casadi.SX
+        Rates, then the algebraic variables that equations determine.
 
     Returns
     -------
     ((list of int, list of int), (list of int, list of int))
-        Positions of equations and unknowns: for Newton's method, and those that are linear.
+        Positions of the equations and of the unknowns of the nonlinear part, then of the rest.
     """
     everything = list(range(unknowns.shape[0]))
     jacobian = casadi.jacobian(rows, unknowns)
@@ -935,7 +951,11 @@ def written_law(dynamics: Dynamics, law: Law, sizes: tuple[int, int, int]) -> An
 
 
 def joint_sizes(dynamics: Dynamics, n_command: int, n_own: int) -> tuple[int, int, int]:
-    """Return the numbers of time-dependent inputs, joint states and commands of a closed loop."""
+    """Return the numbers of time-dependent inputs, joint states and commands of a closed loop.
+
+    The joint state consists of the vehicle's states, the n_own states of the law, and the integral
+    of the objective's integrand.
+    """
     moment = len(dynamics.moment(dynamics.start))
     return moment, len(dynamics.state_names) + n_own + 1, n_command
 
@@ -944,6 +964,9 @@ def closed(
     dynamics: Dynamics, law: Law, sizes: tuple[int, int, int], numbers: Mapping[str, Any]
 ) -> tuple[list[Any], Any, Any]:
     """Return a closed loop as CasADi expressions.
+
+    The joint state consists of the vehicle's states, the law's own states, and the integral of the
+    objective's integrand.
 
     Parameters
     ----------
@@ -1047,7 +1070,7 @@ class ClosedLoop:
     ) -> tuple[FloatArray, FloatArray]:
         """Return partial derivatives of the joint state's rates at n times.
 
-        Where the law has a corner (as of fmin), the derivatives are those of one side.
+        At a corner of the law, for example where `fmin` switches, they are one-sided derivatives.
 
         Parameters
         ----------

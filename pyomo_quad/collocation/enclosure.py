@@ -2,7 +2,7 @@
 
 Each elementary operation of the compiled expression is evaluated on the lower and upper bounds of
 its arguments, for many boxes at once (Moore, Interval Analysis, 1966). Rounding is not directed: an
-enclosure is accurate to about 1e-14 of the largest value in it.
+enclosure is accurate to about 1e-14 times the largest magnitude of its values.
 """
 
 from __future__ import annotations
@@ -114,7 +114,8 @@ class Enclosure:
     Parameters
     ----------
     expressions : sequence of casadi.SX
-        CasADi expressions, as from `Dynamics.expressions`; the gradient is that of the first.
+        CasADi expressions, as from `Dynamics.expressions`. Only the first expression's gradient
+        is bounded.
     variables, numbers : sequence of casadi.SX
         Symbols that range over intervals, and symbols with single values.
 

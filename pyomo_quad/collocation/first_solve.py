@@ -73,15 +73,16 @@ class FirstSolve(Search[S], Generic[S]):
 
     @cached_property
     def judged(self) -> S:
-        """Failed solve that the caller requested, with the verdict on the problem's feasibility.
+        """Result of the failed first solve, with a verdict on the problem's feasibility.
 
-        Computing it minimises the constraint violation near the last iterate; the result is cached.
+        The verdict says whether the problem is infeasible near the last iterate. It is found by
+        minimising the constraint violation, once; later calls return the cached result.
         """
         return self.judge(self.failed)
 
     @property
     def failed(self) -> S:
-        """Failed solve with the start, mesh and settings that the caller requested.
+        """Result of the first solve, with the start, mesh and settings that the caller requested.
 
         Raises
         ------
@@ -93,7 +94,7 @@ class FirstSolve(Search[S], Generic[S]):
         return self.first
 
     def holds(self, fact: Fact) -> bool:
-        """Return whether a condition (`Fact`) of a strategy in the table is true at present."""
+        """Return whether a condition that a strategy requires (`Fact`) is true at this stage."""
         is_judged = self.first is not None and self.judged.status is not Status.INTERRUPTED
         if fact is Fact.POSSIBLE:
             return is_judged and self.judged.status is not Status.INFEASIBLE
@@ -118,9 +119,9 @@ class FirstSolve(Search[S], Generic[S]):
     def begun(self, first: First, own: Callable[..., S], mesh: Any) -> S | None:
         """Solve from the kind of initial point that a strategy requires.
 
-        With several horizons there is one kind only, the start that the caller requested. A
-        subclass provides further kinds, and returns None if the problem has no initial point of a
-        kind.
+        This class solves problems with several horizons, and always begins at the start that the
+        caller requested. The subclass `FirstSolveOfOne` provides further kinds of initial points,
+        and returns None if the problem has no initial point of the required kind.
 
         Parameters
         ----------
@@ -164,9 +165,9 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     bounds_of : callable
         Transcription (nonlinear program on one mesh) -> its bounds, with all conditions imposed.
     simulate : callable, optional
-        Returns a trajectory simulated from the initial states, or None if the model has controls or
-        free initial states, for which there is nothing to simulate; see `Problem._simulated`.
-        Absent if the caller gave a guess.
+        Function without arguments that simulates the model from its initial states and returns the
+        trajectory. It returns None if the model has controls or free initial states, because a
+        simulation would need them. The attribute is None if the caller gave a guess.
     instance : Instance
         Parameter values, horizon and fixed variables of the solve.
     progress : callable or None
@@ -185,7 +186,7 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     is_mesh_free: bool
 
     def holds(self, fact: Fact) -> bool:
-        """Return whether a condition (`Fact`) of a strategy in the table is true at present."""
+        """Return whether a condition that a strategy requires (`Fact`) is true at this stage."""
         known = {
             Fact.ONE_HORIZON: True,
             Fact.OVERDETERMINED: self.is_overdetermined and self.first is None,
@@ -199,7 +200,7 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     def begun(self, first: First, own: Callable[..., Solution], mesh: Any) -> Solution | None:
         """Solve from the kind of initial point that a strategy requires.
 
-        These are the caller's start, a simulation, the point of least constraint violation, the
+        The kinds are the caller's start, a simulation, the point of least constraint violation, the
         optimum on a coarse mesh, the optimum of the elastic program (equations violated at a
         penalty), and a solve without redundant conditions. The result is None if no initial point
         of that kind exists.
@@ -228,7 +229,8 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
         """Complete the message of a solve that diverged, or that has more equations than unknowns.
 
         A diverged solve gets a message that names the unbounded variable; a successful solve of an
-        over-determined model gets a note on its redundant equations. Others are returned unchanged.
+        over-determined model gets a note on its redundant equations. Other results are returned
+        unchanged.
         """
         diverged = found.status.has_failed and found.ipopt_code == DIVERGED_CODE
         return without_bound(found) if diverged else with_surplus(found)

@@ -288,8 +288,8 @@ class OutputStates:
     ) -> FloatArray:
         """Solve the collocation equations of the output states by Newton's method.
 
-        Output states are states that nothing else depends on, and no unknowns of the nonlinear
-        program.
+        Output states are states that nothing else depends on. They are not among the unknowns of
+        the nonlinear program.
 
         Parameters
         ----------
@@ -438,9 +438,9 @@ class Formulation:
         Parameters
         ----------
         parameters : mapping, optional
-            Values that replace those of the model's mutable parameters, by component or full name.
+            New values of the model's mutable parameters, by component or full name.
         horizon : (float, float), optional
-            Start and end of the horizon, in place of the continuous set's.
+            Start and end of the horizon; by default the ends of the continuous set.
 
         Raises
         ------

@@ -175,9 +175,9 @@ class _Known:
         return np.interp(fractions, at, np.array([known[f] for f in at]))
 
     def _told(self, name: str, fractions: FloatArray) -> FloatArray:
-        """Return the guessed values of a variable at fractions of the horizon, in their shape.
+        """Return the user's guess of a variable at n fractions of the horizon, shape (n,).
 
-        The guess is a function of time, a constant, or samples at the times in the guess.
+        The user gives a function of time, a constant, or samples at the times in the guess.
         """
         times = np.array([self.program.time_of(float(f)) for f in fractions])
         held = self.given[name]
@@ -220,9 +220,9 @@ class _Known:
     def order_times(self, z: FloatArray) -> None:
         """Set initial values of the free times, and make all times increase.
 
-        A free time is a static variable that stands for a member of the continuous set, the
-        declared time. Without a value in model or guess, it gets the declared time. The array `z`
-        of unknowns is changed in place.
+        A free time is a static variable whose value replaces a declared time, a member of the
+        continuous set. If neither model nor guess has a value, the free time begins at the declared
+        time. The array `z` of unknowns is changed in place.
         """
         program, bounds = self.program, self.bounds
         statics, clock = program.compiled.declared.statics, program.compiled.declared.clock
@@ -282,11 +282,11 @@ _PROJECTIONS, _LEFT = 30, 1e-9
 def on_path_equalities(program: Transcription, bounds: Bounds, z: FloatArray) -> FloatArray:
     """Move states as little as possible until they satisfy the equations among states alone.
 
-    An equation among states, such as a path that a vehicle must follow, has index 2: far from it,
-    its slopes at the first point give little information on the rates and controls that maintain
-    it. Each Gauss-Newton step is the shortest one in units of the states' magnitudes. Returns
-    unknowns inside the bounds, shape (n_unknowns,); the given unknowns if the residual does not
-    decrease.
+    An equation among states, such as a path that a vehicle must follow, has index 2: it contains
+    neither rates nor controls. At a point that violates the equation, its derivatives tell Ipopt
+    little about the rates and controls that would satisfy it. The states are moved by Gauss-Newton
+    steps, each the shortest in units of the states' magnitudes. The result has shape (n_unknowns,)
+    and lies inside the bounds. If the residual does not decrease, the given `z` is returned.
     """
     compiled, layout = program.compiled, program.layout
     path, n = compiled.path, layout.n_states
@@ -326,9 +326,10 @@ _LARGEST_BOUND = 1e6
 def scattered(program: Transcription, bounds: Bounds, z: FloatArray, seed: int) -> FloatArray:
     """Return a random initial point, drawn between the bounds of each variable.
 
-    Each variable over time is piecewise linear between four random values. Where a variable lacks a
-    finite bound, its random values are normally distributed around the given point `z`, with the
-    magnitude of its values there as standard deviation. Returns unknowns inside the bounds, shape
+    Each variable over time is piecewise linear between four random values. For a variable with two
+    finite bounds, the random values are uniformly distributed between the bounds. Otherwise they
+    are normally distributed around the given point `z`, and the standard deviation is the largest
+    magnitude of the variable in `z`, at least 1. Returns unknowns inside the bounds, shape
     (n_unknowns,).
     """
     generator = np.random.default_rng(seed)
@@ -357,7 +358,8 @@ def scattered(program: Transcription, bounds: Bounds, z: FloatArray, seed: int) 
 def _inside(number: float, bounds: Bounds, column: int) -> float:
     """Return an initial value moved inside its bounds.
 
-    A value outside them, or NaN, becomes the middle of two finite bounds, or the only finite bound.
+    A value outside the bounds, or NaN, becomes the middle of the bounds if two are finite, and
+    otherwise the only finite bound.
     """
     lower, upper = bounds.lower[column], bounds.upper[column]
     if lower <= number <= upper:
@@ -368,7 +370,7 @@ def _inside(number: float, bounds: Bounds, column: int) -> float:
 
 
 def known_names(declared: Declarations) -> set[str]:
-    """Return the names that a guess may contain: "time", and those of all variables."""
+    """Return the names that a guess may contain: "time", and the names of all variables."""
     return {TIME_COLUMN, *(slot.name for slot in (*declared.varying, *declared.statics))}
 
 

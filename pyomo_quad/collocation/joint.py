@@ -96,12 +96,14 @@ class JointSolution(Outcome):
         return tuple(part.updated(**whole) for part in self.horizons.values())
 
     def updated(self, **changes: Any) -> JointSolution:
-        """Return a copy with other values of the given attributes, shared by its `parts`.
+        """Return a copy of the solution with changed attributes, such as `status` or `message`.
+
+        The solutions on the horizons receive the same changes.
 
         Parameters
         ----------
         **changes
-            Attributes by name, as in `status` or `message`.
+            New values of attributes, by name.
         """
         other = replace(self, **changes)
         horizons = zip(self.horizons, other.parts, strict=True)
@@ -146,7 +148,7 @@ class JointSolution(Outcome):
         )
 
     def value(self, component: Any, t: Any = None, index: Any = None) -> Any:
-        """Return the value of a variable or expression, at times if it depends on time.
+        """Return the value of a variable or expression, at given times if it depends on time.
 
         Parameters
         ----------
@@ -270,7 +272,7 @@ class JointProblem(Summarised):
         warm_start : JointSolution or tuple of WarmStart, optional
             Solution of the same model on any meshes.
         horizon, starts
-            Refused, unless `None` and 1: problems with several horizons do not support them.
+            Not supported for several horizons: other values than `None` and 1 raise an error.
         tolerance, parameters, options, refinement, progress
             As in `Problem.solve`.
 
@@ -358,14 +360,14 @@ class JointProblem(Summarised):
 
     @property
     def _parts(self) -> list[Formulation]:
-        """Formulations of the horizons, followed by that of the coupling.
+        """Formulations of the horizons, followed by the formulation of the coupling.
 
         The coupling consists of the objective, and of the constraints on several horizons or none.
         """
         return [*self.horizons.values(), self.coupling]
 
     def _guesses(self, guess: Mapping[str, Any] | None) -> list[Any]:
-        """Return the guess for the variables of each horizon, and for those of no horizon.
+        """Return a guess for the variables of each horizon, and one for variables of no horizon.
 
         Raises
         ------
@@ -393,7 +395,7 @@ class JointProblem(Summarised):
         meshes : sequence of Mesh or None
             Mesh of each horizon, and None for the coupling.
         instances : sequence of Instance
-            Parameter values and horizon of the solve, for each of them.
+            Parameter values and horizon of the solve, for each horizon and for the coupling.
         """
         programs = [
             part.program(mesh, instance)
@@ -421,7 +423,8 @@ class JointProblem(Summarised):
         meshes : sequence of Mesh
         start : Start
         dampings : tuple of Damping or None
-            Penalty on the distance of the controls from those of the last mesh, for each horizon.
+            For each horizon, penalty on the distance of the controls from the controls that were
+            found on the previous mesh; None for no penalty.
         instances : list of Instance
             Parameter values, for each horizon and the coupling of the horizons.
         options, progress, is_scaled, change, most
@@ -466,7 +469,8 @@ class JointProblem(Summarised):
     ) -> JointSolution:
         """Return a failed solution with a verdict on the feasibility of its problem.
 
-        The least sum of constraint violations near the last iterate decides.
+        The verdict follows from the least sum of constraint violations that is found near the last
+        iterate.
         """
         parts = [*failed.horizons.values(), failed.coupling]
         union = Union([part.program for part in parts], self._states)
@@ -559,7 +563,12 @@ class JointProblem(Summarised):
         return np.clip(z, bounds.lower, bounds.upper), None
 
     def _set_links(self, union: Union, program: Transcription, z: FloatArray, places: Any) -> None:
-        """Set the static variables that stand for values of a horizon to these values, in `z`."""
+        """Set static variables that the coupling uses in place of values of one horizon.
+
+        Such a static variable represents, for example, a state at the horizon's end. Its entry in
+        the array `z` of the joint program's unknowns is set to the horizon's present value, taken
+        from the horizon's entries `places` of `z`.
+        """
         if program.mesh is None:
             return
         conditions = [c.name for c in program.compiled.declared.conditions]

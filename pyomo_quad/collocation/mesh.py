@@ -32,15 +32,15 @@ class RadauRule:
     degree : int
         Number d of collocation points.
     points, weights : ndarray, shape (d,)
-        Collocation points, the last at 1, and quadrature weights.
+        Collocation points, of which the last is 1, and their quadrature weights.
     nodes : ndarray, shape (d + 1,)
-        0 and the collocation points: the places of a state's values.
+        0 and the collocation points, at which a state has values.
     differentiation : ndarray, shape (d, d + 1)
         Matrix from values at the nodes to slopes at the points.
     slope_at_start : ndarray, shape (d + 1,)
-        Weights that give the slope at 0 from values at the nodes.
+        Weights of the values at the nodes in the slope at 0.
     integration : ndarray, shape (d, d)
-        Matrix from slopes at the points to changes from 0 to each point.
+        Matrix from slopes at the points to the changes of value between 0 and each point.
     """
 
     degree: int
@@ -163,7 +163,7 @@ def real_array(
     Returns
     -------
     ndarray
-        A copy.
+        Copy of the array, as floats.
 
     Raises
     ------
@@ -284,7 +284,7 @@ class Timeline:
         Parameters
         ----------
         fractions : ndarray
-            Fractions of the horizon at which it is evaluated.
+            Fractions of the horizon at which the derivative is evaluated.
 
         Returns
         -------
@@ -335,11 +335,18 @@ class Timeline:
 def by_element(mesh: Mesh, fractions: FloatArray) -> list[tuple[int, np.ndarray, FloatArray]]:
     """Group fractions of the horizon by the element that contains them.
 
+    Parameters
+    ----------
+    mesh : Mesh
+    fractions : ndarray, shape (n,)
+        Times as fractions of the horizon.
+
     Returns
     -------
     list of (int, ndarray, ndarray)
-        For each element with at least one fraction: its index, the positions of its fractions in
-        the argument, and their local coordinates from 0 to 1.
+        For each element that contains at least one of the fractions: the element's index, the
+        positions of these fractions in `fractions`, and their local coordinates in the element,
+        from 0 to 1.
     """
     elements = mesh.locate(fractions)
     starts = np.asarray(mesh.breakpoints)
@@ -438,9 +445,10 @@ def control_polynomial(
     end: float,
     limits: tuple[FloatArray, FloatArray] = (np.array(-np.inf), np.array(np.inf)),
 ) -> Callable[[float], FloatArray]:
-    """Return an element's polynomial through values at its points, as a function of time.
+    """Return the controls in one element as polynomials of physical time.
 
-    The polynomial is clipped to the limits where it exceeds them between the points.
+    The polynomials pass through the values at the element's collocation points. They are clipped to
+    the limits where they exceed them between the points.
 
     Parameters
     ----------
@@ -452,7 +460,7 @@ def control_polynomial(
     start, end : float
         Physical times of the element's ends.
     limits : (ndarray, ndarray), optional
-        Lower and upper limits, shape (k,) each.
+        Lower and upper limits of the k variables, shape (k,) each; none by default.
 
     Returns
     -------
@@ -533,7 +541,7 @@ class Mesh(Summarised):
     Raises
     ------
     TranscriptionError
-        If boundaries do not increase from 0 to 1, or a degree is below 1.
+        If the boundaries do not increase from 0 to 1, or a degree is below 1.
     """
 
     breakpoints: tuple[float, ...]
@@ -652,7 +660,11 @@ class Mesh(Summarised):
 
     @cached_property
     def first_node(self) -> NDArray[np.intp]:
-        """Index of the node at the start of each element and at the end: (n_elements + 1,)."""
+        """Indices of the nodes at the element boundaries, shape (n_elements + 1,).
+
+        Each element has the index of its first node; the last entry is the node at the horizon's
+        end.
+        """
         return np.concatenate(([0], np.cumsum(self.degrees))).astype(np.intp)
 
     @cached_property
@@ -674,7 +686,7 @@ class Mesh(Summarised):
     def node_fractions(self) -> FloatArray:
         """Nodes (places of state values) as fractions of the horizon, shape (n_points + 1,).
 
-        They are 0 and the collocation points.
+        The nodes are 0 and the collocation points.
         """
         return np.concatenate(([0.0], self.point_fractions))
 

@@ -17,14 +17,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class _Place:
-    """Placeholder for a CasADi expression in packed data, with its position in the text."""
+    """Placeholder for a CasADi expression: its position among the serialised expressions."""
 
     position: int
 
 
 @dataclass(frozen=True, kw_only=True)
 class Packed:
-    """Data that can be pickled: placeholders for its CasADi expressions, and these as a text.
+    """Data in a form that can be pickled, in which a text contains the CasADi expressions.
+
+    A placeholder in the data marks the place of each expression.
 
     Attributes
     ----------

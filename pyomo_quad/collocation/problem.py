@@ -72,9 +72,10 @@ class Problem(Summarised, Formulation):
         Static variable of the model that becomes the end of the horizon; the end of the continuous
         set then only defines where boundary conditions are declared.
     times : mapping, optional
-        Free times, as in {1.0: m.T1}. A key is a declared time, which is a member of the continuous
-        set; the solve finds the physical time to which it corresponds, as the value of the static
-        variable. Other declared times keep their relative place between the free times.
+        Free times, for example {1.0: m.T1}. The key 1.0 is a declared time (a member of the
+        continuous set), and the value is a static variable. The solve determines the variable,
+        which is the physical time at which the conditions declared at 1.0 hold. Each declared time
+        between two free times keeps its relative position between them.
 
     Raises
     ------
@@ -133,7 +134,7 @@ class Problem(Summarised, Formulation):
             New values of mutable parameters, by component or full name; a function of time for a
             parameter over time.
         horizon : (float, float), optional
-            Start and end of the horizon, in place of the continuous set's.
+            Start and end of the horizon, in place of the ends of the continuous set.
         guess : mapping, optional
             Initial values by the name of a variable, as in ``rotors.omega[1]``: a function of time,
             a constant, or samples at the times under the key "time". A frame of `Solution.to_frame`
@@ -324,7 +325,7 @@ class Problem(Summarised, Formulation):
         start : Start
             Initial point: a guess or a warm start.
         damping : Damping, optional
-            Penalty on the distance of the controls from those of the last mesh.
+            Penalty on the distance of the controls from the controls of the previous mesh.
         instance : Instance
             Parameter values and horizon of this solve.
         options : SolverOptions
@@ -335,10 +336,10 @@ class Problem(Summarised, Formulation):
             Whether to continue until the complementarity gap (the sum of multipliers times slacks)
             is negligible relative to the objective.
         change : float, optional
-            Expected change of the objective from that of the warm start, in the unit of the
-            objective. It determines the initial barrier parameter.
+            Expected difference between the objective and its value at the warm start, in the unit
+            of the objective. It determines the initial barrier parameter.
         most : float, optional
-            Limit of Ipopt's iterations, in addition to that of `options`.
+            Limit of Ipopt's iterations; the limit in `options` holds too.
         breach : float, optional
             Allowed violation of bounds between collocation points, relative to max(1, abs(bound)).
             If finite, a solve with a warm start also bounds the variables between the points.
@@ -384,7 +385,7 @@ class Problem(Summarised, Formulation):
         is_damped = damping is not None and damping.controls.size > 0
         if change is not None and multipliers is not None and not is_damped:
             # A small initial barrier parameter is not used with damping: controls on which the
-            # objective hardly depends are determined again only from a larger one.
+            # objective hardly depends are determined again only from a larger parameter.
             options = options.for_a_change(change * scaling.objective, kept.sides)
         if damping is not None and damping.gap and start.warm is not None:
             parameter = damping.gap * scaling.objective / kept.sides
@@ -421,7 +422,7 @@ class Problem(Summarised, Formulation):
         near : Solution
             Solution on any mesh, from which the search starts.
         mesh : Mesh
-            Mesh of the trajectory, usually finer than that of `near`.
+            Mesh of the trajectory, usually finer than the mesh of `near`.
         parameters, horizon
             As in `solve`.
         breach : float, default 0
@@ -462,7 +463,7 @@ class Problem(Summarised, Formulation):
         parameters, horizon
             As in `solve`.
         statics : ndarray, shape (n_statics,), optional
-            Values of the static variables (those without time); by default their values in the
+            Values of the static variables (variables without time); by default their values in the
             model, NaN where a variable has none.
 
         Returns
@@ -500,10 +501,27 @@ def _refined(
     tolerance: float,
     refinement: RefinementOptions,
 ) -> Solution:
-    """Solve with mesh refinement on one horizon, by adapting a one-mesh solve to `refine`.
+    """Solve with mesh refinement on one horizon.
 
-    `own` solves on one mesh, as `Problem.solve_on_mesh` does; the refinement starts from `mesh`,
-    and its result is returned.
+    This adapts a solve on one mesh to the function `refine`, which requires a solve of this form.
+
+    Parameters
+    ----------
+    own : callable
+        Solves on one mesh, with the arguments of `Problem.solve_on_mesh`.
+    mesh : Mesh
+        Initial mesh.
+    start : Start
+        Initial point on that mesh: a guess or a warm start.
+    tolerance : float
+        Required relative error of the states.
+    refinement : RefinementOptions
+        Settings of the mesh refinement.
+
+    Returns
+    -------
+    Solution
+        Result on the final mesh.
     """
 
     def on_meshes(

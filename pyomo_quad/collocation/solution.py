@@ -42,8 +42,8 @@ if TYPE_CHECKING:
 # Root mean square deviation, relative to the Hamiltonian's size, above which rounding and mesh
 # error cannot explain it.
 _SUSPICIOUS = 1e-2
-# As a fraction of the horizon, subtracted from a point's place: a point at the time of an interior
-# condition belongs to the part of the horizon that ends there.
+# Shift of a point towards the start, as a fraction of the horizon: a point at the time of an
+# interior condition then belongs to the part of the horizon that ends there.
 _JUST_BEFORE = 1e-9
 
 
@@ -149,14 +149,15 @@ class Outcome(Summarised):
     error_estimate : float
         Largest relative error over elements and states; infinite if not estimated.
     state_error : float
-        Estimated distance of the states from the optimal ones, relative to their magnitudes. It
-        adds the errors of all elements, and is larger where limits become active or inactive, and
-        where a singular arc leaves the states to a flat objective; infinite if not estimated.
+        Estimated distance of the states from the optimal states, relative to their magnitudes. The
+        errors of all elements are added. The estimate is larger if limits become active or
+        inactive, and if a singular arc makes the objective nearly independent of the states.
+        Infinite if not estimated.
     history : tuple of MeshRecord
         One record per mesh.
     cold_start : ColdStart or None
-        Iterations of the solve without a warm start. After a warm start: the record that came with
-        it.
+        Iterations of the solve without a warm start. If this solve had a warm start, the record
+        that the warm start contained.
     tried : tuple of str
         Strategies that were tried and how they ended, where more than one was needed.
     """
@@ -287,9 +288,10 @@ class Solution(Outcome):
     def nominal_objective(self) -> float:
         """Reference magnitude for changes of the objective, in the unit of the objective.
 
-        The larger of the objective's magnitude and the inverse of its scaling factor. A penalty may
-        make the slopes at the initial point, and therefore that inverse, far larger than any slope
-        that matters; it is therefore capped at 10 max(1, abs(objective)).
+        The result is the larger of the objective's magnitude and the inverse of its scaling factor.
+        The inverse is the size of the objective's slopes at the initial point. A penalty may make
+        these slopes far larger than near the solution, so the inverse is capped at 10 max(1,
+        abs(objective)).
         """
         size = abs(self.objective)
         return max(size, min(1.0 / self.scaling.objective, _STEEPEST * max(1.0, size)))
@@ -309,8 +311,8 @@ class Solution(Outcome):
     def mesh_in_time(self) -> Mesh:
         """Mesh with its boundaries as fractions of the physical horizon.
 
-        The trajectory's values on it define the same polynomials. It differs from `mesh` only if
-        interior times are free.
+        With the trajectory's values, this mesh defines the same polynomials as `mesh`. The two
+        meshes differ only if interior times are free.
         """
         if len(self.timeline.times) == 2:
             return self.mesh
@@ -583,7 +585,7 @@ class Solution(Outcome):
         Parameters
         ----------
         times : array, optional
-            Physical times of the rows; by default those of the nodes.
+            Physical times of the rows; by default the times of the nodes.
 
         Returns
         -------

@@ -51,9 +51,9 @@ class _WholeSolve(Search[S], Generic[S]):
     warm : Solution or JointSolution, optional
         Result of the last solve from the warm start.
     spent : int
-        Iterations of that solve.
+        Iterations of the last solve from the warm start.
     has_ended : bool
-        Whether the last solve ended by itself rather than at its budget.
+        Whether the most recent solve ended by itself, and not because its budget was used up.
     """
 
     solve: Callable[[Start, Progress], S]
@@ -78,7 +78,7 @@ class _WholeSolve(Search[S], Generic[S]):
     def attempt(self, strategy: Strategy) -> S:
         """Solve from the warm start, from the guess, or from the last iterate of the warm start.
 
-        The strategy determines which of them, and whether the iterations are limited.
+        The strategy determines the starting point, and whether the iterations are limited.
         """
         known = self.known if strategy.iterations is None else None
         limits = (known.first, known.iterations) if known else (inf, inf)
@@ -106,9 +106,9 @@ class _WholeSolve(Search[S], Generic[S]):
         return cold.updated(cold_start=took, message=message)
 
     def is_final(self, found: S) -> bool:
-        """Return whether a result ends the search: any, unless the solve exceeded its budget.
+        """Return whether a result ends the search.
 
-        The budget is a limit of iterations.
+        Every result does, unless the solve stopped because it exceeded its budget of iterations.
         """
         del found
         return self.has_ended
@@ -122,19 +122,19 @@ def within_budget(
     *,
     is_known: bool = True,
 ) -> S:
-    """Solve from a warm start within the iterations of its cold start, else from the guess.
+    """Solve from a warm start with a budget of iterations; if it is exceeded, solve from the guess.
 
-    A warm start is useful only if it is faster than a solve from the guess (cold start). Its first
-    solve may take as many iterations as the cold start's first mesh, and all solves together as
-    many as all meshes of the cold start. If it takes more, the problem is solved from the guess; if
-    that fails, the warm start is continued.
+    A warm start is useful only if it is faster than a solve from the guess (cold start). On its
+    first mesh it may take as many iterations as the cold start took on the first mesh, and on all
+    meshes together as many as the cold start took on all meshes. If the warm start takes more, the
+    problem is solved from the guess. If that solve fails, the warm start is continued.
 
     Parameters
     ----------
     solve : callable
         (start, progress) -> solution.
     start : Start
-        Warm start and guess; a warm start carries the iterations of its cold start.
+        Warm start and guess; the warm start contains the number of iterations of the cold start.
     tolerance : float or None
         Tolerance of the mesh refinement. The recorded iterations are a budget only if they belong
         to the same tolerance.

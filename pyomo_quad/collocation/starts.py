@@ -28,8 +28,8 @@ _PARTS = ("states", "algebraics", "statics")
 class ColdStart:
     """Record of the iterations that a solve from an initial guess (cold start) took.
 
-    A warm start of the same problem carries this record. If it takes more iterations, it is
-    abandoned.
+    A warm start of the same problem contains this record. A solve from the warm start is abandoned
+    if it takes more iterations than recorded.
 
     Attributes
     ----------
@@ -202,7 +202,8 @@ class WarmStart:
         Raises
         ------
         TranscriptionError
-            Naming the array that is missing or has another type, shape or content.
+            If an array is missing or has another type, shape or content; the message names the
+            array.
         """
         mesh = Mesh.from_arrays(held)
         model = held.get("model")
@@ -275,7 +276,7 @@ def transfer(start: WarmStart, program: Transcription) -> tuple[FloatArray, Mult
     ndarray, shape (n_unknowns,)
         Unknowns of the program.
     Multipliers
-        Multipliers of its bounds and constraints.
+        Multipliers of the program's bounds and constraints.
 
     Raises
     ------

@@ -210,7 +210,7 @@ class Search(ABC, Generic[S]):
         return not found.status.has_failed
 
     def failure(self, last: S) -> S:
-        """Return the result to report when every strategy has failed: here the last one."""
+        """Return the result to report if all strategies have failed: by default the last result."""
         return last
 
 

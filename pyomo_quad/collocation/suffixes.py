@@ -1,7 +1,8 @@
 """Pyomo's suffixes `dual`, `rc` and `costate`: derivatives of the objective from multipliers.
 
 `dual` holds the derivatives with respect to the constant sides of constraints, `rc` (reduced costs)
-those with respect to bounds of variables, and `costate` those with respect to states.
+the derivatives with respect to bounds of variables, and `costate` the derivatives with respect to
+states.
 """
 
 from __future__ import annotations

@@ -81,7 +81,7 @@ _NAMED = 3
 
 
 def judged(failed: Solution, found: LeastViolation) -> Solution:
-    """Return a failed solution moved to the point of least violation, with the verdict there.
+    """Return a failed solution moved to the point of least violation, with a verdict.
 
     Parameters
     ----------
@@ -93,9 +93,9 @@ def judged(failed: Solution, found: LeastViolation) -> Solution:
     Returns
     -------
     Solution
-        Infeasible, with a message on the violated equations, if the least violation is positive;
-        not converged if it is zero although Ipopt reported infeasibility; else with the same
-        status.
+        Solution at that point. Its status is infeasible, with a message on the violated equations,
+        if the least violation is positive. It is not converged if the least violation is zero
+        although Ipopt reported infeasibility. Otherwise the status is unchanged.
     """
     told = replace(
         failed,
@@ -224,10 +224,10 @@ def _without_objective(solution: S) -> S:
 
 
 def _undoubted(solution: S) -> S:
-    """Return a solution as not converged if its multipliers and its Hamiltonian contradict it.
+    """Mark a solution as not converged if multipliers diverge and the Hamiltonian is not constant.
 
-    That is the case if multipliers diverge and the Hamiltonian varies in a problem that does not
-    depend on time.
+    Both together show that the solution is wrong. Problems that depend on time explicitly are not
+    marked, because their Hamiltonian need not be constant.
     """
     for part in solution.parts if solution.status is Status.CONVERGED else ():
         names, warnings = diverging_multipliers(part), hamiltonian_warnings(part)
@@ -242,7 +242,7 @@ def _undoubted(solution: S) -> S:
 
 
 def _within_tables(solution: S) -> S:
-    """Return a solution as not converged if it reads a table outside the table's range."""
+    """Mark a solution as not converged if it reads a table outside the table's range."""
     line = next(filter(None, map(outside_tables, solution.parts)), "")
     if not line:
         return solution

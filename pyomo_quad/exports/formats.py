@@ -367,7 +367,7 @@ def export_plan(
 ) -> Export:
     """Write a verified plan in the format of an autopilot, a swarm, a simulator or ROS 2.
 
-    The plan is first simulated again; a file's own claim to be verified is not trusted.
+    The plan is first simulated again, because a file may claim to be verified without being so.
 
     Parameters
     ----------
@@ -381,7 +381,8 @@ def export_plan(
         a device or a FIFO, such as ``/dev/stdout``.
     origin : str, optional
         Position of the plan's origin on earth, "LAT,LON,ALT" in degrees and in metres above the
-        sea; by default the mission's own. Missions of ground stations need an origin.
+        sea; by default the origin that the mission gives. Missions of ground stations need an
+        origin.
     path_error_m : float, optional
         Largest permitted distance of waypoints or polynomial pieces from the plan.
     rate_hz : float, optional

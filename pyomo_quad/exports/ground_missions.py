@@ -1,6 +1,7 @@
-"""Import of a ground station's mission as a scenario: places, holds, headings, fence, rally points.
+"""Import of a ground station's mission as a scenario.
 
-Speeds and the paths between the places are left to the plan. The formats are those that
+The scenario has the mission's places, times of hover, headings, fence and rally points. The planner
+chooses the speeds and the paths between the places. The module reads the formats that
 `exports.ground_station` writes; Mission Planner's text has neither fence nor rally points.
 """
 
@@ -71,8 +72,8 @@ class _Item:
     """Command of a ground station's mission, with its seven parameters.
 
     A parameter is None if the file does not give it. The seventh parameter is normally the altitude
-    [m]. If it depends on the terrain, a QGroundControl file gives the altitude once more, and
-    `altitude` holds it; otherwise `altitude` is None.
+    [m]. If that altitude depends on the terrain, a QGroundControl file has a further entry for the
+    altitude, and the attribute `altitude` holds this entry; otherwise the attribute is None.
     """
 
     where: str
@@ -100,7 +101,8 @@ class _File:
 class _Place:
     """Place that a mission flies to, in latitude and longitude, with the conditions there.
 
-    The fields are those of a scenario's waypoint; `is_opened_at` says whether a gripper opens.
+    The fields have the names and meanings of a scenario's waypoint; `is_opened_at` says whether a
+    gripper opens.
     """
 
     position: dict[str, float]
@@ -130,7 +132,7 @@ def read_mission(
     file : str or Path
         Mission file: QGroundControl's plan file, or the text format QGC WPL 110.
     name : str, optional
-        Name of the scenario; by default that of the file.
+        Name of the scenario; by default the name of the file.
     vehicle : str, optional
         A vehicle of the library, or a vehicle file.
     payload_kg : float, optional

@@ -156,8 +156,8 @@ def mission(
 ) -> dict[str, Any]:
     """Make a QGroundControl plan file of a plan, as nested mappings.
 
-    Fence and rally points are those of the mission. Zones of finite height are not part of the
-    fence, since the flight may pass above them.
+    The fence and the rally points are taken from the mission. Zones of finite height are not part
+    of the fence, since the flight may pass above them.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ def mission(
     motion : Motion
         The plan's motion.
     path_error_m : float
-        Distance with which the legs were made, for the message.
+        Permitted distance with which `thin` made the legs, for the message.
 
     Raises
     ------

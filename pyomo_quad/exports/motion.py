@@ -169,7 +169,8 @@ class Motion:
         Raises
         ------
         ScenarioError
-            If the plan is neither verified nor usable, or the simulation does not confirm it.
+            If the plan's status is neither verified nor usable (`PlanStatus`), or the simulation
+            does not confirm the plan.
         """
         return cls._along(_proven(plan, is_code_allowed=is_code_allowed))
 
@@ -187,8 +188,8 @@ class Motion:
         Raises
         ------
         ScenarioError
-            If there is no plan, it is damaged, it is neither verified nor usable, or the simulation
-            does not confirm it.
+            If there is no plan, the plan is damaged, its status is neither verified nor usable
+            (`PlanStatus`), or the simulation does not confirm it.
         """
         return cls._along(read_proven(path, is_code_allowed=is_code_allowed))
 

@@ -1,4 +1,4 @@
-"""Simulated flights that are compared with a plan: references under feedback, and open loop.
+"""Simulated flights to compare with a plan: under feedback along a reference, or in open loop.
 
 A reference is a path over time that the adaptive controller follows, such as the plan itself or a
 smooth path from start to goal. In open loop the plan's controls are applied without feedback.
@@ -56,6 +56,7 @@ from pyomo_quad.scenario.mission import Hover
 from pyomo_quad.scenario.tables import Reference
 from pyomo_quad.scenario.vehicle import Vehicle
 
+# Names of components of the declared model, or their beginnings.
 _RIGID_BODY = "rigid_body."
 _ROTOR_SPEED = "rotors.omega["
 _YAW = "rigid_body.psi"
@@ -63,26 +64,27 @@ _STATE_OF_CHARGE = "battery.state_of_charge"
 
 
 def start_state(scenario: Scenario, dynamics: Dynamics, plan: Plan | None = None) -> FloatArray:
-    """Return the initial state of a simulated flight: the plan's, or hover at the start.
+    """Return the initial state of a simulated flight: that of a plan or, without a plan, hover.
 
     Parameters
     ----------
     scenario : Scenario
         The mission.
     dynamics : Dynamics
-        Simulated vehicle, whose states are to be filled.
+        Simulated vehicle, which defines the states and their order.
     plan : Plan, optional
-        Plan whose initial state to use.
+        Plan whose initial state is used; without it the vehicle hovers at the start of the mission.
 
     Returns
     -------
     ndarray, shape (n_states,)
-        In the state order of the dynamics.
+        Initial state, in the order of `dynamics.state_names`.
 
     Raises
     ------
     ScenarioError
-        If a user's own model has a state whose initial value only a plan could give.
+        If there is no plan, and the model of a user has a state whose initial value the mission
+        does not define.
     """
     if plan is not None:
         held = plan.trajectories
@@ -166,7 +168,7 @@ RATE_HZ = 100.0
 
 
 class TumblingGuard:
-    """Guard that stops a simulation of a vehicle out of control, by counting its evaluations.
+    """Guard that stops the simulation of a tumbling vehicle, by counting evaluations.
 
     A tumbling vehicle needs far more evaluations of the right-hand side than a controlled one.
 
@@ -175,7 +177,7 @@ class TumblingGuard:
     flight : str
         Name of the flight, for the message.
     duration : float
-        Duration of the flight [s], which the limit grows with.
+        Duration of the flight [s]; the allowed number of evaluations grows with it.
     """
 
     def __init__(self, flight: str, duration: float) -> None:
@@ -184,12 +186,12 @@ class TumblingGuard:
         self._most = _MOST_EVALUATIONS_PER_SECOND * max(1.0, duration)
 
     def evaluated(self, t: float) -> None:
-        """Count an evaluation of the right-hand side at time t [s] and compare with the limit.
+        """Count an evaluation of the right-hand side at time t [s]; raise an error above the limit.
 
         Raises
         ------
         SolveError
-            If the number exceeds the limit.
+            If the number of evaluations exceeds the limit, which means that the vehicle tumbles.
         TimeIsUpError
             If the time limit of the command has passed.
         """
@@ -203,7 +205,10 @@ class TumblingGuard:
 
 
 class Integrator(StrEnum):
-    """Two integrators of SciPy that share no code, so that each can confirm the other's flight."""
+    """Integration methods of SciPy for simulated flights; they share no code.
+
+    Each flight is simulated by both methods, so that the second confirms the result of the first.
+    """
 
     RUNGE_KUTTA = "DOP853"
     MULTISTEP = "LSODA"
@@ -248,7 +253,7 @@ def fly(
     controller : AdaptiveController
         Control law and its gains.
     reference : callable
-        Time [s] -> Setpoint: place, velocity and acceleration to follow.
+        Takes a time [s] and returns the `Setpoint` to follow: position, velocity and acceleration.
     initial_state : ndarray, shape (n_states,)
         State of the vehicle at the first time.
     times : ndarray, shape (n,)
@@ -259,7 +264,7 @@ def fly(
         Relative and absolute tolerance of the integrator.
     last : ndarray, shape (22,), optional
         States of the controller (`CONTROLLER_STATES`) at the first time, if it followed another
-        reference before; without it the controller starts anew.
+        reference until then; None if the controller starts with this flight.
 
     Returns
     -------
@@ -317,8 +322,8 @@ class _Loop:
     def started(self, t: float, state: FloatArray, last: FloatArray | None) -> FloatArray:
         """Return the initial joint state of vehicle, controller and energy at time t [s].
 
-        `state` is that of the vehicle; `last` that of the controller, None for a controller that
-        starts anew.
+        `state` is the state of the vehicle. `last` is the state of a controller that followed
+        another reference before; None for a controller that starts now.
         """
         body, before = state[self._body].tolist(), None if last is None else last.tolist()
         own = self._controller.started(self._reference(t), body, before)
@@ -344,6 +349,7 @@ class _Loop:
         )
 
 
+#: Name of the flight that applies a plan's controls without feedback.
 OPEN_LOOP = "open_loop/plan"
 
 _PATHS = {
@@ -377,8 +383,8 @@ def fly_baseline(
     """Simulate a mission under the adaptive controller along a reference, and verify the flight.
 
     The flight is verified if a second integrator, which shares no code with the first, ends at the
-    same place with the same energy, within the tolerances for plans, and if the battery can give
-    the power.
+    same place with the same energy, within the tolerances that apply to plans, and if the battery
+    can give the power.
 
     Parameters
     ----------
@@ -389,7 +395,8 @@ def fly_baseline(
     dynamics : Dynamics
         Simulated vehicle in its wind.
     plan : Plan, optional
-        Plan to follow, or whose costates give the energy to complete the flight.
+        Plan to follow, if the reference is the plan. The costates of the plan give the energy that
+        is needed to complete a flight that ends off the goal.
 
     Returns
     -------
@@ -399,7 +406,7 @@ def fly_baseline(
     Raises
     ------
     ScenarioError
-        If the reference is the plan and there is none, or the model is not a quadrotor's.
+        If the reference is the plan but none is given, or if the model is not a quadrotor.
     SolveError
         If the flight is out of control.
     """
@@ -434,7 +441,7 @@ def fly_reference(
     rate_hz: float = RATE_HZ,
     tolerance: float = _TOLERANCE,
 ) -> ClosedLoopFlight:
-    """Simulate a mission under the adaptive controller along a reference, once.
+    """Simulate a mission once under the adaptive controller along a reference.
 
     Unlike `fly_baseline`, it neither verifies the flight nor tabulates it.
 
@@ -445,7 +452,7 @@ def fly_reference(
     integrator : Integrator, optional
         SciPy's integration method.
     rate_hz : float, optional
-        Samples per second; both ends are always included.
+        Samples per second; the first and the last time are always included.
     tolerance : float, optional
         Relative and absolute tolerance of the integrator; by default that of a verified flight.
 
@@ -479,17 +486,17 @@ def reference_path(
     reference : Reference
         Step, quintic polynomial, minimum snap, an autopilot's cruise, or the plan.
     plan : Plan, optional
-        Plan to follow.
+        Plan to follow, if the reference is the plan.
 
     Returns
     -------
     callable
-        Time [s] -> Setpoint.
+        Takes a time [s] and returns the `Setpoint` to follow.
 
     Raises
     ------
     ScenarioError
-        If the reference is the plan and there is none.
+        If the reference is the plan but none is given.
     """
     if reference in _PATHS:
         return _PATHS[reference](scenario.mission)
@@ -511,7 +518,7 @@ def fly_open_loop(scenario: Scenario, plan: Plan, dynamics: Dynamics) -> Flight:
     scenario : Scenario
         The mission with the times of the plan.
     plan : Plan
-        Its controls are applied.
+        Plan whose controls (rotor accelerations) are applied.
     dynamics : Dynamics
         Simulated vehicle in the actual wind.
 
@@ -549,8 +556,8 @@ def assembled_flight(
     dynamics : Dynamics
         Simulated vehicle.
     flown_twice : sequence of (Flown, Flown)
-        Each part of the flight by two integrators that start from the same state. Several parts
-        arise where the plan is replaced in flight.
+        Each part of the flight, simulated by two integrators from the same state. A flight has
+        several parts if the plan is replaced in flight.
     plan : Plan or None
         Plan whose costates give the energy to complete the flight from its end state.
     began : float
@@ -774,7 +781,7 @@ def refuse_other_vehicles(scenario: Scenario, dynamics: Dynamics) -> None:
     Raises
     ------
     ScenarioError
-        Naming the state.
+        If a state is missing; the message names it.
     """
     missing = next((name for name in MEASURED_STATES if name not in dynamics.state_names), None)
     if missing is not None:

@@ -41,8 +41,8 @@ THERE, AT_REST = "distance from the goal at the end", "speed at the end"
 class Approach:
     """Statistics over time of the distance of flights in turbulence from one bound of a constraint.
 
-    The constraint is a path constraint ("limit") with a lower bound, an upper bound or both, such
-    as that on the roll angle. Arrays hold n times.
+    The constraint is a path constraint ("limit") with a lower or an upper bound, or with both, such
+    as the limit on the roll angle. Arrays hold n times.
 
     Attributes
     ----------
@@ -76,26 +76,28 @@ class Approach:
     def probability(self, held: float = 0.0, margin: float = 0.0) -> float:
         """Predict the probability that a flight breaks the limit if the plan had another margin.
 
-        The plan is assumed to change only where its distance from the limit is less than the new
-        margin, or where the present margin is active, so that it will follow the new margin. A
-        margin is the amount by which a plan stays inside the limit.
+        A margin is the amount by which a plan stays inside the limit. The prediction assumes that
+        the plan moves to the new margin in two places: where the present margin is active, and
+        where the plan is nearer to the limit than the new margin. Elsewhere the plan is assumed
+        unchanged.
 
         Parameters
         ----------
         held : float
-            Margin of the present plan.
+            Margin of the present plan, in the unit of the limit.
         margin : float
-            Margin of the changed plan.
+            Margin of the changed plan, in the unit of the limit.
         """
         is_held = self.planned <= held + _ACTIVE * max(held, self.deviation.max())
         to_come = np.where(is_held, margin, np.maximum(self.planned, margin))
         return _crossing(self.room + (to_come - self.planned), self.deviation, self.correlation)
 
     def margin_for(self, share: float, held: float, most: float) -> float:
-        """Return the smallest margin with which the probability of a violation is ``share``.
+        """Return the smallest margin at which the probability of a violation is at most ``share``.
 
-        `held` is the margin of the present plan; the result is at most ``most``. A margin is the
-        amount by which a plan stays inside the limit.
+        A margin is the amount by which a plan stays inside the limit, in the unit of the limit.
+        `held` is the margin of the present plan, and ``most`` the largest margin considered: it is
+        returned if no smaller margin suffices.
         """
         if self.probability(held, 0.0) <= share:
             return 0.0
@@ -109,6 +111,7 @@ class Approach:
 # Distance of a plan from its tightened limit, relative to the margin or to the standard deviation,
 # below which the limit counts as active.
 _ACTIVE = 0.25
+# Halvings in a search for a margin: it ends within 1e-9 of the largest margin considered.
 _HALVINGS = 30
 
 
@@ -118,7 +121,7 @@ def _crossing(room: FloatArray, deviation: FloatArray, correlation: FloatArray) 
     Parameters
     ----------
     room, deviation : ndarray, shape (n,)
-        Mean and standard deviation of the distance from the limit over time.
+        Mean and standard deviation of the distance from the limit at n times.
     correlation : ndarray, shape (n - 1,)
         Correlation of the distances at one time and at the next.
     """
@@ -145,7 +148,7 @@ def approaches(spread: Spread, states: FloatArray, controls: FloatArray) -> Iter
     Yields
     ------
     Approach
-        One for each finite lower or upper bound.
+        Statistics of the distance, for each finite lower or upper bound.
     """
     dynamics = spread.dynamics
     gradients = _gradients(spread)
@@ -208,14 +211,15 @@ def _gradients(spread: Spread) -> dict[str, FloatArray]:
 class Miss:
     """Samples of the distance from goal or waypoint, or of the speed there, in turbulence.
 
-    They are taken at the instants at which the mission limits the distance or the speed.
+    The samples are taken at the instants at which the mission limits the distance or the speed.
 
     Attributes
     ----------
     words : str
-        The limit in words.
+        The limit in words, such as "distance from waypoint 1".
     field : str
-        Scenario field whose margin makes the miss rarer; empty if only a reserve of thrust does.
+        Scenario field that can be tightened so that fewer flights break the limit; empty if only a
+        larger reserve of thrust helps.
     off : ndarray, shape (n_instants, n_samples)
         Samples of the distance [m] or the speed [m/s].
     within : float
@@ -236,32 +240,33 @@ class Miss:
         return float(min((self.off > self.within).mean(axis=1).sum(), 1.0))
 
     def shrunk(self, share: float) -> "Miss":
-        """Return a copy with all distances or speeds times `share`, as in weaker turbulence."""
+        """Return a copy with distances or speeds multiplied by `share`, as in weaker turbulence."""
         return replace(self, off=share * self.off)
 
     def excess(self, share: float) -> float:
-        """Return by how much distance [m] or speed [m/s] must decrease for a rare miss.
+        """Return the reduction of distance [m] or speed [m/s] that makes breaking the limit rare.
 
-        `share` is the probability of the miss that is allowed.
+        It is at least zero. `share` is the largest probability allowed that a flight breaks the
+        limit.
         """
         most = np.quantile(self.off, 1.0 - share / len(self.off), axis=1).max()
         return max(float(most) - self.within, 0.0)
 
 
 def missing(scenario: Scenario, spread: Spread) -> tuple[Miss, ...]:
-    """Return the distances of flights from goal and waypoints, and their speeds there.
+    """Return samples of the distances from goal and waypoints, and of the speeds there, in flights.
 
     Parameters
     ----------
     scenario : Scenario
         The mission with fixed times.
     spread : Spread
-        Distribution of flights about a plan.
+        Distribution of the states of flights about a plan.
 
     Returns
     -------
     tuple of Miss
-        With the probability of each miss.
+        Samples and their limit, for each distance and speed that the mission limits.
     """
     draws = np.random.default_rng(0).standard_normal((_SAMPLES, 3))
     mission, still = scenario.mission, np.zeros(3)

@@ -47,7 +47,7 @@ _TIGHTER = 0.1
 
 @dataclass(frozen=True)
 class AlongShortest:
-    """Solution along the shortest route, on one mesh, from which the search for a plan starts."""
+    """Start of a search: a solution along the shortest route, solved on a single mesh."""
 
     flight: Solution
 
@@ -68,25 +68,26 @@ class Candidate:
     search : Search
         Stops solves, and records the outcomes of the strategies.
     start : Start or None
-        Similar solution from which to start.
+        Solution or plan of a similar problem, from which the search starts.
     solution : Solution or None
         The first solution or, if that failed, the first success of a retry.
     routes : tuple of TriedRoute
-        Results of the routes that were tried.
+        Result for each route that was tried.
     is_closed : bool
         Whether zones block every route.
     diagnosis : Diagnosis or None
-        Diagnosis of the failed solution.
+        Diagnosis of a failed solve.
     slower : Trajectory or None
-        Solution for a longer duration.
+        Solution of the mission with a longer duration, if that was solved.
     shortest : Solution or None
-        Solution of least duration.
+        Solution of the mission in the least duration, if that was solved.
     failure : Failure or None
         Reason why all strategies failed.
     flown : Plan or None
-        The plan of the solution, with the result of its simulation.
+        The plan made from the solution, with the result of its simulation.
     tolerance : float
-        Tolerance of the mesh refinement, smaller after each failed simulation.
+        Tolerance of the mesh refinement; it is reduced after each simulation that does not confirm
+        the plan.
     """
 
     scenario: Scenario
@@ -156,7 +157,7 @@ class Candidate:
         return isinstance(self.start, Solution)
 
     def from_flight(self) -> str | None:
-        """Solve the mission with the solution of a similar problem as initial guess, on its mesh.
+        """Solve the mission from the solution of a similar problem, on the mesh of that solution.
 
         Returns
         -------
@@ -210,7 +211,7 @@ class Candidate:
         return self.solution is None and isinstance(self.start, Plan)
 
     def from_plan(self) -> str | None:
-        """Solve the mission with the trajectory of a plan as initial guess, on its mesh.
+        """Solve the mission from the trajectory of a plan, on the mesh of that plan.
 
         Returns
         -------
@@ -425,9 +426,9 @@ class Candidate:
         self._began += self.flown.timings.get("verify", 0.0)
 
     def is_astray(self) -> bool:
-        """Return whether simulation fails to confirm a converged solution that the battery can fly.
+        """Return whether simulation contradicts a converged solution, other than by battery limits.
 
-        A finer mesh may then help; it would not help against a lack of battery power.
+        A finer mesh may then help. It would not help against a lack of battery power.
         """
         plan = self.flown
         if plan is None or plan.is_verified or self.found.status is not Status.CONVERGED:
@@ -438,13 +439,13 @@ class Candidate:
     def tighten(self) -> str | None:
         """Solve to a smaller tolerance, on a mesh refined where the simulated flight broke a limit.
 
-        In a long flight without feedback, the errors that the tolerance leaves in each element add
-        up.
+        In a long flight without feedback, small errors of the elements add up, so that the
+        simulated flight may miss the goal although each element meets the tolerance.
 
         Returns
         -------
         str or None
-            The tolerance in words; None if the solve does not converge.
+            The new tolerance, as text; None if the solve does not converge.
         """
         self.tolerance *= _TIGHTER
         mesh = self.plan.mesh_where_broken
@@ -474,12 +475,12 @@ class Candidate:
         return plan.energy <= GIVEN_SHARE * greatest * plan.duration_s
 
     def hold_pack(self, carry_out: Callable[[Candidate], None]) -> str:
-        """Plan the mission again within the power that the battery can give; keep a verified plan.
+        """Plan the mission again within the battery's power; keep the new plan if it is verified.
 
         Parameters
         ----------
         carry_out : callable
-            Applies strategies to a candidate.
+            Takes a candidate and applies the planning strategies to it.
 
         Returns
         -------

@@ -1,9 +1,9 @@
 """Routes raised over terrain: climbs and descents that keep a straight leg above the floor.
 
-A leg is the line between two corners of a route. Where it is too low, it is raised: it climbs
-straight from its start until the line ahead clears the floor everywhere, continues level at the
-greatest height that the terrain requires, and descends in the same way.  Where climb and descent
-meet at nearly that height, the leg has a single corner.
+A leg is the line between two corners of a route. A leg that is too low over the terrain is raised:
+it climbs straight from its start until the line ahead clears the floor everywhere, continues level
+at the greatest height that the terrain requires, and descends straight to its end. Where climb and
+descent meet at nearly that height, the leg has a single corner.
 """
 
 from itertools import pairwise

@@ -1,7 +1,7 @@
-"""Columns of a table of a flight: name, variable of the model, unit, words and symbol.
+"""Columns of a flight's table: name, variable of the model, unit, description and symbol.
 
-An angle is stored in rad and printed in degrees: ``scale`` turns a stored value into the printed
-unit.
+Tables hold values in the units of the model. A factor, ``scale``, converts them to the printed
+unit: angles, for example, are stored in rad and printed in degrees.
 """
 
 from __future__ import annotations
@@ -22,11 +22,15 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation import Dynamics
 
 
+# Names of columns: time, energy, and wind along world x and y.
 TIME = "time_s"
 ENERGY = "energy_J"
 WIND = ("wind_x_m_per_s", "wind_y_m_per_s")
+#: Numbers of the rotors of a quadrotor.
 ROTORS = (1, 2, 3, 4)
+# Beginning of the names of the controls, the rotor accelerations.
 _ROTOR_CONTROL = "rotors.alpha["
+# Degrees in a radian: angles are stored in rad and printed in degrees.
 _IN_DEGREES = degrees(1.0)
 # Printed unit -> stored unit, where they differ.
 _STORED_UNITS = {"°": "rad", "°/s": "rad/s", "mN m": "N m"}

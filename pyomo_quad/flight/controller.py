@@ -1,10 +1,12 @@
-"""Adaptive backstepping controller, in place of the one that the paper (Yacef et al.) cites.
+"""Adaptive backstepping controller for position and attitude of a quadrotor.
 
-Law, Lyapunov proof and limits: see docs/theory/controller.md, eqs. (1) to (11).
+The paper (Yacef et al.) cites such a controller without giving its equations; this module has a
+controller of the same kind. Law, Lyapunov proof and limits: see docs/theory/controller.md, eqs. (1)
+to (11).
 
-The control law is written once, with arithmetic and NumPy's functions of single numbers, and has no
-branch that depends on a value: called with numbers it gives numbers, called with the engine's
-symbols it is compiled together with the vehicle.
+The control law is written once for two uses. Called with numbers, it returns numbers; called with
+symbols of the engine, it returns expressions that are compiled together with the vehicle. It
+therefore uses only arithmetic and NumPy's scalar functions, and no branch depends on a value.
 """
 
 from collections.abc import Iterable, Sequence
@@ -25,7 +27,7 @@ Vector = Sequence[float]
 
 
 class AttitudeKinematics(Protocol):
-    """Interface: relation of roll, pitch and yaw to the body rates, and its time derivative."""
+    """Interface: relation between the rates of roll, pitch and yaw and the body rates."""
 
     def angle_rates(self, attitude: Vector, body_rates: Vector, /) -> Vector:
         """Return the rates of roll, pitch and yaw for given body rates [rad/s]."""
@@ -33,19 +35,26 @@ class AttitudeKinematics(Protocol):
     def angle_accelerations(
         self, attitude: Vector, body_rates: Vector, body_accelerations: Vector, /
     ) -> Vector:
-        """Return the accelerations of roll, pitch and yaw for given body accelerations, rad/s^2."""
+        """Return the second derivatives of roll, pitch and yaw for given body accelerations.
+
+        The attitude is in rad, the rates are in rad/s, the accelerations in rad/s^2.
+        """
 
     def body_accelerations(
         self, attitude: Vector, body_rates: Vector, angle_accelerations: Vector, /
     ) -> Vector:
-        """Return the angular accelerations about body axes for given angle accelerations.
+        """Return the angular accelerations about the body axes for given second angle derivatives.
 
-        Both are in rad/s^2.
+        `angle_accelerations` holds the second derivatives of roll, pitch and yaw. All accelerations
+        are in rad/s^2.
         """
 
 
 class EquatedRates:
-    """Kinematics of eq. (9) of the paper (Yacef et al.), which equates angle and body rates."""
+    """Simplified kinematics: rates of roll, pitch and yaw equal the body rates.
+
+    This is eq. (9) of the paper (Yacef et al.).
+    """
 
     def angle_rates(self, _attitude: Vector, body_rates: Vector) -> Vector:
         """Return the body rates unchanged, as the rates of roll, pitch and yaw [rad/s]."""
@@ -54,18 +63,21 @@ class EquatedRates:
     def angle_accelerations(
         self, _attitude: Vector, _body_rates: Vector, body_accelerations: Vector
     ) -> Vector:
-        """Return the body accelerations unchanged, as those of roll, pitch and yaw [rad/s^2]."""
+        """Return the body accelerations unchanged: they equal the accelerations of the angles.
+
+        All are in rad/s^2; the angles are roll, pitch and yaw.
+        """
         return body_accelerations
 
     def body_accelerations(
         self, _attitude: Vector, _body_rates: Vector, angle_accelerations: Vector
     ) -> Vector:
-        """Return the accelerations of roll, pitch and yaw unchanged, as body accelerations."""
+        """Return the angle accelerations unchanged: they equal the body accelerations [rad/s^2]."""
         return angle_accelerations
 
 
 class EulerRates:
-    """Exact kinematics of Euler angles and their derivative, Beard and McLain (2012), eq. (3.3)."""
+    """Exact kinematics of the Euler angles: Beard and McLain (2012), eq. (3.3), with derivative."""
 
     def angle_rates(self, attitude: Vector, body_rates: Vector) -> Vector:
         """Return the rates of roll, pitch and yaw [rad/s], singular at a pitch of 90 degrees."""
@@ -151,17 +163,18 @@ def rotor_columns(dynamics: Dynamics) -> list[int]:
 
 
 def mixer_matrix(dynamics: Dynamics) -> FloatArray:
-    """Return the matrix from squared rotor speeds to thrust and moments, eq. (7).
+    """Return the matrix that maps squared rotor speeds to total thrust and body moments.
 
     Parameters
     ----------
     dynamics : Dynamics
-        Evaluated with one rotor at a time turning at 1 rad/s.
+        The vehicle; its thrust and moments are evaluated with one rotor at a time turning at 1
+        rad/s.
 
     Returns
     -------
     ndarray, shape (4, n_rotors)
-        Thrust, roll, pitch and yaw moment over the squared speeds of the rotors.
+        Rows: thrust [N s^2] and roll, pitch and yaw moment [N m s^2] per squared rotor speed.
     """
     columns = rotor_columns(dynamics)
     X = np.zeros((len(columns), len(dynamics.state_names)))
@@ -303,27 +316,27 @@ def bend(magnitude: float, limit: float) -> float:
 
 
 def braking_rate(error: float, gain: float, acceleration_max: float) -> float:
-    """Return the rate at which to reduce an error so that limited deceleration can stop at zero.
+    """Return the rate at which to reduce an error so that limited deceleration can end it at zero.
 
     Parameters
     ----------
     error : float
-        Distance to go.
+        Tracking error e, in any unit.
     gain : float
-        Rate over error for small errors, 1/s.
+        Ratio of rate to error for small errors [1/s].
     acceleration_max : float
-        Largest deceleration available.
+        Largest deceleration a available, in the unit of the error per s^2.
 
     Returns
     -------
     float
-        ``gain * error`` for small errors, the square root of ``acceleration_max * error`` for
-        large ones.
+        Rate r: ``gain * error`` for small errors, the square root of ``acceleration_max * error``
+        for large ones.
 
     Notes
     -----
-    Along the returned curve the deceleration r dr/de equals a/2 q (2 + q) / (1 + q)^2 with
-    q = gain^2 |e| / a: it never exceeds half of what is available, whatever the gain.
+    Along the returned curve the deceleration r dr/de equals a/2 q (2 + q) / (1 + q)^2 with q =
+    gain^2 |e| / a: for every gain it is less than half of the available deceleration.
     """
     return gain * error / np.sqrt(1 + gain**2 * np.abs(error) / acceleration_max)
 
@@ -358,6 +371,8 @@ def project(estimate: Sequence[float], rate: Sequence[float], bound: float) -> l
     return [r - turned * d for d, r in zip(estimate, rate, strict=True)]
 
 
+# Axes of a loop (x, y, z or roll, pitch, yaw), and states of a loop: two states for the actuators'
+# lag and one estimated disturbance for each axis.
 _AXES = 3
 STATES_PER_LOOP = 3 * _AXES
 
@@ -394,7 +409,7 @@ class BacksteppingLoop:
         error_rate: Sequence[float],
         learnt: Sequence[float] = (0.0,) * _AXES,
     ) -> list[float]:
-        """Return the initial states of the loop: those with compensated errors of zero.
+        """Return the initial states of the loop, for which the compensated errors are zero.
 
         Parameters
         ----------
@@ -406,7 +421,7 @@ class BacksteppingLoop:
         Returns
         -------
         list of nine floats
-            The loop's states.
+            The states of the loop.
         """
         shrink = _shrink(error, self.reach)
         missing = [
@@ -473,7 +488,10 @@ class BacksteppingLoop:
 
 
 def _shrink(vector: Sequence[float], reach: float) -> float:
-    """Return the factor 1 / sqrt(1 + |v|^2 / reach^2) that limits a vector v to a length."""
+    """Return the factor 1 / sqrt(1 + |v|^2 / reach^2), which limits the length of a vector v.
+
+    The product of factor and vector is always shorter than `reach`.
+    """
     a, b, c = vector
     return 1 / np.sqrt(1 + (a * a + b * b + c * c) / reach**2)
 
@@ -489,17 +507,17 @@ _LEAST_SUPPORT = 0.3
 
 
 def thrust_direction(roll: float, pitch: float, yaw: float) -> tuple[float, float, float]:
-    """Return the unit vector of the thrust in world axes, eq. (6) rows 1 to 3.
+    """Return the unit vector of the thrust in world axes, for a given attitude.
 
     Parameters
     ----------
     roll, pitch, yaw : float
-        Attitude, rad.
+        Attitude [rad].
 
     Returns
     -------
     tuple of three floats
-        In world axes.
+        Components along world x, y and z (up).
     """
     ahead, aside = np.cos(roll) * np.sin(pitch), np.sin(roll)
     return (
@@ -515,7 +533,7 @@ def tilt_toward(force: Sequence[float], yaw: float) -> tuple[float, float]:
     Parameters
     ----------
     force : sequence of three floats
-        In world axes, its vertical part positive.
+        Force in world axes; its vertical component must be positive.
     yaw : float
         Present yaw, rad.
 
@@ -536,8 +554,9 @@ def _size(vector: Sequence[float]) -> float:
 def followed_tilt(believed: Scenario) -> float:
     """Return the largest tilt that the controller of a scenario commands [rad].
 
-    It is the tilt with roll and pitch at their limits, or less: `baseline.gains.tilt_max` if given,
-    otherwise the tilt at which the largest commanded thrust still balances the weight.
+    A scenario may give it as `baseline.gains.tilt_max`. Otherwise it is the tilt at which the
+    largest commanded thrust still balances the weight. In both cases it is at most the tilt that
+    the limits on roll and pitch allow.
     """
     limits, gains, gravity = believed.limits, believed.baseline.gains, believed.gravity
     spare = limits.thrust_max / believed.vehicle.total_mass - gravity
@@ -552,11 +571,11 @@ class ThrustEnvelope:
     Parameters
     ----------
     gravity : float
-        m/s^2.
+        Gravitational acceleration [m/s^2].
     acceleration_max : float
-        Largest thrust over mass, which must exceed `gravity`, m/s^2.
+        Largest thrust divided by mass [m/s^2]; it must exceed `gravity`.
     tilt_max : float
-        Largest tilt of the thrust, rad.
+        Largest tilt of the thrust [rad].
     """
 
     def __init__(self, *, gravity: float, acceleration_max: float, tilt_max: float) -> None:
@@ -618,6 +637,7 @@ CONTROLLER_STATES = (
 _COMMAND_SHARE = 0.6
 # Ratio of rate gain to angle gain of the command filter: critical damping.
 _CRITICAL = 4.0
+# Indices of the horizontal components, and parts of the controller's state vector.
 _HORIZONTAL = (0, 1)
 _POSITION = slice(0, STATES_PER_LOOP)
 _ATTITUDE = slice(STATES_PER_LOOP, 2 * STATES_PER_LOOP)
@@ -627,6 +647,7 @@ COMMAND_SIZE = 18
 """Length of a command: place, rate and acceleration of a setpoint, four numbers each; accelerations
 along world x and y that the tilt is to give, and rates and accelerations of roll and pitch that are
 known beforehand, two numbers each."""
+# Parts of a command, in the order of `COMMAND_SIZE`; a reference may give no rates of tilt.
 _SETPOINT = slice(0, 4), slice(4, 8), slice(8, 12)
 _AHEAD, _TILT_RATE, _TILT_ACCELERATION = slice(12, 14), slice(14, 16), slice(16, COMMAND_SIZE)
 _UNKNOWN_TILTING = (0.0,) * 4
@@ -635,16 +656,18 @@ _UNKNOWN_TILTING = (0.0,) * 4
 class AdaptiveController:
     """Adaptive controller of a quadrotor: position loop, command filter, attitude loop, allocation.
 
-    The cascade: see docs/theory/controller.md.
+    The position loop commands a tilt, and the attitude loop follows it: see
+    docs/theory/controller.md.
 
     Parameters
     ----------
     believed : Scenario
         Vehicle, limits, gravity and gains that the controller assumes. It does not use the wind.
     mixer : ndarray, shape (4, n_rotors)
-        Thrust and moments over squared rotor speeds, of `mixer_matrix`.
+        Thrust and moments per squared rotor speed, as `mixer_matrix` returns them.
     learnt : sequence of three floats, optional
-        Initial estimate of the acceleration by the air [m/s^2], from an earlier part of the flight.
+        Initial estimate of the acceleration that the air causes [m/s^2], from an earlier part of
+        the flight.
     """
 
     def __init__(
@@ -682,7 +705,7 @@ class AdaptiveController:
     def started(
         self, setpoint: Setpoint, body: Sequence[float], last: Sequence[float] | None = None
     ) -> list[float]:
-        """Return the controller's states at the start of a flight, or of another reference.
+        """Return the controller's states at the start of a flight or of a new reference.
 
         Parameters
         ----------
@@ -691,8 +714,8 @@ class AdaptiveController:
         body : sequence of twelve floats
             The `MEASURED_STATES`.
         last : sequence of 22 floats, optional
-            The controller's states at the end of another reference. The attitude command continues
-            from them without a jump; only the position loop starts anew.
+            The controller's states at the end of the previous reference, if there was one. The
+            attitude command continues from them without a jump; only the position loop is reset.
 
         Returns
         -------
@@ -718,15 +741,16 @@ class AdaptiveController:
         ]
 
     def command(self, reference: ReferencePath, t: float) -> list[float]:
-        """Return the command that the reference gives the controller at time t [s].
+        """Return the controller's input from a reference path at time t [s].
 
         Returns
         -------
         list of `COMMAND_SIZE` floats
-            Setpoint (place, rate, acceleration), the accelerations along world x and y that the
-            tilt is to give, and rates and accelerations of roll and pitch.  Of a plan these are its
-            own at time t; of other references the accelerations are those at the later time at
-            which a tilt commanded now is reached, and the rates are zero.
+            Setpoint (position and yaw with two derivatives); the accelerations along world x and y
+            for which the vehicle tilts; rates and accelerations of roll and pitch. A plan gives all
+            of them at time t. Other references give no rates and accelerations of roll and pitch
+            (they are zero here), and the accelerations for the tilt are taken at a later time,
+            because the vehicle reaches a commanded tilt with a lag.
         """
         place, rate, acceleration, tilting = reference(t)
         if tilting is not None:
@@ -797,7 +821,7 @@ class AdaptiveController:
     def _most_rotor_acceleration(self, speed: float) -> float:
         """Return the largest rotor acceleration at a rotor speed [rad/s^2].
 
-        At high speed the lag of the motors reduces it.
+        At high rotor speed the lag of the motors reduces this limit.
         """
         most = self._rotor_acceleration_max
         if not self._motor_lag:
@@ -864,14 +888,14 @@ class AdaptiveController:
 
 
 def feedback_law(controller: AdaptiveController, dynamics: Dynamics) -> Law:
-    """Return the controller as a feedback law on the states of a vehicle.
+    """Return the controller as a feedback law that reads the full state vector of a vehicle.
 
     Parameters
     ----------
     controller : AdaptiveController
         The controller.
     dynamics : Dynamics
-        The vehicle, whose order of states and controls the law has.
+        The vehicle; it defines the order of states and controls.
 
     Returns
     -------

@@ -1,20 +1,23 @@
-"""Corridors through a wind field: cheap routes that lie apart, from a search on a grid.
+"""Corridors through a wind field: cheap routes that lie apart, found by a search on a grid.
 
-Places on a grid around start, goal and zones are joined to 16 neighbours each, where the straight
-line between is free and the wind along it known.  The cost of a line is that of steady flight over
-it in the wind of its ends and its middle: (P(a) + price of time) / g per metre, at the ground speed
-g of least cost.  The power P at airspeed a is tabulated once.  A field that changes with time is
-evaluated when a flight at constant speed would be there.
+A grid covers start, goal and zones. Straight lines join each point of the grid to 16 neighbours,
+except through zones and where the wind is unknown.  The cost of a line is the cost of steady flight
+along it: (P(a) + price of time) / g per metre, at the ground speed g that makes this cost least.
+The wind at both ends and in the middle of the line gives the airspeed a; the power P at airspeed a
+is tabulated once.  If the field changes with time, the wind at a place is taken at the time when a
+flight at constant speed would pass the place.
 
 Two searches by Dijkstra's method, from the start and from the goal, give the cheapest route through
-every place.  The cheapest of all is the first corridor.  Each next corridor is the cheapest route
-through any place that is farther than a separation from the corridors before, as long as it costs
-little more [1]_.  Such a route may make a detour for the sake of the place alone: its corners are
-removed where a straight line costs no more, and it is discarded if it then coincides with an
-earlier corridor.
+every grid point.  The cheapest of these routes is the first corridor.  The next corridor is the
+cheapest route through a grid point that lies farther than a given separation from all corridors
+found so far; the search ends when this route costs much more than the first [1]_.  A route that is
+found in this way may make a needless detour through its grid point. Therefore corners are removed
+where a straight line costs no more, and the route is discarded if it then coincides with an earlier
+corridor.
 
-The price of time is a weight of the duration in the cost [W]: that of the mission or, where the
-duration is fixed, the price at which the cheapest route takes this duration.
+The price of time [W] is the weight of the duration in the cost. If the duration is free, the
+mission states it; if the duration is fixed, it is chosen so that the cheapest route takes this
+duration.
 
 .. [1] Abraham, Delling, Goldberg and Werneck, "Alternative routes in road networks",
    ACM Journal of Experimental Algorithmics 18 (2013): routes through one place.
@@ -51,7 +54,9 @@ _MARGIN = 0.4
 # Airspeeds of the table of powers, and ground speeds that are compared on a line [m/s].
 _AIRSPEEDS = np.linspace(0.0, 24.0, 17)
 _GROUND_SPEEDS = np.linspace(0.5, 30.0, 60)
+# Halvings in the search for the price of time: it ends within 0.5 % of the power of hover.
 _HALVINGS = 12
+# Steps on the grid to half of the neighbours that a point is joined to; lines lead both ways.
 _NEIGHBOURS = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 1), (1, 2), (2, -1), (1, -2))
 # Fractions of a line at which the wind along it is evaluated.
 _SHARES = (0.0, 0.5, 1.0)
@@ -77,9 +82,10 @@ def steady_power(steady: SteadyFlight) -> Callable[[FloatArray], FloatArray]:
 
 
 class WindMap:
-    """Horizontal wind of a field at places and times, linear between the points of its grid.
+    """Horizontal wind of a field at any place and time, by linear interpolation on its grid.
 
-    Faster than the spline of the model, for a search on a grid.
+    The search on a grid evaluates the wind very often; linear interpolation is faster than the
+    spline of the model.
     """
 
     def __init__(self, told: Scenario) -> None:
@@ -123,11 +129,12 @@ class LineCosts:
     wind : WindMap
         Wind of the field.
     power : callable
-        Power of level flight [W] over airspeed [m/s].
+        Takes airspeeds [m/s] and returns the power of level flight [W].
     ends : ndarray, shape (2, 3)
         Ends of the leg, from one waypoint to the next [m].
     duration : float
-        Duration of the leg, or its guess [s], for the time at which a place is passed.
+        Duration of the leg or, if it is free, a guess of it [s]; it gives the time at which the
+        flight passes a place.
     fastest : float
         Limit on the ground speed, m/s.
     """
@@ -227,7 +234,7 @@ def corridor_journeys(
     steady : SteadyFlight
         Steady flight in still air.
     shortest : tuple of Route
-        The shortest journey.
+        The shortest journey, regardless of the wind.
     """
     power = steady_power(steady)
     shares = np.array([max(route.length, 1e-9) for route in shortest])
@@ -250,11 +257,11 @@ class Corridors:
     told : Scenario
         The mission in its forecast wind.
     power : callable
-        Power of level flight in still air [W] over airspeed [m/s].
+        Takes airspeeds [m/s] and returns the power of level flight in still air [W].
     ends : ndarray, shape (2, 3)
         Start and goal of the leg [m].
     duration : float
-        Duration of the leg, or its guess, s.
+        Duration of the leg or, if it is free, a guess of it [s].
     """
 
     def __init__(

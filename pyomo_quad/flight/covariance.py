@@ -36,6 +36,8 @@ from pyomo_quad.model.turbulence import (
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.tables import Reference
 
+# Number added to all states before differentiation (units of the states): the derivative of a norm
+# is not defined at zero.
 _OFF_NOUGHT = 1e-9
 
 

@@ -24,7 +24,10 @@ class TimeIsUpError(SolveError):
 
 @dataclass
 class _Watch:
-    """End of the time limit on the processor clock of the process that checks it."""
+    """Time limit in processor seconds, and whether it has passed; usable after a process fork.
+
+    The clock is the processor time of the calling thread.
+    """
 
     limit_s: float
     end: float
@@ -59,13 +62,13 @@ _CURRENT: ContextVar[_Watch | None] = ContextVar("time_limit", default=None)
 class Deadline:
     """Context that stops solves and simulations in its block at the scenario's time limit.
 
-    A deadline inside the block of another one shares its limit, because a command has a single
-    limit.
+    A deadline inside the block of another deadline uses the limit of the outer one, because a
+    command has a single time limit.
 
     Parameters
     ----------
     scenario : Scenario
-        Its `solver.time_limit` is the limit [s of processor time].
+        Scenario whose `solver.time_limit` is the limit [s of processor time].
     progress : callable, optional
         The caller's own callback, which may stop a solve earlier.
     longest_s : float, optional

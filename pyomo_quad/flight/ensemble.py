@@ -1,12 +1,13 @@
 """Simulation of many flights of one plan, each with its own random wind and mass.
 
-The control law and the declared equations are those of a single flight. Only the integration
-differs: Runge-Kutta steps of fixed length, mapped over the flights. A step is at most
-`LONGEST_STEP_S`, the time over which the noise of turbulence is constant, and short compared with
-the controller's fastest loop; a test compares it with SciPy's adaptive integration.
+The control law and the declared equations are the same as for a single flight. Only the integration
+differs: all flights together take Runge-Kutta steps of fixed length. A step is at most
+`LONGEST_STEP_S`, the time over which the noise of the turbulence is constant, and short compared
+with the fastest mode of the closed loop. A test compares the result with SciPy's adaptive
+integration.
 
-Every flight is assessed like a single flight: by the declared limits, between and at the waypoints,
-and by its arrival.
+Every flight is assessed in the same way as a single flight: whether it keeps the declared limits
+and those at the waypoints, and whether it arrives at the goal.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -51,6 +52,8 @@ LONGEST_STEP_S = 0.02
 # exact solution; and largest product of step length and rate of the fastest mode, below the
 # stability limit of the method, 2.78.
 _SHARE_OF_LAG, _STABLE = 1.2, 2.2
+# Number added to all states before differentiation (units of the states): the derivative of a norm
+# is not defined at zero.
 _OFF_NOUGHT = 1e-6
 # Steps between two samples of a flight. At 25 samples per second, a path at 10 m/s around a corner
 # of 2 m radius deviates from its chord by 1 cm.
@@ -58,6 +61,7 @@ _STEPS_PER_SAMPLE = 2
 # Number of flights whose limits are evaluated in one call; more take more memory and no less time.
 _JUDGED_AT_ONCE = 25
 
+# Words for a miss of the goal, too much speed at the goal, and a lack of battery power or charge.
 NOT_THERE = "distance from the goal at the end"
 NOT_AT_REST = "speed at the end"
 NOT_FED = "power or charge of the pack"
@@ -72,9 +76,9 @@ class Draws:
     count : int
         Number n of flights.
     numbers : mapping to ndarray, shape (n,)
-        Parameters of the vehicle and the air.
+        Parameters of the vehicle and the air that are constant during a flight.
     noise : mapping to ndarray, shape (n_steps, n)
-        Parameters over time, constant over steps of `LONGEST_STEP_S`.
+        Parameters that change during a flight; each value applies for `LONGEST_STEP_S` seconds.
     start : mapping to ndarray, shape (n,)
         States at take-off.
     """
@@ -155,11 +159,11 @@ class Squadron:
     Parameters
     ----------
     scenario : Scenario
-        The mission, with fixed times, and the vehicle as the controller knows it.
+        The mission, with fixed times, and the vehicle as the controller assumes it.
     dynamics : Dynamics
         The vehicle in the actual wind, before random numbers are applied.
     reference : callable
-        Time [s] -> Setpoint.
+        Takes a time [s] and returns the `Setpoint` to follow.
     varied : sequence of str
         Full names of the parameters, constant or over time, that differ between the flights.
     """
@@ -212,9 +216,10 @@ class Squadron:
         return self._judged(flown, draws)
 
     def _fastest_rate(self) -> float:
-        """Return the largest eigenvalue magnitude of the closed loop at take-off [1/s].
+        """Return the decay rate of the fastest mode of the closed loop at take-off [1/s].
 
-        Rotors that react on the body make the yaw loop several times faster than any gain.
+        The reaction of the body to accelerating rotors makes the yaw loop several times faster than
+        any gain of the controller.
         """
         loop = ClosedLoop(
             self._dynamics,
@@ -318,7 +323,7 @@ class Squadron:
 def _step_times(scenario: Scenario, fastest_rate: float) -> FloatArray:
     """Return the times of all integration steps [s], aligned with the steps of the noise.
 
-    `fastest_rate` is that of the fastest mode of the closed loop [1/s].
+    `fastest_rate` is the decay rate of the fastest mode of the closed loop [1/s].
     """
     gains, end = scenario.baseline.gains, scenario.mission.fixed_duration
     fastest = max(gains.rotor, gains.attitude_rate, gains.force_identification)

@@ -1,4 +1,4 @@
-"""Check whether a plan stays in the range in which measured flights validate its vehicle."""
+"""Check of a plan against the range of flight in which measurements validate the vehicle."""
 
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
@@ -23,14 +23,14 @@ _SAMPLES = 2001
 
 
 def departures(plan: "Plan") -> tuple[str, ...]:
-    """Return the quantities in which a plan leaves the validated range of its vehicle.
+    """Return a message for each quantity in which a plan leaves the validated range of its vehicle.
 
     The validated range of airspeed, climb, descent and payload is that of measured flights.
 
     Returns
     -------
     tuple of str
-        Each with amount and time, as "airspeed to 17.2 m/s, 16 m/s confirmed, for 3.1 s".
+        Messages such as "airspeed to 17.2 m/s, 16 m/s confirmed, for 3.1 s".
     """
     return tuple(
         departures_of(
@@ -40,9 +40,9 @@ def departures(plan: "Plan") -> tuple[str, ...]:
 
 
 def departures_of(scenario: Scenario, flown: Mapping[str, FloatArray]) -> Iterator[str]:
-    """Yield the quantities in which a flight's table leaves the validated range of its vehicle.
+    """Yield a message for each quantity of a flight outside the validated range of its vehicle.
 
-    `flown` holds the columns of the table by name.
+    `flown` is the table of the flight, as a mapping from column names to values.
     """
     validated, carried = scenario.vehicle.validated, scenario.vehicle.payload
     if validated.payload is not None and carried > validated.payload:

@@ -70,7 +70,7 @@ class Resolve:
     t : float
         Time in flight at which the solve began [s].
     arrived_at : float
-        Time in flight at which its plan was available [s].
+        Time in flight at which the plan from this solve was available [s].
     """
 
     t: float
@@ -94,7 +94,7 @@ class Flight(Summarised):
     frame : DataFrame
         Dense table with the columns `COLUMNS`.
     energy_J : float
-        Energy spent, integrated with the flight.
+        Energy spent, integrated together with the equations of motion.
     duration_s : float
         Time from the first to the last sample.
     terminal_miss : mapping
@@ -106,17 +106,17 @@ class Flight(Summarised):
     worst_constraint : str
         Name of the limit with that violation.
     is_verified : bool
-        Whether an independent integration confirmed the flight, and the battery's power balance
-        closes all along it.
+        Whether a second, independent integration confirmed the flight, and the battery supplies the
+        required power throughout.
     wall_s : float
-        Computing time.
+        Computing time [s], by the clock.
     owed_energy_J : float
-        Energy needed to reach the required end from the flight's end state, estimated from the
-        plan's costates; NaN if no plan has costates for it.
+        Energy needed to reach the required end state from the flight's end state, estimated from
+        the costates of a plan; NaN without a plan whose costates apply.
     broken_limits : tuple of str
         Every limit of the model that the flight violates, with the amount, the worst first.
     resolves : tuple of Resolve
-        The solves of a flight whose plan was replaced on the way.
+        Record of each solve, if the plan was replaced during the flight.
     doubt : str
         Reason why a controlled flight is not verified, with the value found and the value allowed.
     """
@@ -138,7 +138,7 @@ class Flight(Summarised):
 
     @property
     def summary(self) -> dict[str, str]:
-        """Name, energy, distance from the goal and duration."""
+        """Name, energy, duration, distance from the goal and verification, as text."""
         return {
             "flight": self.name,
             "energy": f"{self.energy_J:.2f} J",
@@ -148,15 +148,15 @@ class Flight(Summarised):
         }
 
     def priced(self, end_prices: Mapping[str, float]) -> Flight:
-        """Return the flight with its energy to complete, estimated from a plan's costates.
+        """Return the flight with an estimate of the energy to complete it, from a plan's costates.
 
-        The energy to complete is that from the flight's end state to the required end state.
+        This is the energy needed to reach the required end state from the flight's end state.
 
         Parameters
         ----------
         end_prices : mapping
-            State name -> costate at the plan's end, J per unit of the state; if empty, the energy
-            to complete is NaN.
+            State name -> costate at the end of the plan, J per unit of the state; if empty, the
+            estimate is NaN.
         """
         owed = sum(price * self.terminal_miss.get(name, 0.0) for name, price in end_prices.items())
         return replace(self, owed_energy_J=owed if end_prices else nan)
@@ -230,7 +230,7 @@ def broken_limits(
     Parameters
     ----------
     dynamics : Dynamics
-        Source of the units.
+        Dynamics of the vehicle, which give the unit of each limit.
     breaches : sequence of Violation
         Largest violation of each limit.
     allowed : mapping
@@ -241,7 +241,7 @@ def broken_limits(
     Returns
     -------
     tuple of str
-        As "roll angle by 0.2 rad".
+        Descriptions such as "roll angle by 0.2 rad".
     """
     return tuple(
         breach_words(found, dynamics.unit(found.name))

@@ -31,9 +31,9 @@ def integrate(
     remedy: str,
     **options: Any,
 ) -> FloatArray:
-    """Return the states at given times, shape (n_states, n_times), integrated over a span.
+    """Integrate differential equations over a span; return the states at given times.
 
-    The integration is restarted at given edges.
+    The result has shape (n_states, n_times). The integration is restarted at given edges.
 
     An integrator that steps over a jump of the rates repeats steps until they are as short as its
     tolerance requires: hundreds of evaluations per jump. A restart takes about twenty.
@@ -53,7 +53,7 @@ def integrate(
     flight, remedy : str
         Beginning and end of the message if the integration fails.
     **options
-        Options of `scipy.integrate.solve_ivp`.
+        Further options of `scipy.integrate.solve_ivp`.
 
     Raises
     ------
@@ -85,7 +85,11 @@ def integrate(
 
 
 def _within(rates: Rates, first: float, last: float) -> Rates:
-    """Return a right-hand side that is evaluated only between two jumps, not at the jumps."""
+    """Return the right-hand side with its time limited to the inside of an interval.
+
+    The rates jump at both ends of the interval, `first` and `last` [s]; there, the right-hand side
+    is evaluated slightly inside.
+    """
     margin = _INSIDE * (last - first)
 
     def inside(t: float, y: FloatArray) -> FloatArray:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from pyomo_quad.flight.search import Search
     from pyomo_quad.scenario import Scenario
 
+# First mesh of a solve for the least time (elements, degree), and its largest number of iterations.
 _MESH = (10, 4)
 _OPTIONS = SolverOptions(max_iterations=300)
 # Number of meshes of a first estimate of the least time, which suffices unless the mission's
@@ -45,8 +46,8 @@ def shortest_flight(
 ) -> Solution | None:
     """Solve for the least duration of a mission.
 
-    A few meshes suffice unless the mission's duration is close to the result: then the meshes are
-    refined to the mission's own tolerance.
+    The mesh is refined a few times only, unless the result is close to the duration of the mission:
+    then it is refined to the mission's own tolerance, to decide which is greater.
 
     Parameters
     ----------
@@ -125,9 +126,10 @@ class Approach:
     shortest : Solution
         Solution of least duration.
     solve : callable
-        Solves a scenario with a solution as the start; returns a plan.
+        Takes a scenario, a solution to start from (or None) and the search; returns a plan.
     search : Search
-        Stops each solve at a limit of effort, the iterations times the mesh points.
+        Search that stops each solve at a limit of effort; the effort is the sum of the numbers of
+        mesh points over all iterations.
     plans : list of Plan
         Plans made so far, in order of decreasing duration.
     """
@@ -150,11 +152,11 @@ class Approach:
         return tuple(dict.fromkeys(min(max(time, least), greatest) for time in above))
 
     def goes_on(self) -> bool:
-        """Return whether to solve for a shorter duration, which needs a verified last plan."""
+        """Return whether to solve for a shorter duration: only if the previous plan is verified."""
         return not self.plans or self.plans[-1].is_verified
 
     def fly(self, lasting: float) -> str:
-        """Solve the mission in a duration ``lasting`` [s], from the last plan, with limited effort.
+        """Solve the mission for a duration ``lasting`` [s], starting from the previous plan.
 
         Returns
         -------

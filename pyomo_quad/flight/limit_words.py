@@ -59,7 +59,10 @@ def limit_words(name: str) -> str:
 
 
 def limit_amount(name: str, size: float, unit: str) -> tuple[float, str]:
-    """Convert the size of a limit and its unit for readers: m/s where the model has m**2/s**2.
+    """Convert the size of a limit and its unit to the form that readers see.
+
+    The model has limits on squares of speeds and distances, in m**2/s**2 or m**2; readers see m/s
+    and m.
 
     Returns
     -------

@@ -1,9 +1,9 @@
 """Initial guess and meshes for a long flight: accelerate, cruise, brake.
 
-A vehicle changes its attitude within a second, whatever the duration of the flight.  If equal
-elements would be longer than that, the mesh has short elements at both ends that grow towards the
-middle.  The cruise speed of the guess follows from the duration or, if that is free, is the speed
-of least energy per metre.
+A vehicle changes its attitude within a second, whatever the duration of the flight. If elements of
+equal length would be longer than a second, the mesh has short elements at both ends, and their
+length grows towards the middle. The cruise speed of the guess follows from the duration or, if that
+is free, is the speed of least energy per metre.
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ _BENDING_S, _MORE = 1.0, 2
 # Acceleration and jerk of an initial guess, m/s^2 and m/s^3, and the range of its speeds, m/s.
 _ACCELERATION, _JERK = 2.0, 4.0
 _SPEEDS = 1.0, 30.0
+# Tolerance of the cheapest speed [m/s], enough for a guess, and number of samples of the guess.
 _SPEED_TOLERANCE = 0.1
 _SAMPLES = 400
 
@@ -91,8 +92,9 @@ def guess_of(scenario: Scenario, steady: SteadyFlight) -> dict[str, Any] | None:
     Returns
     -------
     dict or None
-        "time", "duration" (if it is free) and names of states -> samples, shape (n,); None if start
-        and goal coincide or there is no steady flight at the cruise speed.
+        Keys "time" and the names of states hold samples, shape (n,); "duration" is the duration
+        [s], if it is free. None if start and goal coincide, or if there is no steady flight at the
+        cruise speed.
     """
     from scipy.interpolate import CubicHermiteSpline  # noqa: PLC0415  few flights are long
 
@@ -137,9 +139,10 @@ def guess_of(scenario: Scenario, steady: SteadyFlight) -> dict[str, Any] | None:
 def _over_the_ground(
     airspace: Airspace, guess: dict[str, Any], when: FloatArray
 ) -> dict[str, FloatArray]:
-    """Return height and climb rate of a guess whose path is raised where it is below the floor.
+    """Return height and climb rate of a guess, raised where its path is too low over terrain.
 
-    Empty without terrain or floor.
+    The result maps the names of the two states to samples; it is empty if the mission has no
+    terrain or no least height.
     """
     places = np.column_stack([guess[name] for name in POSITION_STATES])
     if airspace.ground is None or airspace.floor is None:
@@ -157,9 +160,10 @@ def _columns(
 
 
 def _speed_for(distance: float, duration: float) -> float:
-    """Return the cruise speed at which a flight over a distance takes a duration [m/s].
+    """Return the cruise speed at which a flight over a distance takes a given duration [m/s].
 
-    If the duration is too short, it is the speed that comes nearest.
+    If the duration is too short for any cruise speed, the result is the speed of the quickest
+    flight.
     """
     # Acceleration and braking take speed / acceleration longer than cruise, plus the time of the
     # jerk phases.

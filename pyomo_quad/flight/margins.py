@@ -1,7 +1,8 @@
-"""Margins of a plan: amounts by which its limits are tightened for the controller to use.
+"""Margins of a plan: amounts by which its limits are tightened, to leave room for the controller.
 
-A margin applies to a field of the scenario, in the field's unit.  Fields are parameters of the
-compiled problem, so that the problem can be solved with other margins without compiling it again.
+A margin applies to a field of the scenario, in the unit of that field.  The fields are parameters
+of the compiled problem, so that the problem can be solved with other margins without compiling it
+again.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -71,12 +72,12 @@ class RiskTaken:
     asked : float
         Largest risk that the scenario allows.
     predicted : float
-        Risk predicted by the linear covariance.
+        Risk predicted from the covariance of flights, by a linear model.
     failed, flown : int
-        Number of test flights that broke a limit, and of all test flights. They had no part in
-        finding the margins.
+        Number of test flights that broke a limit, and number of all test flights. The margins were
+        found without these flights.
     is_had : bool
-        Whether the test flights keep the allowed risk.
+        Whether the share of failed test flights is small enough for the allowed risk.
     margins : mapping
         Field of the scenario -> amount by which the plan tightened it, in the field's unit.
     paper_energy_J : float
@@ -101,19 +102,19 @@ class RiskTaken:
     stopped: str = ""
 
     def price(self, energy: float) -> tuple[float, float]:
-        """Return the energy that the margins cost: in J, and in % of the plan without margins.
+        """Return the energy that the margins cost, in J and in % of the plan without margins.
 
-        `energy` is that of the plan with margins [J]. Margins are the amounts by which the plan
-        stays inside its limits.
+        Margins are the amounts by which the plan stays inside its limits. `energy` is the energy of
+        the plan with margins [J].
         """
         more = energy - self.paper_energy_J
         return more, 100.0 * more / self.paper_energy_J
 
     def words(self, energy: float) -> str:
-        """Return risk of a broken limit, test flights and cost of the margins in sentences.
+        """Return a sentence on the risk, the test flights and the energy that the margins cost.
 
-        `energy` is that of the plan with margins [J]. Margins are the amounts by which the plan
-        stays inside its limits.
+        The risk is the probability that a flight breaks a limit; margins are the amounts by which
+        the plan stays inside its limits. `energy` is the energy of the plan with margins [J].
         """
         joules, percent = self.price(energy)
         price = f"the margins cost {joules:.3g} J ({percent:.2g} %)"
@@ -160,7 +161,7 @@ def tightened(scenario: Scenario, margins: Mapping[str, float]) -> Scenario:
 
 
 def used_up(planned: LimitValues, flown: LimitValues) -> Iterator[tuple[str, float]]:
-    """Yield how much nearer a flight is to each limit than its plan, by scenario field.
+    """Yield by how much a flight comes nearer to a limit than its plan, for both ends of the limit.
 
     Parameters
     ----------
@@ -170,8 +171,8 @@ def used_up(planned: LimitValues, flown: LimitValues) -> Iterator[tuple[str, flo
     Yields
     ------
     (str, float)
-        Field that sets an end of the limit, and largest decrease of the distance from it, in the
-        unit of the limit.
+        Scenario field that sets the lower or upper end of the limit, and the largest amount by
+        which the flight is nearer to this end than the plan, in the unit of the limit.
     """
     fields = FIELDS.get(planned.name.partition("[")[0], ("", ""))
     for side, name in zip((1.0, -1.0), fields, strict=True):
@@ -197,7 +198,10 @@ def _narrowed(waypoint: Waypoint, margins: Mapping[str, float]) -> Waypoint:
 
 
 def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> tuple[float, ...]:
-    """Return the times at which flights must pass the waypoints of a plan with early hovers.
+    """Return the times at which flights must pass the waypoints, from the times of a plan.
+
+    If a plan starts its hovers earlier than required, as a margin, flights must only hover from the
+    required time on.
 
     Parameters
     ----------
@@ -215,7 +219,7 @@ def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> 
 
 
 def greatest_margin(scenario: Scenario, name: str) -> float:
-    """Return the largest margin on a scenario field that can leave the mission feasible.
+    """Return the largest margin on a scenario field with which the mission may remain feasible.
 
     A margin is the amount by which a plan tightens the field, in the unit of the field.
     """

@@ -1,6 +1,7 @@
-"""Compiled problem of a mission, and its solves with the mission's or easier parameters.
+"""Compiled problem of a mission, and its solves by continuation from easier problems.
 
-Easier parameters round the corner that the power has at zero if braking returns no energy.
+If braking returns no energy, the power has a corner at zero, which makes the problem hard to solve.
+In an easier problem the corner is rounded more widely.
 """
 
 from __future__ import annotations
@@ -60,10 +61,10 @@ class MissionProblem:
     Attributes
     ----------
     timings : mapping
-        Seconds for build and compile.
+        Seconds spent on building and compiling.
     easier : tuple of mapping
-        Parameter values that make the problem easier, the easiest first: a wider rounding of the
-        power's corner at zero. They are not used for a final plan.
+        Parameter values that make the problem easier, the easiest first: they round the corner that
+        the power has at zero more widely. A final plan never uses them.
     """
 
     def __init__(self, problems: Problems, told: Scenario, search: Search | None = None) -> None:
@@ -114,15 +115,15 @@ class MissionProblem:
         Parameters
         ----------
         numbers : dict, optional
-            Parameter values other than the mission's, by full name; the search then keeps no plan
-            of a finished mesh.
+            Parameter values that replace those of the mission, by full name. If given, solutions on
+            intermediate meshes are not offered to the search as plans.
         **chosen
             Arguments of `Problem.solve` that replace those of `arguments`.
 
         Returns
         -------
         Solution
-            Of any status.
+            Result, converged or not.
         """
         arguments = self.arguments | chosen
         if numbers:
@@ -133,16 +134,18 @@ class MissionProblem:
     def solve_roughly(self, **chosen: Any) -> Solution:
         """Solve the mission on one mesh with its easiest parameters.
 
-        These round the corner of the power at zero most widely. ``chosen`` as for `solve`.
+        The easiest parameters are those that round the corner of the power at zero most widely.
+        ``chosen`` holds arguments as for `solve`.
         """
         return self.solve(next(iter(self.easier), None), **{"tolerance": None} | chosen)
 
     def solve_from(self, guess: Any = None, mesh: Mesh | None = None) -> Solution:
         """Solve the mission from an initial guess, by continuation from easier parameters.
 
-        Each solve starts at the solution of the solve before. If a later solve fails on a
-        refined mesh, the easiest parameters are solved on that mesh, and the continuation
-        is repeated from there. Without easier parameters it is a single solve.
+        Easier parameters round the corner of the power at zero more widely. Each solve starts at
+        the solution of the previous solve. If a solve fails on a refined mesh, the problem with the
+        easiest parameters is solved on that mesh, and the continuation is repeated from that
+        solution. A mission without easier parameters is solved once.
 
         Parameters
         ----------
@@ -154,7 +157,7 @@ class MissionProblem:
         Returns
         -------
         Solution
-            With the mission's own parameters, of any status.
+            Result for the mission's own parameters, converged or not.
         """
         solution, easiest = self._by_way_of(self.easier, guess, mesh or self.arguments["mesh"])
         for _ in range(_MOST_RETURNS):
@@ -179,7 +182,7 @@ class MissionProblem:
         Returns
         -------
         Solution
-            The last solve.
+            Result of the last solve, converged or not.
         Solution or None
             The first successful solve with easier parameters.
         """
@@ -210,18 +213,19 @@ class MissionProblem:
     def unsolved(self, **chosen: Any) -> Solution:
         """Return the initial point of a solve as a solution that is not converged.
 
-        ``chosen`` as for `solve`.
+        It is evaluated without any iteration. ``chosen`` holds arguments as for `solve`.
         """
         options = SolverOptions(max_iterations=0)
         return self.solve(**{"tolerance": None, "options": options, "progress": None} | chosen)
 
     @staticmethod
     def in_own_variables(other: Solution, own: Solution) -> Trajectory:
-        """Return another problem's trajectory in the variables of this problem's solution ``own``.
+        """Return another problem's trajectory in the variables of this problem.
 
-        Variables that the other problem lacks, such as the battery's charge in a minimum-time
-        problem, get the values of the own solution; so do all static variables (those that are
-        constant in time) if they differ between the two problems.
+        `other` is the solution with that trajectory, ``own`` a solution of this problem. Variables
+        that the other problem lacks, such as the battery's charge in a minimum-time problem, get
+        their values from ``own``. So do all static variables (those that are constant in time), if
+        the two problems differ in them.
         """
         mine, held = own.problem.compiled.declared, other.problem.compiled.declared
         path, found, mesh = own.trajectory, other.trajectory, other.mesh

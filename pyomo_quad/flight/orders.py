@@ -1,8 +1,8 @@
 """Cheapest orders of places from a table of leg costs, and a lower bound for all orders.
 
-A table has the start in row 0, the goal in the last column, and the places between them; the cost
-of a leg (the flight from one place to another) may depend on its direction. Derivation of the
-bound: docs/theory/orders.md, eqs. (2) to (5).
+A leg is the flight from one place to another. Row 0 of the table belongs to the start, the last
+column to the goal, and the rows and columns between to the other places. The cost of a leg may
+depend on its direction. Derivation of the bound: docs/theory/orders.md, eqs. (2) to (5).
 """
 
 from dataclasses import dataclass
@@ -41,13 +41,13 @@ class OrderSearch:
     order : tuple of int
         The waypoints of the scenario in the order of the plan.
     cost_J : float
-        Sum of the energies of the legs of this order, each flown alone from hover to hover, plus
-        the price of time.
+        Cost of this order [J]: the sum over its legs (flights between consecutive places) of the
+        energy of a flight from hover to hover, plus the price of time.
     bound_J : float
-        Lower bound on this sum for all orders; legs without a solve count with an optimistic
-        prediction.
+        Lower bound on the cost of all orders [J]; for legs that were not solved it uses optimistic
+        predictions.
     solved, legs : int
-        Number of legs solved, and of all legs that an order may have.
+        Number of legs solved, and number of all legs that any order may use.
     """
 
     order: tuple[int, ...]
@@ -68,7 +68,7 @@ class OrderSearch:
 
     @property
     def line(self) -> str:
-        """Sentence on the search for the order of the waypoints and its accuracy."""
+        """Summary of the search for the order of the waypoints and its accuracy, in one line."""
         return (
             f"order of {len(self.order)} waypoints: the energies of its legs, planned one by one, "
             f"add up to at most {self.gap:.2%} above the best order; {self.solved} of {self.legs} "
@@ -79,14 +79,16 @@ class OrderSearch:
 def best_orders(costs: FloatArray, count: int) -> list[_Order]:
     """Return the cheapest orders of the places between start and goal, the cheapest first.
 
-    Exact up to `MOST_EXACT` places; above, the best orders that a local search finds.
+    The result is exact for up to `MOST_EXACT` places. For more places it holds the best orders that
+    a local search finds.
 
     Parameters
     ----------
     costs : ndarray, shape (n + 2, n + 2)
-        Cost of each leg; infinite if the leg is not allowed.
+        Cost of each leg (flight from one place to another), with the start in row 0 and the goal in
+        the last column; infinite if the leg is not allowed.
     count : int
-        Number of orders to return; fewer are returned if there are fewer.
+        Number of orders to return; fewer are returned if fewer exist.
 
     Returns
     -------
@@ -108,8 +110,8 @@ def cost_of(costs: FloatArray, order: _Order) -> float:
 def exact_orders(costs: FloatArray, count: int) -> list[_Order]:
     """Return the cheapest orders by dynamic programming (Held and Karp).
 
-    A state of the recursion is the set of places passed and the last of them [1]_; the `count` best
-    orders of each state are kept. Parameters and result as for `best_orders`.
+    A state of the recursion consists of the set of places passed and the place passed last [1]_;
+    the `count` best orders of each state are kept. Parameters and result as for `best_orders`.
 
     .. [1] Held and Karp, "A dynamic programming approach to sequencing problems", SIAM J. 10
        (1962).
@@ -149,10 +151,10 @@ def _traced_back(came_from: NDArray[np.int32], passed: int, row: int, count: int
 def search_orders(costs: FloatArray, count: int) -> list[_Order]:
     """Return the cheapest orders found by iterated local search.
 
-    Each step takes the best of all exchanges of two neighbouring blocks, which keep every direction
-    of flight, and of all reversals of a block [1]_. Descents are repeated from perturbed copies of
-    the best order; the random numbers are the same in every call. Parameters and result as for
-    `best_orders`.
+    A local change exchanges two neighbouring blocks of the order, which keeps the direction of
+    flight within the blocks, or reverses a block [1]_. Each step of a descent takes the best of all
+    local changes. Descents are repeated from perturbed copies of the best order; the random numbers
+    are the same in every call. Parameters and result as for `best_orders`.
 
     .. [1] Kanellakis and Papadimitriou, "Local search for the asymmetric traveling salesman
        problem", Operations Research 28 (1980).
@@ -185,7 +187,10 @@ def _without_infinities(costs: FloatArray) -> FloatArray:
 
 
 def _neighbours(n: int) -> IntArray:
-    """Return all permutations of 0, 1, ... n - 1 that one local change makes, in rows."""
+    """Return all permutations of 0, 1, ... n - 1 that a single local change makes, one per row.
+
+    A local change exchanges two neighbouring blocks or reverses a block.
+    """
     every = np.arange(n)
     rows = [
         np.concatenate([every[:i], every[j:k], every[i:j], every[k:]])
@@ -232,15 +237,17 @@ def _descended(costs: FloatArray, neighbours: IntArray, order: IntArray) -> IntA
 def least_cost(costs: FloatArray, reached: float) -> float:
     """Return a lower bound on the cost of every order.
 
-    The larger of two bounds: the least assignment of a successor to each place, and the tree bound
-    of [1]_ on a symmetric table; see docs/theory/orders.md.
+    It is the larger of two bounds: the cheapest assignment of a successor to each place, and the
+    bound by spanning trees [1]_ for symmetric costs; see docs/theory/orders.md.
 
     Parameters
     ----------
     costs : ndarray, shape (n + 2, n + 2)
-        Cost of each leg, for at least one place between start and goal.
+        Cost of each leg (flight from one place to another), for at least one place between start
+        and goal.
     reached : float
-        Cost of some order, the target of the ascent; no bound exceeds it.
+        Cost of a known order. It is the target of the iteration that raises the tree bound, and the
+        result never exceeds it.
 
     .. [1] Held and Karp, "The traveling-salesman problem and minimum spanning trees", Operations
        Research 18 (1970).
@@ -255,14 +262,13 @@ def least_cost(costs: FloatArray, reached: float) -> float:
 
 
 def _made_symmetric(costs: FloatArray, finite: FloatArray) -> FloatArray:
-    """Return symmetric costs of the legs: those of the cheaper direction, less potentials.
+    """Return symmetric costs of legs, for a lower bound on the cost of all orders.
 
-    From them follows a lower bound on the cost of all orders.
-
-    A leg is the flight from one place to another. A potential is a number for each place, whose
-    difference is subtracted from the cost of a leg; the cost of an order does not depend on
-    potentials, eq. (3). Climbs, and head wind against tail wind, are differences of potentials; a
-    leg allowed in one direction only gives no information on them.
+    A leg is the flight from one place to another. A potential is a number for each place; the
+    difference of the potentials of its two ends is added to the cost of a leg. This changes the
+    cost of no order, see docs/theory/orders.md, eq. (3), and it removes most of the dependence of
+    costs on direction, which climbs and head winds cause. The symmetric cost is that of the cheaper
+    direction. Legs that are allowed in one direction only do not enter the potentials.
     """
     potential = np.zeros(len(costs))
     is_both = np.isfinite(costs + costs.T)[1:-1, 1:-1]
@@ -277,10 +283,11 @@ def _made_symmetric(costs: FloatArray, finite: FloatArray) -> FloatArray:
 
 
 def _tree_bound(costs: FloatArray, reached: float) -> float:
-    """Return the largest minimum spanning tree cost over multipliers of the places, eq. (5).
+    """Return a lower bound on the cost of all orders, by minimum spanning trees.
 
-    The multipliers (prices) penalise places whose number of legs in the tree differs from that in
-    an order.
+    See docs/theory/orders.md, eq. (5). Multipliers (prices) of the places penalise a number of tree
+    legs at a place that no order has; subgradient steps maximise the bound over them. `costs` are
+    symmetric leg costs, `reached` is the cost of a known order.
     """
     degrees = np.full(len(costs), 2.0)
     degrees[[0, -1]] = 1.0
@@ -300,9 +307,9 @@ def _tree_bound(costs: FloatArray, reached: float) -> float:
 
 
 def _least_tree(costs: FloatArray) -> tuple[float, FloatArray]:
-    """Return the cost of the minimum spanning tree, eq. (4), and the degree of each place.
+    """Return the cost of the minimum spanning tree, and its number of legs at each place.
 
-    Prim's algorithm; the degree is the number of legs of the tree at a place.
+    The method is Prim's; see docs/theory/orders.md, eq. (4).
     """
     n = len(costs)
     degrees, nearest, by = np.zeros(n), costs[0].copy(), np.zeros(n, dtype=int)

@@ -7,10 +7,12 @@ drag of rotors, translational lift, parasitic drag by axis | k_d, k_z, k_h, c_Dx
 quadratic drag | added to c_Dx = c_Dy = c_Dz, on body axes
 linear drag | added to k_d = k_z, times four rotors at the speed of hover, at the rotors
 
-RotorPy's rotors have no inertia, so the gyroscopic moment and the reaction of the body to their
-acceleration are added to RotorPy's own moments. Its motors follow a command with a lag; at every
-moment the command is chosen that produces the desired acceleration. Energy is the declared power at
-RotorPy's rotor speeds. `Habits` restores, one at a time, the features of RotorPy's own simulation.
+The table shows which parameters of RotorPy (right) follow from the declared vehicle (left).
+RotorPy's rotors have no inertia, so the gyroscopic moment and the reaction of the body to
+accelerating rotors are added to RotorPy's own moments. RotorPy's motors follow a command with a
+lag; at every time the command is chosen that produces the desired rotor acceleration. Energy is the
+integral of the declared power at RotorPy's rotor speeds. `Habits` switches features of RotorPy's
+own simulation on again, one at a time.
 
 .. [1] Folk, Paulos and Kumar, "RotorPy: A Python-based Multirotor Simulator with Aerodynamics for
    Education and Research", arXiv 2306.04485.
@@ -62,6 +64,7 @@ Answer = tuple[Sequence[float], Sequence[float]]
 OutsideLaw = Callable[[float, FloatArray, Sequence[float]], Answer]
 """Control law: function of time, declared states of the vehicle, and the law's own states."""
 
+# Name of the simulator and of its module, and the message if it is not installed.
 PLANT = "rotorpy"
 MULTIROTOR = "vehicles.multirotor"
 _MISSING = "RotorPy is not installed; install it with pip install 'pyomo_quad[rotorpy]'."
@@ -95,7 +98,7 @@ class Pilot(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class BodyFrame:
-    """Rotation from RotorPy's body axes to the declared axes, and the order of the rotors."""
+    """Body axes and rotor numbers of RotorPy, relative to the declared vehicle."""
 
     turn: float = 0.0
     """Angle from the declared body x axis to RotorPy's [rad]."""
@@ -105,9 +108,9 @@ class BodyFrame:
 
 @dataclass(frozen=True, kw_only=True)
 class Habits:
-    """Switches for the deviations of RotorPy's own simulation from the declared equations.
+    """Differences of RotorPy's own simulation from the declared equations, as switches.
 
-    Without deviations, RotorPy's vehicle obeys the declared equations.
+    With the default values, RotorPy's vehicle obeys the declared equations.
     """
 
     gravity: float | None = None
@@ -179,10 +182,12 @@ def quad_parameters(scenario: Scenario, dynamics: Dynamics) -> dict[str, Any]:
 
 
 class OutsidePlant:
-    """RotorPy's multirotor behind the interface of the declared model, for simulations.
+    """RotorPy's multirotor, simulated with the states, controls and power of the declared model.
 
-    Its joint state is RotorPy's vector, the declared states that RotorPy lacks (the charge drawn
-    from the pack), the states of a control law, and the energy spent.
+    The declared model is the scenario's Pyomo model; its states are "declared states". The joint
+    state of a simulation is an array of RotorPy's state vector, the declared states that RotorPy
+    lacks (such as the charge drawn from the battery), the states of a control law, and the energy
+    spent.
 
     Parameters
     ----------
@@ -191,11 +196,11 @@ class OutsidePlant:
     dynamics : Dynamics
         The declared vehicle: its power, its battery and the wind.
     parameters : mapping, optional
-        RotorPy's parameters; by default those of the scenario's vehicle.
+        RotorPy's parameters; by default those that describe the scenario's vehicle.
     frame : BodyFrame, optional
-        Body axes of these parameters.
+        Body axes in which the parameters are given.
     habits : Habits, optional
-        Deviations from the declared equations.
+        Differences from the declared equations; none by default.
     """
 
     def __init__(
@@ -239,10 +244,11 @@ class OutsidePlant:
         self._wind = _wind_of(scenario, dynamics)
 
     def started(self, x: FloatArray, own: Sequence[float]) -> FloatArray:
-        """Return the initial joint state, from declared states and the control law's own states.
+        """Return the initial joint state from declared states and the control law's states.
 
-        The joint state has RotorPy's vector, further declared states, the law's states, and the
-        energy.
+        `x` holds the declared states, shape (n_states,), and `own` the states of the control law.
+        The joint state has RotorPy's vector, the declared states that RotorPy lacks, the law's
+        states, and the energy.
         """
         s = np.zeros(_SIZE)
         s[:6] = x[self._place]
@@ -255,8 +261,8 @@ class OutsidePlant:
     def read(self, joint: FloatArray) -> FloatArray:
         """Return the declared states, shape (n_states,), of a joint state.
 
-        The joint state has RotorPy's vector, further declared states, the law's states, and the
-        energy.
+        The joint state has RotorPy's vector, the declared states that RotorPy lacks, the states of
+        the control law, and the energy.
         """
         x = np.empty(len(self.dynamics.state_names))
         x[self._place] = joint[:6]
@@ -269,7 +275,7 @@ class OutsidePlant:
         return x
 
     def turned_back(self, vector: FloatArray) -> FloatArray:
-        """Rotate a vector from RotorPy's body axes to the declared ones, shape (3,)."""
+        """Rotate a vector, shape (3,), from RotorPy's body axes to the declared body axes."""
         return np.asarray(self._turn.apply(vector))
 
     def seen(self, x: FloatArray) -> dict[str, FloatArray]:
@@ -293,7 +299,11 @@ class OutsidePlant:
         return ordered
 
     def own(self, joint: FloatArray) -> list[float]:
-        """Return the control law's own states from a joint state of vehicle, law and energy."""
+        """Return the states of the control law from a joint state.
+
+        The joint state has RotorPy's vector, the declared states that RotorPy lacks, the states of
+        the control law, and the energy.
+        """
         return joint[_SIZE + len(self._others) : -1].tolist()
 
     def rates(self, t: float, joint: FloatArray, law: OutsideLaw) -> FloatArray:
@@ -304,9 +314,11 @@ class OutsidePlant:
         t : float
             Time [s].
         joint : ndarray
-            RotorPy's state, further declared states, states of the law, and energy.
+            RotorPy's state vector, the declared states that RotorPy lacks, the states of the law,
+            and the energy.
         law : callable
-            See `OutsideLaw`.
+            Control law: takes time, declared states and the law's own states; returns rotor
+            accelerations [rad/s^2] and the rates of the law's states.
         """
         x = self.read(joint)
         alpha, own_rates = law(t, x, self.own(joint))
@@ -348,13 +360,15 @@ class OutsidePlant:
         Parameters
         ----------
         law : callable
-            See `OutsideLaw`.
+            Control law: takes time, declared states and the law's own states; returns rotor
+            accelerations [rad/s^2] and the rates of the law's states.
         start : ndarray, shape (n_states,)
             Declared states at the start.
         own : sequence of float
-            The law's own states at the start.
+            Initial values of the law's own states.
         borders : sequence of float
-            Increasing times [s] between which the law is smooth, with both ends of the flight.
+            Increasing times [s] between which the law is smooth, including start and end of the
+            flight.
         integrator : str
             Method of `scipy.integrate.solve_ivp`.
         tolerance : float
@@ -363,7 +377,7 @@ class OutsidePlant:
         Returns
         -------
         Flown
-            Samples in the declared states.
+            Samples of the flight, with the states of the declared model.
 
         Raises
         ------
@@ -407,10 +421,11 @@ class OutsidePlant:
     def _slope(
         self, law: OutsideLaw, inside: float, last: float
     ) -> Callable[[float, FloatArray], FloatArray]:
-        """Return the time derivative of the joint state as a function of time and joint state.
+        """Return the right-hand side: time derivative of the joint state from time and joint state.
 
-        It raises a SolveError if the vehicle tumbles in the time up to `last` [s]. Before `inside`
-        [s] it is evaluated at `inside`, because the law may jump at the start of the period.
+        The function raises a SolveError if the vehicle tumbles in the time up to `last` [s]. The
+        law may jump at the start of the period; before the time `inside` [s] the function therefore
+        uses the law at `inside`.
         """
         guard = TumblingGuard("RotorPy", last - inside)
 
@@ -421,10 +436,10 @@ class OutsidePlant:
         return slope
 
     def _held(self, law: OutsideLaw, t: float, joint: FloatArray) -> OutsideLaw:
-        """Return a law with the constant rotor command that ``law`` gives at time t.
+        """Return a law whose rotor command is constant: the command that ``law`` gives at time t.
 
-        The motors follow the command with their lag. RotorPy simulates each period of its
-        controller in this way.
+        The motors follow the command with a lag. RotorPy simulates each period of its controller in
+        this way.
         """
         x, lag = self.read(joint), self.parameters["tau_m"]
         command = x[self._rotors] + lag * np.asarray(law(t, x, self.own(joint))[0], dtype=float)
@@ -460,8 +475,8 @@ def _wind_of(scenario: Scenario, dynamics: Dynamics) -> Callable[[float, FloatAr
 def refuse_pushing_wind(scenario: Scenario) -> None:
     """Raise a ScenarioError for a wind that acts as an acceleration (`wind.coupling`).
 
-    Eq. (9) of the paper (Yacef et al.) has such a wind. RotorPy has no counterpart: its wind
-    changes the airspeed.
+    The paper (Yacef et al.) has such a wind, in eq. (9). In RotorPy, the wind acts only through the
+    airspeed.
     """
     wind = scenario.wind
     is_steady = bool(wind.speed or wind.vertical)
@@ -478,7 +493,7 @@ def _blows(axis: WindAxis) -> bool:
 
 
 def outside_name(pilot: Pilot, followed: Reference) -> str:
-    """Return the name of a flight in RotorPy, as "rotorpy/adaptive/plan"."""
+    """Return the name of a flight in RotorPy, such as "rotorpy/adaptive/plan"."""
     return f"{PLANT}/{pilot.value}/{followed.value}"
 
 
@@ -487,7 +502,7 @@ def fly_outside(
 ) -> Flight:
     """Simulate RotorPy's vehicle along a reference, or with the plan's controls in open loop.
 
-    Like every controlled flight it is verified by a second integrator.
+    As for every controlled flight, a second integrator verifies the result.
 
     Parameters
     ----------
@@ -498,12 +513,13 @@ def fly_outside(
     reference : Reference
         Path to follow.
     plan : Plan, optional
-        Plan to follow, and whose costates give the energy to complete the flight.
+        Plan to follow. Its costates give the energy needed to complete a flight that ends off the
+        goal.
 
     Returns
     -------
     Flight
-        With the name of `outside_name`.
+        The flight, named by `outside_name`.
 
     Raises
     ------
@@ -544,13 +560,16 @@ def fly_under(
     name : str
         Name of the flight in comparisons.
     law : callable
-        See `OutsideLaw`.
+        Control law: takes time, declared states and the law's own states; returns rotor
+        accelerations [rad/s^2] and the rates of the law's states.
     plan : Plan, optional
-        Plan whose initial state and end costates are used.
+        Plan whose initial state the flight starts from, and whose costates give the energy needed
+        to complete the flight.
     own : sequence of float
-        The law's own states at the start.
+        Initial values of the law's own states.
     borders : sequence of float, optional
-        Times between which a law without feedback is smooth [s].
+        Increasing times [s] between which a law without feedback is smooth; None for a feedback
+        law.
 
     Returns
     -------
@@ -599,9 +618,10 @@ def se3_law(plant: OutsidePlant, path: ReferencePath, *, stiffness: float = 1.0)
     plant : OutsidePlant
         RotorPy's vehicle.
     path : callable
-        Time [s] -> Setpoint.
+        Takes a time [s] and returns the `Setpoint` to follow.
     stiffness : float, optional
-        Factor on the proportional position gain; the derivative gain grows with its square root.
+        Factor on the proportional position gain; the derivative gain is multiplied by the square
+        root of the factor.
     """
     control = rotorpy_module("controllers.quadrotor_control").SE3Control(plant.parameters)
     control.kp_pos *= stiffness
@@ -628,10 +648,10 @@ def se3_law(plant: OutsidePlant, path: ReferencePath, *, stiffness: float = 1.0)
 
 
 def _open_loop(plan: Plan, plant: OutsidePlant) -> tuple[OutsideLaw, list[float]]:
-    """Return the plan's controls as a control law, with the element boundaries of the mesh [s].
+    """Return the plan's controls as a control law, and the boundaries of its mesh elements [s].
 
-    If commands are constant over periods (`Habits.command_rate_hz`), the command is the planned
-    rotor speed, independent of the actual speed.
+    If the motors get a constant command for each control period (`Habits.command_rate_hz`), it is
+    the planned rotor speed, independent of the actual rotor speed.
     """
     held, rotors = plan.trajectories, rotor_columns(plant.dynamics)
     start, end = held.horizon

@@ -121,7 +121,7 @@ class Trajectories:
 
 
 def trajectories_of(solution: Solution) -> Trajectories:
-    """Return the trajectories of a solution of the engine, by name.
+    """Return the states, controls, energy and costates of a solution of the engine, with names.
 
     Variables that equations determine (algebraic variables) are not among the controls.
     """
@@ -148,9 +148,12 @@ def trajectories_of(solution: Solution) -> Trajectories:
 #: Smallest energy that a relative error of an energy is divided by [J].
 LEAST_ENERGY_J = 1e-3
 
+# Plan file: number of the format, member with the description, and largest size read [bytes], a
+# protection against files that would fill the memory.
 _FORMAT: Final = 2
 _ABOUT = "about"
 _LARGEST_FILE = 256 * 1024 * 1024
+# Members of a plan file: arrays of the plan, its mesh, named data, and the prefix of a warm start.
 _ARRAYS = ("states", "controls", "energy", "costates", "hamiltonian")
 _MESH = ("breakpoints", "degrees")
 _NAMED = ("horizon", "state_names", "control_names", "costate_names")
@@ -166,12 +169,12 @@ class PlanStatus(StrEnum):
         A simulated flight and the error estimate confirm the plan to the requested accuracy.
     USABLE
         A simulated flight confirms, to the tolerances `USABLE`, that the plan arrives, keeps all
-        limits and spends the energy stated; the saving that another flight may still make is known
-        only by `Plan.energy_uncertainty`.
+        limits and spends the energy stated. The plan may not be optimal: `Plan.energy_uncertainty`
+        estimates how much energy another flight may save.
     SOLVED
         Ipopt converged, but the simulated flight does not confirm the plan.
     NOT_CONVERGED, INFEASIBLE, INTERRUPTED
-        The solve did not converge, found the constraints infeasible, or was stopped.
+        The solve did not converge, found the constraints infeasible, or was stopped, respectively.
     """
 
     VERIFIED = "verified"
@@ -245,7 +248,7 @@ def write_plan_file(
     trajectories : Trajectories
         Arrays of the plan.
     warm_start : WarmStart or None
-        Initial point for another solve; left out if it has infinite numbers.
+        Initial point for another solve; left out if it contains infinite numbers.
     """
     about = _About(
         format=_FORMAT,
@@ -414,20 +417,20 @@ class Plan(Summarised):
     energy : float
         Energy of the flight by the quadrature of the collocation scheme [J].
     hover_energy_J : float
-        Energy of hovering for the same time.
+        Energy of hovering for the same time [J].
     trajectories : Trajectories
         States, controls, energy and costates on the mesh.
     verification : Verification or None
         Comparison with the simulated flight; None if the solve failed, so that nothing was
         simulated.
     error_estimate : float
-        Largest relative error over elements and states.
+        Largest relative error of any state in any element of the mesh, estimated.
     history : tuple of MeshRecord
-        The meshes of the refinement.
+        Record of each mesh of the refinement.
     iterations : tuple of Iteration
         Ipopt's progress on the last mesh.
     attempts : tuple of str
-        Strategies tried, in order, after the first solve was not sufficient.
+        Strategies that were tried, in order, if the first solve was not sufficient.
     failure : Failure or None
         Diagnosis of a failed solve.
     passing_times_s : tuple of float
@@ -437,7 +440,7 @@ class Plan(Summarised):
     routes : tuple of TriedRoute
         The routes round keep-out zones that were tried, the shortest first.
     order_search : OrderSearch or None
-        How the order of the waypoints was found, where the mission leaves it open.
+        Result of the search for the order of the waypoints; None if the mission gives the order.
     warm_start : WarmStart or None
         Initial point for another solve; stored by `save`.
     solution : Solution or None
@@ -445,9 +448,9 @@ class Plan(Summarised):
     flown : Flown or None
         The simulated flight of the verification.
     risk : RiskTaken or None
-        Risk for which the plan was made, with its margins and test flights. The risk is the share
-        of flights in turbulence that may break a limit. None for a plan without margins, which
-        leaves no thrust to a controller (a paper plan).
+        Risk for which the plan was made, with margins and test flights. The risk is the share of
+        flights in turbulence that may break a limit. None for a plan without margins: it may use
+        all thrust, so that a controller has none left for corrections.
     """
 
     scenario: Scenario
@@ -531,15 +534,15 @@ class Plan(Summarised):
 
     @property
     def figures_checked(self) -> Figures:
-        """Tolerances to which the plan was verified: of the requested accuracy, or `USABLE`."""
+        """Tolerances to which the plan was verified: of its requested accuracy, or `USABLE`."""
         usable = self.status is PlanStatus.USABLE
         return USABLE if usable else FIGURES[self.scenario.solver.accuracy]
 
     @property
     def accuracy_reached(self) -> Accuracy | None:
-        """Highest accuracy, up to the requested one, that simulation and error estimate confirm.
+        """Highest accuracy that simulation and error estimate confirm, up to the one requested.
 
-        None if they confirm none.
+        None if they do not confirm even the lowest accuracy.
         """
         if self.is_verified:
             return self.scenario.solver.accuracy
@@ -552,10 +555,10 @@ class Plan(Summarised):
     def energy_uncertainty(self) -> float:
         """Estimated share of the energy that a better flight nearby may save.
 
-        Of a verified plan it is the error estimate, which covers the error of the energy. Of
-        another plan it is the relative change of the energy by the last mesh, but at least the
-        tolerance of the accuracy `quick`, because two meshes may agree by chance; infinite if there
-        was only one mesh.
+        For a verified plan this is the error estimate, which covers the error of the energy. For
+        any other plan it is the relative change of the energy from the second last to the last
+        mesh, but at least the tolerance of the accuracy `quick`, because two meshes may agree by
+        chance. It is infinite if there was only one mesh.
         """
         if self.is_verified:
             return min(self.error_estimate, self.scenario.solver.tolerance)
@@ -604,11 +607,11 @@ class Plan(Summarised):
     def owed_energy(self, final: Mapping[str, float]) -> float:
         """Estimate the energy to complete the mission from an end state off the goal [J].
 
-        The estimate is the product of the final costate with the deviation of the end state from
-        the planned end state: to first order, the energy that a mission to this end state would
-        save against the planned mission. If the least energy is convex in the end state, such a
-        mission needs at least the planned energy less this estimate. With the estimate added,
-        therefore, no flight takes less energy than the optimum, nor less than the lower bound.
+        The estimate is the sum over the states of the final costate times the deviation from the
+        planned final value. To first order, it is the energy that a mission to this end state would
+        save compared with the planned mission. If the least energy is a convex function of the end
+        state, the saving is at most this estimate. A flight's energy plus the estimate is therefore
+        at least the energy of the optimum, and at least the lower bound.
 
         Parameters
         ----------
@@ -694,7 +697,7 @@ class Plan(Summarised):
         return flight_columns(*self._sampled(times))
 
     def times(self, rate_hz: float | None = None) -> FloatArray:
-        """Return the times of the rows of `to_frame` [s]: the nodes of the mesh, or at a rate.
+        """Return the times of the rows of `to_frame` [s]: mesh nodes, or ``rate_hz`` rows a second.
 
         Raises
         ------
@@ -764,12 +767,13 @@ class Plan(Summarised):
         name : str, optional
             Name of the flight in comparisons.
         samples : int, optional
-            Rows of its table.
+            Number of rows of the flight's table.
 
         Returns
         -------
         Flight
-            With the energy of the plan, and misses and violations of the simulated flight.
+            Result with the energy of the plan; misses and violations are those of its simulated
+            flight.
         """
         verification = self.verification
         return Flight(
@@ -801,7 +805,7 @@ class Plan(Summarised):
         return frame
 
     def guess(self) -> pd.DataFrame:
-        """Return states and controls at the nodes as a table, a guess for another solve."""
+        """Return states and controls at the nodes as a table, for use as an initial guess."""
         import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
         held, times = self.trajectories, self.trajectories.node_times
@@ -882,9 +886,9 @@ class Plan(Summarised):
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Read a plan from a file; it lacks the compiled equations and cannot be simulated.
+        """Read a plan from a file; the plan has no compiled equations and cannot be simulated.
 
-        Another solve can start from it as from the original plan.
+        Another solve can start from the plan read in the same way as from the original plan.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Planner: compiles a scenario's problem, applies the planning strategies, verifies the plan."""
+"""Planner: it compiles a scenario's problem, applies the strategies, and verifies the plan."""
 
 import time
 from collections.abc import Callable
@@ -34,9 +34,10 @@ class Planner(Problems):
     """
 
     def until_stopped(self) -> AbstractContextManager[Callable[[], bool]]:
-        """Return a context for several solves whose value tells whether the user stopped them.
+        """Return a context manager for several solves that reports whether the user stopped them.
 
-        The value is a function without arguments that returns a bool.
+        Its value is a function without arguments, which returns True after the user stopped a
+        solve.
         """
         return nullcontext(lambda: False)
 
@@ -55,9 +56,9 @@ class Planner(Problems):
         scenario : Scenario
             Mission, vehicle, wind and settings.
         warm_start : Plan or WarmStart, optional
-            A plan of a similar scenario, or the warm start that its file or a sweep stored: its
-            trajectory, and its multipliers if they belong to the same equations, are the initial
-            point.
+            A plan of a similar scenario, or a warm start stored in a plan file or by a sweep. Its
+            trajectory is the initial point; so are its multipliers, if both problems have the same
+            equations.
         progress : callable, optional
             Called at each Ipopt iteration; returning False stops the solve.
         show : callable, optional
@@ -66,11 +67,12 @@ class Planner(Problems):
         Returns
         -------
         Plan
-            With its status; a failure of the numerics is a result, not an exception. A search that
-            is stopped, fails late, or takes longer than `solver.time_limit` of processor time,
-            including the verification, ends with the best usable plan so far (confirmed at lower
-            accuracy); without a usable plan the status is not converged.  Apart from this limit, no
-            result depends on the speed of the machine.
+            The plan with its status; a failed solve gives a plan with a failed status, not an
+            exception. A search may be stopped, may fail after it found usable plans, or may exceed
+            `solver.time_limit` (processor time, verification included). It then returns the best
+            usable plan, that is a plan which simulation confirms at lower accuracy; without a
+            usable plan the status is not converged.  Apart from the time limit, no result depends
+            on the speed of the machine.
         """
         scenario = with_return_flight(self, scenario)
         solve = self._solve_quickest if scenario.mission.aim is Aim.TIME else self._solve
@@ -99,8 +101,8 @@ class Planner(Problems):
     def _solve_quickest(self, scenario: Scenario, start: Start | None, search: Search) -> Plan:
         """Solve for the flight of least energy in nearly the least duration of the mission.
 
-        Flights of decreasing durations are solved, each from the one before; the last verified one
-        is the plan.
+        Flights of decreasing durations are solved, each starting from the previous solution; the
+        plan is the last verified flight.
         """
         told = scenario.as_forecast()
         shortest = shortest_flight(self.builder(told), told, search, is_exact=True)
@@ -145,7 +147,7 @@ def solve_scenario(
     Returns
     -------
     Plan
-        With its status.
+        The plan with its status.
 
     Examples
     --------

@@ -29,22 +29,22 @@ if TYPE_CHECKING:
 
 Builder = Callable[[Scenario], Any]
 
+# Components of the declared wind along world x and y [m/s].
 _WIND = ("wind.velocity_x", "wind.velocity_y")
 
 
 class Problems:
-    """Compiler of scenarios that reuses a cached problem of the same structure.
+    """Compiler of scenarios; scenarios of the same structure share a cached compiled problem.
 
     Problems of the package's own model are shared by all planners of the process
-    (`caches.PROBLEMS`). Initial guess and scaling are always those of the scenario at hand, so that
-    no result depends on earlier solves.
+    (`caches.PROBLEMS`). Initial guess and scaling are always computed for the present scenario, so
+    that no result depends on earlier solves.
 
     Parameters
     ----------
     builder : callable, optional
-        Makes the Pyomo model of a scenario; a user's own builder is called anew for
-        every scenario, since only the package's model is known to keep all numbers in
-        parameters.
+        Builds the Pyomo model of a scenario. A user's own builder is called again for every
+        scenario, because its model may contain numbers of the scenario that are not parameters.
     """
 
     def __init__(self, builder: Builder = build_model) -> None:
@@ -59,7 +59,7 @@ class Problems:
 
     @property
     def is_declared(self) -> bool:
-        """Whether the scenarios use the package's own model and not a user's."""
+        """Whether scenarios use the package's own model, and not a model of the user."""
         return self._builder is build_model
 
     def has_routes(self, scenario: Scenario) -> bool:
@@ -119,8 +119,8 @@ class Problems:
     def dynamics(self, scenario: Scenario) -> Dynamics:
         """Return the equations of a scenario's vehicle in its wind, for simulations.
 
-        The limits are those of simulated flights, which may use the thrust that plans leave to the
-        controller.
+        The limits are those that apply to simulated flights; these may use the thrust that plans
+        reserve for the controller.
         """
         problem, numbers = self.problem_for(scenario)[0], self.parameters(scenario)
         return problem.dynamics(parameters=without_reserve(numbers), horizon=horizon_of(scenario))

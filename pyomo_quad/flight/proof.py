@@ -29,6 +29,7 @@ from pyomo_quad.scenario.messages import shown
 
 # Relative rounding error of a duration that a file stores in decimals.
 _SAME_TIME = 1e-9
+# Advice at the end of every message of this module.
 _AGAIN = "solve the scenario again."
 
 
@@ -63,17 +64,18 @@ def refuse_unproven(
     passing_times_s : tuple of float
         Time at which the plan passes each waypoint [s].
     allowed : Figures
-        Largest differences allowed between the plan and its simulated flight; the miss applies to
-        any state at any time and to the waypoints.
+        Largest differences allowed between the plan and its simulated flight; the tolerance `miss`
+        applies to every state at all times, and to the waypoints.
     dynamics : Dynamics, optional
-        The plan's equations, if available; otherwise the scenario's.
+        The plan's equations, if available; otherwise the scenario is compiled.
     is_code_allowed : bool, optional
         Whether the scenario's own model builder may be run.
 
     Raises
     ------
     ScenarioError
-        Naming the quantity, its deviation and the tolerance.
+        If simulation does not confirm the plan; the message names the quantity, its deviation and
+        the tolerance.
     """
     _refuse_other_times(scenario, held, passing_times_s)
     builder: Builder = build_model
@@ -105,7 +107,7 @@ def refuse_unproven(
 def _refuse_failed(
     scenario: Scenario, verification: Verification, energy: float, allowed: Figures
 ) -> None:
-    """Raise a ScenarioError if the simulated flight breaks limits or takes another energy."""
+    """Raise a ScenarioError if the simulated flight breaks limits, or its energy differs."""
     share = abs(verification.energy_difference_J) / max(1.0, abs(energy))
     passed = max(verification.passing_misses_m, default=0.0)
     failings = (

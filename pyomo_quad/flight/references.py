@@ -4,16 +4,16 @@ reference | path | meets at both ends
 step | the goal from the start | nothing: the path depends on the controller
 quintic | polynomial of degree 5 | position, zero velocity and acceleration
 minimum_snap | polynomial of degree 7 | position, zero velocity, acceleration and jerk
-plan | the optimal plan, between its samples a cubic spline | the plan
-cruise | straight legs at a speed, by the module `routes` | rest, as at every corner
+plan | the optimal plan, as cubic splines through its samples | the states of the plan
+cruise | straight legs at a constant speed (module `routes`) | rest, as at every corner
 
 The plan includes the effect of the forecast wind on the vehicle, so the controller adapts only to
 the difference from the forecast. The other references ignore the wind.
 
-The quintic minimises the integral of the squared jerk, the polynomial of degree 7 that of the
-squared snap [1]_.  Both go straight from start to goal in the duration of the mission, or as
-splines of these degrees through its waypoints, and stay at the goal afterwards.  Yaw has
-the same polynomials.
+The quintic minimises the integral of the squared jerk; the polynomial of degree 7 minimises the
+integral of the squared snap [1]_. Both go straight from start to goal in the duration of the
+mission, or as splines of these degrees through its waypoints, and stay at the goal afterwards. Yaw
+has the same polynomials.
 
 .. [1] Mellinger and Kumar, "Minimum snap trajectory generation and control for quadrotors",
    ICRA 2011.
@@ -39,7 +39,7 @@ _STEP = Polynomial((1,))
 
 
 class Setpoint(NamedTuple):
-    """Reference at one time: x, y, z and yaw with their first two derivatives."""
+    """Reference at one time: x, y, z [m] and yaw [rad] with their first two time derivatives."""
 
     place: Sequence[float]
     """Position in world axes, m, and yaw, rad."""
@@ -55,6 +55,7 @@ class Setpoint(NamedTuple):
 
 ReferencePath = Callable[[float], Setpoint]
 
+# Rates and accelerations of x, y, z and yaw at rest.
 _AT_REST = (0.0, 0.0, 0.0, 0.0)
 
 
@@ -144,7 +145,7 @@ class WaypointPath:
 
 
 class _Steps:
-    """Reference that jumps from a waypoint to the next at the time at which the first is left."""
+    """Reference that stays at a waypoint until it leaves, and then jumps to the next place."""
 
     def __init__(self, mission: Mission) -> None:
         self._places, self._times = stops_of(mission)
@@ -222,30 +223,31 @@ class SampledPath:
     def __call__(self, t: float) -> Setpoint:
         """Return the setpoint at time t [s].
 
-        Beyond the samples, place and acceleration are those of the nearest end, so that the
-        setpoints of a controller that looks ahead do not change after the end.
+        Before the first and after the last sample, position and acceleration are those of that
+        sample, so that the setpoint of a controller that looks ahead does not change after the end.
         """
         row, is_inside = self._row(t)
         return Setpoint(row[:4], row[4:8] if is_inside else _AT_REST, row[8:])
 
 
 class PlannedPath:
-    """Plan as a path: cubic splines through its samples, one for each quantity.
+    """Plan as a reference path: cubic splines through its samples, separate for each quantity.
 
-    The polynomials of a plan obey its equations at the points of its mesh only.  A path whose
-    acceleration were the second derivative of its places would turn a difference of d metres
-    between two samples that are h seconds apart into one of about 6 d/h^2.  Here each quantity is
-    that of the plan.
+    The polynomials of a plan satisfy its equations at the points of its mesh only. The second
+    derivative of the position therefore differs from the planned acceleration: an error of d metres
+    between two samples that are h seconds apart becomes an error of about 6 d/h^2. Therefore
+    velocities and accelerations are not derivatives of the position, but have their own splines
+    through planned values.
 
     Parameters
     ----------
     times : ndarray, shape (n,)
-        Rising times, s.
+        Increasing times [s].
     values, rates, accelerations : ndarray, shape (n, 4)
-        Columns x, y, z in m and yaw in rad, their first derivatives, and their second derivatives
-        by the rotors alone.
+        Columns x, y, z in m and yaw in rad, their first derivatives, and the part of their second
+        derivatives that the rotors cause.
     tilt_rates : ndarray, shape (n, 2)
-        Rates of roll and pitch, rad/s.
+        Rates of roll and pitch [rad/s].
     """
 
     def __init__(
@@ -265,8 +267,8 @@ class PlannedPath:
     def __call__(self, t: float) -> Setpoint:
         """Return the setpoint at time t [s].
 
-        Beyond the samples, place and acceleration are those of the nearest end, and all rates are
-        zero, as on a `SampledPath`.
+        Before the first and after the last sample, position and acceleration are those of that
+        sample, and all rates are zero.
         """
         row, is_inside = self._row(t)
         moving = (row[4:8], row[12:]) if is_inside else (_AT_REST, _AT_REST)
@@ -289,7 +291,7 @@ class _Pieces:
     def __call__(self, t: float) -> tuple[list[float], bool]:
         """Return all quantities at time t [s], and whether t lies between the first and last knot.
 
-        Outside, the quantities are those at the nearest knot.
+        Outside the knots, the quantities are those at the nearest knot.
         """
         held = min(max(t, self._knots[0]), self._knots[-1])
         k = min(bisect_right(self._knots, held), len(self._pieces)) - 1

@@ -1,15 +1,16 @@
-"""Remaining mission in flight, and its re-plans with soft limits.
+"""Remaining mission of a flight, and its re-plans with soft limits.
 
 A re-plan is a new plan for the rest of the mission, made in flight.  It ends at the goal, or in the
 next hover at a waypoint, because later parts of the mission do not affect a hovering vehicle.  Its
-limits are soft, that is they may be violated at a penalty (`model.soft_limits`), and have the
-margins of the plan's risk (`flight.margins`).  Its mesh is fine at the present, where a disturbance
-is corrected, and near passages of waypoints, and coarse between.  The clearance of zones is three
-centimetres larger, for the error of a coarse mesh.
+limits are soft: they may be violated at a penalty (`model.soft_limits`). They are tightened by the
+margins of the plan made before take-off (`flight.margins`).  The mesh has short elements at the
+present time, where a disturbance is corrected, and near the passages of waypoints, and long
+elements between.  The clearance from zones is three centimetres larger, to allow for the error of a
+coarse mesh.
 
 The remaining mission after each waypoint has its own equations, which are compiled and solved once
-before take-off.  The penalty on violations, and the state from which a re-plan starts: see
-docs/theory/soft_limits.md, eqs. (1) to (3).
+before take-off. docs/theory/soft_limits.md, eqs. (1) to (3), derives the penalty and the state from
+which a re-plan starts.
 """
 
 from collections.abc import Callable, Mapping
@@ -57,6 +58,7 @@ from pyomo_quad.scenario.tables import Knowledge
 
 Numbers = dict[str, float | Callable[[float], float]]
 
+# Axes of the estimated acceleration by the air; the vertical part is attributed to the mass.
 _HORIZONTAL = "xy"
 # Mesh of the plan before take-off if none is given: element length [s], least and largest number of
 # elements, degree.
@@ -83,6 +85,7 @@ _INTO_HOLD, _SETTLED = 1.0, 0.75
 # and with smaller pivots: fewer digits are enough for a plan that is flown for a fifth of a second.
 _BARRIER = (("mu_init", 3e-6), ("mu_target", 3e-6))
 _HASTE = (("fast_step_computation", "yes"), ("mumps_pivtol", 1e-6), ("mumps_scaling", 0))
+# Ipopt's tolerance and largest number of iterations of a re-solve: a plan that is late is useless.
 _OPTIONS = SolverOptions(tolerance=1e-5, max_iterations=40, extra=(*_BARRIER, *_HASTE))
 # Solves before take-off have no time limit.
 _AT_LEISURE = SolverOptions(tolerance=1e-6, max_iterations=300)
@@ -94,6 +97,7 @@ _LAST, _LAST_SHARE = 3.0, 0.3
 # hover at a waypoint, where the vehicle must be at rest: with a fraction below three tenths, limits
 # were broken in gusts.
 _NEAR, _HOLD_SHARE = 1.0, 0.5
+# Name of the parameter that holds the distance kept from zones.
 _CLEARANCE = "airspace.clearance"
 # Additional distance of re-plans from zones [m]: between the points of the coarse mesh a plan may
 # pass nearer, and the flight deviates from it; at 8 m/s, in `parcel`, by 9 mm if the wind is known
@@ -137,7 +141,8 @@ class Remainder:
     def planned_until(self) -> float:
         """Time [s] after which the plan is not replaced before the next waypoint or the end.
 
-        Near a place that must be met exactly, new plans would counteract every gust at any cost.
+        Shortly before a place that must be met exactly, a new plan would counteract every gust at
+        any cost.
         """
         if not self.passages:
             return self.end - min(_LAST, _LAST_SHARE * (self.end - self.begin))
@@ -155,9 +160,9 @@ class Remainder:
     def mesh(self, t: float) -> Mesh:
         """Return the mesh of a plan made in flight at time t [s] for the rest of the mission.
 
-        It has short elements at the present, the waypoints and the end. The mesh is the same until
-        a fifth of the remaining time has passed, then shorter: a solve on a known mesh reuses the
-        structure of its equations.
+        It has short elements at the present time, the waypoints and the end. The mesh stays the
+        same until a fifth of the remaining time has passed; only then it is shortened, because a
+        solve on the same mesh can reuse the structure of the equations.
         """
         first = self.passages[0] if self.passages else self.end
         whole = first - self.begin
@@ -205,8 +210,8 @@ class Course:
     belief : Belief
         Mass and wind that the plan assumes.
     estimate : ndarray, shape (3,)
-        Estimated acceleration that the equations do not explain, from which the belief was
-        computed [m/s^2].
+        Acceleration that the equations do not explain, estimated in flight [m/s^2]; `belief` was
+        computed from it.
     """
 
     plan: Trajectories
@@ -225,7 +230,7 @@ class Replanner:
     knowledge : Knowledge
         Knowledge of the wind in the re-plans: the actual wind, an estimate, or none.
     planner : Planner
-        Holds the compiled equations.
+        Planner that compiles the equations.
     margins : mapping, optional
         Scenario field -> amount by which plans tighten it.
 
@@ -306,9 +311,9 @@ class Replanner:
     def prepare(self, plan: Trajectories) -> None:
         """Solve the remaining mission at take-off and after each waypoint, for later warm starts.
 
-        The penalty on violations of soft limits is increased until a new plan from the states of
-        the first plan violates no limit, if possible: above the norm of the multipliers the penalty
-        is exact.
+        The penalty on violations of soft limits is increased until new plans from the states of the
+        first plan violate no limit, if possible. A penalty above the norm of the multipliers is
+        exact: a solution that can keep all limits then keeps them.
         """
         for rest in self.remainders:
             (state,), usual = self._states(plan, rest.begin), self._price
@@ -324,7 +329,7 @@ class Replanner:
     def solve(
         self, t: float, state: FloatArray, belief: Belief, *, is_patient: bool = False
     ) -> Solution:
-        """Solve the remaining mission from a state at a time.
+        """Solve the remaining mission from a given state at a given time.
 
         The solution is a new plan in flight (re-plan).
 
@@ -342,7 +347,7 @@ class Replanner:
         Returns
         -------
         Solution
-            Of any status.
+            Result, converged or not.
         """
         rest = self.at(t)
         last = self._last.get(rest)
@@ -403,8 +408,8 @@ class Replanner:
         belief : Belief
             Mass and wind that it assumes.
         estimate : ndarray, shape (3,)
-            Estimated acceleration that the equations do not explain, from which the belief was
-            computed [m/s^2].
+            Acceleration that the equations do not explain, estimated in flight [m/s^2]; `belief`
+            was computed from it.
         """
         plan, rest = trajectories_of(solution), self.at(solution.horizon[0])
         flow = rest.problem.dynamics(parameters=self._with(belief, rest), horizon=plan.horizon)
@@ -418,10 +423,11 @@ class Replanner:
         return Course(plan=plan, path=path, belief=self.belief, estimate=np.zeros(3))
 
     def is_off(self, course: Course, t: float, state: FloatArray) -> bool:
-        """Return whether a flight is nearer to any limit than its plan by more than the margin.
+        """Return whether a flight has used up the margin of any limit.
 
-        `state` is the measured state at time t [s]. Margins are the amounts by which the plan stays
-        inside its limits.
+        The margin is the amount by which the plan stays inside the limit; it is used up if the
+        flight is nearer to the limit than its plan by more than this amount. `state` is the
+        measured state at time t [s].
         """
         now, limits = np.array([t]), self.dynamics.control_limits(HELD_BREACH)
         planned = self._states(course.plan, t)
@@ -439,14 +445,15 @@ class Replanner:
     def begun(
         self, course: Course, start: float, end: float, state: FloatArray, unexplained: FloatArray
     ) -> FloatArray:
-        """Predict the state in which the next re-plan (new plan in flight) replaces the plan.
+        """Predict the state from which the next re-plan (new plan in flight) starts.
 
-        If the flight is near its plan, it is the plan's own state: the controller corrects the
-        deviation, and a re-plan from the measured state would follow each lag of the vehicle.
-        Otherwise position and velocity are nearer to the measured ones, by as much as brings the
-        flight near the re-plan.  Attitude and rotor speeds are the plan's, changed to give the
-        acceleration that the controller has learnt to add: the re-plan includes it, and would have
-        to lean against it anew.
+        If the flight is near its plan, the result is the state of the plan: the controller corrects
+        the deviation, and a re-plan from the measured state would follow each lag of the vehicle.
+        Otherwise, position and velocity are moved from the plan towards the measured values, just
+        as far as needed to bring the flight near the re-plan.  Attitude and rotor speeds are those
+        of the plan, changed to include the acceleration that the controller has learnt to add
+        against the wind; without this change, the re-plan would begin with a turn to the new
+        attitude.
 
         Parameters
         ----------
@@ -479,7 +486,11 @@ class Replanner:
         return later
 
     def _lean(self, state: FloatArray, setpoint: Setpoint, unexplained: FloatArray) -> None:
-        """Change roll, pitch and rotor speeds of a planned state to withstand an acceleration."""
+        """Change attitude and rotor speeds of a planned state to balance an added acceleration.
+
+        `state` is changed in place. `unexplained` is the acceleration that the plan does not
+        include, shape (3,) [m/s^2].
+        """
         weight = np.array([0.0, 0.0, self._scenario.gravity])
         given = np.array(setpoint.acceleration[:3]) + weight
         leaning, yaw = given - unexplained, setpoint.place[3]
@@ -555,7 +566,10 @@ def _compiled(left: Scenario) -> Problem:
 
 
 def with_mass(scenario: Scenario, belief: Belief, released: float) -> Scenario:
-    """Return the scenario with the estimated mass of the vehicle, less the released payload."""
+    """Return the scenario with the estimated mass of the vehicle, less the released payload.
+
+    `released` is the mass of the payloads released so far [kg].
+    """
     vehicle = scenario.vehicle
     learnt = vehicle.model_copy(update={"mass": belief.mass - released - vehicle.payload})
     return scenario.model_copy(update={"vehicle": learnt})

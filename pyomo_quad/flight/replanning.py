@@ -1,21 +1,22 @@
 """Re-planning in flight (model-predictive control) by repeated solves of the remaining mission.
 
-At constant intervals, the rest of the mission is solved again for least energy, from the state that
-the vehicle will have when the solve is done, warm-started from the last such plan (see
-`flight.remaining`).  The adaptive controller follows each plan until the next is available.  Before
-the first re-plan, and from the middle of each hover at a waypoint to the next re-plan, it follows
-the plan made before take-off.
+At constant intervals, the rest of the mission is solved again for least energy (a re-plan). The
+solve starts from the state that the vehicle will have when the solve is done, and is warm-started
+from the previous re-plan (see `flight.remaining`). The adaptive controller follows each plan until
+the next is available. Before the first re-plan, and from the middle of each hover at a waypoint to
+the next re-plan, the controller follows the plan made before take-off.
 
-If the flight is near its plan, a re-plan starts at the plan's own state, because the controller
-corrects the deviation; otherwise it starts at the nearest state within that deviation (tube-based
-predictive control).  The limits are soft (violations are penalised), so that a re-plan exists from
-every state from which rotors and battery can reach the goal.  If a solve fails nevertheless, the
-last plan remains in use as long as the flight deviates from it by less than the margins of the
-limits; beyond them the solve is repeated with as many iterations as it needs, and is late.
+If the flight is near its plan, a re-plan starts at the state of the plan, because the controller
+corrects the deviation. Otherwise it starts at the state nearest to the plan from which the
+controller can still correct the rest (tube-based predictive control). The limits are soft
+(violations are penalised), so that a re-plan exists from every state from which rotors and battery
+can reach the goal. If a solve fails nevertheless, the vehicle follows the previous plan as long as
+the flight keeps the margins of the limits. If it does not, the solve is repeated with as many
+iterations as it needs, so that the new plan is late.
 
-The last seconds before the goal, a waypoint and a hover are not planned again: there, a plan that
-must meet a place exactly would counteract every gust at any cost, although its prediction of the
-gust is no better than the gust's own change.  Waypoints are passed at their times.
+The last seconds before the goal, a waypoint or a hover are not planned again. A plan that must meet
+a place exactly within seconds would counteract every gust at any cost, although the gust may have
+changed again by then. Waypoints are passed at their times.
 
 A wind that differs from the forecast, or a mass that differs from the assumed mass, causes an
 acceleration that the equations do not explain.  The identifier of the adaptive law estimates it,
@@ -103,7 +104,10 @@ class _Leg:
 
 
 class _Observer:
-    """Estimator of the acceleration that the equations do not explain, by the adaptive law."""
+    """Estimator of the acceleration that the equations do not explain.
+
+    It applies the adaptation law of the controller to the measured states.
+    """
 
     def __init__(self, scenario: Scenario, replanner: Replanner, velocity: FloatArray) -> None:
         gains = scenario.baseline.gains
@@ -346,8 +350,9 @@ def fly_replanned(
 ) -> Flight:
     """Simulate a mission with repeated re-planning in flight, and verify the flight.
 
-    It is verified part by part, from one solve to the next: a second integrator, from the same
-    state along the same plan, must end at the same place and spend the same energy.
+    The flight is verified in parts, from one new plan to the next: a second integrator, which
+    starts at the same state and follows the same plan, must end at the same place and spend the
+    same energy.
 
     Parameters
     ----------
@@ -358,23 +363,23 @@ def fly_replanned(
     dynamics : Dynamics
         The simulated vehicle, in the actual wind.
     planner : Planner
-        Holds the compiled equations.
+        Planner that compiles the equations.
     plan : Plan, optional
-        Plan before take-off; its costates give the energy to complete the flight from its end
-        state, and its margins are those of the re-plans.
+        Plan made before take-off. Its costates give the energy needed to complete the flight from
+        its end state, and its margins apply to the re-plans.
     computer : callable, optional
-        Returns the time of a solve aboard from its processor time here [s]; by default the time
-        that the scenario states, or the processor time.
+        Takes the processor time of a solve on this machine [s] and returns the time that the solve
+        takes aboard [s]; by default the time that the scenario states, or the processor time.
 
     Returns
     -------
     Flight
-        With the record of its solves, `resolves`.
+        The flight; its attribute `resolves` is the record of the solves.
 
     Raises
     ------
     ScenarioError
-        If the model is not the declared one.
+        If the model is not that of the package.
     SolveError
         If there is no plan before take-off, or the flight is out of control.
     """

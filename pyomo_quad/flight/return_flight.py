@@ -1,9 +1,9 @@
 """Airspeed and battery current of a vehicle's steady return flight.
 
-The reserve of charge for a return to the start or a rally point follows from them. The airspeed is
-that of least charge per metre over the ground against the wind at the start; the current is the
-battery's at that airspeed and at the state of charge at which the return may end, where it is
-greatest.
+The charge that a mission must reserve for a return to the start or to a rally point follows from
+them. The airspeed is the one that takes the least charge per metre over the ground against the wind
+at the start of the mission. The current is evaluated at this airspeed and at the lowest state of
+charge that the return may reach, because the current is greatest then.
 """
 
 from typing import TYPE_CHECKING
@@ -20,19 +20,22 @@ if TYPE_CHECKING:
 
 # Range of the return flight's airspeed, above the wind speed [m/s].
 _SLOWEST_M_S, _FASTEST_M_S = 1.0, 25.0
+# Tolerance of the airspeed of least charge [m/s]: the charge per metre is flat near its minimum.
 _TOLERANCE_M_S = 1e-3
+# The model counts charge in A h, rates in A h/s.
 _SECONDS_PER_HOUR = 3600.0
 
 
 def with_return_flight(problems: "Problems", scenario: Scenario) -> Scenario:
     """Return the scenario with airspeed and current of the return flight filled in.
 
-    A scenario that keeps no charge for a return, or with both given, is returned unchanged.
+    A scenario is returned unchanged if it reserves no charge for a return, or if it gives both
+    values.
 
     Raises
     ------
     SolveError
-        If the vehicle cannot fly against its wind.
+        If the vehicle cannot fly against the wind.
     """
     mission = scenario.mission
     told = mission.return_flight
@@ -48,7 +51,7 @@ def with_return_flight(problems: "Problems", scenario: Scenario) -> Scenario:
 
 
 def _cheapest(scenario: Scenario, steady: SteadyFlight, wind: float) -> float:
-    """Return the airspeed of least charge per metre over ground against a head wind [m/s]."""
+    """Return the airspeed of least charge per metre over the ground in a head wind [m/s]."""
 
     def cost(airspeed: float) -> float:
         try:
@@ -69,7 +72,7 @@ def _cheapest(scenario: Scenario, steady: SteadyFlight, wind: float) -> float:
 
 
 def _current(scenario: Scenario, steady: SteadyFlight, airspeed: float) -> float:
-    """Return the battery current of steady flight at an airspeed and the lowest charge [A]."""
+    """Return the battery current [A] of steady flight at the lowest state of charge allowed."""
     drawn = (1.0 - scenario.limits.least_charge) * steady.pack_capacity
     rate, reserve = steady.charge_rates(steady.trim([airspeed, 0.0, 0.0]), np.array([drawn]))
     if reserve[0] < 0.0:

@@ -1,11 +1,11 @@
 """Plans with a stated risk: margins for turbulence and uncertain parameters, found by iteration.
 
-The risk is the probability that a flight breaks any limit, a margin the amount by which a plan
-stays inside a limit.  A plan is made with margins; the spread of flights about it gives the margins
-that the risk requires; both steps are repeated until the margins agree.  These plans are re-solves
-of one compiled problem on one mesh.  Then simulated flights in turbulence test the plan, and the
-margin of each limit that they break too often is increased.  The last plan is refined and verified.
-See docs/theory/risk.md, eqs. (7) to (9).
+The risk is the probability that a flight breaks any limit; a margin is the amount by which a plan
+stays inside a limit.  First a plan is made with margins. The covariance of flights about this plan
+gives the margins that the allowed risk requires. Both steps are repeated until the margins agree;
+each repetition solves the same compiled problem on the same mesh again.  Then simulated flights in
+turbulence test the plan, and the margin of each limit that they break too often is increased.  The
+last plan is refined and verified. See docs/theory/risk.md, eqs. (7) to (9).
 """
 
 from collections import Counter
@@ -89,11 +89,11 @@ _OWN_MODEL = "margins are computed for the built-in model only, not for a user's
 
 
 def risk_asked(scenario: Scenario) -> float:
-    """Return the largest probability of a broken limit that a scenario allows, 1 without a limit.
+    """Return the largest allowed probability of a broken limit; 1 if any risk is allowed.
 
-    A plan of free duration uses the full thrust of the rotors, so that no controller can follow it.
-    If the scenario does not state a risk, such a plan therefore gets the risk `_USUAL_RISK`, except
-    for the paper's equations.
+    It is the risk that the scenario states. An optimal plan of free duration uses the full thrust
+    of the rotors, so that no controller can follow it. If the scenario states no risk, such a plan
+    therefore gets the risk `_USUAL_RISK`, except for the paper's equations.
     """
     stated = scenario.mission.risk
     if stated is not None:
@@ -105,7 +105,7 @@ def risk_asked(scenario: Scenario) -> float:
 def plan_at_risk(
     scenario: Scenario, planner: Planner, *, progress: Progress | None = None, **solve: Any
 ) -> Plan:
-    """Solve a scenario with margins that keep its stated risk.
+    """Solve a scenario with margins such that flights keep its stated risk.
 
     The risk is the probability that a flight in turbulence breaks any limit; margins are the
     amounts by which the plan stays inside its limits.
@@ -124,8 +124,9 @@ def plan_at_risk(
     Returns
     -------
     Plan
-        With `risk`. For a scenario without a risk it is the plan of `Planner.solve`.  If the risk
-        cannot be reached, or the search is stopped, it is the plan of least risk that was found.
+        Plan with its attribute `risk` set. For a scenario that allows any risk it is the plan of
+        `Planner.solve`. If the risk cannot be reached, or the search is stopped, it is the plan of
+        least risk that was found.
     """
     with planner.until_stopped() as is_stopped:
         paper = planner.solve(scenario, progress=progress, **solve)
@@ -151,9 +152,9 @@ def _again(
     Parameters
     ----------
     planner : Planner
-        Holds the compiled problem.
+        Planner that has compiled the problem.
     plan : Plan
-        Start of the solve.
+        Plan from which the solve starts.
     held : Scenario
         The plan's scenario with tightened limits.
     progress : callable or None
@@ -217,8 +218,8 @@ class _Tried:
     def missing_places(self) -> float:
         """Probability that a flight misses goal or waypoints for lack of thrust.
 
-        These are the misses that no margin (tightening of a scenario field) makes rarer, such as at
-        the goal; they become rarer only if the plan leaves the rotors a reserve of thrust.
+        It counts the misses that no margin on a scenario field makes rarer, such as a miss of the
+        goal. They become rarer only if the plan leaves the rotors a reserve of thrust.
         """
         return sum(miss.probability for miss in self.missed if not miss.field)
 
@@ -339,7 +340,7 @@ class _Search:
         return replace(tried.plan, risk=taken)
 
     def _verified(self, tried: _Tried) -> _Tried:
-        """Return a plan with margins again, refined and verified by simulation.
+        """Refine a plan with margins, and verify it by simulation.
 
         Margins are the amounts by which the plan stays inside its limits; the refined mesh keeps
         the margins also between the collocation points.
@@ -356,9 +357,9 @@ class _Search:
         return self._tried(owned, tried.margins)
 
     def _owned(self, plan: Plan, margins: Mapping[str, float]) -> Plan:
-        """Return a plan that was made with tightened limits as a plan of the original scenario.
+        """Return a plan made with tightened limits as a plan of the original scenario.
 
-        Scenario and passing times of waypoints are those without margins.
+        The returned plan has the scenario and the passing times of waypoints without margins.
         """
         times = passing_times(self._scenario, plan.passing_times_s, margins.get(HOLD, 0.0))
         return replace(plan, scenario=self._scenario, passing_times_s=times)
@@ -390,10 +391,10 @@ class _Search:
         return self._tried(self._owned(plan, margins), margins)
 
     def _followed(self, tried: _Tried) -> _Tried:
-        """Return a plan that the controller can follow to its goal, with the least reserve.
+        """Return a plan that the controller can follow to its goal, with the least reserve needed.
 
         The reserve is the part of thrust and tilt that a plan leaves to the controller. If flights
-        miss the goal with any reserve, it is the plan whose flights miss least.
+        miss the goal with every reserve, the result is the plan whose flights miss it least often.
         """
         if self._is_followed(tried):
             return tried
@@ -419,7 +420,8 @@ class _Search:
     def _reserve(self, share: float) -> dict[str, float]:
         """Return the margins that leave a fraction of rotor speed, thrust and tilt unused.
 
-        Margins are amounts by which limits are tightened. A free duration gets longer too.
+        Margins are amounts by which limits are tightened; ``share`` is the fraction. If the
+        duration is free, its lower limit is raised too.
         """
         margins = {name: share * greatest_margin(self._scenario, name) for name in AUTHORITY}
         for name, more in self._steeper_than_the_controller().items():
@@ -432,10 +434,10 @@ class _Search:
         return margins
 
     def _steeper_than_the_controller(self) -> dict[str, float]:
-        """Return the amounts by which roll and pitch limits exceed the controller's own [rad].
+        """Return the amounts by which roll and pitch limits exceed the controller's tilt [rad].
 
-        A plan with these amounts as margins stays within the controller's tilt limit. Empty if the
-        scenario does not limit the controller's tilt.
+        A plan with these amounts as margins stays within the tilt that the controller may command.
+        The result is empty if the scenario does not limit the controller's tilt.
         """
         limits, most = self._scenario.limits, self._scenario.baseline.gains.tilt_max
         if most is None:
@@ -446,9 +448,9 @@ class _Search:
         }
 
     def _settled(self, tried: _Tried) -> _Tried:
-        """Return a plan whose margins agree with the spread of flights about it, by iteration.
+        """Repeat a plan with new margins until they agree with the spread of flights about it.
 
-        Margins are the amounts by which the plan stays inside its limits, the spread is the
+        Margins are the amounts by which the plan stays inside its limits; the spread is the
         covariance of flights in turbulence.
         """
         for _ in range(_PLANS):
@@ -466,8 +468,8 @@ class _Search:
 
         Margins are the amounts by which the plan stays inside its limits; the risk is the
         probability that a flight in turbulence breaks any limit. The probabilities of missing the
-        goal and of breaking limits that need no margin are first subtracted from the allowed risk;
-        the limits that need a margin share the rest equally.
+        goal, and of breaking limits that need no margin, are first subtracted from the allowed
+        risk. The rest is divided equally among the limits that need a margin.
         """
         held = tried.margins
         alone = {a: a.probability(held.get(a.field, 0.0), 0.0) for a in tried.near}
@@ -497,8 +499,8 @@ class _Search:
     def _agree(self, held: Mapping[str, float], wanted: Mapping[str, float]) -> bool:
         """Return whether the margins of a plan are close to those that its flights need.
 
-        `held` are the margins of the plan, `wanted` those that its flights need: scenario field ->
-        amount by which the plan stays inside the limit.
+        `held` has the margins of the plan, `wanted` the margins that its flights need. Both map a
+        scenario field to the amount by which the plan stays inside the limit.
         """
         for name in {*held, *wanted}:
             one, other = held.get(name, 0.0), wanted.get(name, 0.0)
@@ -516,7 +518,7 @@ class _Search:
         Returns
         -------
         list of tuple of str
-            For each flight its broken limits in words.
+            The limits that each flight breaks, in words; empty for a flight that keeps all limits.
         """
         expected = as_expected(replace(tried.plan, scenario=self._told).mission_flown)
         dynamics, draws = draw(self._planner, expected, _FLIGHTS, seed)
@@ -527,9 +529,9 @@ class _Search:
     def _grown(self, tried: _Tried, counts: Mapping[str, int]) -> dict[str, float]:
         """Return larger margins for the limits that test flights break too often.
 
-        A flight that misses a place of the mission had too little thrust to correct the effect of a
-        gust, so that the margins of thrust and tilt grow. Margins are the amounts by which the plan
-        stays inside its limits.
+        Margins are the amounts by which the plan stays inside its limits. A flight that misses the
+        goal had too little thrust to correct the effect of a gust; therefore the margins of thrust
+        and tilt grow.
         """
         allowed = self._risk * _FLIGHTS / max(len(counts), 1)
         fields: set[str] = set()
@@ -556,7 +558,7 @@ class _Search:
         return margins
 
     def _advice(self, tried: _Tried, limiting: tuple[str, ...]) -> str:
-        """Return advice to the user against the limit that is broken most often."""
+        """Return advice to the user on how to keep the limit that is broken most often."""
         first = limiting[0] if limiting else ""
         if first.startswith(("keep-out", "floor", "ceiling")):
             return "start, waypoints and goal farther from it, or a lower limits.speed_max"
@@ -566,7 +568,7 @@ class _Search:
         return f"{longer}{self._weaker(tried)}"
 
     def _weaker(self, tried: _Tried) -> str:
-        """Return advice on the weaker turbulence in which a flight rarely misses the goal."""
+        """Return advice to the user: the turbulence in which flights seldom miss the goal."""
         allowed = _SHARE_OF_GOAL * self._risk
         places = [miss for miss in tried.missed if not miss.field]
         low, high = 0.0, 1.0
@@ -603,10 +605,10 @@ def _missed_least(tried: _Tried) -> tuple[float, float]:
 
 
 def _planned_at(plan: Plan, spread: Spread) -> tuple[FloatArray, FloatArray]:
-    """Return states and controls of a plan at the times of its flights' covariance.
+    """Return states and controls of a plan at the n times of its flights' covariance.
 
-    At each of the spread's n times, the states are in the order of its dynamics: shape (n,
-    n_states).
+    The shapes are (n, n_states) and (n, n_controls). The states are in the order of the dynamics of
+    `spread`.
     """
     held, dynamics = plan.trajectories, spread.dynamics
     names = list(held.state_names)

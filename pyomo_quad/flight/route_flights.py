@@ -1,8 +1,9 @@
-"""Solves along candidate routes: cost estimate, coarse solve, refinement of the best.
+"""Solves along candidate routes: cost estimates, coarse solves, and refinement of the best.
 
-A journey is a route for each leg of a mission.  Steady flight estimates the cost of each journey;
-journeys that are much dearer are left out.  All others are solved on one mesh, the best of these on
-the next, and the best of these to the tolerance.
+A journey is a route for each leg of a mission, from one waypoint to the next.  The energy of steady
+flight estimates the cost of each journey, and journeys with a much higher estimate are left out.
+All others are solved on one coarse mesh. The best of them are solved on the next mesh, and the best
+of those are refined to the tolerance.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -27,6 +28,7 @@ from pyomo_quad.scenario.accuracy import Accuracy
 
 # Least number of elements on which the flights along all routes are compared.
 _ROUTE_ELEMENTS = 20
+# Samples of a guess along each route, which resolve its corners.
 _GUESS_SAMPLES = 201
 
 
@@ -52,8 +54,8 @@ class RouteFlights:
     mission : MissionProblem
         Compiled problem of the mission.
     known : Solution, optional
-        Solution along the shortest journey (a route from each waypoint to the next) on one mesh, if
-        known already.
+        Solution on one mesh along the shortest journey (a route from each waypoint to the next), if
+        it has been computed already.
     """
 
     _near_on_first = _NEAR_ON_FIRST
@@ -77,10 +79,10 @@ class RouteFlights:
         Returns
         -------
         Solution
-            Refined to the mission's tolerance. If zones block every route, it is infeasible and its
-            message names the zones.
+            The best solution, refined to the mission's tolerance. If zones block every route, its
+            status is infeasible and its message names the zones.
         tuple of TriedRoute
-            Empty if zones block every route.
+            Result for each route; empty if zones block every route.
         """
         try:
             journeys = self._journeys(most)
@@ -90,7 +92,7 @@ class RouteFlights:
         return self.compared(journeys)
 
     def compared(self, journeys: Sequence[Journey]) -> tuple[Solution, tuple[TriedRoute, ...]]:
-        """Solve along given journeys on one mesh, refine the best; return it and all results.
+        """Solve along given journeys on one mesh and refine the best; return it with all results.
 
         A journey is a route for each leg, from one waypoint to the next. If the solutions of two
         journeys coincide on this mesh or the next, as for the journeys over and beside a sphere,
@@ -99,7 +101,7 @@ class RouteFlights:
         Returns
         -------
         Solution
-            The best, refined to the mission's tolerance.
+            The best solution, refined to the mission's tolerance.
         tuple of TriedRoute
             Result of each journey.
         """
@@ -128,18 +130,18 @@ class RouteFlights:
         )
 
     def _near(self, known: dict[int, Solution]) -> list[int]:
-        """Return the solutions near the least energy, after solving them again on a finer mesh.
+        """Solve the best solutions again on a finer mesh; return those near the least energy.
 
         Parameters
         ----------
         known : dict
-            Solutions by number of the journey (a route for each leg of the mission); finer
-            solutions replace coarse ones, duplicates are removed.
+            Solutions by number of the journey (a route for each leg of the mission). Finer
+            solutions replace coarse solutions in it, and duplicates are removed from it.
 
         Returns
         -------
         list of int
-            Numbers of the best journeys, the cheapest first.
+            Numbers of the journeys near the least energy, the cheapest first.
         """
         near = _nearest(known, self._near_on_first, _MOST_ON_NEXT)
         if len(near) < 2:
@@ -154,8 +156,9 @@ class RouteFlights:
     def _refined(self, known: Mapping[int, Solution], near: list[int]) -> dict[int, Solution]:
         """Return the best solutions refined to the tolerance, by number of the journey.
 
-        If none of them can be refined, other solutions follow until one can. A journey is a route
-        for each leg of the mission.
+        If the refinement of all of them fails, further solutions are refined until one succeeds. A
+        journey is a route for each leg of the mission. `near` holds the numbers of the best
+        journeys.
         """
         refined: dict[int, Solution] = {}
         others = [k for k in _cheapest(known) if k not in near and known[k].status.is_solved]
@@ -168,14 +171,18 @@ class RouteFlights:
         return refined
 
     def energy_of(self, solution: Solution) -> float:
-        """Return the energy of a solution [J], without price of time and battery loss."""
+        """Return the energy of a solution [J], without the price of time and the battery's loss.
+
+        The objective of the solve may contain both in addition to the energy.
+        """
         return energy_of(self._told, solution)
 
     def as_flown(self, journey: Journey, solution: Solution) -> Journey:
-        """Return a journey with the sides of zones on which its solution really passes.
+        """Return a journey, corrected for the sides on which its solution passes the zones.
 
-        A journey is a route for each leg of the mission, from one waypoint to the next. Without a
-        solution it is returned unchanged.
+        A solution may pass a zone on another side than its initial guess. A journey is a route for
+        each leg of the mission, from one waypoint to the next. If the solve failed, the journey is
+        returned unchanged.
         """
         is_flown = solution.status.is_solved
         return journey_as_flown(self._told, journey, solution) if is_flown else journey
@@ -184,8 +191,8 @@ class RouteFlights:
         """Return the candidate journeys of the mission, at most ``most``.
 
         A journey is a route for each leg, from one waypoint to the next. The shortest come first;
-        in a wind field the cheapest in steady flight. Journeys of high estimated cost are left out,
-        except for accuracy `proof`.
+        in a wind field, those that are cheapest in steady flight come first. Journeys of high
+        estimated cost are left out, except for accuracy `proof`.
         """
         told = self._told
         journeys = find_journeys(told.airspace, told.mission.positions)[:most]
@@ -197,10 +204,11 @@ class RouteFlights:
         return promising(journeys, self._cost_per_metre(journeys[0]))
 
     def _cost_per_metre(self, shortest: Journey) -> Callable[[FloatArray], float]:
-        """Return the energy per metre of steady flight as a function of direction (unit vector).
+        """Return a function that gives the cost per metre of steady flight in a direction [J/m].
 
-        The speed is common to all directions: from the length of the shortest way to the goal and
-        the duration or, if the duration is free, the speed of least cost.
+        The direction is a unit vector, shape (3,). The ground speed is the same in all directions:
+        the length of the shortest journey divided by the duration or, if the duration is free, the
+        speed of least cost.
         """
         told, steady = self._told, self._mission.steady
         mission = told.mission
@@ -223,10 +231,10 @@ class RouteFlights:
     def fly(self, journey: Journey) -> Solution:
         """Solve the mission on one mesh from an initial guess along a journey.
 
-        If that fails, the solve is repeated from a solution with exact waypoint passages; all
-        further journeys are then solved in this way at once, because the difficulty does not depend
-        on the journey. A journey is a route for each leg of the mission, from one waypoint to the
-        next.
+        A journey is a route for each leg of the mission, from one waypoint to the next. If the
+        solve fails, it is repeated from a solution that passes exactly through the waypoints. All
+        further journeys are then solved in this second way only, because the difficulty does not
+        depend on the journey.
         """
         if self._known is not None:
             known, self._known = self._known, None
@@ -247,7 +255,7 @@ class RouteFlights:
         return self.fly(journey)
 
     def refine(self, flown: Solution, meshes: int | None) -> Solution:
-        """Refine a solution on ``meshes`` meshes, or to the mission's tolerance if None."""
+        """Refine a solution on at most ``meshes`` meshes; if None, to the mission's tolerance."""
         mission = self._mission
         if self._told.solver.max_refinements == 0 and not mission.easier:
             return flown
@@ -278,7 +286,7 @@ def promising(
     Parameters
     ----------
     journeys : sequence of tuple of Route
-        Each a route for every leg of the mission.
+        Each journey has a route for every leg of the mission.
     cost_per_metre : callable
         Energy per metre of steady flight along a direction (unit vector); infinite if there is no
         steady flight.
@@ -323,7 +331,7 @@ def guess_along(
     Returns
     -------
     dict
-        "time" and state names -> samples, shape (n,).
+        Samples, shape (n,), under the key "time" and under the names of the states.
     """
     begun = (0.0, *times[1::2])
     instants, places = [], []

@@ -1,10 +1,11 @@
 """Shortest routes round zones and over terrain, one per homotopy class, and cruise along a route.
 
 Points round every obstructing zone are joined where the straight line between them is free;
-Dijkstra's algorithm finds the shortest path through them.  A zone between start and goal is passed
-on the left or right, over or under it.  The shortest route determines a side of each zone.
-Forbidding these sides one at a time, while keeping the sides before it, divides all other routes
-into classes [1]_, whose shortest routes follow in order of length.
+Dijkstra's algorithm finds the shortest path through them. A zone between start and goal is passed
+on the left or right, over or under it. The shortest route passes each zone on some side.  All other
+routes are divided into classes [1]_: the class of a zone has the routes that pass this zone on
+another side than the shortest route, but all zones before it on the same side. The shortest route
+of each class is found in the same way, so that all routes follow in order of length.
 
 Cruise is the flight of an autopilot: one speed and straight legs with limited jerk.  Each leg is
 flown from rest to rest in the seven phases of [2]_: the jerk is j, 0, -j to reach the speed, 0
@@ -13,8 +14,8 @@ a lower peak speed; if it is also too short for the largest acceleration, it has
 acceleration.
 
 The vehicle stops at every waypoint, hovers there as prescribed, and stops at every corner of the
-shortest clear path round keep-out zones; at the goal it hovers.  The mission's times are ignored:
-the speed determines those of a cruise.
+shortest clear path round keep-out zones; at the goal it hovers. The times that the mission gives
+are ignored: the speed determines the times of a cruise.
 
 .. [1] Murty, "An algorithm for ranking all the assignments in order of increasing cost",
    Operations Research 16 (1968).
@@ -68,9 +69,10 @@ class Route:
     sides : tuple of (str, Side)
         Name of each zone between start and goal, and the side on which it is passed.
     label : str
-        Name to use instead of the sides, for routes through a wind field ("corridor 1").
+        Name of a route through a wind field, such as "corridor 1"; empty if the sides give the
+        name.
     estimate_J : float or None
-        Energy in steady flight through a wind field.
+        Energy of steady flight along the route through a wind field [J]; None without a wind field.
     """
 
     places: FloatArray
@@ -146,8 +148,8 @@ def find_routes(
 def zones_that_block(airspace: Airspace, start: Place, goal: Place) -> tuple[str, ...]:
     """Return the names of zones that leave no route between two places.
 
-    If the removal of a single zone opens a route, these are all zones with this property.
-    Otherwise they are a set of zones that must all be removed together.
+    If removing a single zone is enough to open a route, the result names all zones of which this is
+    true. Otherwise it names a set of zones that must all be removed together.
     """
     zones = airspace.keep_out
 
@@ -208,7 +210,7 @@ def find_journeys(airspace: Airspace, stops: Sequence[Place]) -> tuple[Journey, 
     Raises
     ------
     NoRouteError
-        Naming the zones that block a leg.
+        If zones block a leg; the message names them.
     """
     journeys: list[Journey] = [()]
     for start, goal in pairwise(stops):
@@ -230,10 +232,11 @@ class NoRouteError(Exception):
 
 
 def with_plain_passages(told: Scenario) -> Scenario | None:
-    """Return the mission with exact waypoint passages at any speed; None if all are so already.
+    """Return the mission with exact waypoint passages at any speed.
 
-    Waypoints with a radius or a speed limit lose it, which makes an initial solve easier: where the
-    distance or the speed that they limit is zero, the gradient of the limit vanishes.
+    Waypoints lose their radius and speed limit, which makes a first solve easier: the gradient of
+    such a limit vanishes where the limited distance or speed is zero. The result is None if no
+    waypoint has a radius or a speed limit.
     """
     at_ease = {"radius": 0.0, "speed_max": None}
     waypoints = tuple(w.model_copy(update=at_ease) for w in told.mission.waypoints)
@@ -351,14 +354,14 @@ class TriedRoute:
     length_m : float
         Length of the shortest route in its class.
     energy_J : float or None
-        Energy of the optimal flight, on the first or second mesh unless refined; None if the solve
-        failed.
+        Energy of the optimal flight along the route [J]. Unless `is_refined`, it is that of a
+        coarse mesh. None if the solve failed.
     is_refined : bool
         Whether the flight was solved to the mission's tolerance.
     is_kept : bool
-        Whether it is the route of the plan.
+        Whether the plan follows this route.
     estimate_J : float or None
-        Energy of steady flight along the route; only in a wind field.
+        Energy of steady flight along the route through a wind field [J]; None without a wind field.
     """
 
     name: str
@@ -379,8 +382,8 @@ _INSTANT = 1e-9
 class SpeedProfile(NamedTuple):
     """Samples of a motion from rest to rest along a straight line, in phases of constant jerk.
 
-    The n = 8 samples are the start of the motion and the ends of its seven phases; each array has
-    shape (n,).
+    The 8 samples are the start of the motion and the ends of its seven phases; each array has shape
+    (8,).
     """
 
     times: FloatArray
@@ -394,14 +397,14 @@ class SpeedProfile(NamedTuple):
 
 
 def speed_profile(distance: float, speed: float, acceleration: float, jerk: float) -> SpeedProfile:
-    """Return the fastest motion from rest to rest over a distance, of limited jerk.
+    """Return the fastest motion from rest to rest over a distance, with limited jerk.
 
     Parameters
     ----------
     distance : float
-        m, positive.
+        Length of the motion [m], positive.
     speed, acceleration, jerk : float
-        Limits on their magnitudes, m/s, m/s^2 and m/s^3.
+        Largest magnitudes allowed [m/s, m/s^2, m/s^3].
 
     Returns
     -------
@@ -451,8 +454,8 @@ def cruise_at(
 ) -> Scenario:
     """Return the mission with the passing times of an autopilot's cruise.
 
-    The vehicle hovers at the goal for `settling_s`, and longer where the flight would last less
-    than `least_s`.
+    The vehicle hovers at the goal for `settling_s`, or longer, if the flight would otherwise last
+    less than `least_s`.
 
     Parameters
     ----------
@@ -461,7 +464,7 @@ def cruise_at(
     speed : float, optional
         Cruise speed [m/s]; by default the single cruise speed of the scenario.
     settling_s, least_s : float, optional
-        Hover at the goal and least duration of the flight.
+        Time of hover at the goal, and least duration of the flight [s].
 
     Raises
     ------
@@ -485,7 +488,7 @@ def cruise(scenario: Scenario) -> SampledPath:
     Raises
     ------
     ScenarioError
-        If the cruise takes longer than the duration of the scenario.
+        If the cruise takes longer than the mission's duration.
     """
     stops, times = stops_of(scenario.mission)
     holds = (0.0, *(waypoint.hold for waypoint in scenario.mission.waypoints))
@@ -519,7 +522,8 @@ def _legs(scenario: Scenario) -> list[list[tuple[FloatArray, SpeedProfile]]]:
     Returns
     -------
     list of list of (ndarray, SpeedProfile)
-        For each leg its pieces round zones: displacement [m] and rest-to-rest motion.
+        For each leg, its straight pieces round zones; each piece has a displacement, shape (3,)
+        [m], and a motion from rest to rest.
     """
     airspace, settings = scenario.airspace, own_cruise(scenario)
     limits = settings.speed, settings.acceleration, settings.jerk
@@ -546,10 +550,10 @@ def _legs(scenario: Scenario) -> list[list[tuple[FloatArray, SpeedProfile]]]:
 
 
 def reached(scenario: Scenario) -> CruiseSettings:
-    """Return the largest speed and acceleration that a cruise reaches, and its jerk.
+    """Return cruise settings with the largest speed and acceleration that a cruise really reaches.
 
-    Legs may be too short for the scenario's own settings; with the returned settings the flight is
-    the same.
+    Legs may be too short to reach the speed and acceleration that the scenario sets. The returned
+    settings, with the jerk of the scenario, give the same flight.
     """
     profiles = [profile for pieces in _legs(scenario) for _, profile in pieces]
     return CruiseSettings(
@@ -565,7 +569,7 @@ def own_cruise(scenario: Scenario) -> CruiseSettings:
     Raises
     ------
     ScenarioError
-        If it has no cruise speed, or several.
+        If the scenario has no cruise speed, or several.
     """
     speeds = scenario.baseline.cruise_speeds or ()
     if len(speeds) != 1:

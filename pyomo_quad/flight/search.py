@@ -58,11 +58,12 @@ class State:
     stage : Stage
         Present stage.
     energy_J : float
-        Least energy found so far, infinite before the first solution.
+        Least energy found so far [J]; infinite before the first solution.
     uncertainty : float
-        Relative change of that energy by the last mesh, infinite if there was only one mesh.
+        Relative change of the least energy from the second last to the last mesh; infinite if there
+        was only one mesh.
     spent_s : float
-        Processor time since the search began.
+        Processor time since the search began [s].
     has_usable : bool
         Whether there is a plan that simulation confirms at lower accuracy, which is returned if the
         search is stopped now.
@@ -79,7 +80,7 @@ class State:
 
 
 class Search:
-    """Progress callback of solves that ends a search in time and keeps the best usable plan.
+    """Progress callback of a search's solves: it stops them in time and keeps the best usable plan.
 
     A usable plan is one that simulation confirms at lower accuracy than requested.
 
@@ -99,7 +100,8 @@ class Search:
     usable : Plan or None
         The best usable plan so far.
     effort : int
-        Sum over Ipopt's iterations of the number of mesh points, since `begin_effort`.
+        Sum over all iterations of Ipopt, since the last `begin_effort`, of the number of mesh
+        points.
     """
 
     def __init__(self, deadline: Deadline, show: Callable[[State], None] | None = None) -> None:
@@ -131,14 +133,14 @@ class Search:
         self._patient_from = time.thread_time()
 
     def begin_effort(self, most: float) -> None:
-        """Reset the effort counter and set the effort at which the next solves are stopped.
+        """Reset the effort counter, and set the effort ``most`` at which solves are stopped.
 
         The effort is the sum over Ipopt's iterations of the number of mesh points.
         """
         self.effort, self._most_effort = 0, most
 
     def __call__(self, iteration: Iteration) -> bool:
-        """Return False at an iteration of Ipopt if the time or effort limit has passed."""
+        """Count an iteration of Ipopt; return False, which stops the solve, beyond a limit."""
         self.effort += iteration.mesh_points
         if self._show is not None:
             self._show(
@@ -161,19 +163,20 @@ class Search:
         flown: Callable[[Solution], Plan],
         flyable: Callable[[Solution], Iterator[Plan]],
     ) -> None:
-        """Try the solution of a finished mesh as a usable plan, by simulation of its controls.
+        """Test by simulation whether the solution on a finished mesh gives a usable plan.
 
-        A solution with a small error estimate is simulated at once. From a coarser solution a
-        flyable trajectory is computed first, but only in a long search without a usable plan, if
-        need be in the middle of a later solve.  A search that ends soon needs neither. A usable
-        plan is one that simulation confirms at lower accuracy than requested.
+        A usable plan is one that simulation confirms at lower accuracy than requested; a search
+        that is stopped returns it. Short searches make none, to save time. In a longer search, a
+        solution with a small error estimate is simulated. From a solution with a larger error, a
+        flyable trajectory must first be computed; this is done only in a long search that has no
+        usable plan yet, and it may interrupt a later solve.
 
         Parameters
         ----------
         solution : Solution
             Solution on the finished mesh.
         energy_J : float
-            Energy of the solution.
+            Energy of the solution [J].
         flown : callable
             Takes a solution; returns its plan with the result of the simulation.
         flyable : callable
@@ -192,7 +195,7 @@ class Search:
             self.stage = Stage.REFINING
 
     def _seek_usable(self) -> None:
-        """In a long search, compute a usable plan from the last coarse solution, if there is none.
+        """In a long search without a usable plan, compute one from the last coarse solution.
 
         A usable plan is one that simulation confirms at lower accuracy than requested.
         """
@@ -216,7 +219,7 @@ class Search:
         self._energy = energy_J
 
     def keep(self, plan: Plan) -> None:
-        """Keep a plan if simulation confirms it at lower accuracy and it is the best so far."""
+        """Keep a plan if simulation confirms it at lower accuracy, and it is the best so far."""
         found = as_usable(plan)
         if not found.is_flyable:
             return
@@ -224,11 +227,10 @@ class Search:
             self.usable = found
 
     def ended(self, plan: Plan) -> Plan:
-        """Return the plan with which the search ends: the last plan, or else the best usable plan.
+        """Return the result of the search: the last plan or, if that fails, the best usable plan.
 
-        The usable plan replaces a last plan that simulation does not confirm, unless this was
-        proven infeasible. A usable plan is one that simulation confirms at lower accuracy than
-        requested.
+        A usable plan is one that simulation confirms at lower accuracy than requested. It replaces
+        a last plan that simulation does not confirm, unless the mission is proven infeasible.
         """
         plan = as_usable(self._given_up(replace(plan, attempts=tuple(self.record))))
         if plan.is_flyable or plan.status is PlanStatus.INFEASIBLE or self.usable is None:
@@ -250,7 +252,7 @@ class Search:
         )
 
     def _given_up(self, plan: Plan) -> Plan:
-        """Return the plan as not converged if the time limit passed before a result.
+        """Return a plan with its status set to not converged, if time ran out before any result.
 
         A result is a flyable plan or a proof of infeasibility.
         """
@@ -282,7 +284,7 @@ def as_usable(plan: Plan) -> Plan:
 
 
 def _proven(plan: Plan) -> str:
-    """Return in a sentence to which accuracy simulation confirms a usable plan."""
+    """Return a sentence that says to which accuracy simulation confirms a usable plan."""
     found = plan.verification
     if found is None:
         return ""
@@ -296,7 +298,7 @@ def _proven(plan: Plan) -> str:
 
 
 def accuracy_words(plan: Plan) -> str:
-    """Return in words the requested and the reached accuracy, and the energy's uncertainty."""
+    """Return a text with the requested and reached accuracy, and the energy's uncertainty."""
     asked, reached = plan.scenario.solver.accuracy, plan.accuracy_reached
     known = plan.energy_uncertainty
     words = f"accuracy requested: {asked.value}; reached: {'none' if reached is None else reached}"

@@ -1,11 +1,11 @@
 """Steady flight from the compiled equations: hover, trim and battery load.
 
-This module has no formula of the vehicle. A trim consists of the states and controls with which the
-compiled equations keep all states constant except the position, which moves at a given velocity. A
-user's own model is trimmed in the same way.
+A trim consists of the states and controls with which the compiled equations keep all states
+constant except the position, which moves at a given velocity. All quantities come from the compiled
+equations, so that a user's own model is treated in the same way.
 
-The lower bound takes its momentum balance and its power from here: see docs/theory/bound.md, eqs.
-(1) and (6).
+The lower bound of the energy uses the momentum balance and the power of this module: see
+docs/theory/bound.md, eqs. (1) and (6).
 """
 
 from __future__ import annotations
@@ -34,21 +34,25 @@ if TYPE_CHECKING:
     from pyomo_quad.scenario import Scenario
 
 
+# Names of states and other components of the declared model, or their beginnings.
 ROLL, PITCH, _YAW = "rigid_body.phi", "rigid_body.theta", "rigid_body.psi"
 _ROTOR_SPEED = "rotors.omega["
 _CHARGE_RATE = "battery.dcharge_drawn_dt"
 _FIRST_ROTOR = 1
 _INDUCED = "power.induced_velocity"
 _UNCREDITED = "power.uncredited_power"
+# Velocity or acceleration of a vehicle at rest.
 _STILL = np.zeros(3)
 # Largest rate of change of a state in a trim, in the state's own unit per second.
 _AT_REST = 1e-7
 # Residual of the least-squares search below which Newton steps with its last Jacobian follow, and
 # number of these steps.
 _NEARLY, _SHARPENINGS = 1e-2, 4
+# Relative tolerance of a rotor speed, near the rounding error, because the lower bound uses it.
 _PRECISION = 1e-15
 # Velocities at which linearity is tested, m/s: each axis alone, and all axes together.
 _TRIALS = np.array([[3.0, 0, 0], [0, 3.0, 0], [0, 0, 3.0], [-5.0, 7.0, -2.0]])
+# Rounding error of a balance that is linear, relative to the thrust.
 _ROUNDING = 1e-9
 
 
@@ -84,7 +88,8 @@ class SteadyFlight:
     dynamics : Dynamics
         The equations, with the wind of the flight; `Planner.steady_flight` uses still air.
     known : mapping, optional
-        State name -> initial value, for states of a user's own model.
+        State name -> initial value, for states of a user's own model that the mission does not
+        define.
     """
 
     def __init__(
@@ -99,15 +104,15 @@ class SteadyFlight:
     def trim(self, velocity: ArrayLike = _STILL, near: Trim | None = None) -> Trim:
         """Return the steady flight at a velocity over ground.
 
-        Place and heading are those of the start. A state that the mission fixes at its start and
-        leaves free at its end, such as the charge drawn, keeps its initial value, because a
-        quantity that the flight uses up is never at rest. All other states, and the controls, are
-        solved for.
+        Position and heading are those of the mission's start. Some states can never be at rest
+        because the flight uses them up, such as the charge drawn: the mission fixes them at the
+        start and leaves them free at the end. They keep their initial values. All other states, and
+        the controls, are solved for.
 
         Parameters
         ----------
         velocity : array_like, shape (3,), optional
-            In world axes, m/s; hover by default.  In still air it equals the airspeed.
+            Velocity in world axes [m/s]; hover by default. In still air it equals the airspeed.
         near : Trim, optional
             Initial guess: a trim at a similar velocity.
 
@@ -170,7 +175,7 @@ class SteadyFlight:
         ]
 
     def held_in(self, trim: Trim) -> dict[str, float]:
-        """Return the states that a steady flight keeps constant, other than velocity, by name.
+        """Return the states that a steady flight keeps constant, except the velocity, by name.
 
         These are attitude, body rates and rotor speeds, and the induced velocity if modelled.
         """
@@ -197,14 +202,15 @@ class SteadyFlight:
         drawn : ndarray, shape (n,)
             Charge drawn from the full pack [A h].
         circuit : ndarray, shape (n, n_circuit), optional
-            Relaxation voltage [V] and temperature [K] of the pack; by default those of the start.
+            Relaxation voltage [V] and temperature [K] of the battery, as far as the model has them;
+            by default their initial values.
 
         Returns
         -------
         rate : ndarray, shape (n,)
-            Charge per second [A h/s].
+            Charge drawn per second [A h/s].
         reserve : ndarray, shape (n,)
-            Greatest power of the pack less the power drawn [W].
+            Greatest power that the battery can give, minus the power drawn [W].
         """
         states = np.tile(trim.states, (len(drawn), 1))
         controls = np.tile(trim.controls, (len(drawn), 1))
@@ -216,7 +222,7 @@ class SteadyFlight:
         return rate, reserve
 
     def endurance(self, trim: Trim, depth: float, samples: int) -> float:
-        """Return the time of steady flight on the full battery to a depth of discharge [s].
+        """Return how long a full battery sustains a steady flight, to a depth of discharge [s].
 
         Parameters
         ----------
@@ -230,7 +236,8 @@ class SteadyFlight:
         Returns
         -------
         float
-            Infinite if the flight draws no power, and zero if the pack cannot give the power.
+            Time [s]; infinite if the flight draws no power, zero if the battery cannot give the
+            power.
         """
         drawn = np.linspace(0.0, depth * self.pack_capacity, samples)
         rate, reserve = self.charge_rates(trim, drawn, self._circuit_under_load(trim, drawn))
@@ -246,9 +253,10 @@ class SteadyFlight:
     def _circuit_under_load(self, trim: Trim, drawn: FloatArray) -> FloatArray | None:
         """Return relaxation voltage [V] and temperature [K] of the pack under a steady load.
 
-        Row k holds both after the charge `drawn[k]` was drawn, shape (n, n_circuit). For a charge
-        larger than the pack can give under this load, the row of the largest possible charge is
-        repeated. A circuit that models only one of the two has one column; None if it models none.
+        Row k of the result, shape (n, n_circuit), holds the values after the charge `drawn[k]` [A
+        h] was drawn. For a charge larger than the battery can give under this load, the row of the
+        largest possible charge is repeated. The battery model may have only one of the two
+        quantities: then there is one column. The result is None if it has neither.
         """
         own, charge = self._circuit, self._dynamics.state_names.index(CHARGE_STATE)
         if not own:
@@ -306,9 +314,10 @@ class SteadyFlight:
         return self._over_speeds("power.total", speed)
 
     def uncredited_power(self, speed: ArrayLike) -> FloatArray:
-        """Return the total power [W] for equal, constant rotor speeds, before its limit at zero.
+        """Return the total power [W] for equal, constant rotor speeds, which may be negative.
 
-        The limit applies if braking returns no energy; see `model.power`.
+        If braking returns no energy, the model sets negative power to zero; here it is not set to
+        zero. See `model.power`.
         """
         rotors = range(_FIRST_ROTOR, _FIRST_ROTOR + len(self._rotors))
         if not self._dynamics.has(_UNCREDITED):
@@ -316,10 +325,11 @@ class SteadyFlight:
         return np.sum([self._over_speeds(_UNCREDITED, speed, index=j) for j in rotors], axis=0)
 
     def power_of_accelerating(self, speed: ArrayLike) -> FloatArray:
-        """Return the power per unit of rotor acceleration, all rotors together [J s/rad].
+        """Return the part of the power that is proportional to rotor acceleration, per rad/s^2.
 
-        This part of the power is linear in the acceleration, therefore stored and not spent. The
-        remaining cost of an acceleration, which does not depend on its sign, is excluded.
+        The unit is J s/rad; all rotors accelerate together. This part of the power is stored in the
+        rotors and returned when they slow down. Losses that do not depend on the sign of the
+        acceleration are excluded.
         """
         name = _UNCREDITED if self._dynamics.has(_UNCREDITED) else "power.rotor_power"
         up, down = (self.rotor_value(name, speed, sign) for sign in (1.0, -1.0))
@@ -334,7 +344,8 @@ class SteadyFlight:
     def rotor_value(self, name: str, speed: ArrayLike, acceleration: ArrayLike = 0.0) -> FloatArray:
         """Return a quantity of one rotor at given speeds [rad/s] and accelerations [rad/s^2].
 
-        `name` is that of an expression over rotors and time, as ``"rotors.motor_torque"``.
+        `name` is the name of an expression of the model that is indexed by rotor and time, such as
+        ``"rotors.motor_torque"``.
         """
         speeds, accelerations = np.broadcast_arrays(
             np.asarray(speed, dtype=float), np.asarray(acceleration, dtype=float)
@@ -342,16 +353,19 @@ class SteadyFlight:
         return self._over_speeds(name, speeds, accelerations, index=_FIRST_ROTOR)
 
     def yaw_moment(self, odd_speed: float, even_speed: float) -> float:
-        """Return the yaw moment [N m] for one speed of rotors 1 and 3, another of 2 and 4."""
+        """Return the yaw moment [N m] at one speed of rotors 1 and 3 and another of 2 and 4.
+
+        Both speeds are constant, in rad/s.
+        """
         states = self._start.copy()
         states[self._rotors[::2]], states[self._rotors[1::2]] = odd_speed, even_speed
         return float(self._read(("rotors.yaw_moment",), states)[0])
 
     def pack_under(self, power: float) -> tuple[float, float, float]:
-        """Return current [A], voltage [V] and charge per second [A h/s] of the loaded battery.
+        """Return current [A], voltage [V] and charge per second [A h/s] of the battery under load.
 
-        The load ``power`` [W] is that of all rotors at equal speed; the battery is in its initial
-        state.
+        The load is the electrical power ``power`` [W] of all rotors together, which turn at equal
+        speed. The battery is in its initial state.
         """
         states = self._start.copy()
         states[self._rotors] = self._speed_where(self.power, power)
@@ -360,11 +374,11 @@ class SteadyFlight:
 
     @property
     def greatest_pack_power(self) -> float:
-        """Greatest power of the battery at the start [W]."""
+        """Greatest power that the battery can give at the start of the mission [W]."""
         return float(self._read(("battery.greatest_power",), self._start)[0])
 
     def stored_energy(self, depth: float, samples: int) -> float:
-        """Return the energy of the full battery without load, to a depth of discharge [J].
+        """Return the energy in a full battery down to a depth of discharge, without losses [J].
 
         `depth` is the fraction of the capacity to draw, `samples` the number of quadrature points.
         """
@@ -433,10 +447,10 @@ class SteadyFlight:
 class MomentumDemand:
     """Thrust vector that the momentum balance requires for a motion.
 
-    With the rotors stopped, the acceleration is that of weight and air alone; the thrust must
-    supply the rest of a motion's acceleration, in any attitude. If the balance is linear in the
-    velocity, each axis reads: thrust(t) = mass * acceleration + drag * velocity + standing(t), with
-    weight and wind in `standing`.
+    With the rotors stopped, only weight and air accelerate the vehicle; the thrust must supply the
+    rest of a motion's acceleration. The balance does not depend on the attitude. If it is linear in
+    the velocity, the equation for each axis is thrust(t) = mass * acceleration + drag * velocity +
+    standing(t), where `standing` is the part of weight and wind.
 
     Parameters
     ----------
@@ -448,8 +462,8 @@ class MomentumDemand:
     mass, drag : ndarray, shape (3,)
         Thrust required per acceleration [kg] and per velocity [kg/s] along each world axis.
     is_linear : bool
-        Whether the balance is linear in the velocity and separable by axes; otherwise `drag` has no
-        meaning.
+        Whether the balance is linear in the velocity and separate for each axis; otherwise `drag`
+        has no meaning.
     """
 
     def __init__(self, dynamics: Dynamics) -> None:
@@ -475,7 +489,7 @@ class MomentumDemand:
     ) -> FloatArray:
         """Return the required thrust vector [N] at a time, for a velocity and an acceleration.
 
-        Both are in world axes [m/s, m/s^2]; by default the vehicle stands still.
+        Velocity [m/s] and acceleration [m/s^2] are in world axes; both are zero by default.
         """
         states = self._at_rest.copy()
         states[self._velocity] = velocity
@@ -487,7 +501,7 @@ class MomentumDemand:
     def _mass(self, axis: int) -> float:
         """Return the mass that the equations of motion imply along a world axis [kg].
 
-        It is a test thrust along this axis, divided by the acceleration that the thrust adds.
+        A test thrust along this axis is divided by the acceleration that it adds.
         """
         names, start = self._dynamics.state_names, self._dynamics.start
         states = self._at_rest.copy()
@@ -504,7 +518,7 @@ class MomentumDemand:
 
 
 def battery_shortfalls(scenario: Scenario, steady: SteadyFlight) -> tuple[str, ...]:
-    """Return the reasons why the battery cannot hover through the mission, one line each."""
+    """Return the reasons why the battery cannot supply a hover of the mission's duration."""
     hover = steady.hover
     pack = scenario.battery
     cells = f"battery {pack.use}, {pack.cells_series} x {pack.cells_parallel} cells"

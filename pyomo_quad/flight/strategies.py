@@ -1,8 +1,9 @@
 """Planning strategies: one ordered table, applied by one loop.
 
-Each strategy has a name, the stage of the search that it belongs to, the condition under which it
-applies, its action, and its budget: how often it may be repeated while it applies.  The record of
-the search, which `Plan.attempts` prints, holds the outcome of each action.  An action without
+A strategy is one way to obtain a plan or to improve it, such as a solve from another initial guess.
+It has a name, the stage of the search to which it belongs, the condition under which it applies,
+its action, and its budget: how often it may be repeated while its condition holds. The record of
+the search, which `Plan.attempts` prints, holds the outcome of each action. An action without
 outcome adds no line and is not repeated.
 """
 
@@ -33,11 +34,12 @@ class Strategy(NamedTuple, Generic[Subject]):
     stage : Stage
         Stage of the search that a progress display shows.
     applies : callable
-        Condition on the subject, the candidate plan that the strategies improve.
+        Takes the subject (the candidate plan that the strategies improve); returns whether the
+        strategy applies.
     act : callable
-        Action that improves the subject; returns the outcome for the record, None without outcome.
+        Takes the subject and improves it; returns the outcome for the record, or None.
     most : int
-        Largest number of times that it is carried out in a row.
+        Largest number of times that the strategy is carried out in a row.
     """
 
     name: str
@@ -111,7 +113,7 @@ _WITHIN_PACK = f"power limited to {100.0 * GIVEN_SHARE:.0f} % of the pack's grea
 def _hold_pack(candidate: Candidate) -> str:
     """Plan the mission again within the power that the battery can give.
 
-    No other retries follow; returns the outcome for the record of the search.
+    The result is the outcome for the record of the search. No further retries follow.
     """
     return candidate.hold_pack(lambda gentler: carry_out((*FIRST, *PROOF), gentler, gentler.search))
 

@@ -1,8 +1,8 @@
-"""Order of waypoints: energies of legs, cheapest orders, whole solves of the best orders.
+"""Order of waypoints: energies of legs, cheapest orders, and full solves of the best orders.
 
-A leg is the flight from one place of the mission to another, from hover to hover. Only legs between
-neighbours and legs of the cheapest orders are solved for.  The energies of all other legs are
-predicted from these, see docs/theory/orders.md, eq. (1).
+A leg is the flight from one place of the mission to another, from hover to hover. A solve gives the
+energy of the legs between neighbouring places and of the legs of the cheapest orders.  The energies
+of all other legs are predicted from these, see docs/theory/orders.md, eq. (1).
 """
 
 from __future__ import annotations
@@ -48,6 +48,7 @@ if TYPE_CHECKING:
 #: Number of orders whose whole missions are solved, because energies of legs from hover to hover
 #: ignore the saving of not stopping.
 BEST_FEW = 3
+# Mesh of the solves of legs: elements and degree; only the order of their energies matters.
 _LEG_MESH = Mesh.uniform(8, 4)
 # Number of legs up to which all are solved for: with few legs, predictions are inaccurate.
 _FEW_LEGS = 30
@@ -117,18 +118,18 @@ class LegTable:
         return self._table({leg: way.length for leg, way in self._ways.items()})
 
     def costs(self) -> FloatArray:
-        """Return the energies of solved legs [J] and optimistic predictions for the others.
+        """Return the cost of each leg [J]: solved, or an optimistic prediction.
 
-        Start, waypoints and goal are rows and columns; the price of time is included. The
-        prediction is the regression of eq. (1) in docs/theory/orders.md, less twice its
-        cross-validated root mean square error. A leg whose solve failed is predicted without that
-        margin: its share of the mission's time may be too short from hover to hover, but long
-        enough for a flight that passes its ends without a stop.
+        A leg is the flight from one place to another, from hover to hover. Its cost is the energy
+        plus the price of time. The prediction for unsolved legs is the regression of
+        docs/theory/orders.md, eq. (1), minus twice its cross-validated root mean square error. For
+        a leg whose solve failed, nothing is subtracted: the time that the leg got may be too short
+        from hover to hover, but long enough for a flight that does not stop at its ends.
 
         Returns
         -------
         ndarray, shape (n_places, n_places)
-            Infinite for legs that no order may use.
+            Rows and columns: start, waypoints, goal; infinite for legs that no order may use.
         """
         missing = [leg for leg in self.legs if leg not in self._known]
         if not missing:
@@ -202,22 +203,23 @@ def find_orders(
 ) -> tuple[OrderSearch, ...]:
     """Search for the cheapest orders of waypoints by the energies of their legs.
 
-    A leg is the flight between two places. Exact up to `orders.MOST_EXACT` waypoints: no unsolved
-    leg would lead to a cheaper order, even at its optimistic prediction.
+    A leg is the flight between two places. Up to `orders.MOST_EXACT` waypoints the search goes on
+    until no unsolved leg could lead to a cheaper order, even with its optimistic prediction.
 
     Parameters
     ----------
     scenario : Scenario
         The mission.
     solve : callable
-        Solves a leg, as for `LegTable`.
+        Solves a leg; its arguments are a scenario without waypoints, a mesh, and the shortest route
+        round the zones, or None if that is straight. Returns a Solution.
     count : int, optional
         Number of orders to return.
 
     Returns
     -------
     tuple of OrderSearch
-        The cheapest first; the given order alone if zones enclose a place.
+        The orders found, the cheapest first; only the given order if zones enclose a place.
     """
     table = LegTable(scenario, solve)
     n = len(scenario.mission.waypoints)
@@ -262,7 +264,11 @@ def _legs_of(order: Sequence[int]) -> list[_Leg]:
 
 
 def _first_legs(lengths: FloatArray) -> list[_Leg]:
-    """Return the legs to solve first: nearest places, the shortest order, a range of lengths."""
+    """Return the legs to solve first.
+
+    These are the legs between nearest places, the legs of the shortest order, and a sample of all
+    lengths.
+    """
     near = [(k, int(j)) for k, row in enumerate(lengths) for j in np.argsort(row)[:_NEAREST]]
     (shortest,) = best_orders(lengths, 1)
     by_length = np.argsort(lengths, axis=None)[: np.isfinite(lengths).sum()]
@@ -306,7 +312,7 @@ class BestOrder:
         return find_orders(self._scenario.as_forecast(), self._leg)
 
     def has_time(self) -> bool:
-        """Return whether time remains to solve another order, or none was solved yet."""
+        """Return whether to solve another order: if none is solved yet, or if time remains."""
         return not self._flown or not self._search.deadline.is_over
 
     def fly(self, found: OrderSearch) -> str:
@@ -320,7 +326,7 @@ class BestOrder:
     def finish(self, solve: Callable[[Scenario, Start | None, Search], Plan]) -> Plan:
         """Return the plan of the cheapest order of the waypoints, refined and verified.
 
-        `solve` solves a scenario from a start within a search.
+        `solve` takes a scenario, a start (or None) and the search; it returns a verified plan.
         """
         _, best, begun = min(self._flown, key=lambda entry: entry[0])
         ordered = in_order(self._scenario, best.order)
@@ -332,10 +338,10 @@ class BestOrder:
         return replace(plan, order_search=best if best.legs else None)
 
     def _leg(self, alone: Scenario, mesh: Mesh, way: Route | None) -> Solution:
-        """Solve the flight between two places on one mesh, with a guess along its route.
+        """Solve the flight between two places on one mesh, with an initial guess along the route.
 
-        A guess from the solution of another such leg would take as many iterations as the model's
-        own.
+        ``way`` is the route round the zones; None for a straight flight, which starts from the
+        model's guess. A guess from the solution of another leg would take as many iterations.
         """
         mission, guess = MissionProblem(self._problems, alone, self._search), None
         if way is not None:

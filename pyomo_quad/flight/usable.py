@@ -1,7 +1,7 @@
-"""Refinement of a coarse solution until simulation of its controls reaches the goal.
+"""Flyable trajectories near a coarse solution, for a search that runs out of time.
 
-A search that is running out of time thus finds a plan that can be flown near a coarse optimum,
-without being optimal itself.
+Simulating the controls of a coarse solution may miss the goal. Here the equations are solved on
+finer meshes, without optimising again, until the simulated flight reaches the goal.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation import Problem, Solution
     from pyomo_quad.scenario.airspace import Airspace
 
+# Tolerances of the lowest accuracy, which a usable plan must meet.
 _QUICK = FIGURES[Accuracy.QUICK]
 # For each mesh the error of states above which an element is refined, and the tolerance on the
 # residuals of the equations.  The first mesh only provides the start for the next; in simulation
@@ -35,15 +36,17 @@ _DEGREE = 6
 _AT_POINTS = 0.3
 # Fractions of an element at which the path is checked for intrusion into zones.
 _LOOKS = np.linspace(0.0, 1.0, 20, endpoint=False)
+# Name of the parameter that holds the distance kept from zones.
 _CLEARANCE = "airspace.clearance"
 
 
 def flyable_from(
     problem: Problem, arguments: dict[str, Any], coarse: Solution, airspace: Airspace
 ) -> Iterator[Solution]:
-    """Yield flyable trajectories near a coarse optimum: the equations hold on ever finer meshes.
+    """Yield flyable trajectories near a coarse optimum, on ever finer meshes.
 
-    Between the points of coarse elements, a path may cut the corners of zones: the clearance is
+    The equations are satisfied on the finer meshes, but the energy is not minimised again. Between
+    the points of coarse elements, a path may cut the corners of zones; therefore the clearance is
     increased by the deepest intrusion of the coarse path.
 
     Parameters

@@ -45,7 +45,7 @@ def plan_of(
     Returns
     -------
     Plan
-        With status `SOLVED`, or the reason why the solve failed.
+        Plan with status `SOLVED`, or with the status and message of the failed solve.
     """
     return Plan(
         scenario=scenario,
@@ -91,14 +91,14 @@ def verified(plan: Plan, solution: Solution, accuracy: Accuracy | None = None) -
     plan : Plan
         A plan of a converged or nearly converged solution.
     solution : Solution
-        The solution of which the plan was made.
+        The solution from which the plan was made.
     accuracy : Accuracy, optional
         Accuracy to confirm; that of the scenario by default.
 
     Returns
     -------
     Plan
-        With `verification`, the simulated flight, and status `VERIFIED` or `SOLVED`.
+        The plan with `verification`, the simulated flight, and status `VERIFIED` or `SOLVED`.
     """
     started = time.perf_counter()
     held = plan.trajectories

@@ -32,7 +32,9 @@ if TYPE_CHECKING:
     from pyomo_quad.scenario.airspace import Airspace
 
 
+# Tolerances of the highest accuracy, the default.
 _PROOF = FIGURES[Accuracy.PROOF]
+#: Samples of a simulated flight in each mesh element, at which limits are checked.
 SAMPLES_PER_ELEMENT = 8
 # Distance from a zone within which samples are dense, relative to the distance between two nodes of
 # the path: one half is enough for a straight path between the nodes.
@@ -139,7 +141,11 @@ def fly_controls(
 
 
 def _rates(flow: ClosedLoop, control: Callable[[float], FloatArray], inside: float) -> Rates:
-    """Return the right-hand side of one element, whose equations apply from `inside` on."""
+    """Return the right-hand side for one mesh element, in which the controls are smooth.
+
+    Before the time `inside` [s] the right-hand side uses the time `inside`, because the controls
+    may jump at the start of the element.
+    """
 
     def rates(t: float, y: FloatArray) -> FloatArray:
         keep_time()
@@ -153,6 +159,7 @@ def _rates(flow: ClosedLoop, control: Callable[[float], FloatArray], inside: flo
 #: the difference is larger. The same tolerance applies to the voltage that the motors need.
 BALANCE_TOLERANCE = 1e-3
 
+# Components that the battery's balance is computed from, and the voltage that a motor needs.
 _VOLTAGE = "battery.voltage"
 _BALANCE = ("power.total", _VOLTAGE, "battery.current", "battery.state_of_charge")
 #: Quantities of the battery, sampled along a flight, from which `balance_lacking` computes the
@@ -176,7 +183,7 @@ class Verification:
     terminal_miss_m : float
         Distance between the simulated and the planned final position.
     worst_miss : str
-        State whose miss is largest, relative to the larger of 1 and its value.
+        State whose miss is largest, relative to the larger of 1 and the value of the state.
     max_violation, worst_constraint : float, str
         Largest relative violation of a limit along the flight, and the limit's name.
     broken_limits : tuple of str
@@ -239,9 +246,9 @@ class Verification:
 def voltage_lacking(dynamics: Dynamics, flown: Flown) -> float:
     """Return the largest fraction of a motor's voltage that the battery cannot supply in a flight.
 
-    It is negative if the battery supplies more than needed. Both voltages are those at constant
-    rotor speed; the limit on the rotors' acceleration stands for the additional voltage of changing
-    the speed.
+    The result is negative if the battery supplies more than needed. The motor's voltage is
+    evaluated at constant rotor speed; the additional voltage that a change of speed needs is
+    covered by the limit on the rotors' acceleration.
     """
     if not dynamics.has(_MOTOR_VOLTAGE) or not dynamics.has(_VOLTAGE):
         return 0.0
@@ -256,7 +263,7 @@ def voltage_lacking(dynamics: Dynamics, flown: Flown) -> float:
 def wind_lacking(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> str:
     """Return a message if a flight leaves the wind field of its plan; empty otherwise.
 
-    Always empty for a model without positions.
+    The message is always empty for a model without positions.
     """
     if not set(POSITION_STATES) <= set(dynamics.state_names):
         return ""
@@ -267,8 +274,9 @@ def wind_lacking(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> str:
 def shares_lacking(dynamics: Dynamics, flown: Flown) -> tuple[float, float]:
     """Return the largest fractions of power and of charge in a flight that the battery lacks.
 
-    The declared equations stay finite beyond the pack's greatest power and beyond empty, but a real
-    vehicle cannot fly there. For a model without a battery, both are zero.
+    The model's equations stay finite beyond the battery's greatest power and below an empty
+    battery, but a real vehicle cannot fly in these conditions. For a model without a battery, both
+    fractions are zero.
     """
     if not has_balance(dynamics):
         return 0.0, 0.0
@@ -308,9 +316,10 @@ def _samples_near_zones(
 ) -> list[FloatArray]:
     """Return times of samples in each element, dense where zones or ground are near.
 
-    Between two nodes from which the path may reach a zone, samples are at most `spacing` [m] apart.
-    Where it may reach a limit of the height above the ground, their distance is a small fraction of
-    a cell of the terrain, because in each cell the limit is a single polynomial surface.
+    Where the path between two nodes may reach a zone, samples are at most `spacing` [m] apart.
+    Where the path may reach a limit of the height above ground, the distance between samples is a
+    small fraction of a cell of the terrain grid, because the limit is one polynomial surface in
+    each cell.
 
     Parameters
     ----------
@@ -322,7 +331,7 @@ def _samples_near_zones(
     Returns
     -------
     list of ndarray
-        For each element increasing fractions of the element, ending with 1.
+        For each element, increasing fractions of the element, ending with 1.
     """
     places = states[:, [dynamics.state_names.index(name) for name in POSITION_STATES]]
     gaps = np.linalg.norm(np.diff(places, axis=0), axis=1)

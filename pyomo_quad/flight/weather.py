@@ -1,7 +1,7 @@
-"""Vehicle in the actual wind of its simulated flights, with turbulence and forecast errors.
+"""Vehicle in the actual wind of simulated flights, with turbulence and forecast errors.
 
-A user knows the future wind, the mass and the hover power only approximately. Each of these errors
-is an independent normal number with the standard deviation stated in the scenario.
+The wind, the mass and the hover power are known only approximately before a flight. Each error is
+an independent normal random number with the standard deviation stated in the scenario.
 """
 
 from math import cos, hypot, sin
@@ -30,15 +30,15 @@ def vehicle_flown(planner: Planner, scenario: Scenario) -> Dynamics:
     Parameters
     ----------
     planner : Planner
-        Holds the compiled equations without turbulence.
+        Planner that has compiled the equations without turbulence.
     scenario : Scenario
         A scenario with a fixed duration.
 
     Returns
     -------
     Dynamics
-        With the states of the turbulence filters; if the scenario has no turbulence, the planner's
-        own dynamics.
+        Dynamics with the states of the turbulence filters; without turbulence, the planner's own
+        dynamics.
     """
     if scenario.wind.turbulence is None:
         return planner.dynamics(scenario)
@@ -53,24 +53,24 @@ def vehicle_flown(planner: Planner, scenario: Scenario) -> Dynamics:
 def draw(planner: Planner, scenario: Scenario, count: int, seed: int) -> tuple[Dynamics, Draws]:
     """Draw random winds, masses and powers for many simulated flights.
 
-    If the forecast states its error, each flight has its own wind, scattered about the forecast;
-    otherwise all flights have the actual wind.
+    If the scenario states the error of its forecast, each flight has its own wind, scattered about
+    the forecast; otherwise all flights have the actual wind.
 
     Parameters
     ----------
     planner : Planner
-        Holds the compiled equations.
+        Planner that has compiled the equations.
     scenario : Scenario
         A scenario with a fixed duration.
     count : int
         Number of flights.
     seed : int
-        Seed of all flights.
+        Seed of the random numbers.
 
     Returns
     -------
     Dynamics
-        The vehicle without any error and gust.
+        The vehicle without errors and gusts.
     Draws
         Parameter values and gusts of each flight. They depend on the seed and the number of the
         flight, but not on the number of flights or the duration.
@@ -157,6 +157,7 @@ def unknowns(planner: Planner, scenario: Scenario) -> tuple[dict[str, float], ..
     return tuple(change for change in changes if any(change.values()))
 
 
+# Parameter with the forecast error of the wind along an axis [m/s].
 _WIND_ERROR = "wind.error[{}]"
 
 

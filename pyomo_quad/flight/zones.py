@@ -1,9 +1,10 @@
 """Geometry of keep-out zones beside a leg: intersections, passing sides, and points round a zone.
 
-A leg is the line between two waypoints. The side on which a route passes a zone is determined in
-the vertical plane across the leg, through the middle of the part of the leg inside the zone, or
-else through the point of the leg nearest to the zone. This plane separates the start from the goal
-and cuts the zone for any height; a plane through the zone's centre may not.
+A leg is the line between two waypoints. The side on which a route passes a zone is determined where
+the route crosses a vertical plane across the leg. The plane goes through the middle of the part of
+the leg inside the zone or, if the leg is outside, through the point of the leg nearest to the zone.
+Such a plane separates the start of the leg from its goal and always cuts the zone; a plane through
+the centre of the zone may not.
 """
 
 from collections.abc import Sequence
@@ -20,10 +21,13 @@ from pyomo_quad.scenario.airspace import Ball, KeepOut
 
 #: Distance of route corners from a zone and its clearance [m]; a narrower gap counts as closed.
 MARGIN_M = 0.15
+# Corners of the polygon drawn round a disc: they are 3.5 % farther from its centre than its edge.
 _CORNERS = 12
 # The directions of a cube's corners, edges and faces are at most 54.8 degrees apart.
 _DIRECTIONS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
+# Factor on a sphere's radius at which the lines between neighbouring directions clear the sphere.
 _SPHERE_MARGIN = 1.0 / cos(54.8 / 2 * pi / 180)
+#: Rounding error of a fraction of a line, and of a length [m].
 ROUNDING = 1e-9
 
 
@@ -74,7 +78,8 @@ def _spans_inside(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the fractions of n extended straight lines at which they enter and leave a zone.
 
-    Each has shape (n,). If a line misses the zone, the second fraction is smaller than the first.
+    Both arrays have shape (n,). If a line misses the zone, its second fraction is smaller than the
+    first.
     """
     entered, left = np.full(len(starts), -inf), np.full(len(starts), inf)
     for ball in zone.balls:
@@ -88,7 +93,7 @@ def _span_inside(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the fractions of n extended straight lines at which they enter and leave a ball.
 
-    Each has shape (n,). If a line misses the ball, they are 1 and 0.
+    Both arrays have shape (n,). If a line misses the ball, its fractions are 1 and 0.
     """
     away = ball.coordinates(starts) - ball.centre
     along = ball.coordinates(ends - starts)
@@ -124,7 +129,7 @@ def sides_passed(
     Returns
     -------
     ndarray of int, shape (n,)
-        -1 for a line that does not pass the zone.
+        Index into the members of `Side`; -1 for a line that does not pass the zone.
     """
     section = _section(zone, ends, clearance)
     if section is None:
@@ -177,9 +182,9 @@ def _section(zone: KeepOut, ends: FloatArray, clearance: float) -> _Section | No
 def _passage(zone: KeepOut, ends: FloatArray, clearance: float) -> tuple[float, float]:
     """Return where a leg passes a zone, as a fraction of the leg, and the clearance used.
 
-    A leg is the line between two waypoints. The fraction is the middle of the part of the leg
-    within the zone and its clearance or, if there is none, within the least clearance that reaches
-    the leg.
+    A leg is the line between two waypoints. The fraction is the middle of the part of the leg that
+    is nearer to the zone than the clearance. If no part is, the clearance is enlarged until it just
+    reaches the leg.
     """
 
     def span(reach: float) -> tuple[float, float]:
@@ -201,7 +206,7 @@ def _passage(zone: KeepOut, ends: FloatArray, clearance: float) -> tuple[float, 
 def _chord(
     zone: KeepOut, place: FloatArray, direction: FloatArray, reach: float
 ) -> tuple[FloatArray, float]:
-    """Return the middle and half the length of the part of a line inside a zone [m].
+    """Return the middle, shape (3,), and half the length of the part of a line inside a zone [m].
 
     The line passes ``place`` in ``direction``; ``reach`` is the clearance round the zone.
     """
@@ -212,8 +217,8 @@ def _chord(
 def _frame(ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return unit vectors along a leg (line between two waypoints), to its left and up.
 
-    Each has shape (3,). The first is horizontal unless the leg is vertical: a steep leg, too,
-    passes a tall zone on the left or right.
+    Each has shape (3,). The first vector is horizontal unless the leg is vertical, so that even a
+    steep leg passes a tall zone on the left or right.
     """
     upward = np.array([0.0, 0.0, 1.0])
     along = (ends[1] - ends[0]) * (1.0, 1.0, 0.0)
@@ -227,7 +232,8 @@ def _frame(ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 def _places_along(zone: KeepOut, reach: float, near: FloatArray) -> FloatArray:
     """Return points on the outline of a zone enlarged by ``reach``, shape (m, 2) [m].
 
-    They are its corners and, on each edge, the points nearest to the places ``near``.
+    They are the corners of the outline and, on each edge, the points nearest to the places
+    ``near``.
     """
     ring = zone.ring(reach)
     following = np.roll(ring, -1, axis=0)
@@ -241,7 +247,7 @@ def _places_along(zone: KeepOut, reach: float, near: FloatArray) -> FloatArray:
 def places_beside(zone: KeepOut, clearance: float, ends: FloatArray) -> FloatArray:
     """Return points round a zone through which routes may pass.
 
-    The lines that join neighbouring points keep the zone's clearance.
+    Straight lines between neighbouring points keep the clearance from the zone.
 
     Parameters
     ----------

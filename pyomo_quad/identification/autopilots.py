@@ -1,8 +1,8 @@
 """Readers of autopilot logs: PX4 (`.ulg`) and ArduPilot (`.BIN`).
 
 The readers return a table with the columns of `COLUMNS`, averaged over each second of flight. Each
-log is one flight, named after its file. All airborne rows count as cruise, the payload is 0, and
-without a barometer the air density is that at sea level.
+log is one flight, named after its file. All airborne rows count as cruise, and the payload is 0. If
+the log has no barometer, the air density at sea level is assumed.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -119,8 +119,8 @@ def read_ulog(file: Path) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Columns of `COLUMNS`. All airborne rows count as cruise, the payload is 0, and without a
-        barometer the air density is that at sea level.
+        Columns of `COLUMNS`. All airborne rows count as cruise, and the payload is 0. If the log
+        has no barometer, the air density at sea level is assumed.
 
     Raises
     ------
@@ -197,8 +197,8 @@ def read_ardupilot(file: Path) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Columns of `COLUMNS`. All airborne rows count as cruise, the payload is 0, and without a
-        barometer the air density is that at sea level.
+        Columns of `COLUMNS`. All airborne rows count as cruise, and the payload is 0. If the log
+        has no barometer, the air density at sea level is assumed.
 
     Raises
     ------

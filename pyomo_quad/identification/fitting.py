@@ -2,10 +2,10 @@
 
 Method: robust least squares; see docs/theory/identification.md, eqs. (2) to (4).
 
-The residual is the mean measured power less the mean computed power of time windows of some
-seconds. Over one second, airspeed and acceleration are dominated by noise, and a fit to single rows
-would interpret this noise as a flatter power curve. Large residuals (gusts, ground effect) are
-weighted less than by their square.
+The residual is the mean measured power minus the mean computed power, over time windows of some
+seconds. A row of a log, one second, is too short: noise dominates its airspeed and acceleration,
+and a fit to single rows would give a power curve that is too flat. Large residuals, from gusts or
+ground effect, count linearly instead of quadratically.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -100,13 +100,13 @@ class IdentifiedParameter:
     name : str
         Name of the field.
     base, base_source : float, str
-        Value before the fit, in the field's unit, and its source. The base vehicle may have been
-        fitted to these very flights.
+        Value before the fit, in the field's unit, and its source. The value may come from an
+        earlier fit to the same flights.
     value : float
         Fitted value.
     first_half, second_half : float
-        Fits to one half of the flights each. The halves have no flight in common, so that the two
-        fits are independent.
+        Values fitted to the first half and to the second half of the flights. The halves have no
+        flight in common, so that the two values are independent.
     deviation : float
         Standard deviation by bootstrap over the flights; 0 if the field keeps its value.
     is_determined : bool
@@ -145,7 +145,8 @@ class Identification:
     cross_validated : ndarray, shape (n_rows,)
         Computed power of each row by a fit without the row's flight [W].
     trials : tuple of Trial
-        Errors of extrapolations: of fits to slow flights on fast flights, for example.
+        Errors of extrapolations. An example is the energy of fast flights, computed with a fit to
+        slow flights.
     together : tuple of (str, str)
         Each parameter that is not determined, with the parameter that has the same effect.
     cautions : tuple of str
@@ -190,7 +191,7 @@ class Identification:
 
 
 class Fit:
-    """Least-squares problem: parameters of a vehicle from the power of logged flights.
+    """Least-squares fit of a vehicle's parameters to the power of logged flights.
 
     Parameters
     ----------
@@ -256,7 +257,7 @@ class Fit:
         rows : ndarray of bool, shape (n_rows,)
             Rows to fit to.
         start : ndarray, shape (n,), optional
-            Initial values; by default those of the vehicle before the fit.
+            Initial values; by default the values of the vehicle before the fit.
 
         Returns
         -------
@@ -273,7 +274,7 @@ class Fit:
         return _robust(residual, self.base if start is None else start, self.bounds)
 
     def slopes(self, values: FloatArray) -> FloatArray:
-        """Return the derivatives of the computed power by each fitted parameter.
+        """Return the derivatives of the computed power with respect to each fitted parameter.
 
         The power is averaged over time windows of the log. The derivatives are finite differences.
 
@@ -363,9 +364,9 @@ class Fit:
 
 
 def component(name: str) -> str:
-    """Return the model's full name of the parameter for a field of the vehicle.
+    """Return the full name of the model's parameter that a field of the vehicle sets.
 
-    For example ``vehicle.drag_linear``, or ``power.climb_power_factor``.
+    Examples are ``vehicle.drag_linear`` and ``power.climb_power_factor``.
     """
     return f"{_VEHICLE_BLOCK if name in _OF_MOTION else _POWER_BLOCK}{name}"
 
@@ -388,7 +389,8 @@ def _bounds(name: str) -> tuple[float, float]:
 def _most_drag(scenario: Scenario, frame: pd.DataFrame, power: int) -> float:
     """Return the drag coefficient that would tilt level flight by 45° at the largest airspeed.
 
-    It is the upper bound of the fit.
+    It is the upper bound of the coefficient in the fit. `power` is the exponent of the airspeed in
+    the drag: 1 for linear and 2 for quadratic drag.
     """
     north, east = (frame[name].to_numpy() for name in AIR_VELOCITY)
     fastest = float(np.hypot(north, east).max()) * scenario.vehicle.anemometer_factor
@@ -441,9 +443,10 @@ def undetermined(fit: Fit) -> tuple[str, ...]:
 
 
 def _size(fit: Fit) -> FloatArray:
-    """Return the least magnitude of each parameter in the test of `undetermined`.
+    """Return a least magnitude for each parameter, shape (n,), in the parameter's unit.
 
-    The test changes parameters by a fraction of their value, which would be no change at zero.
+    `undetermined` changes each parameter by a fraction of its magnitude. Without a least magnitude,
+    a parameter with the value 0 would not change.
     """
     return np.array([_SMALL_DRAG if name in _OF_MOTION else _SHARE for name in fit.names])
 

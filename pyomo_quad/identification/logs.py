@@ -1,7 +1,7 @@
 """Reading of flight logs, with checks for damaged or implausible values.
 
 A log is a table (Parquet or CSV) with about one row per second, or the log file of an autopilot.
-The columns are those of `COLUMNS`; others are ignored. World axes are north, east and up here.
+Its columns are listed in `COLUMNS`; further columns are ignored. World axes are north, east and up.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -151,7 +151,7 @@ def together(logs: Sequence[tuple[Path, pd.DataFrame]]) -> pd.DataFrame:
     Raises
     ------
     ScenarioError
-        If a flight occurs twice even then.
+        If two flights still have the same name.
     """
     held = [frame for _, frame in logs]
     if not _names(held).is_unique or len({frame[FLIGHT].dtype for frame in held}) > 1:

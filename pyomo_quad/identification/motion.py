@@ -2,9 +2,9 @@
 
 Method: see docs/theory/identification.md, eq. (1).
 
-This file has no formula of the vehicle. Airspeed and acceleration come from the log. For each row
-the attitude and rotor speed are solved for with which the model's compiled equations give that
-acceleration; the same equations then give the power.
+This file has no formula of the vehicle. Airspeed and acceleration come from the log. For each row,
+the model's compiled equations are solved for the attitude and the rotor speed that produce the
+acceleration. The same equations then give the power.
 """
 
 from collections.abc import Mapping

@@ -93,15 +93,19 @@ class PackIdentification:
         Fitted fields.
     flights : DataFrame
         One row for each flight: state of charge at start and end [percent], factor on the
-        resistance, and root mean square errors of the unseen flight's voltage [mV per cell], once
-        with this factor and once with that of a median pack.
+        resistance of the flight's pack, and two root mean square errors of the unseen flight's
+        voltage [mV per cell]. The first is computed with this factor, the second with the factor 1
+        of a median pack.
     rows : DataFrame
         Time [s], measured and computed cell voltage [V] of the unseen flights.
     read_s : float
-        Time in `rows` until which the resistance of a flight's pack is determined [s].
+        Time in `rows` [s]. The voltages before this time determine the resistance of a flight's
+        pack.
     error_mV, error_unread_mV, base_error_mV : float
-        Root mean square error in flight [mV per cell]: of unseen flights with their own resistance,
-        of unseen flights with the resistance of a median pack, and of the battery before the fit.
+        Root mean square errors of the computed voltage in flight [mV per cell]. The first is the
+        error in unseen flights, with the resistance of each flight's pack; the second the error in
+        unseen flights, with the resistance of a median pack; the third the error of the battery
+        before the fit.
     """
 
     scenario: Scenario
@@ -115,7 +119,7 @@ class PackIdentification:
 
 
 class _Flown(NamedTuple):
-    """Power and cell voltage of one flight, from just before its load.
+    """Power and cell voltage of one flight, from a few seconds before the load on.
 
     `rest` has the mean voltage and power before the load; the first `aloft` rows are in flight.
     """
@@ -193,7 +197,7 @@ class Record:
         return part
 
     def after_reading(self, rows: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Select the rows after the first load, from which the resistance was determined.
+        """Select the rows after the first seconds under load, which determine the resistance.
 
         Parameters
         ----------
@@ -295,14 +299,30 @@ class Circuit:
     def whole(self, record: Record, values: FloatArray, factor: FloatArray) -> FloatArray:
         """Return the computed cell voltage at every row of the record [V].
 
-        The arguments are those of `voltages`; the shape is (n_times, n_flights).
+        The shape is (n_times, n_flights).
+
+        Parameters
+        ----------
+        record, values, factor
+            As in `voltages`.
         """
         return self.voltages(record, values, factor, len(record.power))[0]
 
     def charge(self, record: Record, values: FloatArray, factor: FloatArray) -> FloatArray:
         """Return the charge drawn before the start of each flight [A h].
 
-        It is found from the voltage at rest, or from the first voltage less the drop under load.
+        The charge follows from the open-circuit voltage at the start of the flight: the measured
+        voltage at rest or, if the record begins under load, the measured voltage plus the computed
+        voltage drop under this load.
+
+        Parameters
+        ----------
+        record : Record
+            Measured powers and voltages.
+        values : ndarray, shape (n,)
+            Logarithms of the fitted fields.
+        factor : ndarray, shape (n_flights,)
+            Factor on the resistance of each flight's pack.
 
         Returns
         -------
@@ -351,7 +371,7 @@ class Circuit:
     def fit(self, record: Record, start: FloatArray) -> FloatArray:
         """Fit the circuit to the measured voltages of a record.
 
-        The resistances are those of the median pack, whose factor is 1.
+        The fitted resistances belong to the median pack, whose factor on the resistance is 1.
 
         Parameters
         ----------
@@ -497,9 +517,10 @@ def with_circuit(scenario: Scenario) -> Scenario:
 
 
 def _as_given(scenario: Scenario) -> list[float]:
-    """Return the values before the fit of those battery fields that are fitted, in their order.
+    """Return the initial values of the battery fields that are fitted, in the order of `FITTED`.
 
-    A tiny number stands for zero, because the fields are fitted as logarithms.
+    They are the values before the fit. A value of 0 is replaced by a tiny positive number, because
+    the fields are fitted as logarithms.
     """
     pack = scenario.battery
     slow = (_NEARLY_NONE, 1.0)

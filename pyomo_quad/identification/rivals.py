@@ -2,7 +2,7 @@
 
 name | power
 constant power | one number
-constant efficiency | ideal power of hover over one number, P = c (m g)^1.5 / sqrt(rho)
+constant efficiency | ideal power of hover times a number, P = c (m g)^1.5 / sqrt(rho)
 regression by phase | P = a + b (m g)^1.5 / sqrt(rho) in each phase of the flight
 
 The rivals are fitted and validated on the same flights in the same way. The last model has the form

@@ -1,8 +1,8 @@
 """Fit of a vehicle's power model to points of steady flight.
 
 The points are measured powers at several airspeeds (a polar), in hover, or with several payloads.
-Method: see docs/theory/identification.md, "Steady points". A point is a flight without
-acceleration, so that the model gives its power as for a row of a log.
+Method: see docs/theory/identification.md, "Steady points". A point is treated like a row of a
+flight log with zero acceleration, for which the model gives the power.
 """
 
 from collections.abc import Sequence

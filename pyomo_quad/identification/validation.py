@@ -165,9 +165,9 @@ def cross_validated(frame: pd.DataFrame, fitted: Fitted) -> FloatArray:
 def trials(frame: pd.DataFrame, fitted: Fitted) -> tuple[Trial, ...]:
     """Test how a model extrapolates to other payloads and speeds.
 
-    The model is fitted to the flights with the heaviest payload and applied to those with the
-    lightest, and fitted to slow flights and applied to the fastest, if the flights differ in
-    payload and speed.
+    If the payloads differ, the model is fitted to the flights with the heaviest payload and tested
+    on the flights with the lightest. If the speeds differ, the model is fitted to slow flights and
+    tested on the fastest.
 
     Parameters
     ----------

@@ -8,8 +8,8 @@ The implied coefficient of 1 1/s is declared with its unit. The vehicle's own ve
 enter.
 
 `drag` is the force opposite to the airspeed, the velocity relative to the wind: linear (rotor drag)
-plus quadratic (parasitic drag), isotropic, and valid at the few m/s of these missions. It is the
-default of a vehicle that has drag.
+plus quadratic (parasitic drag), isotropic, and valid at the few m/s of these missions. This
+coupling is the default of a vehicle that has drag.
 
 With either coupling, the following forces depend on the airspeed in body axes, if the vehicle has
 their coefficients:
@@ -122,9 +122,9 @@ _ACCELERATION = units.m / units.s**2
 def declare_unexplained(m: ConcreteModel) -> None:
     """Declare a constant horizontal acceleration that no other equation of the model explains.
 
-    It is the mutable parameter `aerodynamics.unexplained`, by world axis [m/s^2]. A planner in
-    flight sets it to the difference between the observed and the modelled acceleration, which is
-    not zero in a wind that differs from the forecast.
+    The acceleration is the mutable parameter `aerodynamics.unexplained`, by world axis [m/s^2]. A
+    planner in flight sets it to the difference between the observed and the modelled acceleration,
+    which is not zero in a wind that differs from the forecast.
 
     Parameters
     ----------

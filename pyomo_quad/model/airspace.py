@@ -184,7 +184,8 @@ _OF_ZONES = (
 def declare_airspace(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare floor, ceiling, fence, terrain edges and keep-out zones as path constraints.
 
-    They stand in block `airspace`, each only if the scenario has it.
+    The constraints are declared in block `airspace`. A limit that the scenario does not set is not
+    declared.
 
     Parameters
     ----------

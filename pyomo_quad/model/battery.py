@@ -13,14 +13,14 @@ f_Q, f_R | capacity_factor, resistance_factor | - | state of health; only with b
 `battery_circuit` adds a slow drop and a temperature where the scenario gives them. Derivation and
 sources: see docs/theory/battery.md, eqs. (1) to (6).
 
-The power P is that of the chosen power model, so the energy of the flight is the energy that leaves
+P is the power of the chosen power model, so that the energy of the flight is the energy that leaves
 the pack. Declared units convert the ampere-seconds of eq. (4) to ampere-hours.
 
 Assumptions: no self-discharge, no entropic heat, an open-circuit voltage that does not depend on
 the temperature; without `battery.relaxation` and `battery.thermal` no recovery and no temperature
-either. Two guards keep the equations finite where those of the paper are undefined: eq. (5) has a
-pole at an empty cell, and no current delivers more than the pack's greatest power, U^2/4R. Above a
-fifth of the charge and below nine tenths of that power, both guards are exact to rounding. A
+either. Two guards keep the equations finite where the paper's equations are undefined: eq. (5) has
+a pole at an empty cell, and no current delivers more than the pack's greatest power, U^2/4R. Above
+a fifth of the charge and below nine tenths of that power, both guards are exact to rounding. A
 negative `power_reserve` or state of charge shows that the pack cannot fly the mission.
 
 If the polarisation voltage k / SoC can exceed the other terms of e_m, the voltage vanishes before
@@ -95,7 +95,7 @@ def build_pack(scenario: Scenario) -> ConcreteModel:
     Parameters
     ----------
     scenario : Scenario
-        Only its battery is declared.
+        Scenario of which the model declares only the battery.
 
     Returns
     -------
@@ -154,8 +154,9 @@ def declare_battery(m: ConcreteModel, scenario: Scenario) -> None:
 def declare_loss(m: ConcreteModel) -> None:
     """Declare the energy lost inside the battery as a state, for missions that minimise the charge.
 
-    An objective of power plus this loss equals the charge drawn times the open-circuit voltage of
-    the start. See docs/theory/battery.md, eqs. (11) to (12).
+    The energy delivered plus this loss equals the charge drawn times the open-circuit voltage at
+    the start. A mission that minimises the charge has this sum as its objective. See
+    docs/theory/battery.md, eqs. (11) to (12).
 
     Parameters
     ----------
@@ -256,7 +257,7 @@ def _declare_voltage(b: Block, m: ConcreteModel) -> None:
 def _charge_of_new_cell(b: Block, t: float) -> NumericExpression:
     """Return the charge drawn from an unaged cell at the same state of charge as this cell [A h].
 
-    The constants of eq. (5) are those of an unaged cell, whose capacity is larger.
+    The constants of eq. (5) apply to an unaged cell, which has a larger capacity.
     """
     charge = b.charge_drawn[t] / b.cells_parallel
     return charge if b.component("capacity_factor") is None else charge / b.capacity_factor

@@ -81,16 +81,16 @@ def states_at_start(scenario: Scenario) -> dict[str, float]:
 
 
 def fields_after(scenario: Scenario, ended: Mapping[str, float]) -> dict[str, float]:
-    """Return scenario fields that start a next flight with the battery as the last flight left it.
+    """Return scenario fields with which the next flight starts at the battery's present state.
 
-    The charge is not among them: only relaxation voltage and temperature.
+    The fields are the initial relaxation voltage and temperature. The charge is not among them.
 
     Parameters
     ----------
     scenario : Scenario
-        Of the last flight.
+        Scenario of the flight that has ended.
     ended : mapping
-        States at the end of the last flight, by full name.
+        States at the end of that flight, by full name.
 
     Returns
     -------

@@ -38,16 +38,16 @@ def build_model(scenario: Scenario) -> ConcreteModel:
     Parameters
     ----------
     scenario : Scenario
-        The mission; ``scenario.as_forecast()`` declares the forecast wind.
+        The mission. The model has the scenario's actual wind; for a model with the forecast wind,
+        pass ``scenario.as_forecast()``.
 
     Returns
     -------
     ConcreteModel
-        With ``time`` (start, one interior point, end; not discretised), ``clock`` and the
-        blocks ``vehicle, rigid_body, rotors, wind, aerodynamics, power, battery, limits,
-        airspace, mission`` and, over terrain, ``ground``, the integral ``energy`` and the
-        ``objective``.  Suffix ``scaling_factor`` holds one over the usual magnitude of each
-        variable.
+        With ``time`` (start, one interior point, end; not discretised), ``clock`` and the blocks
+        ``vehicle, rigid_body, rotors, wind, aerodynamics, power, battery, limits, airspace,
+        mission`` and, over terrain, ``ground``, the integral ``energy`` and the ``objective``.
+        Suffix ``scaling_factor`` holds one over the usual magnitude of each variable.
 
     Examples
     --------
@@ -75,9 +75,10 @@ def build_in_turbulence(scenario: Scenario) -> ConcreteModel:
     Returns
     -------
     ConcreteModel
-        As `build_model`, with the Dryden shaping filters of block `wind.turbulence`, and with two
-        errors as mutable parameters, initially zero: of the wind forecast, ``wind.error`` by axis
-        [m/s], and of the power model, ``power.error`` (relative).
+        The model of `build_model` with two additions: the Dryden shaping filters in block
+        `wind.turbulence`, and two mutable parameters, initially zero. They are the error of the
+        wind forecast, ``wind.error`` by axis [m/s], and the relative error of the power model,
+        ``power.error``.
 
     Examples
     --------
@@ -107,7 +108,7 @@ def build_remaining(scenario: Scenario) -> ConcreteModel:
     Returns
     -------
     ConcreteModel
-        As `build_model`, except for four differences: the states at the start are mutable
+        The model of `build_model` with four differences: the states at the start are mutable
         parameters of block `start`; the flight ends in steady hover, tilted against the wind; there
         is the mutable acceleration `aerodynamics.unexplained`, zero until the vehicle has observed
         one; and the limits are soft, that is a flight may violate them at a penalty
@@ -368,7 +369,7 @@ def load_builder(spec: str, base_folder: Path) -> Builder:
             model = function(scenario)
         except Exception as error:
             raise ScenarioError(
-                f"model = {spec!r}: {function_name} fails: {_told(error)}; correct it."
+                f"model = {spec!r}: {function_name} fails: {_one_line(error)}; correct it."
             ) from error
         if not isinstance(model, ConcreteModel):
             raise ScenarioError(
@@ -382,7 +383,7 @@ def load_builder(spec: str, base_folder: Path) -> Builder:
 def _run(spec: str, file: Path) -> ModuleType:
     """Import the Python file of a user's model builder and return it as a module.
 
-    `spec` is the scenario's field `model`, for messages.
+    `spec` is the value of the scenario's field `model`, for messages.
     """
     if not file.is_file():
         raise ScenarioError(f"model = {spec!r}: no file {file}; name an existing Python file.")
@@ -394,11 +395,11 @@ def _run(spec: str, file: Path) -> ModuleType:
         module_spec.loader.exec_module(module)
     except Exception as error:
         raise ScenarioError(
-            f"model = {spec!r}: {file} does not run: {_told(error)}; correct it."
+            f"model = {spec!r}: {file} does not run: {_one_line(error)}; correct it."
         ) from error
     return module
 
 
-def _told(error: Exception) -> str:
+def _one_line(error: Exception) -> str:
     """Return class and first line of an error on one line, for the message of another error."""
     return ": ".join((type(error).__name__, *str(error).splitlines()[:1]))

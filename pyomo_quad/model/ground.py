@@ -7,10 +7,10 @@ z - U | height_limited_below | m | lower bound of the height above the ground, w
 z - L | height_limited_above | m | upper bound of the height above the ground, which ceilings limit
 
 The ground of `airspace.terrain` is bilinear between the points of its grid.  U and L are splines
-through values on the same grid (`scenario.surfaces`), twice differentiable with exact derivatives,
-and their work does not grow with the grid (`collocation.Table`).  They keep off the ground by at
-most `Surface.excess`, so that a flight at the floor may be higher above the ground by as much, and
-never lower.
+through values on the same grid (`scenario.surfaces`). They are twice differentiable with exact
+derivatives, and the cost of an evaluation does not grow with the grid (`collocation.Table`).  The
+distance of U and L from the ground is at most `Surface.excess`. A flight at the floor is therefore
+at most this much higher above the ground than the floor requires, and never lower.
 
 Over flat ground both heights are z, and no block is declared.
 """
@@ -31,8 +31,8 @@ _SURFACES = {1: ("above", "height_limited_below"), -1: ("below", "height_limited
 def declare_ground(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the heights of the vehicle above the terrain, if the scenario has terrain.
 
-    They stand in block `ground`: `height_limited_below` for the floor and, if the scenario has a
-    ceiling, `height_limited_above`.
+    The block `ground` gets the expressions `height_limited_below` for the floor and, if the
+    scenario has a ceiling, `height_limited_above`.
 
     Parameters
     ----------
@@ -64,9 +64,9 @@ def declare_ground(m: ConcreteModel, scenario: Scenario) -> None:
 def height_above_ground(m: ConcreteModel, t: float, side: int = 1) -> Any:
     """Return the height of the vehicle above the ground that a floor or ceiling limits [m].
 
-    Over terrain, `side` 1 counts from a smooth surface that is nowhere below the ground (for a
-    floor), and -1 from one that is nowhere above the ground (for a ceiling). Over flat ground it is
-    z.
+    Over terrain, the height is measured from a smooth surface: for a floor (`side` 1) from a
+    surface that is nowhere below the ground, for a ceiling (`side` -1) from a surface that is
+    nowhere above the ground. Over flat ground, the height is z.
     """
     b = m.component("ground")
     return m.rigid_body.z[t] if b is None else b.component(_SURFACES[side][1])[t]

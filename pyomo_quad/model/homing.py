@@ -1,16 +1,17 @@
 """Reserve of charge that brings a vehicle home from any place, as a limit along the flight.
 
 symbol | name | unit | meaning
-d_k | way | m | straight way to home k: the start, or a rally point
-w_k | tail_wind | m/s | wind along that way, at the vehicle
-g_k | ground_speed | m/s | speed along it at the airspeed of the return, by the wind triangle
-q_k | charge_to | A h | charge of the return, with its margin
+d_k | way | m | straight distance to home k: the start, or a rally point
+w_k | tail_wind | m/s | component of the wind towards home k, at the vehicle
+g_k | ground_speed | m/s | ground speed towards home k at the airspeed V, by the wind triangle
+q_k | charge_to | A h | charge of the return to home k, including the margin
 q | charge_home | A h | charge of the return to the nearest home
 
-The return is steady and level at one airspeed V, which draws one current i: at a ground speed g =
-w + sqrt(V^2 - |wind|^2 + w^2) the way takes d / g, and the pack gives (1 + margin) i d / g. The
-wind is that at the vehicle, and height differences count as way; the margin covers the rest. See
-docs/theory/homing.md.
+The return is a steady, level flight at one airspeed V, at which the pack delivers a constant
+current i. At the ground speed g = w + sqrt(V^2 - |wind|^2 + w^2) the distance d takes the time d /
+g, so that the charge of the return is (1 + margin) i d / g. The wind along the return is taken
+equal to the wind at the vehicle, and a difference of height counts as distance; the margin covers
+the errors of these assumptions. See docs/theory/homing.md.
 """
 
 from pyomo.core import Block, ConcreteModel, Set, exp, sqrt, tanh
@@ -34,7 +35,7 @@ _AT_HOME = 1.0 * units.m
 _SLOWEST, _SPEED_WIDTH = 0.5 * units.m / units.s, 0.05 * units.m / units.s
 _STOPPED, _SQUARE_WIDTH = 0.25 * units.m**2 / units.s**2, 0.025 * units.m**2 / units.s**2
 # Sharpness of the smooth minimum over homes: where the charges of two returns differ by 1/200 of
-# the pack, the weight of the dearer return is smaller by a factor e.
+# the pack, the weight of the return with more charge is smaller by a factor e.
 _SHARPNESS = 200.0
 
 

@@ -1,13 +1,13 @@
 """Limits on attitude, rotors, thrust and moments, and on the battery.
 
-They are those of eq. (10) of the paper (Yacef et al.), with two changes. The paper limits the
-moments as |u_k| <= u_max for k = 1, 2, 3, but u_1 is the thrust, with its own limit: k = 2, 3, 4 is
-meant. The limit on the rotor accelerations is not in the paper; without it, the paper's problem
-with its own efficiency function has no minimum.
+The limits are those of eq. (10) of the paper (Yacef et al.), with two changes. The paper limits the
+moments as |u_k| <= u_max for k = 1, 2, 3, but u_1 is the thrust, which has a limit of its own; here
+k = 2, 3, 4. A limit on the rotor accelerations is added, because with the paper's efficiency
+function the problem has no minimum otherwise.
 
-Plans leave a fraction of the largest rotor speed and thrust, `reserve`, to the controller that
-will fly them. A motor with lag accelerates its rotor by at most (rotor_speed_max - speed) / time
-constant. Both limits are declared only where they are not zero.
+A plan uses only a part of the largest rotor speed and thrust; the fraction `reserve` is left to the
+controller that follows the plan. A motor with lag accelerates its rotor by at most (rotor_speed_max
+- speed) / time constant. Both limits are declared only where they are not zero.
 """
 
 from pyomo.core import Block, ConcreteModel, inequality, sqrt
@@ -58,8 +58,8 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 def without_reserve(numbers: dict[str, float] | None) -> dict[str, float] | None:
     """Return parameter values in which the fraction of thrust kept for the controller is zero.
 
-    A plan keeps this reserve, a flight may use it. `numbers` holds values by full component name;
-    None and values without a reserve are returned unchanged.
+    A plan leaves this reserve unused; the controller that flies the plan may use it. `numbers`
+    holds values by full component name. None and values without a reserve are returned unchanged.
     """
     reserve = f"limits.{_RESERVE}"
     return numbers | {reserve: 0.0} if numbers is not None and reserve in numbers else numbers
@@ -73,7 +73,7 @@ def declare_limits(m: ConcreteModel, scenario: Scenario) -> None:
     m : ConcreteModel
         With `time`, `rigid_body`, `rotors`, `wind` and `battery`.
     scenario : Scenario
-        Source of the limits; optional limits are declared only if it sets them.
+        Source of the limits; an optional limit is declared only if the scenario sets it.
     """
     b = m.limits = Block(doc="limits, Yacef et al., eq. (10)")
     declare_parameters(b, scenario)
@@ -89,10 +89,10 @@ def declare_limits(m: ConcreteModel, scenario: Scenario) -> None:
         _declare_validated_range(b, m)
 
 
-def _left(b: Block, most: NumericExpression) -> NumericExpression:
-    """Return the upper limit of rotor speed or thrust for a plan: `most` less a reserve.
+def _less_reserve(b: Block, most: NumericExpression) -> NumericExpression:
+    """Return the upper limit of rotor speed or thrust in a plan: `most` less the reserve.
 
-    The reserve is a fraction that the plan leaves to the controller which flies it.
+    The reserve is a fraction of `most` that the plan leaves to the controller.
     """
     reserve = b.component(_RESERVE)
     return most if reserve is None else (1 - reserve) * most
@@ -167,7 +167,7 @@ def _declare_rotor_limits(b: Block, m: ConcreteModel) -> None:
     @b.Constraint(m.rotors.rotor, m.time, doc="Yacef et al., eq. (10) row 2: rotor speed [rad/s]")
     def rotor_speed_limit(b: Block, j: int, t: float) -> RelationalExpression:
         speed = b.parent_block().rotors.omega[j, t]
-        return inequality(b.rotor_speed_min, speed, _left(b, b.rotor_speed_max))
+        return inequality(b.rotor_speed_min, speed, _less_reserve(b, b.rotor_speed_max))
 
     @b.Constraint(m.rotors.rotor, m.time, doc="rotor acceleration [rad/s^2]")
     def rotor_acceleration_limit(b: Block, j: int, t: float) -> RelationalExpression:
@@ -179,7 +179,7 @@ def _declare_thrust_limits(b: Block, m: ConcreteModel) -> None:
     @b.Constraint(m.time, doc="Yacef et al., eq. (10) row 3: total thrust [N]")
     def thrust_limit(b: Block, t: float) -> RelationalExpression:
         thrust = b.parent_block().rotors.total_thrust[t]
-        return inequality(0 * units.N, thrust, _left(b, b.thrust_max))
+        return inequality(0 * units.N, thrust, _less_reserve(b, b.thrust_max))
 
     @b.Constraint(m.time, doc="Yacef et al., eq. (10) row 3, k = 2: roll moment [N m]")
     def roll_moment_limit(b: Block, t: float) -> RelationalExpression:

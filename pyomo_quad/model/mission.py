@@ -2,8 +2,9 @@
 
 A passage is the instant at which the flight is at a waypoint; its time is a variable of the plan.
 
-The paper (Yacef et al.) gives every rotor 912 rad/s at both ends, whose thrust is 0.07 % less than
-the weight. Here the rotor speed is the exact one at which 4 kappa_b omega^2 = m g.
+The paper (Yacef et al.) sets every rotor to 912 rad/s at start and goal; the thrust at this speed
+is 0.07 % less than the weight. Here the rotor speed at start and goal satisfies 4 kappa_b omega^2 =
+m g exactly.
 """
 
 from collections.abc import Callable, Hashable, Mapping
@@ -155,7 +156,7 @@ def free_times(m: ConcreteModel, scenario: Scenario) -> dict[float, Any]:
 
 
 def _declare_waypoints(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare for each waypoint the time of its passage and the conditions there.
+    """Declare for each waypoint the time of its passage and the conditions at that time.
 
     The conditions are on position, heading, speed and time of hover, as the waypoint sets them.
     """
@@ -288,7 +289,7 @@ def _declare_end(
 
 
 def _goal_of_turning(b: Block) -> tuple[Any, ...]:
-    """Return the goal conditions on yaw and yaw rate, which a constant heading makes redundant."""
+    """Return the goal conditions on yaw and yaw rate, redundant if the heading is constant."""
     return b.goal_place["psi"], b.goal_rest["r"]
 
 
@@ -306,8 +307,9 @@ def _declare_kept_yaw(b: Block, m: ConcreteModel) -> None:
 def start_where_measured(m: ConcreteModel) -> None:
     """Replace the start of a mission by measured states, mutable parameters of block `start`.
 
-    For replanning in flight: each state gets a parameter of its own name and the condition that its
-    initial value equals it. A constant heading is no longer demanded.
+    This is used for replanning in flight. Each state gets a parameter of the same name, and a
+    condition that equates the state's initial value to the parameter. The condition of a constant
+    heading is removed.
 
     Parameters
     ----------
@@ -350,9 +352,9 @@ def _start_measured(b: Block, start: float, state: Var) -> None:
 def end_in_equilibrium(m: ConcreteModel) -> None:
     """Replace the level hover at the goal by steady hover in the wind, tilted against it.
 
-    For replanning in flight. In wind, a level attitude is a transient state that a vehicle reaches
-    by a swing timed to one instant. If the wind is not known exactly, the swing misses this
-    instant.
+    This is used for replanning in flight. In wind, a vehicle at rest with a level attitude is not
+    in equilibrium: it reaches this state for an instant only, by a well-timed swing. If the wind is
+    not known exactly, the vehicle misses the instant.
 
     Parameters
     ----------

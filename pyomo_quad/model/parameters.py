@@ -44,7 +44,7 @@ _TABLES: dict[str, Table] = {}
 def fields_of(table: str, *names: str, **renamed: str) -> tuple[Parameter, ...]:
     """Return the declaration of a model parameter for each of several scenario fields.
 
-    Unit and meaning of the parameter are those of the field in the schema of scenarios.
+    Each parameter has the unit and meaning of its field in the schema of scenarios.
 
     Parameters
     ----------
@@ -54,7 +54,8 @@ def fields_of(table: str, *names: str, **renamed: str) -> tuple[Parameter, ...]:
     *names : str
         Fields whose parameters have the name of the field.
     **renamed : str
-        Name of a parameter, and the field of another name that it takes its value from.
+        Keyword: name of a parameter. Value: name of the field from which the parameter takes its
+        value.
     """
     rows = []
     for name, field in (*zip(names, names, strict=True), *renamed.items()):
@@ -189,14 +190,14 @@ def saturated(
     value, floor : expression
         Quantities of the same unit.
     width : expression
-        Ten times this above the floor, value and result agree to 2e-8 of the width; near the
-        floor the result may dip below it by `DIP` of the width.
+        Width of the transition, in the same unit. If the value is ten widths above the floor, the
+        result equals the value to 2e-8 of the width. Near the floor, the result may be less than
+        the floor by `DIP` times the width.
 
     Returns
     -------
     expression
-        Exact to rounding in the range where an equation is meant to be used, finite outside,
-        and free of overflow, which a softplus is not.
+        The smooth maximum. Unlike a softplus, it does not overflow.
     """
     excess = value - floor
     return floor + excess * (1 + tanh(excess / width)) / 2

@@ -18,19 +18,20 @@ By default, braking returns energy in the first three models and the last, becau
 hold for either direction of the energy flow. The other models have no such balance: a braking power
 divided by an efficiency would return more energy than braking absorbs.
 
-Why accelerating rotors earns nothing: see docs/theory/bound.md, eq. (5).
+Alternating acceleration and braking of the rotors saves no energy: see docs/theory/bound.md, eq.
+(5).
 
 Momentum theory, blade drag and climb, in moving air, `power.model momentum`; derivation and
 validated range: see docs/theory/momentum_power.md, eqs. (1) to (6).
 
 symbol | name | unit | meaning
-v_i | induced_velocity | m/s | velocity that the rotors add to the air, one for all of them
+v_i | induced_velocity | m/s | velocity that the rotors add to the air, equal for all rotors
 v_a | axial_airspeed | m/s | airspeed along the thrust, positive in climb
-v_p | in_plane_airspeed | m/s | airspeed across it
+v_p | in_plane_airspeed | m/s | airspeed across the thrust
 v_h | | m/s | v_i of hover, v_h^2 = T / (2 rho A)
 k_i | induced_power_factor | - | induced power over that of an ideal rotor
 c_0 | profile_power_coefficient | - | profile power over T^(3/2) / sqrt(rho A) of one rotor
-K | profile_advance_factor | - | its growth with the square of the advance ratio
+K | profile_advance_factor | - | growth of the profile power with the square of the advance ratio
 k_c, k_d | climb_power_factor, descent_power_factor | - | power over T v_a, up and down
 P_e | electronics_power | W | power drawn by all but the motors
 rho, A | air_density, disc_area | kg/m3, m2 | of the air and of all discs together
@@ -130,7 +131,8 @@ def wider_smoothings(scenario: Scenario) -> tuple[dict[str, float], ...]:
     """Return parameter values that widen the smoothed corner of the power at zero, widest first.
 
     Without regeneration, the power is max(P, 0), rounded over `power.smoothing`. A solve with a
-    wide rounding converges more easily and warm-starts the next one.
+    wide rounding converges more easily, and gives a warm start for the solve with the next narrower
+    rounding.
 
     Returns
     -------
@@ -209,10 +211,10 @@ def _power_of_each_rotor(
 def declare_motor_power(m: ConcreteModel, name: str) -> None:
     """Declare the power model `motor`: terminal voltage times current of each motor, eq. (2)-(3).
 
-    Valid wherever the motor runs: copper loss grows with the square of the torque, so the power is
-    convex in the rotor acceleration alpha and in thrust. With regeneration, braking returns its
-    power less the loss in the winding. The rotor has no profile drag, so the hover power is half
-    that of a real aircraft.
+    The model is valid at all speeds and torques of the motor. The copper loss grows with the square
+    of the torque, so the power is convex in the rotor acceleration alpha and in thrust. With
+    regeneration, braking returns the braking power less the loss in the winding. The rotor has no
+    profile drag, so the hover power is half the power of a real aircraft.
     """
     b = m.power
 
@@ -229,9 +231,9 @@ def declare_motor_power(m: ConcreteModel, name: str) -> None:
 def declare_shaft_power(m: ConcreteModel, name: str) -> None:
     """Declare the power model `shaft`: mechanical power of each rotor, torque times speed.
 
-    A lower bound of every other model: it has no loss in motor or converter, and with regeneration
-    braking returns all its power. Linear in the rotor acceleration, which therefore needs a
-    bound; convex in thrust (power 3/2).
+    This power is a lower bound of the power in every other model, because motor and converter have
+    no loss, and with regeneration braking returns its full power. The power is linear in the rotor
+    acceleration, which therefore needs a bound, and convex in thrust (exponent 3/2).
     """
 
     @_power_of_each_rotor(m, name, doc="Yacef et al., eq. (8) with f_r = 1: shaft power [W]")
@@ -243,8 +245,9 @@ def declare_shaft_power(m: ConcreteModel, name: str) -> None:
 def declare_constant_efficiency_power(m: ConcreteModel, name: str) -> None:
     """Declare the power model `constant_efficiency`: shaft power divided by a constant efficiency.
 
-    Valid near the operating point at which the efficiency was measured. Convex in the rotor
-    acceleration and in thrust. Non-negative unless regeneration is enabled.
+    The model is valid near the operating point at which the efficiency was measured. The power is
+    convex in the rotor acceleration and in thrust. It is not negative unless regeneration is
+    enabled.
     """
 
     @_power_of_each_rotor(m, name, doc="Yacef et al., eq. (8) with constant f_r [W]")
@@ -257,12 +260,12 @@ def declare_efficiency_power(m: ConcreteModel, name: str) -> None:
     """Declare the power model `efficiency`: shaft power divided by f_r(tau, omega), eq. (8).
 
     f_r is the efficiency polynomial of the paper (Yacef et al.) in torque and rotor speed, with its
-    coefficients as recovered. Valid only with its regularisation: f_r has zeros at moderate braking
-    torque below some 780 rad/s. It is therefore evaluated at a torque of at least `torque_floor`,
-    is bounded below by `efficiency_floor`, and braking returns nothing unless regeneration is
-    enabled. Not convex in the rotor acceleration: below 858 rad/s, alternating acceleration and
-    coasting is cheaper than steady flight, so an optimum depends on the bound on the acceleration
-    and on the mesh. Non-negative without regeneration.
+    coefficients as recovered. Below some 780 rad/s, f_r has zeros at moderate braking torque. It is
+    therefore evaluated at a torque of at least `torque_floor`, and is bounded below by
+    `efficiency_floor`. Unless regeneration is enabled, braking returns nothing and the power is not
+    negative. The power is not convex in the rotor acceleration: below 858 rad/s, alternating
+    acceleration and coasting takes less energy than steady flight, so an optimum depends on the
+    bound on the acceleration and on the mesh.
     """
     b = m.power
 
@@ -298,9 +301,9 @@ def declare_efficiency_power(m: ConcreteModel, name: str) -> None:
 def declare_motor_power_with_friction(m: ConcreteModel, name: str) -> None:
     """Declare the power model `motor_with_friction`: v i with dry and viscous friction.
 
-    After Morbidi et al. (2016). Valid in form, and convex in the rotor acceleration; the published
-    friction constants seem ten times too high (hover at 1.3 kW). Not convex in thrust: the viscous
-    and dry friction make the first newton the most expensive.
+    The model follows Morbidi et al. (2016). The power is convex in the rotor acceleration. It is
+    not convex in thrust, because viscous and dry friction make the first newton of thrust the most
+    expensive. The published friction constants seem ten times too high: hover takes 1.3 kW.
     """
     b = m.power
 
@@ -348,8 +351,8 @@ _FASTEST_INDUCED = 20.0
 def declare_momentum_power(m: ConcreteModel, name: str) -> None:
     """Declare the power model `momentum`: induced, profile, climb and rotor-acceleration power.
 
-    Valid in hover, climb, forward flight and slow descent. Convex in the rotor acceleration and in
-    thrust. The docstring of this module has the equations.
+    The model is valid in hover, climb, forward flight and slow descent. The power is convex in the
+    rotor acceleration and in thrust. The docstring of this module has the equations.
     """
     b = m.power
     b.disc_area = Expression(

@@ -8,12 +8,12 @@ phi', theta', psi' | p, q, r | rad/s | body rates
 
 `vehicle.attitude` selects the relation between the angles and the body rates. `euler` is exact: the
 Euler rates of Beard and McLain (2012), eq. (3.3), singular at a pitch of 90 degrees, with the
-reaction of the body to the rotors' acceleration in the yaw balance. `paper` is as printed: the
-Euler rates equal the body rates, which is correct to first order in the tilt, without that
-reaction.
+reaction of the body to the rotors' acceleration in the yaw balance. `paper` has the paper's
+equations: the Euler rates equal the body rates, which is correct to first order in the tilt, and
+the yaw balance has no reaction to the rotors' acceleration.
 
-The gyroscopic terms of the rotors are those of eq. (6); eq. (9) contradicts them in sign and in
-order of derivative. Balances are undivided, as printed.
+The gyroscopic terms of the rotors follow eq. (6); eq. (9) contradicts them in sign and in order of
+derivative. Balances are undivided, as printed.
 """
 
 from collections.abc import Callable

@@ -84,9 +84,10 @@ def usual_price(scenario: Scenario) -> float:
 
 
 def soften(m: ConcreteModel, scenario: Scenario) -> None:
-    """Replace limits and end conditions of a model by soft ones with a penalty, in block `soft`.
+    """Replace limits and end conditions of a model by soft constraints, in block `soft`.
 
-    The objective is replaced by its sum with the penalty times all violations.
+    A soft constraint may be violated at a penalty. The sum of all violations, times the penalty, is
+    added to the objective.
 
     Parameters
     ----------
@@ -119,9 +120,9 @@ def soften(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _soften_limit(b: Block, limit: Constraint) -> None:
-    """Replace a path constraint by soft ones, for its lower and its upper limit where it has them.
+    """Replace a path constraint by a soft constraint for each of its limits, lower and upper.
 
-    A path constraint holds at all times; its violation is a single variable, the largest over time.
+    The violation is a single variable: the largest violation over time.
     """
     name, stated = limit.name, function_of(limit)
     unit = units.get_units(limit[next(iter(limit))].body)

@@ -23,8 +23,8 @@ Gusts are frozen (Taylor's hypothesis) only for a vehicle that crosses them fast
 by themselves, which takes about L / sigma (Tennekes and Lumley, 1972, section 1.5). Therefore V is
 the airspeed, but at least sigma_u. The axes are horizontal and vertical, as in the specification at
 low altitude, and keep the direction of the mission's mean relative wind, because axes along the
-airspeed would turn the gusts with it. Turbulence acts on simulated flights only; no plan includes
-it.
+airspeed would turn the gusts whenever the vehicle turns. Turbulence acts on simulated flights only;
+no plan includes it.
 """
 
 from collections.abc import Callable, Sequence
@@ -336,8 +336,8 @@ class Gusts:
     def noise(self, duration: float) -> FloatArray:
         """Return the white noise of a flight, constant over steps of `NOISE_STEP`.
 
-        Its variance is 1 / `NOISE_STEP`. The noise of a shorter flight is the beginning of that of
-        a longer one.
+        The variance of the noise is 1 / `NOISE_STEP`. With the same seed, flights of different
+        duration have the same noise for as long as both last.
 
         Parameters
         ----------

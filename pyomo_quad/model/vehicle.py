@@ -50,7 +50,7 @@ _PARAMETERS = (
 
 @parameters_in("vehicle")
 def parameters_of(_scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters of a vehicle: its own, and the payloads released at waypoints."""
+    """Return the parameters of block `vehicle`, including the payloads released at waypoints."""
     return _PARAMETERS
 
 

@@ -15,11 +15,11 @@ logarithmic | ln(h / z_0) / ln(h_r / z_0), of roughness z_0 | Stull (1988), sect
 
 with h the vehicle's height above the ground: z, or over terrain the height over the smooth surface
 that is nowhere below the ground (`model.ground`). Below the larger of 0.1 m and z_0, where neither
-law is valid, the wind is constant: in place of h stands a smooth maximum of that height and h,
-increasing in h, and equal to h within 1e-12 m from half a metre above. A wind measured over heights
-is a cubic spline through the measurements between the lowest and the highest height, and constant
-beyond them, with the same smoothing. Its heights, too, are heights above the ground; those of a
-field are z.
+law is valid, the wind is constant: the laws use a smooth maximum of h and this lowest height. It
+increases with h, and equals h to 1e-12 m if h is half a metre above the lowest height or higher. A
+wind measured over heights is a cubic spline through the measurements between the lowest and the
+highest height, and constant beyond them, with the same smoothing. Its heights are also measured
+above the ground; the heights of a wind field are coordinates z.
 
 A wind measured over time is the cubic spline of the wind time through its rows. It is twice
 differentiable at any time, so that a plan may choose its times. After the last row it is constant.
@@ -137,8 +137,8 @@ def _mean(scenario: Scenario, name: str) -> float:
 def mean_wind(scenario: Scenario) -> FloatArray:
     """Return the mean horizontal wind along world x and y, shape (2,) [m/s].
 
-    A profile counts at its reference height, a wind measured over heights at `USUAL_HEIGHT`, and a
-    field with the mean over all places that have wind.
+    A wind with a profile is taken at the reference height, a wind measured over heights at the
+    height `USUAL_HEIGHT`. For a wind field, the result is the mean over all places that have wind.
     """
     wind = scenario.wind
     if wind.grid is not None:
@@ -246,7 +246,7 @@ def _declare_height(b: Block, m: ConcreteModel) -> None:
 
 
 def _declare_profile(b: Block, m: ConcreteModel, law: WindLaw) -> None:
-    """Declare the ratio of the wind at the vehicle's height to that at the reference height."""
+    """Declare the ratio of the wind at the vehicle's height to the wind at the reference height."""
 
     def power(b: Block, t: float) -> NumericExpression:
         return (b.height[t] / b.reference_height) ** b.exponent
@@ -261,7 +261,7 @@ def _declare_profile(b: Block, m: ConcreteModel, law: WindLaw) -> None:
 
 
 def _at_height(b: Block, t: float, velocity: NumericExpression) -> NumericExpression:
-    """Return the wind at the vehicle's height from that at the reference height [m/s].
+    """Return the wind at the vehicle's height, given the wind at the reference height [m/s].
 
     Without a wind profile the two are equal.
     """
@@ -368,8 +368,8 @@ def _measured(components: Sequence[str], b: Block, t: float) -> NumericExpressio
 def _declare_shapes(b: Block, m: ConcreteModel, heights: FloatArray) -> None:
     """Declare the basis functions of height whose weighted sum is the wind measured over heights.
 
-    The functions are those of a cubic not-a-knot spline. Below the lowest and above the highest
-    measured height the wind is constant, with the same smoothing as a profile.
+    They are the basis functions of a cubic not-a-knot spline. Below the lowest and above the
+    highest measured height the wind is constant, with the same smoothing as a profile.
     """
     shares, functions = _shares(heights), _truncated_powers(_shares(heights))
 
@@ -462,7 +462,8 @@ class _OverTime:
     def _table(self) -> Table:
         """Spline over the rows of the table within reach of a flight of variable duration.
 
-        Its cost grows with its rows; rows left out are too far away to have an effect.
+        The cost of an evaluation grows with the number of rows. The rows that are left out are too
+        far away in time to have an effect.
         """
         times = self._spline.x[self._rows]
         return Table(times, self._spline(times), name="measured wind")

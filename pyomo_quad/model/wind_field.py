@@ -146,7 +146,7 @@ def _filled(grid: WindGrid) -> tuple[list[FloatArray], FloatArray]:
 def is_wind_known(
     scenario: Scenario, times: FloatArray | float, places: FloatArray
 ) -> NDArray[np.bool_]:
-    """Return for each place and time of a flight whether the wind field has a value there.
+    """Return whether the wind field has a value at each place and time of a flight.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """Interpretations of the efficiency f_r of Yacef et al., and solves on fixed meshes under each.
 
-f_r is the efficiency of motor and rotor, which their paper does not print. Its form recovered from
-public re-implementations is zero at some braking torques, so that the literal problem has no
-minimum if the rotors may brake hard enough.
+f_r is the efficiency of motor and rotor, which their paper does not print; here it is a polynomial
+recovered from public re-implementations. The polynomial is zero at some braking torques. If the
+rotors may brake that hard, the problem with the bare polynomial has no minimum.
 """
 
 from dataclasses import dataclass

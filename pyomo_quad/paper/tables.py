@@ -66,7 +66,7 @@ def _used(values: dict[str, object], field: str) -> float:
 
 
 def corrections(study: PaperStudy) -> dict[str, Any]:
-    """List the errors and gaps in the paper of Yacef et al., as numbers.
+    """Return the numbers that show errors and gaps in the paper of Yacef et al.
 
     Returns
     -------
@@ -109,7 +109,7 @@ _LARGEST_PLAIN, _SMALLEST_PLAIN = 1e6, 1e-2
 
 
 def kilojoules(energy: float, digits: int = 3) -> str:
-    """Format an energy given in J as a number of kJ; "no minimum" for minus infinity."""
+    """Format an energy [J] in kJ; minus infinity becomes "no minimum"."""
     if energy == -float("inf"):
         return "no minimum"
     if not isfinite(energy):

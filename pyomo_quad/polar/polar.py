@@ -1,9 +1,10 @@
 """Polar of a vehicle: steady flight over airspeed, with best speeds, range and endurance.
 
 Each point is a trim: the equations of the scenario's model are solved for the attitude and the
-rotor speeds that keep level flight at that airspeed, and give the power.  In a wind the airspeed is
-the ground speed less the wind; with power P over airspeed, the energy per metre over the ground at
-ground speed g is P / g, or (P + price of time) / g with a value of each second in W.
+rotor speeds that keep level flight at that airspeed, and give the power P.  In a wind, the velocity
+through the air is the velocity over ground minus the wind.  The energy per metre over ground is
+P / g at ground speed g. If each second of flight has a value, it is (P + c) / g, with this "price
+of time" c in W.
 """
 
 from collections.abc import Callable, Sequence
@@ -124,9 +125,9 @@ class SteadyCurve:
 
 
 def _least(cost: Callable[[FloatArray | float], FloatArray], trials: FloatArray) -> float:
-    """Return the argument of least cost.
+    """Return the argument at which a cost function is least.
 
-    The best of the trial arguments is refined by a bounded search between its neighbours.
+    The best of the given trial arguments is refined by a bounded search between its neighbours.
     """
     best = int(np.argmin(cost(trials)))
     low, high = trials[max(0, best - 1)], trials[min(len(trials) - 1, best + 1)]

@@ -1,9 +1,10 @@
 """Reach of a vehicle on one battery charge in a wind, one way or out and back.
 
 The flight is straight and level, at the height of the start and at the ground speed of least energy
-per metre in the local wind. A metre uses the share 1 / range of the battery, where range is the
-distance that a full battery lasts for in the local wind. On the boundary, the shares along a
-course, out and with a return also back, add up to the whole battery. Keep-out zones are ignored.
+per metre in the local wind. Each metre uses the fraction 1 / range of the battery charge, where
+range is the distance that a full battery lasts for in the local wind. The boundary lies where these
+fractions add up to 1: over the way out or, if the vehicle returns, over the ways out and back.
+Keep-out zones are ignored.
 """
 
 import json

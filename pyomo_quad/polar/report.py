@@ -172,7 +172,9 @@ def draw_polar(polar: Polar) -> Figure:
 
 
 def draw_winds(polar: Polar) -> Figure:
-    """Draw the ground speed of least energy per metre, and that energy, over the wind's angle.
+    """Draw best ground speed and least energy per metre over the direction of the wind.
+
+    The best ground speed is the speed with the least energy per metre over ground.
 
     Each curve is one wind speed; the angle is between the course and the direction of the wind.
     """

@@ -1,7 +1,7 @@
 """Reports of plans and of runs: tables, figures, Markdown text and HTML pages.
 
-A run compares the minimum-energy plan of a mission with the flights of a controller. Only the
-reporting modules of `pyomo_quad` import matplotlib.
+A run compares the minimum-energy plan of a mission with the flights of a controller. Matplotlib is
+imported only by modules that draw reports.
 """
 
 from enum import StrEnum

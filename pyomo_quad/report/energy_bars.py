@@ -32,8 +32,9 @@ _NUMBER_ROOM = 1.28  # the axis is longer than the longest bar, to fit the numbe
 def draw_energy_split(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figure:
     """Draw two bar charts of flights: the total energy, and the enlarged difference.
 
-    Left: total energy from zero; grey: hovering for the same time. Right: energy above hovering,
-    or, if the durations of the flights differ, energy above that of the first flight.
+    The left panel shows the total energy, and in grey the energy of hovering for the same time. The
+    right panel shows the energy above hovering or, if the durations of the flights differ, the
+    energy above that of the first flight.
 
     Parameters
     ----------

@@ -186,9 +186,9 @@ _PANELS = (
 
 
 def draw_bands(flown: Ensemble) -> Figure:
-    """Draw the median and the band of 90 % of an ensemble's flights over time, in four panels.
+    """Draw quantities of an ensemble over time: the median, and a band of 90 % of flights.
 
-    The panels show distance from the reference path, speed, tilt and energy.
+    The four panels show distance from the reference path, speed, tilt and energy.
 
     Parameters
     ----------

@@ -300,7 +300,7 @@ def _remove_leftovers(final: Path) -> None:
 
 
 def _is_of_a_run(folder: Path) -> bool:
-    """Return whether a hidden folder was made by this package, whose folders hold a manifest."""
+    """Return whether this package made a hidden folder: its folders hold a manifest."""
     return not folder.is_symlink() and (folder / MANIFEST_NAME).is_file()
 
 

@@ -311,11 +311,12 @@ class FreeClimb:
 
 
 def _free_climb(plan: "Plan") -> FreeClimb | None:
-    """Return the mission's climb if the flight uses less energy above hovering than it gains.
+    """Return the mission's climb if its potential energy exceeds the energy used above hovering.
 
-    Only the power model `momentum`, and possibly a user's model, depend on the airspeed and so
-    account for the energy of a climb; for these models the result is None. It is also None if the
-    mission releases parcels on the way, because the parcels do not climb to the goal.
+    The result is None for the power model `momentum` and for a user's model: the former, and
+    possibly the latter, depends on the airspeed and so accounts for the energy of a climb. It is
+    also None if the mission releases parcels on the way, because the parcels do not climb to the
+    goal.
     """
     scenario = plan.scenario
     height, potential = climb_of(scenario)

@@ -147,9 +147,9 @@ ROTOR_STYLES = (
 
 
 def flight_styles(names: tuple[str, ...]) -> dict[str, LineStyle]:
-    """Return the line style of each flight, the same for a name in all figures of all reports.
+    """Return the line style of each flight; a name has the same style in all reports.
 
-    Flights that the program does not name itself, such as flights that a caller names, share the
+    Flights with other names than the program gives, such as names that a caller chooses, get the
     remaining styles in turn.
 
     Parameters
@@ -193,9 +193,10 @@ def save_figure(
 
 
 def _drawn(draw: Callable[[], Figure]) -> Figure:
-    """Draw a figure; fix the label positions of unlabelled axes.
+    """Draw a figure, with fixed label positions on unlabelled axes.
 
-    Without this, matplotlib computes the positions of empty labels, a tenth of the drawing time.
+    Otherwise matplotlib computes positions for empty labels, which takes a tenth of the drawing
+    time.
     """
     figure = draw()
     for axes in figure.axes:

@@ -90,8 +90,9 @@ def faces(zone: KeepOut, limits: FloatArray) -> FloatArray:
 def _whole_faces(zone: KeepOut) -> Iterator[FloatArray]:
     """Yield the faces of a keep-out zone, not yet cut off at the limits of a figure.
 
-    Polygons with the corners of the zone's horizontal cross-sections at rising heights: four-sided
-    faces join successive cross-sections, and the lowest and highest are the bottom and the top.
+    The zone is approximated by horizontal cross-sections at increasing heights. Faces with four
+    corners join neighbouring cross-sections; the lowest and the highest cross-section are the
+    bottom and the top.
     """
     low, high = box_around(zone)
     middle, half = (low + high) / 2, (high - low) / 2

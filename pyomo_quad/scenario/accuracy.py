@@ -30,12 +30,13 @@ class Figures:
     Attributes
     ----------
     energy : float
-        Relative excess of the plan's energy over the least energy, and relative difference between
-        the energies of the plan and of its simulation; also the relative error of the states to
-        which the mesh is refined.
+        Relative tolerance of three quantities: the plan's energy compared with the least energy,
+        the energy of the simulation compared with the plan's energy, and the error of the states
+        to which the mesh is refined.
     miss : float
         Deviation of each final state, and of the passage of waypoints, when the controls are
-        simulated without feedback; in m, m/s, rad or, for values above 1, relative.
+        simulated without feedback. Its unit is m, m/s or rad; for a state of magnitude above 1, the
+        deviation is divided by this magnitude.
     breach : float
         Violation of a limit between collocation points, relative to the larger of 1 and the limit.
     integration : float

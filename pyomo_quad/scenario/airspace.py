@@ -147,7 +147,7 @@ def is_convex(polygon: Any) -> bool:  # noqa: ANN401  shapely has no types that 
 
 
 def _refuse_folded(corners: Sequence[tuple[float, float]], what: str) -> None:
-    """Raise ValueError unless corners are those of a convex polygon, in order."""
+    """Raise ValueError unless the corners, in the given order, form a convex polygon."""
     from shapely import Polygon  # noqa: PLC0415  for polygons alone
 
     polygon = Polygon(corners)
@@ -303,8 +303,8 @@ class KeepOut(Part):
     def depth(self, places: "ArrayLike") -> "FloatArray":
         """Return the depth of places inside the zone [m], negative outside.
 
-        Inside, the depth is the distance to the nearest face; outside, minus the largest distance
-        beyond a face.
+        Inside, the depth is the distance to the nearest face. Outside, the distance beyond each
+        face is computed, and the depth is minus the largest of these distances.
 
         Parameters
         ----------
@@ -397,7 +397,8 @@ class TerrainGrid(Part):
         Parameters
         ----------
         side : int
-            1 for a surface that is nowhere below the ground, -1 for one that is nowhere above.
+            1 for a surface that is nowhere below the ground, -1 for a surface that is nowhere above
+            the ground.
         """
         return _surface(self, side)
 
@@ -429,7 +430,7 @@ def _surface(grid: TerrainGrid, side: int) -> "Surface":
 
 
 class Airspace(Part):
-    """Where the flight may be: height limits, fence, keep-out zones and terrain."""
+    """Space in which the flight must stay: height limits, fence, keep-out zones and terrain."""
 
     floor: Number | None = quantity(
         "m",
@@ -483,7 +484,7 @@ class Airspace(Part):
         return self
 
     def height_above_ground(self, place: "ArrayLike", side: int = 1) -> "FloatArray":
-        """Return the height of places above the smooth surface that stands for the ground [m].
+        """Return the height of places above a smooth surface close to the ground [m].
 
         Without terrain the ground is the plane z = 0.
 
@@ -530,7 +531,8 @@ class Airspace(Part):
     def complaints(self, place: Sequence[float]) -> Iterator[str]:
         """Yield one message for each reason why a place is outside the airspace.
 
-        Each message ends a sentence that names the place, and says what to change.
+        A message is the end of a sentence that begins with the name of the place. It says which
+        limit the place violates and what to change.
 
         Parameters
         ----------

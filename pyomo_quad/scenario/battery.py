@@ -71,7 +71,7 @@ class Thermal(Part):
 
     @property
     def start(self) -> float:
-        """Temperature at the start [K]; that of the surrounding air if not given."""
+        """Temperature at the start [K], by default the temperature of the surrounding air."""
         return (
             self.ambient_temperature
             if self.initial_temperature is None

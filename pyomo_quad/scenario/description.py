@@ -58,7 +58,7 @@ def describe_fields(scenario: Scenario) -> tuple[FieldDescription, ...]:
     Returns
     -------
     tuple of FieldDescription
-        One for each field that is not a table, in the order of the schema.
+        A description of each field that is not a table, in the order of the schema.
 
     Examples
     --------
@@ -202,7 +202,10 @@ def writable_fields(model: type[BaseModel]) -> tuple[WritableField, ...]:
 
 
 def _otherwise(name: str, field: dict[str, Any]) -> dict[str, Any]:
-    """Return the JSON Schema of alternative notations of a field; see `spellings`."""
+    """Return the JSON Schema of a field's alternative notations, by key; empty if it has none.
+
+    A place may be given by latitude and longitude, a wind by the direction that it comes from.
+    """
     found: dict[str, Any] = {}
     if field.get("unit") == "rad" and name == "direction":
         says = "where the wind comes from, clockwise from north [deg]"
@@ -282,14 +285,16 @@ def _allowed(field: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
 
 
 def _is_ranged(field: Mapping[str, Any], option: Mapping[str, Any]) -> bool:
-    """Return whether the field's plausible range is that of one of its types: number or list.
+    """Return whether a field's plausible range applies to one of the types that it allows.
+
+    The range applies to numbers and lists of numbers, not to words such as "free".
 
     Parameters
     ----------
     field : mapping
-        JSON Schema of the field; `sound` holds its plausible range, if it has one.
+        JSON Schema of the field; `sound` holds the plausible range, if the field has a range.
     option : mapping
-        JSON Schema of one type that the field allows. A word such as "free" has no range.
+        JSON Schema of the type.
     """
     return "sound" in field and option.get("type") in {"number", "integer", "array"}
 
@@ -392,7 +397,7 @@ def refuse_no_name(text: str) -> None:
 
 
 def started_scenario(template: str, name: str) -> str:
-    """Return the text of a shipped scenario under a new name, as a start for an own scenario.
+    """Return the text of a shipped scenario under a new name, for the user to edit.
 
     Parameters
     ----------

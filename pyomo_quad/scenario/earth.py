@@ -1,10 +1,10 @@
 """Geodetic positions: the origin of a mission on earth, and places by latitude and longitude.
 
 The frame of a mission is east-north-up ("enu"): x is east, y north and z up from the origin, in
-metres, and z = 0 is the plane tangent to the earth there.  The earth's surface lies below this
-plane: by 8 cm at 1 km, by 8 m at 10 km.  Latitude and longitude refer to WGS 84; altitudes have a
-common reference level, usually the sea.  PROJ (`topocentric`) converts, there and back to a
-hundredth of a millimetre.
+metres, and z = 0 is the plane that is tangent to the earth at the origin.  The earth's surface lies
+below this plane: by 8 cm at 1 km, by 8 m at 10 km.  Latitude and longitude refer to WGS 84;
+altitudes have a common reference level, usually the sea.  PROJ (`topocentric`) converts between
+the coordinates; converting a place and converting it back moves it by at most 0.01 mm.
 """
 
 from collections.abc import Mapping

@@ -123,7 +123,7 @@ def number_in_text(text: str) -> float:
     Returns
     -------
     float
-        Also infinite or NaN, if the text is ``inf`` or ``nan``.
+        The number; infinite or NaN if the text is ``inf`` or ``nan``.
 
     Raises
     ------
@@ -409,7 +409,7 @@ def table_at(tree: Any, *place: str | int) -> Mapping[str, Any]:  # noqa: ANN401
 
 
 def merge(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a nested table overlaid by another, whose values take precedence.
+    """Merge two nested tables; values of the second table take precedence.
 
     Parameters
     ----------

@@ -1,9 +1,10 @@
 """Zones with polygonal ground plan: division into convex parts, and import from GeoJSON.
 
-Keep-out zones must be convex, because a plan keeps out of a zone by a limit on the largest distance
-beyond its faces.  A concave polygon is divided into convex zones NAME-1, NAME-2 and so on, which
-share edges without gaps.  A concave fence becomes its convex hull, and the parts of the hull
-outside of the fence become zones fence-1, fence-2 and so on.
+Keep-out zones must be convex: a plan is outside of a zone if it is beyond at least one face, which
+is a sufficient and necessary condition for convex zones only.  A concave polygon is divided into
+convex zones NAME-1, NAME-2 and so on, which share edges without gaps.  A concave fence is replaced
+by its convex hull, and the parts of the hull outside of the fence become keep-out zones fence-1,
+fence-2 and so on.
 """
 
 import json
@@ -67,9 +68,9 @@ def _parts_of_zone(zone: Mapping[str, Any]) -> list[Any]:
 
 
 def _polygon_of(written: Any) -> Any:  # noqa: ANN401  before validation, and see `is_convex`
-    """Return the polygon of corners.
+    """Return the polygon (of shapely) with the corners that a scenario file gives.
 
-    None if the corners are not numbers, or the outline crosses itself or encloses no area.
+    None if the corners are not pairs of numbers, or the outline crosses itself or encloses no area.
     """
     from shapely import Polygon  # noqa: PLC0415  for polygons alone
 
@@ -120,7 +121,7 @@ def convex_parts(polygon: Any) -> list[_Ring]:  # noqa: ANN401  see `is_convex`
 
 
 def _plain(polygon: Any) -> _Ring:  # noqa: ANN401  see `is_convex`
-    """Return a polygon's corners without those on a straight line between their neighbours."""
+    """Return a polygon's corners, except corners on the straight line between two neighbours."""
     ring = [(float(x), float(y)) for x, y in polygon.exterior.coords[:-1]]
     extent = polygon.area
     kept = []

@@ -67,7 +67,8 @@ class Quantity:
     columns : tuple of str
         Column of each component in a CSV or Parquet table.
     needed : int
-        Number of components that a file must have; the others may be absent.
+        Number of components that a file must have, counted from the first; later components may be
+        absent.
     units : mapping of str to float
         Units allowed in NetCDF, each with its factor to SI units; the first applies to a variable
         without a unit.

@@ -191,12 +191,13 @@ def _parsed(overrides: Sequence[str]) -> dict[FieldPath, Any]:
 
 
 def assignments_of(tables: Mapping[str, Any], source: str) -> dict[FieldPath, Any]:
-    """Return the value of each field in nested tables or dotted paths, or both mixed.
+    """Return the value of each field that a mapping gives, by nested tables or by dotted paths.
 
     Raises
     ------
     ScenarioError
-        If the tables are too deep, or a path is none of a field; the message begins with `source`.
+        If the tables are nested too deep, or a path cannot be the path of a field. The message
+        begins with `source`.
     """
     refuse_deep(tables, source)
     assignments: dict[FieldPath, Any] = {}

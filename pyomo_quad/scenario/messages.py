@@ -103,16 +103,17 @@ _MOST_LINES = 20
 
 
 def listed(lines: Sequence[str]) -> str:
-    """Join messages, one per line; of more than twenty only the first are printed."""
+    """Join messages, one per line; from the twenty-first on, messages are only counted."""
     more = len(lines) - _MOST_LINES
     left_out = [f"... and {more} more."] if more > 0 else []
     return "\n".join([*lines[:_MOST_LINES], *left_out])
 
 
 def _without_branches(path: FieldPath, model: type[BaseModel]) -> FieldPath:
-    """Return the path of an error without the name of the type that pydantic tried there.
+    """Return the path of an error of pydantic without names of types, which the file lacks.
 
-    Pydantic adds the name for fields that accept a number or a word, such as `mission.duration`.
+    For a field that accepts a number or a word, such as `mission.duration`, pydantic reports an
+    error for each type, and adds the type's name to the path.
     """
     table, _ = declared_place(model, path[:-1])
     last = path[-1] if path else None

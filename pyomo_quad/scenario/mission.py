@@ -61,7 +61,11 @@ class Yaw(StrEnum):
 
 
 class Waypoint(Part):
-    """Place to pass between start and goal, with distance, hold, heading, speed and time."""
+    """Place to pass between start and goal.
+
+    It may prescribe the distance within which the flight must pass, a time of hovering, heading,
+    largest speed, time of passing and a release of payload.
+    """
 
     position: Triple = quantity(
         "m", "position x, y, z to pass, in world axes", example="[3.0, 0.0, 2.0]", sound=_FAR
@@ -99,7 +103,7 @@ class Waypoint(Part):
 
 
 class ReturnFlight(Part):
-    """Steady, level return flight for which battery charge is kept, and its safety margin."""
+    """Steady, level return flight for which a plan keeps battery charge, and a safety margin."""
 
     margin: Number = quantity(
         "1",

@@ -75,7 +75,7 @@ def created_power(vehicle: Vehicle, power: Power, gravity: float) -> str:
 def contradictions(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[Contradiction]:
     """Yield the physical contradictions between a vehicle's numbers.
 
-    Checked are the motor constants, the moments of inertia and the power of hover.
+    The function checks the motor constants, the moments of inertia and the power of hover.
 
     Parameters
     ----------
@@ -114,8 +114,9 @@ def contradictions(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[C
 def remarks(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[str]:
     """Yield remarks on numbers that are possible but unusually good.
 
-    Remarked are a product k_t k_v that differs from 1 by no more than rounding errors, and rotors
-    whose figure of merit (ideal power over shaft power in hover) is unusually high.
+    Two cases cause a remark: a product k_t k_v that differs from 1 by no more than rounding of the
+    two constants explains, and rotors whose figure of merit (ideal power over shaft power in hover)
+    is unusually high.
 
     Parameters
     ----------

@@ -172,8 +172,8 @@ class LibraryEntry:
     base : LibraryEntry or None
         Library entry that supplies the values which a user's own file leaves out.
     battery : str
-        Battery pack of a vehicle, used unless the scenario names another: a name of the library, or
-        a file beside the vehicle's. Empty if none is known.
+        Battery pack of a vehicle, used unless the scenario names a battery: a name of the library,
+        or a file in the folder of the vehicle file. Empty if no battery is known.
     """
 
     kind: str
@@ -271,8 +271,8 @@ def _entry(
 ) -> LibraryEntry:
     """Make a library entry from the content of its file.
 
-    In the file, a number stands alone or in a table with its source. The entry holds the file's own
-    values only; `base` supplies the others.
+    In the file, a number stands alone or in a table with its source. The entry holds only values of
+    this file; `base` is the library entry that supplies the values which the file leaves out.
     """
     table = LIBRARY_KINDS[kind]
     tables: dict[str, Any] = {table: {"use": name}}
@@ -408,7 +408,7 @@ _INHERITED_BY_FORECAST = (
 
 @dataclass(frozen=True, kw_only=True)
 class ScenarioSource:
-    """Scenario as written by a user: its own tables, and the overrides of fields.
+    """Scenario as a user has written it: tables of the file, and overrides of fields.
 
     Attributes
     ----------
@@ -676,7 +676,8 @@ class _Filled:
     def add_terrain(self) -> None:
         """Add the heights of the ground from a file.
 
-        If the scenario gives no floor (least height above the ground), the floor is the clearance.
+        If the scenario gives no floor (least height above the ground), the floor is set to the
+        clearance (least distance from zones).
         """
         airspace, path = table_at(self.tables, "airspace"), ("airspace", "terrain")
         file, clearance = airspace.get("terrain"), airspace.get("clearance", 0.0)
@@ -695,9 +696,17 @@ class _Filled:
         self.put_read(("airspace", "ground"), ground, file)
 
     def winds(self, named: str) -> Iterator[tuple[tuple[str, ...], Mapping[str, Any]]]:
-        """Yield path and table of the wind and of its forecast, if the field `named` has a text.
+        """Yield the tables `wind` and `wind.forecast`, if they refer to a file in a given field.
 
-        The text is the name of a file that the table refers to.
+        Parameters
+        ----------
+        named : str
+            Field of the table that may hold the file's name, such as ``file``.
+
+        Yields
+        ------
+        tuple of str, mapping
+            Path and content of the table.
         """
         for place in (("wind",), ("wind", "forecast")):
             wind = table_at(self.tables, *place)
@@ -744,7 +753,11 @@ class _Filled:
 
 
 def _beside(file: str, pack: str) -> str:
-    """Return the name of a vehicle's battery pack, with a file's path relative to the scenario."""
+    """Return the name of the battery pack of a vehicle that was read from a file.
+
+    If the pack is a file in the folder of the vehicle file, its path becomes relative to the
+    scenario.
+    """
     return (FilePath(file).parent / pack).as_posix() if pack.endswith(_SUFFIX) else pack
 
 

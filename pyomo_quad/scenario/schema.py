@@ -255,7 +255,7 @@ class Scenario(Part):
         return self.with_mission(**values)
 
     def cruising(self, settings: CruiseSettings) -> Self:
-        """Return the scenario with one setting of the reference flight `cruise`, an autopilot.
+        """Return the scenario with given settings of the reference flight `cruise` by an autopilot.
 
         Parameters
         ----------
@@ -289,8 +289,8 @@ class Scenario(Part):
     def nominal_times(self) -> tuple[float, ...]:
         """Times at which waypoints are reached and left, and end time [s], prescribed or estimated.
 
-        The estimate takes twice the time of a flight that accelerates over half of each leg and
-        decelerates over the other half.
+        The estimate is twice the least time of a flight that accelerates over the first half of
+        each leg and decelerates over the second half, with the vehicle's largest acceleration.
         """
         vehicle, limits = self.vehicle, self.limits
         lift = limits.thrust_max / vehicle.total_mass - self.gravity

@@ -1,11 +1,14 @@
 """Smooth surfaces above and below terrain that is given on a grid.
 
 Between the points of the grid the ground is bilinear. A `Surface` is a cubic spline that is nowhere
-below the ground, or nowhere above it.  It begins as the spline through the heights.  Spline and
-ground are polynomials in each cell, and their difference is at least the least of its Bernstein
-coefficients there.  Where that coefficient is negative, all B-spline coefficients that influence
-the cell are raised by as much: the Bernstein coefficients are averages of the B-spline
-coefficients, so that none stays negative.
+below the ground, or nowhere above it.
+
+A surface above the ground is constructed from the spline through the heights.  In each cell of the
+grid, spline and ground are polynomials, and the least Bernstein coefficient of spline minus ground
+is a lower bound of this difference.  If the least coefficient is negative, all B-spline
+coefficients that influence the cell are raised by its magnitude.  Bernstein coefficients are
+averages of B-spline coefficients, so that no Bernstein coefficient of the cell remains negative.
+A surface below the ground is constructed in the same way from the negative heights.
 """
 
 from dataclasses import dataclass
@@ -35,7 +38,7 @@ _SHARES = (*(0.3,) * 10, 1.0)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Surface:
-    """Cubic spline of x and y that does not cross the ground; stands for terrain in height limits.
+    """Cubic spline of x and y, above or below the terrain, which height limits use as the ground.
 
     Attributes
     ----------
@@ -56,8 +59,8 @@ class Surface:
     def at(self, places: ArrayLike) -> FloatArray:
         """Return the height of the surface at places [m].
 
-        Outside the grid, where the ground is not known, the height is that at the grid's border;
-        figures need it.
+        Outside the grid, where the ground is not known, the height at the nearest place of the
+        grid's border is returned, for figures.
 
         Parameters
         ----------

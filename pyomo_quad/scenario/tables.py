@@ -367,7 +367,7 @@ _LEAST_CHARGE = 0.2
 
 
 class Limits(Part):
-    """Limits on vehicle and battery that both the plan and the controller keep."""
+    """Limits on vehicle and battery, which the plan and the controller must respect."""
 
     roll_max: Number = quantity(
         "rad", "largest roll angle, Yacef et al., eq. (10)", pi / 2, le=pi / 2, sound=_ANGLE

@@ -76,7 +76,7 @@ _SLOW = positive(1e-2, 1e3, "rotorcraft fly below 340 m/s, the speed of sound")
 
 
 class Validated(Part):
-    """Range of airspeed, climb, descent and payload in which measurements confirm a vehicle."""
+    """Range of airspeed, climb, descent and payload in which measurements confirm the model."""
 
     airspeed: Number | None = quantity(
         "m/s", "largest airspeed of the flights that confirm the vehicle", None, sound=_SLOW

@@ -51,7 +51,7 @@ _FAST = Sound(-1e4, 1e4, "gusts take longer than 1 ms")
 
 
 class WindCoupling(StrEnum):
-    """Effect of the wind: drag on the airspeed, or an acceleration as in Yacef et al., eq. (9)."""
+    """Effect of the wind: drag from the airspeed, or the acceleration of Yacef et al., eq. (9)."""
 
     ACCELERATION = "acceleration"
     DRAG = "drag"
@@ -188,7 +188,7 @@ class Turbulence(Part):
 class Beyond(StrEnum):
     """Treatment of places outside a wind field, and of cells without wind.
 
-    `REFUSE` forbids the plan to fly there; `HOLD` uses the nearest known wind.
+    `REFUSE` forbids the plan to fly through these places; `HOLD` uses the nearest known wind.
     """
 
     REFUSE = "refuse"
@@ -513,10 +513,10 @@ def with_coupling(
 ) -> dict[str, Any]:
     """Set the wind's coupling, its effect on the vehicle, where the scenario does not give it.
 
-    The default is drag on the airspeed. A vehicle without drag coefficients would not be moved by
-    such a wind; for it the default is the acceleration of eq. (9) of Yacef et al. as printed. A
-    forecast applies to the same vehicle, and therefore has the coupling of the wind unless it gives
-    another.
+    By default the wind acts through the drag, which depends on the airspeed. A vehicle without drag
+    coefficients would not feel the wind; for it the default is the acceleration of eq. (9) of Yacef
+    et al. as printed. The forecast has the same coupling as the wind, unless the scenario gives
+    another for it.
 
     Parameters
     ----------

@@ -35,8 +35,8 @@ def read_wind_file(
     Parameters
     ----------
     file : Path
-        CSV file with the columns `WIND_COLUMNS`, and with `HEIGHT_COLUMN` in place of or after the
-        time; with both, every time has the same heights.
+        CSV file with the columns `WIND_COLUMNS`. A column `HEIGHT_COLUMN` may follow the time or
+        replace it. If the file has time and height, every time has the same heights.
     where : str
         Start of messages: the field that names the file.
     longest : tuple of str and object
@@ -48,8 +48,9 @@ def read_wind_file(
     Returns
     -------
     dict
-        `times` [s], `wind_x` and `wind_y` [m/s] and, if the file has heights, `heights` [m], which
-        are then the inner index of the winds. Without times in the file, `times` is empty.
+        `times` [s], `wind_x` and `wind_y` [m/s] and, if the file has heights, `heights` [m]. The
+        winds are listed time by time, and by rising height at each time. Without times in the
+        file, `times` is empty.
 
     Raises
     ------

@@ -2,8 +2,8 @@
 
 The same plans are flown by the package's own vehicle model (the "declared" vehicle) and by
 RotorPy's vehicle, with the package's controller, with RotorPy's controller SE3, and without
-feedback. Details of RotorPy's model that differ are switched on and off one at a time, to find what
-each contributes.
+feedback. The features in which RotorPy's model differs are switched on or off one at a time, to
+find the contribution of each feature to the difference between the flights.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -439,7 +439,7 @@ def _against_the_air(path: ReferencePath, plant: OutsidePlant) -> ReferencePath:
 
 
 def _flights_of_set(mission: _Mission) -> Iterator[Flown]:
-    """Yield flights of one of RotorPy's own vehicles, and of the same vehicle in this package."""
+    """Yield flights of a vehicle of RotorPy, in RotorPy and in the package's own model."""
     theirs = OutsidePlant(
         mission.scenario,
         mission.dynamics,
@@ -463,7 +463,7 @@ def _flights_of_set(mission: _Mission) -> Iterator[Flown]:
 def _flights_by_drag(mission: _Mission) -> Iterator[Flown]:
     """Yield flights along a plan that show the effect of the place where the drag acts.
 
-    RotorPy's drag acts at the rotors, the package's at the centre of mass.
+    In RotorPy the drag acts at the rotors, in the package's model at the centre of mass.
     """
     plant = OutsidePlant(mission.scenario, mission.dynamics)
     for pilot in (Pilot.OPEN_LOOP, Pilot.ADAPTIVE):
@@ -479,7 +479,24 @@ _FLIGHTS_OF = dict.fromkeys((LONGER, WINDIER), _flights_by_drag) | dict.fromkeys
 def _rows(
     case: str, flights: Iterator[Flown]
 ) -> Iterator[tuple[dict[str, Any], Flown, Flight | None]]:
-    """Simulate flights, and yield the table row of each, compared with the package's own model."""
+    """Simulate flights, and yield the table row of each flight.
+
+    The row compares the flight with the flight of the package's own model under the same
+    controller, if there is one.
+
+    Parameters
+    ----------
+    case : str
+        Mission, a key of `CASES`.
+    flights : iterator of Flown
+        Flights to simulate.
+
+    Yields
+    ------
+    dict, Flown, Flight or None
+        Values by column name, the flight before its simulation, and the simulated flight; None if
+        the flight went out of control.
+    """
     declared: dict[tuple[str, Reference], Flight] = {}
     for flown in flights:
         identity = case, flown.plant.value, str(flown.controller), flown.followed.value

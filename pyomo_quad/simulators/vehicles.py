@@ -95,7 +95,9 @@ def vehicle_fields(name: str) -> dict[str, Said]:
 
 
 def vehicle_file(name: str) -> str:
-    """Return the text of a vehicle file for a parameter set of RotorPy, numbers with sources.
+    """Return the text of a vehicle file, made from a parameter set of RotorPy.
+
+    Each number is written with its source.
 
     Parameters
     ----------

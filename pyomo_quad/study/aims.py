@@ -53,9 +53,9 @@ def energy_and_charge(
 ) -> "pd.DataFrame":
     """Return energy and charge of a plan and of the plan for the other objective.
 
-    The objectives are least energy and least charge (`mission.aim`). The other plan is solved with
-    a warm start from the given one on its mesh, without refinement, and verified like it; the solve
-    is stopped after ten seconds of processor time.
+    The objectives are least energy and least charge (`mission.aim`). The plan for the other
+    objective is solved on the mesh of the given plan, with a warm start from it and without mesh
+    refinement, and is verified too. The solve is stopped after ten seconds of processor time.
 
     Parameters
     ----------
@@ -70,8 +70,8 @@ def energy_and_charge(
     -------
     DataFrame
         Columns of `AimColumn`, the plan of least energy first. Empty if the plan is not verified,
-        if its objective is the least time, for the paper's own equations, for a user's own model,
-        and if the other solve fails.
+        if its objective is the least time, if its model has the paper's equations or is a user's
+        own, or if the solve for the other objective fails.
     """
     scenario = plan.scenario
     is_of_paper = scenario.vehicle.attitude is Attitude.PAPER
@@ -92,9 +92,10 @@ def energy_and_charge(
 
 
 def charge_beyond_least(aims: "pd.DataFrame") -> float:
-    """Return the relative excess charge of the plan of least energy over that of least charge.
+    """Return how much more charge the plan of least energy draws than the plan of least charge.
 
-    `aims` is a table of `energy_and_charge` that is not empty.
+    The result is relative to the least charge. `aims` is a table of `energy_and_charge` that is not
+    empty.
     """
     of_energy, of_charge = aims[AimColumn.CHARGE]
     return float(of_energy / of_charge - 1.0)

@@ -61,8 +61,9 @@ _RANGES = ((0.3, 20.0), (0.3, 15.0), (0.1, 80.0))
 # factors on each that give the other corners of its first simplex.
 _FIRST = (6.0, 3.0, 4.0)
 _FACTORS = (1.5, 1.5, 2.0)
-# Where legs are longer than this multiple of the way to reach the speed of steady flight, the
-# search starts there, with this factor on it: a larger one would only be taken back.
+# If legs are longer than this multiple of the distance over which the vehicle reaches the speed of
+# steady flight, the search starts at that speed, and tries this factor on it first: a larger factor
+# would only be rejected.
 _LONG, _FACTOR_ON_STEADY = 20.0, 1.15
 _FLIGHTS = 30
 # Most samples of a flight of the search: limits change slowly in long flights.
@@ -131,8 +132,9 @@ def fly_cruise(
 ) -> Flight:
     """Simulate a mission as an autopilot flies it, straight between waypoints.
 
-    The autopilot waits at the goal until the vehicle has arrived, at most the last of
-    `SETTLINGS_S`, and to the end of a mission of fixed duration.
+    The autopilot waits at the goal until the vehicle has arrived, but at most for the longest time
+    in `SETTLINGS_S` [s]. In a mission of fixed duration it waits at least to the end of the
+    mission.
 
     Parameters
     ----------
@@ -177,7 +179,7 @@ def _least(scenario: Scenario) -> float:
 def _end(scenario: Scenario, settings: CruiseSettings, flown: Flown, dynamics: Dynamics) -> float:
     """Return the time at which a flight has arrived, not before the mission's own time [s].
 
-    It is the end of the flight if the vehicle does not arrive.
+    If the vehicle does not arrive, the result is the end of the flight.
     """
     moving = cruise_at(scenario.cruising(settings)).mission.fixed_duration
     places, velocities = (
@@ -353,7 +355,7 @@ class TuningColumn(TableColumn):
 def tuning_table(tuning: Tuning | None) -> "pd.DataFrame":
     """Return the settings that the tuning of an autopilot tried, as a table in order.
 
-    Empty without a tuning. The energies are those of the search, at reduced accuracy;
-    `Tuning.flight` has the energy of the best settings to full accuracy.
+    The table is empty without a tuning. The energies were computed in the search, at reduced
+    accuracy; `Tuning.flight` has the energy of the best settings to full accuracy.
     """
     return TuningColumn.of_objects(() if tuning is None else tuning.tried)

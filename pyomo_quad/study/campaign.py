@@ -1,9 +1,9 @@
 """Campaign: repeated missions on one battery charge until no further flight is possible.
 
 Each flight is planned with the state of charge, the relaxation voltage and the temperature at which
-the flight before it ended, with a warm start from the last plan of the same mission.  A charge ends
-before the first flight that has no plan: the flight would leave less charge than the reserve, or
-the voltage would fall below its limit.  The battery neither rests between two flights nor ages.
+the flight before it ended, with a warm start from the previous plan of the same mission.  A charge
+ends before the first flight that has no plan: the flight would leave less charge than the reserve,
+or the voltage would fall below its limit.  The battery neither rests between two flights nor ages.
 """
 
 from collections.abc import Iterator, Sequence
@@ -134,8 +134,8 @@ def fly_campaign(
     Parameters
     ----------
     missions : sequence of Scenario
-        Missions with the same battery and vehicle, repeated in this order; each charge begins with
-        the state of charge of the first.
+        Missions with the same battery and vehicle, repeated in this order; each battery charge
+        begins with the state of charge of the first mission.
     planners : sequence of Planner
         One for each mission.
     charges : int, default 1
@@ -197,7 +197,8 @@ def _refuse_other_packs(missions: Sequence[Scenario]) -> None:
 def _planned(told: Scenario, last: Plan | None, planner: Planner) -> Plan | str:
     """Return the plan of the next flight, or the reason in words why the battery prevents it.
 
-    `last` is the last plan of the same mission, the start of the solve.
+    `told` is the mission with the present state of the battery. `last` is the previous plan of the
+    same mission, which gives the warm start.
     """
     if last is not None:
         before = last.scenario.battery.initial_state_of_charge
@@ -231,10 +232,11 @@ def _flight(charge: int, number: int, plan: Plan) -> CampaignFlight:
 
 
 def _obstacle(told: Scenario, last: Plan | None, planner: Planner) -> str:
-    """Return the limits that another flight of the last plan would break on the remaining charge.
+    """Return the limits that a repetition of the previous plan would break on the remaining charge.
 
-    The limits are in words, separated by commas; the text is empty if none is broken or there is no
-    last plan.
+    The limits are in words, separated by commas. The text is empty if no limit is broken, or if
+    there is no previous plan (`last` is None). `told` is the mission with the present state of the
+    battery.
     """
     return "" if last is None else ", ".join(_broken(told, last, planner))
 

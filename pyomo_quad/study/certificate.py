@@ -48,7 +48,7 @@ class ThrustMoments:
     demand : MomentumDemand
         Thrust that the momentum balance demands, linear in the velocity.
     displacement : ndarray, shape (3,)
-        From start to goal, m.
+        Vector from start to goal, m.
     duration : float
         Duration of the flight, s.
 
@@ -130,11 +130,12 @@ class ThrustMoments:
 
         Notes
         -----
-        The mission fixes two weighted integrals of the thrust, `demanded`, and multipliers x of
-        them give the thrust the multiplier price(x) at each time.  With thrust never above u,
-        x.demanded <= u integral |price(x)|; of the multipliers with x.demanded = 1 those of least
-        integral give the largest bound on u.  Where full thrust reverses, |price| has a corner: the
-        quadrature errs by some 1e-4 of the result.
+        The mission fixes two weighted integrals of the thrust, `demanded`. For any multipliers x of
+        these integrals, x . demanded is the integral of price(x) . thrust over the flight. If the
+        thrust never exceeds u, then x . demanded <= u * (integral of |price(x)|). Among the
+        multipliers with x . demanded = 1, those with the least integral of |price(x)| give the
+        largest lower bound on u. Where the full thrust reverses its direction, |price| has a
+        corner, so that the quadrature has a relative error of some 1e-4.
         """
         counted = np.zeros((2, 3), dtype=bool)
         counted[:, axes] = True
@@ -166,7 +167,7 @@ def _gauss(duration: float, panels: int) -> tuple[FloatArray, FloatArray]:
 def _weights(times: FloatArray, rate: FloatArray, duration: float) -> tuple[FloatArray, FloatArray]:
     """Return the weights of docs/theory/bound.md, eqs. (2) and (4), at n times, each (n, 3).
 
-    `rate` is drag over mass [1/s] along each axis, `duration` that of the flight [s].
+    `rate` is drag over mass [1/s] along each axis, `duration` the duration of the flight [s].
     """
     left = (duration - times)[:, None] * np.ones_like(rate)
     has_drag = rate > 0.0
@@ -423,7 +424,7 @@ def _energy_returned(scenario: Scenario, planner: Planner) -> float:
 def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand) -> _Found:
     """Bound the energy of flights from below if power or drag depends on the airspeed.
 
-    The bound is that of the module `pairs`, over all pairs of thrust and airspeed.
+    The bound is computed by the module `pairs`, over all pairs of thrust and airspeed.
 
     Returns
     -------
@@ -589,8 +590,9 @@ class _SteadyPower:
         Notes
         -----
         Between two samples the power lies above their chord if it is concave, and above the
-        previous chord, extended, if it is convex.  The samples are lowered to the lesser of the
-        two, so the maximum over the samples is an upper bound on the maximum over all thrusts.
+        extension of the neighbouring chord if it is convex.  The samples are lowered so that the
+        polygon through them lies below both lines. The maximum over the lowered samples is
+        therefore an upper bound on the maximum over all thrusts.
         """
         best = np.searchsorted(self._chords, price)
         return price * self._thrust[best] - self._floor[best], self._thrust[best]

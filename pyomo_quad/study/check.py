@@ -47,8 +47,9 @@ def pack_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
     Yields
     ------
     Finding
-        A caution if the battery is too small, because its equations stay finite beyond empty;
-        impossible if a limit must be exceeded.
+        The finding is only a caution if the battery is too small, because the battery's equations
+        stay finite when it is empty. It has the severity "impossible" if every flight must exceed a
+        limit.
     """
     steady, limits = planner.steady_flight(scenario), scenario.limits
     for line in battery_shortfalls(scenario, steady):
@@ -75,9 +76,8 @@ def pack_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
 def _limits_broken(scenario: Scenario, steady: SteadyFlight, bound: float) -> Iterator[Finding]:
     """Yield the battery limits that every flight of the mission must break.
 
-    A limit must be broken if it is below the least mean power: energy bound over duration.
-
-    `bound` is a lower bound on the energy of every flight of the mission [J].
+    `bound` is a lower bound on the energy of every flight of the mission [J]. Divided by the
+    duration, it gives the least mean power, and every flight breaks a limit that allows less.
     """
     limits, duration = scenario.limits, scenario.mission.fixed_duration
     current, voltage, charge_rate = steady.pack_under(bound / duration)
@@ -224,7 +224,7 @@ def reach_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
     Yields
     ------
     Finding
-        Each proves that no flight of the mission exists.
+        Each finding proves that no flight of the mission exists.
     """
     steady = planner.steady_flight(scenario)
     if scenario.limits.rotor_speed_min > steady.hover_speed:
@@ -308,8 +308,9 @@ def _too_short(
 def _least_duration(scenario: Scenario, demand: MomentumDemand, available: float) -> float:
     """Return a duration below which the thrust is insufficient for the mission [s].
 
-    It is found by doubling and bisection from the mission's own duration. Infinite if no duration
-    suffices, or if the wind after the mission is unknown.
+    The duration is found by doubling and bisection, starting from the duration of the mission. It
+    is infinite if no duration suffices, or if the wind after the end of the mission is unknown.
+    `available` is the thrust that the limits allow [N].
     """
     if scenario.wind.series is not None:
         return inf
@@ -511,7 +512,7 @@ def plan_cautions(plan: "Plan", *, planner: "Planner | None" = None) -> tuple[st
     Returns
     -------
     tuple of str
-        One line each.
+        The cautions, one line each.
     """
     has_flown = plan.verification is not None
     findings = check_mission(plan.mission_flown if has_flown else plan.scenario, planner=planner)

@@ -144,7 +144,7 @@ def compare_flights(
     scenario : Scenario
         The mission with the times of the plan.
     flights : sequence of Flight
-        Flights of the mission; the plan's is named `OPTIMAL`.
+        Flights of the mission; the flight of the plan is named `OPTIMAL`.
     certificate : Certificate
         Lower bound on the energy of the mission.
     hover_energy_J : float
@@ -158,19 +158,20 @@ def compare_flights(
     Notes
     -----
     Flights are compared at the same end state.  The energy needed to complete the manoeuvre from a
-    flight's end state (the owed energy, `Plan.owed_energy`) is added to its energy; excess, gap
-    and savings refer to the sum.  Saving = (flight - optimum) / flight, in per cent, of the sum and
-    of the sum above hover.
+    flight's end state (the owed energy, `Plan.owed_energy`) is added to its energy; excess, gap and
+    savings refer to the sum.  Saving = (flight - optimum) / flight, in per cent, of the sum and of
+    the sum above hover.
 
-    A flight that did not arrive, broke a limit or whose owed energy is unknown has no saving,
-    bound or gap, since the bound covers flights that arrive within the limits.  A scenario with a
-    forecast has no savings, and its optimum no bound: it was planned for another wind than the
-    others flew in.
+    A flight has no saving, bound or gap if it did not arrive, broke a limit, or if its owed energy
+    is unknown, because the bound covers only flights that arrive within the limits.  If the
+    scenario has a forecast, no savings are given, and the optimum has no bound: the plan was made
+    for the forecast wind, and the other flights were simulated in the actual wind.
 
-    ``hover_energy_J`` is the hover floor of the mission's duration.  A flight of another duration
-    has its own hover floor, a bound only if the certificate covers its duration, and no saving
-    above hover, since the two floors differ.  There is no saving above hover either if the optimum
-    takes less energy than hovering: it would exceed 100 %.
+    ``hover_energy_J`` is the energy of hovering for the duration of the mission.  For a flight of
+    another duration, hovering takes another energy. The flight then has a bound only if the
+    certificate covers its duration, and no saving above hover, because the two hover energies
+    differ. There is no saving above hover either if the optimum takes less energy than hovering,
+    because the saving would exceed 100 %.
     """
     is_told_the_wind = scenario.wind.forecast is None
     optimum = next((f for f in flights if f.name == OPTIMAL and is_comparable(f)), None)
@@ -330,8 +331,9 @@ class ReplanningColumn(TableColumn):
 def replanning_table(flights: Sequence[Flight], settings: Replanning) -> "pd.DataFrame":
     """Return results and solve times of all flights that are planned again on the way.
 
-    A solve is late if it took longer on this machine than ``solve_time``, whatever delay the flight
-    simulated; it may also have taken longer than the interval to the next solve.
+    A solve counts as late if it took longer on this machine than the scenario's ``solve_time``,
+    independently of the delay that was simulated. A late solve may even have taken longer than the
+    interval to the next solve.
 
     Parameters
     ----------
@@ -372,7 +374,8 @@ def replanning_table(flights: Sequence[Flight], settings: Replanning) -> "pd.Dat
 def is_comparable(flight: Flight) -> bool:
     """Return whether a flight arrived within all limits and its energy to complete is known.
 
-    The energy to complete is that from the flight's end state to the exact goal state.
+    The energy to complete is the energy that the vehicle needs from the flight's end state to the
+    exact goal state.
     """
     is_priced = isfinite(flight.owed_energy_J)
     return has_arrived(flight) and not flight.broken_limits and is_priced
@@ -381,7 +384,8 @@ def is_comparable(flight: Flight) -> bool:
 def settled_energy(flight: Flight) -> float:
     """Return the energy of a flight, plus its energy to complete if it arrived [J].
 
-    The energy to complete is that from the flight's end state to the exact goal state.
+    The energy to complete is the energy that the vehicle needs from the flight's end state to the
+    exact goal state.
     """
     is_priced = has_arrived(flight) and isfinite(flight.owed_energy_J)
     return flight.energy_J + (flight.owed_energy_J if is_priced else 0.0)
@@ -408,7 +412,7 @@ def _percent(part: float, whole: float) -> float:
 def _measured(scenario: Scenario, frame: "pd.DataFrame") -> dict[ComparisonColumn, float]:
     """Return peaks, time near the goal and charge used of a flight, for its row in a comparison.
 
-    The peaks are those of power, tilt and rotor acceleration.
+    The peaks are the largest power, tilt and rotor acceleration.
     """
     alpha = _rotor_values(frame, "rotors.alpha")
     tilt = np.cos(_values(frame, "rigid_body.phi")) * np.cos(_values(frame, "rigid_body.theta"))
@@ -455,7 +459,7 @@ def _rotor_values(frame: "pd.DataFrame", component: str) -> FloatArray:
 
 
 def _values(frame: "pd.DataFrame", variable: str) -> FloatArray:
-    """Return the values of a model variable in a flight's table; NaN without such a column."""
+    """Return the values of a model variable in a flight's table; NaN if it has no column."""
     name = column_of(variable).name
     if name not in frame:
         return np.full(len(frame), nan)

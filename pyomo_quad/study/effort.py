@@ -50,9 +50,9 @@ class Counts:
     Attributes
     ----------
     unknowns : int
-        Functions of time of the model: states and other variables.
+        Number of functions of time in the model: states and other variables.
     elements, degree, tolerance
-        First mesh and tolerance of its refinement.
+        Elements and degree of the first mesh, and tolerance of the mesh refinement.
     waypoints : int
         Number of waypoints.
     routes : int
@@ -137,7 +137,7 @@ def estimate_effort(scenario: Scenario, unknowns: int) -> Effort:
     scenario : Scenario
         The mission and the solver's settings.
     unknowns : int
-        Functions of time of its model: states and other variables.
+        Number of functions of time in the model: states and other variables.
 
     Returns
     -------

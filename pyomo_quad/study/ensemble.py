@@ -95,7 +95,7 @@ class Ensemble(Summarised):
     planned : ndarray, shape (n_samples, 3)
         Positions of the reference at the times of `flown` [m].
     wall_s : float
-        Time that the simulation took.
+        Wall-clock time of the simulation [s].
     """
 
     scenario: Scenario
@@ -226,9 +226,9 @@ def fly_cruise_often(
 ) -> Ensemble:
     """Simulate an autopilot, straight between waypoints, many times in random winds.
 
-    The winds are the same as for the plan of the same seed. The autopilot waits at the goal until
-    half of the flights have arrived, at most the last of `SETTLINGS_S`, and to the end of
-    `least_s`.
+    With the same seed, the winds are the same as in `fly_plan_often`. The autopilot waits at the
+    goal until half of the flights have arrived, but at most for the longest time in `SETTLINGS_S`
+    [s]. All flights last at least `least_s`.
 
     Parameters
     ----------
@@ -243,7 +243,7 @@ def fly_cruise_often(
     name : str, optional
         Name of the flights; without it they are named after the speed.
     least_s : float, default 0
-        Least duration of the flights.
+        Least duration of the flights [s].
 
     Returns
     -------
@@ -383,14 +383,15 @@ def fly_in_turbulence(
     cruise : CruiseSettings or None
         Settings of the autopilot; with None no autopilot flies.
     is_tuned : bool
-        Whether these are the settings of least energy, which the wording mentions.
+        Whether `cruise` has the settings of least energy; the wording of the result says so.
     planner : Planner
         Holds the compiled equations of the vehicle.
 
     Returns
     -------
     InTurbulence or None
-        None also for a plan that cannot be flown.
+        Flights in turbulence. None if the scenario has no turbulence, or if the plan cannot be
+        flown.
     """
     mission = plan.mission_flown
     if mission.wind.turbulence is None or not plan.is_flyable:
@@ -417,7 +418,7 @@ def fly_in_turbulence(
 def ensemble_summary(flown: Ensemble, savings: Sequence[Saving] = ()) -> dict[str, Any]:
     """Return the results of many flights in random winds as values for JSON.
 
-    `savings` are those of the plan against other flights in the same winds.
+    `savings` are the savings of the plan against other flights in the same winds.
     """
     worst = flown.worst
     return {

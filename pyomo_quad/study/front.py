@@ -96,7 +96,7 @@ def planned_alike(
     Returns
     -------
     Plan
-        Of any status.
+        Plan of any status.
     """
     once = {"solver": plan.scenario.solver.model_copy(update={"max_refinements": 0})}
     told = plan.scenario.with_mission(**changed).model_copy(update=once)

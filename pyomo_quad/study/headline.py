@@ -45,7 +45,8 @@ class Headline:
     risk : RiskTaken or None
         Risk of breaking a limit for which the plan was made, with its flights in turbulence.
     often : InTurbulence or None
-        Many flights of the run in turbulence; the headline prefers them to those of ``risk``.
+        Many simulated flights of the run in turbulence. If given, the headline uses them instead of
+        the flights in ``risk``.
     """
 
     energy_J: float
@@ -60,8 +61,9 @@ class Headline:
     def words(self) -> str:
         """The headline: energy and time, saving, flights in turbulence, cost of the margins.
 
-        Where an autopilot flew in the same turbulence as the plan, the saving is that of these
-        flights: one flight in turbulence does not compare with a plan in the mean wind.
+        If an autopilot was simulated in the same turbulence as the plan, the saving is taken from
+        these flights, because a plan for the mean wind cannot be compared with a single flight in
+        turbulence.
         """
         charge = ""
         if self.battery_percent is not None:
@@ -130,7 +132,10 @@ class Headline:
 
 
 def headline_of(result: "RunResult") -> Headline | None:
-    """Return the headline of a run; None if it has no plan, or if its plan is for a forecast."""
+    """Return the headline of a run.
+
+    The result is None if the run has no plan, or if the plan was made for a forecast of the wind.
+    """
     told_otherwise = result.scenario.wind.forecast is not None
     if result.comparison.empty or told_otherwise or not result.plan.is_flyable:
         return None
@@ -153,7 +158,8 @@ def headline_of(result: "RunResult") -> Headline | None:
 def rival_of(comparison: "pd.DataFrame") -> Row | None:
     """Return the row of the flight with which the plan is compared; None if no flight qualifies.
 
-    It is the tuned autopilot, or else the smooth baseline, or else the flight of least energy.
+    Only flights that arrived within the limits qualify. The order of preference is: the tuned
+    autopilot, the smooth baseline, the flight of least energy.
     """
     is_own = comparison[ComparisonColumn.FLIGHT].isin((OPTIMAL, OPEN_LOOP))
     rivals = comparison[comparison[ComparisonColumn.SAVING].notna() & ~is_own]
@@ -163,7 +169,7 @@ def rival_of(comparison: "pd.DataFrame") -> Row | None:
 
 
 def settled_of(row: Row) -> float:
-    """Return the energy of a row of a comparison, with the energy to complete the flight [J]."""
+    """Return the energy of a flight plus the energy to complete it, from its comparison row [J]."""
     return float(row[ComparisonColumn.HOVER_ENERGY] + row[ComparisonColumn.EXCESS_ENERGY])
 
 

@@ -6,7 +6,7 @@ docs/theory/bound.md, eqs. (12) and (13).
 
 symbol | meaning
 d_k, T_k, m_k | displacement of leg k, its duration, and the mass on it
-r_k | sum of the distances that both its ends may lie from their nominal places
+r_k | sum of the distances that the two ends of leg k may lie from their nominal places
 s_k | thrust that holds the vehicle still on leg k: weight and the acceleration by a steady wind
 y | price of momentum, J per N s: linear in time on each leg
 P* | conjugate of the power: maximum of price times thrust minus power
@@ -22,8 +22,8 @@ At a passage with a speed limit y may jump; this lowers the bound by the limit t
 
 If the T_k are free and only their sum is limited, a price of time mu < G_k with A_k >= 0 gives the
 lower bound  sum of 2 sqrt(A_k (G_k - mu)) + mu (sum of T_k):  a closed form, which holds for all
-passing times and durations.  It equals the least bound over fixed times, since both have the same
-slope in every T_k there.
+passing times and durations.  The closed form equals the least value, over all fixed times, of the
+bound for fixed times, because both have the same slope in every T_k at that point.
 """
 
 from __future__ import annotations
@@ -64,16 +64,17 @@ class Leg:
     Attributes
     ----------
     way : ndarray, shape (3,)
-        Displacement between the nominal places of its ends, m.
+        Displacement between the nominal places of the leg's ends, m.
     room : float
-        Sum of the distances of its ends from their nominal places that the mission allows, m.
+        Sum of the distances that the mission allows between the leg's ends and their nominal
+        places, m.
     mass : float
         Mass, as a fraction of the mass at the start.
     party : int
-        Index of its party: a group of legs between fixed times, whose durations have a fixed or
-        limited sum.
+        Index of the leg's party. A party is a group of legs between fixed times, so that the sum of
+        their durations is fixed or limited.
     end_speed : float
-        Largest speed at its end, m/s; infinite without a limit.
+        Largest speed at the end of the leg, m/s; infinite without a limit.
     """
 
     way: FloatArray

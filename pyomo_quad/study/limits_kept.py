@@ -23,7 +23,7 @@ _WITHOUT_RISK = "planned without mission.risk, so without margins for the contro
 
 
 def limit_lines(plan: Plan, flights: Sequence[Flight]) -> Iterator[str]:
-    """Yield a sentence for each flight that breaks a limit: which, and the risk of that.
+    """Yield a sentence on each flight that breaks limits, with the risk of breaking them.
 
     Parameters
     ----------

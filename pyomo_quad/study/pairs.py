@@ -10,9 +10,9 @@ s | thrust that holds the mass still at zero airspeed, as a rule its weight
 p, w, eta | prices of momentum per mass, of displacement, and of kinetic energy
 T, a, r | size of the thrust, airspeed along it and across it
 
-Every flight from rest to rest has m dv/dt = u + f - s.  So over its duration the means of u + f - s
-and of v . (u + f - s) are zero, the latter because the airspeed is equal at both ends, and the mean
-of v + W is the displacement over the time.  With three prices this gives
+Every flight from rest to rest has m dv/dt = u + f - s.  So over the duration the mean of u + f - s
+is zero. The mean of v . (u + f - s) is zero too, because the airspeed is equal at both ends. The
+mean of v + W is the displacement divided by the duration.  With three prices this gives
 
 energy >= w . displacement + duration * H,
 H = least of P - p . (u + f - s) - w . (v + W) - eta v . (u + f - s) over all pairs u, v.
@@ -160,8 +160,9 @@ class Pairs:
     def _of_rotors(self, first: Symbol, along: Symbol, across: Symbol) -> tuple[Any, ...]:
         """Return rotor speed, thrust, power, excess of power and error margin as expressions.
 
-        The power is that of equal rotor speeds. The excess is over the least power of rotors with
-        unequal speeds and the same total thrust; it is zero where the margin is positive.
+        The power is the power of rotors with equal speeds. The excess is the difference from the
+        least power of rotors with unequal speeds and the same total thrust; it is zero where the
+        margin is positive.
         """
         each = range(1, len(self._rotors) + 1)
         powers: list[tuple[str, Any]] = [("power.total", None)]
@@ -461,7 +462,7 @@ class _Program:
     """Linear program for the prices that maximise the lower bound over the known pairs.
 
     The prices are multipliers of momentum, displacement and kinetic energy; a pair is a thrust and
-    an airspeed of the vehicle, each of which gives one linear constraint.
+    an airspeed of the vehicle. Each pair gives one linear constraint.
 
     Parameters
     ----------

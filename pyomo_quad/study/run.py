@@ -50,28 +50,31 @@ class RunResult(Summarised):
     plan : Plan
         The optimum, of any status.
     flights : tuple of Flight
-        The plan's flight first, then the simulated ones; empty if the solve failed.
+        The flight of the plan first, then the simulated flights; empty if the solve failed.
     comparison : DataFrame
         One row per flight, see `study.comparison`.
     certificate : Certificate
         The lower bound of the mission in the actual wind.
     adaptation : DataFrame or None
-        Effect of adaptation in that wind, see `comparison.adaptation_study`; None in calm air.
+        Effect of adaptation in the actual wind, see `comparison.adaptation_study`; None in calm
+        air.
     front : DataFrame
         Energy against time, see `study.front`; empty if the mission fixes its duration.
     aims : DataFrame
         Least energy against least charge, see `study.aims`; empty under the paper's equations.
     timings : mapping
-        Seconds by name: those of the plan, "certify" for the lower bound, "front" for energy
-        against time and the objectives, "fly" for flights and cautions without the time of these
-        two, which run in parallel.
+        Wall-clock times [s] by name: the times of planning (`Plan.timings`); "certify" for the
+        lower bound; "front" for energy against time and for the comparison of objectives; "fly" for
+        flights and cautions, without the time of "certify" and "front", which are computed
+        meanwhile.
     warnings : tuple of str
         Cautions about the results, one line each.
     tuning : Tuning or None
         Settings of the autopilot tuned for least energy, and all settings tried; None without
         reference cruise.
     often : InTurbulence or None
-        Many flights of the plan, and of an autopilot, in winds with turbulence; None without it.
+        Many flights of the plan, and of an autopilot, in winds with turbulence; None if the
+        scenario has no turbulence.
     """
 
     scenario: Scenario
@@ -245,7 +248,8 @@ def run_scenario(
     planner : Planner, optional
         Planner whose compiled models the run uses; a new one without it.
     baselines : sequence of Reference, optional
-        References that the controller flies for comparison; those of the scenario without it.
+        References that the controller flies for comparison; by default the references that the
+        scenario names.
     progress : callable, optional
         Called at each Ipopt iteration; returning False stops the solve. The run ends after
         `solver.time_limit`; flights that are missing by then become warnings.

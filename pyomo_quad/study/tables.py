@@ -18,7 +18,7 @@ class TableColumn(StrEnum):
     read: Callable[[Any], object]
 
     def __new__(cls, name: str, read: Callable[[Any], object] = str) -> Self:
-        """Make a column of a table; ``read`` takes its value from the object of a row."""
+        """Make a column of a table; ``read`` returns the column's value for the object of a row."""
         column = str.__new__(cls, name)
         column._value_ = name
         column.read = read

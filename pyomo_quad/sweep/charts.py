@@ -129,7 +129,10 @@ def _pairs(count: int, **layout: Any) -> tuple[Figure, np.ndarray]:  # noqa: ANN
 def _plot(
     axes: Axes, rows: pd.DataFrame, of: tuple[Quantity, Quantity], style: LineStyle, **look: object
 ) -> None:
-    """Draw one quantity (second of `of`) against another (first), with a marker at each case."""
+    """Draw one quantity against another, with a marker at each case.
+
+    `of` holds the quantity on the horizontal axis and the quantity on the vertical axis.
+    """
     over, quantity = of
     marked = style.line | {"marker": style.marker, "markersize": 3.0}
     axes.plot(over.of(rows), quantity.of(rows), **(marked | look))

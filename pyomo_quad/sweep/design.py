@@ -202,7 +202,7 @@ def rounded(numbers: np.ndarray) -> tuple[float, ...]:
 def kind_of(value: object) -> type | None:
     """Return the type of a plain value: bool, float, str or list; None for any other value.
 
-    Integers count as float. Plain are finite numbers, texts, booleans, and lists of these.
+    Plain values are finite numbers, texts, booleans, and lists of these; integers count as float.
     """
     if isinstance(value, bool | str):
         return type(value)

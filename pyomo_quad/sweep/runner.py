@@ -88,7 +88,7 @@ class Sweep:
         Base scenario of the design.
     store : ResultStore
         Result store, open for writing. Cases that finished or failed in an earlier run are not
-        solved again; cases that were lost because their worker died are.
+        solved again. Cases that were lost because their worker died are solved again.
     listener : SweepListener
         Receives each row after it was stored.
     solver : str, optional

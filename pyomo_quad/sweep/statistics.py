@@ -55,7 +55,7 @@ class Sensitivity:
     least, greatest : float
         Least and greatest value of the quantity, in the unit of its column.
     least_at, greatest_at : float
-        Values of the field there.
+        Values of the field at which the quantity is least and greatest.
     base : float
         The quantity in the central case; NaN if that case failed.
     """
@@ -115,7 +115,7 @@ class Best:
     Attributes
     ----------
     at, value : float
-        The field's best value, and the quantity there.
+        The field's best value, and the quantity at this value.
     below, above : float or None
         The sweep's next smaller and next larger value of the field; None if there is none.
     is_below_flown, is_above_flown : bool

@@ -1,11 +1,11 @@
-"""Number of a vehicle with its range and its origin: given, computed, estimated or measured."""
+"""Values of a vehicle's properties, such as its mass, with their range and their origin."""
 
 from dataclasses import dataclass
 from enum import StrEnum
 
 
 class Kind(StrEnum):
-    """Origin of a vehicle's number: given by the owner, computed, estimated or measured."""
+    """Origin of a property's value: given by the owner, computed, estimated or measured."""
 
     GIVEN = "given"
     COMPUTED = "computed"
@@ -15,17 +15,17 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """Number of a vehicle, with the range in which it may lie and its origin.
+    """Value of a vehicle's property, such as its mass, with range and origin.
 
     Attributes
     ----------
     value : float
         Best value, in SI units.
     low, high : float
-        Range that covers vehicles of this kind, by the source in `said`. For a given or computed
-        number both equal the value.
+        Range in which the property of most vehicles of this size lies. For a given or computed
+        value, `low` and `high` equal the value.
     kind : Kind
-        Whether the number was given, computed, estimated or measured.
+        Whether the value was given, computed, estimated or measured.
     said : str
         Description of the origin: option, formula or publication.
     """
@@ -38,37 +38,37 @@ class Estimate:
 
     @property
     def source(self) -> str:
-        """Source of the number as text for a vehicle file: kind, origin and range."""
+        """Source of the value as text for a vehicle file: kind, origin and range."""
         if self.low < self.high:
             return f"{self.kind.value}: {self.said}; range {self.low:.3g} to {self.high:.3g}"
         return f"{self.kind.value}: {self.said}"
 
     @property
     def spread(self) -> float:
-        """Width of the number's range relative to its value."""
+        """Width of the range divided by the value, dimensionless."""
         return (self.high - self.low) / self.value if self.value else 0.0
 
 
 def given(value: float, said: str) -> Estimate:
-    """Make the number that the vehicle's owner has stated, without range.
+    """Make an `Estimate` of a value that the vehicle's owner has stated; it has no range.
 
     Parameters
     ----------
     value : float
-        The number, in SI units.
+        The value, in SI units.
     said : str
-        Description of its origin, such as the option.
+        Description of the value's origin, such as the name of the command-line option.
     """
     return Estimate(value=value, low=value, high=value, kind=Kind.GIVEN, said=said)
 
 
 def computed(value: float, formula: str) -> Estimate:
-    """Make a number that follows from other numbers, without range.
+    """Make an `Estimate` of a value that follows from other values; it has no range.
 
     Parameters
     ----------
     value : float
-        The number, in SI units.
+        The value, in SI units.
     formula : str
         Formula as text.
     """
@@ -76,7 +76,7 @@ def computed(value: float, formula: str) -> Estimate:
 
 
 def estimated(value: float, said: str, low: float, high: float) -> Estimate:
-    """Make an estimated number with its range.
+    """Make an `Estimate` of a value that is known within a range only.
 
     Parameters
     ----------

@@ -42,7 +42,7 @@ def vehicle_text(vehicle: EstimatedVehicle, title: str) -> str:
 
 
 def pack_text(vehicle: EstimatedVehicle) -> str:
-    """Return the text of an estimated vehicle's battery file (TOML), numbers with sources."""
+    """Return the text of an estimated vehicle's battery file (TOML), with the numbers' sources."""
     title = f"Pack of {vehicle.known.name}, {vehicle.pack.label}"
     lines = [f"# {MARK}.", *with_source("fields.title", title, "the owner")]
     return "\n".join([*lines, *_numbers("fields", vehicle.pack.fields())]) + "\n"

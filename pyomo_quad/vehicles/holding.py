@@ -50,7 +50,7 @@ class Held:
     computed : ndarray, shape (n_points,)
         Power of each point by the vehicle's model [W].
     is_endurance : bool
-        Whether the measured powers follow from endurances.
+        Whether the measured powers were computed from measured flight times.
     is_fitted : bool
         Whether the vehicle's numbers were fitted to these points.
     source : str

@@ -30,15 +30,15 @@ _FULL_OVER_HOVER, _FULL_VOLTAGE = 1.8, 0.85
 # Mass of a 10-inch propeller [kg], and the exponent of its growth with the diameter, less than the
 # 3 of blades of one shape. Assumed; the inertia of rotors is uncertain by a factor of 2.
 _PROPELLER_KG, _PROPELLER_EXPONENT, _TEN_INCHES_M = 0.012, 2.5, 0.254
-# Radius of a motor's bell, which turns with the propeller, relative to the propeller's. Assumed.
+# Radius of a motor's bell, which turns with the propeller, over the propeller's radius. Assumed.
 _BELL_SHARE = 0.1
 # Power of the electronics of a vehicle of 1.5 kg [W], and the exponent of their growth with its
 # mass. Assumed: a few per cent of the power in flight.
 _ELECTRONICS_W, _ELECTRONICS_EXPONENT, _AT_KG = 5.0, 0.4, 1.5
-# Vehicle of the library whose drag, read from its tilt in flight, and power of descent, identified
-# from 120 flights, stand for those of others.
+# Library vehicle whose drag and power of descent are assumed for other vehicles. The drag was
+# determined from the tilt in flight, the power of descent from 120 flights.
 _MEASURED = "dji_matrice_100"
-# Growth of quadratic drag with the mass: that of the area of bodies of one shape.
+# Exponent of the growth of quadratic drag with the mass; the area of equal shapes grows likewise.
 _AREA_EXPONENT = 2 / 3
 # Limit of roll and pitch [degrees]: the default of autopilots.
 _TILT_DEG = 35.0
@@ -125,7 +125,8 @@ class EstimatedVehicle:
     rotor_positions : tuple or None
         Positions of six or eight rotors [m]; None for four.
     estimated_hover_W : float
-        Hover power by the estimates alone, even if it was measured.
+        Hover power [W] that follows from the estimates alone. A measured hover power does not
+        change it.
     """
 
     known: Known
@@ -197,7 +198,7 @@ def estimate_vehicle(known: Known) -> EstimatedVehicle:
 
 
 def _ranged(field: str, value: float, said: str) -> Estimate:
-    """Return an estimated number with the range of its field."""
+    """Return an estimated value, with the relative range that belongs to its field."""
     return estimated(value, said, *_RANGES[field])
 
 
@@ -267,7 +268,7 @@ def _motor(known: Known, pack: Pack, hover: RotorHover, model: MassModel) -> dic
 def _powers(known: Known, hover: RotorHover) -> tuple[dict[str, Estimate], float]:
     """Return the parameters of the power model `momentum`, and the hover power [W].
 
-    The hover power is that of the estimates alone, without measurement.
+    The hover power follows from the estimates alone, even if the owner has measured it.
     """
     electronics = _ELECTRONICS_W * (known.mass / _AT_KG) ** _ELECTRONICS_EXPONENT
     loss = 1 / hover.drive_efficiency

@@ -113,7 +113,8 @@ class RotorHover:
     ideal_power, induced_power, profile_power : float
         Power of an ideal rotor, induced power, and power of the blades' drag [W].
     profile_over_thrust : float
-        Profile power over T^1.5 / sqrt(rho A), dimensionless.
+        Profile power divided by T^1.5 / sqrt(rho A), dimensionless; T is the thrust, rho the air
+        density and A the area of the rotor disc.
     """
 
     speed: float

@@ -118,12 +118,13 @@ def _together(changes: Sequence[FloatArray]) -> FloatArray:
 
 
 def _causes(vehicle: EstimatedVehicle) -> list[tuple[str, str, Numbers, Numbers]]:
-    """Return the causes of uncertainty.
+    """Return the uncertain quantities of a vehicle, each with the ends of its range.
 
     Returns
     -------
-    list of tuple
-        Name, measurement that would help, and the vehicle's fields at both ends of the range.
+    list of (str, str, Numbers, Numbers)
+        Name of the quantity, measurement that would determine it, and the changed values of the
+        vehicle's fields with the quantity at the lower and at the upper end of its range.
     """
     value = {name: one.value for name, one in vehicle.fields.items()}
     ends = {name: (one.low, one.high) for name, one in vehicle.fields.items()}

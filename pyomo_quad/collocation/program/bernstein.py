@@ -39,8 +39,9 @@ _NEAR = 0.45
 class BernsteinRule:
     """Linear maps from a variable's values in an element to its Bernstein coefficients.
 
-    Coefficients that equal values at nodes are left out: the first and last coefficient of a state,
-    the last coefficient of an algebraic variable.
+    Coefficients that equal a value at a node are left out, because the bounds of the unknowns
+    already hold there. These are the first and the last coefficient of a state, and the last
+    coefficient of an algebraic variable.
 
     Attributes
     ----------
@@ -91,7 +92,7 @@ class BernsteinRows:
     lower, upper : ndarray, shape (n_coefficients,)
         Bounds of the coefficients.
     elements : ndarray of int, shape (n_coefficients,)
-        Element of each coefficient.
+        Index of the element to which each coefficient belongs.
     """
 
     coefficients: csr_array
@@ -101,7 +102,7 @@ class BernsteinRows:
     elements: NDArray[np.intp]
 
     def added_to(self, program: NonlinearProgram) -> ExtendedProgram:
-        """Return a nonlinear program with these constraints appended to its own."""
+        """Return a copy of a nonlinear program to which these constraints are appended."""
         rows = self.coefficients
         starts = np.append(np.zeros(program.n_rows, dtype=rows.indptr.dtype), rows.indptr)
         shape = (starts.size - 1, rows.shape[1])
@@ -109,9 +110,10 @@ class BernsteinRows:
         return ExtendedProgram(program=program, terms=terms)
 
     def scales(self, own: Scaling) -> FloatArray:
-        """Return the scaling factors of these constraints, given the scaling of the unknowns.
+        """Return the scaling factors of these constraints, shape (n_coefficients,).
 
-        The largest coefficient of each constraint in scaled unknowns becomes 1.
+        `own` is the scaling of the program, with the factors of its unknowns. In scaled unknowns,
+        the largest entry of each constraint becomes 1.
         """
         rows = self.coefficients
         entries = np.abs(rows.data) / own.unknowns[rows.indices]
@@ -120,13 +122,14 @@ class BernsteinRows:
     def restraint(self, result: IpoptResult, gap: float, elements: int) -> Restraint:
         """Estimate by how much these constraints raise the objective at a solution.
 
-        A coefficient may lie outside a bound that its polynomial satisfies; the multiplier times
-        the distance between coefficient and polynomial is the cost of bounding it.
+        A polynomial may satisfy a bound while one of its Bernstein coefficients would exceed it.
+        The cost of bounding that coefficient is the multiplier of its bound times the distance
+        between the coefficient and the polynomial at the coefficient's abscissa.
 
         Parameters
         ----------
         result : IpoptResult
-            Solution of the program whose last constraints are these.
+            Solution of the program to which these constraints were appended.
         gap : float
             Complementarity gap of that solution, in the unit of the objective.
         elements : int
@@ -159,7 +162,9 @@ class Restraint:
 def bounded(
     program: Transcription, bounds: Bounds, z: FloatArray, breach: float
 ) -> BernsteinRows | None:
-    """Return bounds between the collocation points, in elements where a trajectory is near them.
+    """Return bounds on Bernstein coefficients in the elements where a trajectory is near a bound.
+
+    They keep the trajectory within its bounds between the collocation points too.
 
     Parameters
     ----------

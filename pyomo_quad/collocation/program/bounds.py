@@ -39,7 +39,7 @@ class Limit:
     columns : ndarray of int, shape (n,)
         Positions of the bounded unknowns.
     lower, upper : ndarray, shape (n,)
-        Their bounds, infinite where there is none.
+        Bounds of these unknowns, infinite where an unknown has no bound.
     """
 
     name: str
@@ -66,7 +66,7 @@ def bounds_of(
     fixed : dict
         Values of variables fixed at declared times, by (variable name, fraction of the horizon).
     left_out : frozenset of str, optional
-        Names of conditions that are not imposed.
+        Names of conditions (constraints at declared times) that are not imposed.
 
     Returns
     -------
@@ -75,7 +75,8 @@ def bounds_of(
     Raises
     ------
     TranscriptionError
-        If a lower bound exceeds an upper bound, or free times cross; the message names them.
+        If a lower bound exceeds an upper bound, or the bounds of two free times leave no time
+        between them; the message names the variables.
     """
     _refuse_crossed_times(program)
     lower = np.full(program.layout.unknowns, -np.inf)
@@ -132,7 +133,10 @@ def _rows(program: Transcription) -> tuple[FloatArray, FloatArray]:
 
 
 def _over_time(program: Transcription, start_data: FloatArray) -> Iterator[Limit]:
-    """Yield the bounds of variables over time, and constraints that bound one such variable."""
+    """Yield the bounds of variables over time.
+
+    A constraint on a single variable over time counts as a bound of that variable.
+    """
     layout, compiled = program.layout, program.compiled
     mapped = MappedFunction(compiled.limits_over_time, layout.points + 1)
     lower, upper = mapped(np.vstack([start_data[:1], program.data.at_points()]))
@@ -148,8 +152,9 @@ def _over_time(program: Transcription, start_data: FloatArray) -> Iterator[Limit
 def _after_jumps(program: Transcription, data: FloatArray) -> Iterator[Limit]:
     """Yield the bounds of states just after a jump of a parameter, at the node of the jump.
 
-    Bounds may jump too, and no collocation point lies just after the jump: the node belongs to the
-    element that ends there.
+    A bound may jump together with the parameter. The node at the jump is the end of an element, so
+    that the bounds at collocation points give only the value before the jump; these bounds add the
+    value after it.
     """
     compiled, layout = program.compiled, program.layout
     nodes = program.mesh.node_fractions if program.mesh else np.zeros(0)
@@ -241,11 +246,14 @@ def crossed(place: object, lower: float, upper: float) -> TranscriptionError:
     )
 
 
+# Bounds of this size or larger do not count in the magnitude of a variable, in the variable's unit:
+# they usually stand for the absence of a bound.
 _LARGEST_BOUND = 1e6
 # A row whose slopes vanish at the first point, as those of a squared speed do at rest, would get an
 # unbounded scale factor. If its slopes at a point displaced by `_BESIDE` times each magnitude are
 # larger by a factor 1 / `_FLAT`, those slopes set the scale.
 _BESIDE, _FLAT = 1e-2, 1e-2
+# Range to which the largest scaled slope of a constraint is clipped before it is inverted.
 _ROW_RANGE = (1e-8, 1e8)
 
 
@@ -294,8 +302,9 @@ def _largest_slopes(program: NonlinearProgram, nominal: FloatArray, z: FloatArra
 def nominal_magnitudes(program: Transcription, bounds: Bounds, z: FloatArray) -> FloatArray:
     """Return the magnitude of each unknown, shape (n_unknowns,).
 
-    The declared scaling factor of a variable determines its magnitude; else the larger of its
-    finite bounds and its values at the point `z`.
+    The declared scaling factor of a variable determines its magnitude. Without a scaling factor,
+    the magnitude is the largest absolute value among the variable's finite bounds and its values at
+    `z`.
     """
     layout, declared = program.layout, program.compiled.declared
     nominal = np.ones(layout.unknowns)
@@ -326,8 +335,8 @@ def refuse_unsolvable(program: Transcription, bounds: Bounds, z: FloatArray) -> 
     Raises
     ------
     TranscriptionError
-        Naming the equation, element and time that is not finite, or the numbers of equations and
-        unknowns.
+        If the program cannot be solved. The message names the equation, element and time where a
+        value is not finite, or the numbers of equations and unknowns.
     """
     refuse_not_finite(program, z)
     held = np.flatnonzero(bounds.lower == bounds.upper).tolist()
@@ -344,9 +353,10 @@ def counted(bounds: Bounds) -> str:
 def refuse_overdetermined(
     program: NonlinearProgram, bounds: Bounds, z: FloatArray, held: Iterable[str]
 ) -> None:
-    """Raise an error for contradictory linear equations that exceed the free unknowns.
+    """Raise an error for linear equations that contradict each other.
 
-    For nonlinear equations only a solve can decide.
+    Only programs with more equations than free unknowns are checked. Nonlinear equations are
+    accepted, because only a solve can decide whether they have a solution.
 
     Parameters
     ----------
@@ -374,8 +384,8 @@ _AGREED, _REGULAR = 1e-7, 1e-12
 def _is_contradictory(program: NonlinearProgram, bounds: Bounds, z: FloatArray) -> bool:
     """Return whether the equations are linear and have no solution.
 
-    They are solved by least squares; they are contradictory if the residual is not zero, and linear
-    if a full step leaves exactly the predicted residual.
+    A least-squares step is computed for the linearised equations. The equations are linear if the
+    full step leaves exactly the predicted residual, and contradictory if this residual is not zero.
     """
     rows, columns = program.jacobianstructure()
     slopes = coo_array((program.jacobian(z), (rows, columns)), shape=(program.n_rows, z.size))
@@ -438,7 +448,8 @@ def refuse_not_finite(program: Transcription, z: FloatArray) -> None:
     Raises
     ------
     TranscriptionError
-        Naming the equation with its element and time, and the variable of a derivative.
+        If a number is not finite. The message names the equation with its element and time, and for
+        a derivative also the variable.
     """
     rows = program.constraints(z)
     bad = np.flatnonzero(~np.isfinite(rows))

@@ -41,7 +41,7 @@ class MappedFunction:
     n : int
         Number of points.
     n_shared : int, optional
-        Number of inputs, the first ones, that are the same at all points.
+        Number of leading inputs that are the same at all points.
     """
 
     def __init__(self, function: Any, n: int, n_shared: int = 0) -> None:
@@ -62,7 +62,7 @@ class MappedFunction:
             self._chunks.append((slice(start, start + size), *made[size]))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the constructor's arguments without buffers, which each copy allocates anew."""
+        """Pickle the constructor's arguments only; the restored copy allocates its buffers anew."""
         return type(self), self._arguments
 
     def __call__(self, *inputs: FloatArray) -> list[FloatArray]:
@@ -97,9 +97,9 @@ def set_outputs_aside(declared: Declarations) -> Declarations:
     """Move output states and their equations out of the nonlinear program.
 
     An output state affects neither the objective nor other equations, for example an energy that is
-    only reported. A state is one if its symbol and its rate appear in a single equality, it has no
-    bounds, and it is fixed at the start and nowhere else. The search is repeated, which finds
-    output states that affect other output states only.
+    only reported. A state is an output state if its symbol and its rate appear in a single
+    equality, it has no bounds, and it is fixed at the start and nowhere else. The search is
+    repeated, so that it also finds output states on which only other output states depend.
     """
     while True:
         found = _one_output(declared)
@@ -129,7 +129,7 @@ def _names_at(declared: Declarations, slot: Slot) -> frozenset[str]:
 def _one_output(declared: Declarations) -> tuple[Slot, PathEquation] | None:
     """Return a state that nothing else depends on, with its equation, or None.
 
-    The criteria are those of `set_outputs_aside`.
+    The criteria are given in `set_outputs_aside`.
     """
     uses = Counter[str]()
     for equation in declared.equations:
@@ -296,7 +296,7 @@ class DerivedFunctions:
 class TableArguments:
     """Arguments of interpolation tables, with functions that evaluate them.
 
-    They serve to check whether a solution reads a table outside its range.
+    The functions serve to check whether a solution reads a table outside its range.
 
     Attributes
     ----------
@@ -340,17 +340,21 @@ class CompiledModel:
         Bounds of single variables over time.
     limits_over_time : casadi.Function
         Data of a point -> lower and upper bounds in `limits`.
-    simple_point_bounds, simple_point_limits : tuple of SimpleBound, casadi.Function
-        Conditions that bound one value, and parameters -> their bounds.
+    simple_point_bounds : tuple of SimpleBound
+        Conditions that bound a single state at a declared time, or a single static variable.
+    simple_point_limits : casadi.Function
+        Parameters -> lower and upper bounds in `simple_point_bounds`.
     condition_limits, static_limits : casadi.Function
         Parameters -> lower and upper bounds of the conditions, and of the static variables.
     times : casadi.Function
         (static variables, parameters) -> start, free interior times and end of the horizon.
     row_integrals : tuple of int
-        Integrals that enter the objective without a static variable of their own.
+        Positions of the integrals that enter the objective directly, without a static variable that
+        equals them.
     symbols : (casadi.SX, casadi.SX)
         Symbols of the variables and the data of a point.
     tables : TableArguments
+        Arguments of the interpolation tables.
     static_of_integral : dict
         Position of an integral -> position of the static variable that equals it.
     """
@@ -408,7 +412,7 @@ class CompiledModel:
     def limited(self) -> IndexArray:
         """Position of the variable that each entry of `limits` bounds, shape (n_limits,).
 
-        Positions count the states first, then the algebraic variables.
+        The positions refer to the states followed by the algebraic variables.
         """
         names = [s.name for s in (*self.declared.states, *self.declared.algebraics)]
         return np.array([names.index(limit.variable) for limit in self.limits], dtype=np.intp)
@@ -557,10 +561,17 @@ def _unless(unbounded: Any, none: Any) -> Any:
 
 
 def _moving_side(side: Any) -> tuple[Any, Any]:
-    """Return a side of a limit (zero where it is absent), and an expression for its absence.
+    """Split a side of a limit into its finite value and an indicator of its absence.
 
-    A rule that skips a limit on a part of the horizon has an infinite side there: a sum of
-    alternatives, each of which is zero where another alternative holds.
+    A rule that skips a limit on a part of the horizon has an infinite side there. The side is a sum
+    of terms, one for each alternative of the rule, and each term is zero at times of the other
+    alternatives.
+
+    Returns
+    -------
+    casadi.SX, casadi.SX
+        The side, with zero in place of an infinite value; and an expression that is 1 where the
+        limit is absent, else 0.
     """
     zero = casadi.SX(0)
     if side.is_constant():

@@ -1,9 +1,10 @@
 """Problems with several horizons: their declarations, their coupling, and the joint program.
 
 A constraint over a continuous set, or on values of one set alone, belongs to that set's horizon.
-The objective and all other constraints form the coupling. The coupling contains values of a horizon
-at declared times, and its integrals, in the form of static variables that are equal to them. The
-joint nonlinear program has the unknowns of each horizon first, then the static variables.
+The objective and all other constraints form the coupling. In the coupling, static variables replace
+the values of the horizons at declared times and the integrals over the horizons. Each horizon's
+program has conditions by which these variables equal the values that they replace. The joint
+nonlinear program has the unknowns of each horizon first, then the static variables.
 """
 
 from __future__ import annotations
@@ -59,8 +60,8 @@ class Link:
     time : float
         Declared time of the value.
     state : PointSymbol, optional
-        Given if the value is a state at a node, and thus an unknown of the horizon's program
-        itself.
+        The state and its time, if the value is a state at a node of the mesh. Such a value is
+        itself an unknown of the horizon's program.
     """
 
     slot: Slot
@@ -79,12 +80,12 @@ class Link:
 class CouplingWriter(TemplateWriter):
     """Writer of the constraints and the objective that couple several horizons.
 
-    It replaces each value of a horizon by a static variable that equals it.
+    The writer replaces each value of a horizon by a static variable that equals the value.
 
     Attributes
     ----------
     links : dict
-        These static variables, by the name of the value that each one replaces.
+        The static variables, by the name of the value that each variable replaces.
     """
 
     def __init__(self, readers: list[ModelReader], statics: dict[str, Slot]) -> None:
@@ -151,9 +152,10 @@ class CouplingWriter(TemplateWriter):
             )
 
     def named(self, expression: Any) -> Any:
-        """Return the replacement of a named expression, None to keep the expression itself.
+        """Return the symbol that replaces a named Pyomo expression, or None if none replaces it.
 
-        The integrals of all horizons are replaced by their symbols.
+        Only the integrals over the horizons are replaced. Any other named expression is translated
+        like an unnamed one.
         """
         component = expression.parent_component()
         if component is not None and component.ctype is PyomoIntegral:
@@ -174,11 +176,11 @@ class CoupledDeclarations:
     coupling : Declarations, ModelReader
         The objective, and the conditions on values of several horizons or of none.
     states : dict
-        Static variables of the coupling that equal states of a horizon, by name: name of the
-        horizon, and the state with its time.
+        For each static variable of the coupling that equals a state of a horizon, by the variable's
+        name: name of the horizon, and the state with its declared time.
     links : tuple of str
-        Names of the other static variables that equal values of a horizon; the conditions on the
-        horizons that impose the equalities have the same names.
+        Names of the static variables that equal any other value of a horizon. A condition on the
+        horizon imposes each equality, and has the same name as the variable.
     """
 
     horizons: dict[str, tuple[Declarations, ModelReader]]
@@ -255,7 +257,7 @@ def _refuse_gaps(
     conditions : list of PointCondition
         Conditions on several horizons.
     links : list of Link
-        Static variables that stand for values of the horizons in them.
+        Static variables that stand for values of the horizons in these conditions.
     free : dict
         Free times by the name of the continuous set; see `JointProblem`.
     """
@@ -277,9 +279,10 @@ def _refuse_gaps(
 
 
 def _own_cost(reader: ModelReader, cost: Any, in_conditions: frozenset[str]) -> tuple[Any, Any]:
-    """Split the cost into integrals over one horizon that enter it linearly, and the rest.
+    """Split the objective into integrals over one horizon that enter it linearly, and the rest.
 
-    Integrals that also appear in conditions stay in the rest.
+    `cost` is the objective as a CasADi expression. Integrals that also appear in conditions
+    (`in_conditions` has the names of all symbols there) stay in the rest.
     """
     own = casadi.SX(0)
     for integral in reader.writer.integrals.values():
@@ -314,7 +317,7 @@ class StateValue:
     Attributes
     ----------
     program : int
-        Position of the program among those of all horizons.
+        Position of the program in the list of the horizons' programs.
     state : str
         Name of the state.
     fraction : float
@@ -339,7 +342,8 @@ class Union:
     programs : sequence of Transcription
         Nonlinear programs of the horizons and of the coupling.
     states : mapping
-        Static variables, by name, that equal a state of a horizon, and thus share its unknown.
+        For each static variable that equals a state of a horizon, by name: the `StateValue` with
+        which it shares one unknown.
 
     Attributes
     ----------
@@ -381,7 +385,7 @@ class Union:
         self.rows = [slice(end - n, end) for end, n in zip(ends, counts, strict=True)]
 
     def joined(self, parts: Sequence[FloatArray]) -> FloatArray:
-        """Return the unknowns of the joint program from those of its parts.
+        """Return the unknowns of the joint program from the unknowns of the separate programs.
 
         A shared unknown takes the value from the first program that has it.
         """
@@ -417,7 +421,11 @@ class Union:
         return whole.part(self.places[k], self.rows[k])
 
     def nominal(self, whole: Bounds, z: FloatArray) -> FloatArray:
-        """Return the magnitudes of the joint program's unknowns, shape (n_unknowns,)."""
+        """Return the magnitudes of the joint program's unknowns, shape (n_unknowns,).
+
+        `whole` are the bounds of the joint program, and `z` is the point at which the sizes of the
+        unknowns count.
+        """
         return self.joined(
             [
                 nominal_magnitudes(program, self.part(whole, k), z[self.places[k]])
@@ -426,7 +434,7 @@ class Union:
         )
 
     def multipliers(self, parts: Sequence[Multipliers]) -> Multipliers:
-        """Return the multipliers of the joint program from those of its parts."""
+        """Return the multipliers of the joint program from the multipliers of its parts."""
         return Multipliers(
             rows=np.concatenate([part.rows for part in parts]),
             lower=self.joined([part.lower for part in parts]),

@@ -1,4 +1,4 @@
-"""Algebraic variables that an equation defines, for example a rate constant by its temperature."""
+"""Algebraic variables that an equation defines, for example a rate constant at a temperature."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ def definitions(
 ) -> list[Definition]:
     """Find equations without rates that define one algebraic variable each.
 
-    An equation defines the only variable that has a constant coefficient in it, apart from
-    variables that other equations define: ``k == exp(-1 / x)`` defines k and leaves x free; ``p - q
-    == y`` defines neither p nor q.
+    An equation defines a variable if the variable enters with a constant coefficient and no other
+    undefined variable does: ``k == exp(-1 / x)`` defines k and leaves x free; ``p - q == y``
+    defines neither p nor q. Variables that other equations define do not count.
 
     Parameters
     ----------
@@ -99,6 +99,7 @@ def with_defined(
     Returns
     -------
     ndarray, shape (n_points, n_variables)
+        Copy of `variables` in which the defined variables satisfy their equations.
     """
     if not given:
         return variables

@@ -37,6 +37,7 @@ _PROXIMITY = 1e-6
 #: hundred times the tolerance of the elastic solve, and a thousandth of the smallest relaxation of
 #: a limit that a user would notice.
 MET = 1e-6
+# Tolerance of Ipopt for the scaled elastic program, and limit of its iterations.
 _TOLERANCE, _MOST_ITERATIONS = 1e-8, 300
 # Both barrier strategies of Ipopt: where one of them stalls, the other seldom does.
 _BARRIERS = ("adaptive", "monotone")
@@ -65,8 +66,9 @@ def _with_slacks(
     Returns
     -------
     ExtendedProgram
-        With 2 k more unknowns: first the slacks that increase the values, then those that decrease
-        them.
+        With 2 k more unknowns: first the slacks that increase the constraints' values, then the
+        slacks that decrease the
+    values.
     """
     slacks = n + np.arange(2 * rows.size)
     entries = np.append(sizes, -sizes), (np.tile(rows, 2), slacks)
@@ -84,8 +86,7 @@ def _solved(
 ) -> IpoptResult:
     """Solve an elastic program from a point of the original program.
 
-    The initial slacks are those that the constraints' violations at that point require, plus a
-    margin.
+    The initial slacks equal the constraints' violations at that point, plus a margin.
     """
     values = elastic.program.constraints(near)
     by_slack = elastic.terms[:, near.size :].tocoo()
@@ -157,7 +158,8 @@ class LeastViolation:
     z : ndarray, shape (n_unknowns,)
         The unknowns at that optimum, within their bounds.
     slacks : ndarray, shape (n_rows,)
-        Violation of each constraint, in units of its scale, about its largest term.
+        Violation of each constraint, in units of the constraint's scale, which is about the size of
+        the constraint's largest term.
     result : IpoptResult
         Ipopt's result for the elastic program.
     """
@@ -196,8 +198,8 @@ def least_violation(
 
     Each constraint may be violated by a slack, measured in units of the constraint's scale, at the
     same penalty for every constraint (an l1 elastic program, without the objective). Ipopt's
-    barrier therefore leaves the same slack in each constraint, far below the threshold at which a
-    constraint counts as violated, on fine meshes as on coarse ones.
+    barrier therefore leaves the same slack in each constraint. On every mesh, this slack is far
+    below the threshold at which a constraint counts as violated.
 
     Parameters
     ----------
@@ -206,7 +208,8 @@ def least_violation(
         Bounds of the unknowns, which are not relaxed, and of the constraints.
     scaling : Scaling
     z : ndarray, shape (n_unknowns,)
-        Point from which the search starts, and near which it stays where no slack is affected.
+        Point from which the search starts. Unknowns that affect no violation stay near their values
+        at this point.
     options : SolverOptions
     progress : callable or None
         Called at each iteration; returning False stops the search.

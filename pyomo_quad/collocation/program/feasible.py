@@ -1,10 +1,11 @@
 """Search for a trajectory that satisfies the equations of a fine mesh, near a given one.
 
 The optimum of a coarse mesh satisfies the equations at few points only, and violates them widely on
-a finer mesh. From there, Ipopt needs dozens of iterations to the optimum of the finer mesh, but few
-to a point that satisfies its equations, where this search stops. A small penalty on the distance
-from the initial point determines the unknowns on which the objective hardly depends. The bounds are
-relaxed slightly, because no iterate of an interior-point method lies on them.
+a finer mesh. From that optimum, Ipopt needs dozens of iterations to the optimum of the finer mesh,
+but only a few iterations to a point that satisfies the equations of the finer mesh. This search
+stops at such a point. A small penalty on the distance from the initial point determines the
+unknowns on which the objective hardly depends. The bounds are relaxed slightly, because no iterate
+of an interior-point method lies on them.
 """
 
 from __future__ import annotations

@@ -64,8 +64,8 @@ _NEAR, _INSIDE, _WELL_INSIDE = 1e-9, 1e-6, 1e-4
 _BEGUN = 1e-8
 # Initial barrier parameter, and distance inside the bounds, of a warm start far from its optimum.
 _BEGUN_FAR, _FAR_INSIDE = 1e-5, 1e-4
-# Settings of a solve without multipliers whose first point is far from its limits' own: the barrier
-# begins large and falls by as much as a single good step allows.
+# Settings of a solve without multipliers whose first point violates many limits: the barrier
+# parameter begins large and falls by as much as a single good step allows.
 _FROM_AFAR: tuple[tuple[str, Any], ...] = (
     ("mu_strategy", "monotone"),
     ("mu_init", 0.1),
@@ -77,6 +77,7 @@ _LARGE_CHANGE = 1e-6
 _ABOVE = 10.0
 # Initial barrier parameter of a warm start that is expected to change little.
 _LOW_BARRIER = 1e-10
+# Ipopt's options for the distances by which it pushes a warm start off its bounds.
 _PUSHES = (
     "warm_start_bound_push",
     "warm_start_bound_frac",
@@ -87,9 +88,10 @@ _PUSHES = (
 
 
 class Way(Enum):
-    """Expected distance of a warm start from its solution, which lies on the central path.
+    """Expected distance of a warm start from the point to which it converges on the central path.
 
-    The central path is the curve of optima for positive barrier parameters.
+    The central path is the curve of optima for positive barrier parameters. `NONE`: the start is
+    practically at that point. `SHORT`: it is near the point. `FAR`: it is far from the point.
     """
 
     NONE = "none"
@@ -137,7 +139,7 @@ class SolverOptions:
         return replace(self, tolerance=float(np.clip(1e-3 * tolerance, 1e-11, _TOLERANCE)))
 
     def at_most(self, iterations: float) -> SolverOptions:
-        """Return the settings with a limit of iterations; a lower limit in them is kept.
+        """Return the settings with a limit of iterations, unless they already have a lower limit.
 
         Parameters
         ----------
@@ -149,8 +151,8 @@ class SolverOptions:
     def for_phases(self) -> SolverOptions:
         """Return the settings for equations that keep variables on their bounds for a phase.
 
-        Examples are an engine at full thrust, or an empty tank. Such an equation and the bound
-        leave no interior, the multipliers diverge, and a warm start from diverged multipliers is
+        Examples are an engine at full thrust, or an empty tank. The equation and the bound together
+        leave no interior, so the multipliers diverge. A warm start from diverged multipliers is
         slower than a solve from the guess. Ipopt therefore relaxes the bounds slightly and projects
         the result back onto them.
         """
@@ -160,19 +162,19 @@ class SolverOptions:
     def on_the_path(self, parameter: float, way: Way) -> SolverOptions:
         """Return the settings for a warm start that converges to a point of the central path.
 
-        Among the many points of nearly equal cost, a positive barrier parameter selects a point
-        that moves little from mesh to mesh, whereas the controls of the optimum jump between
-        equivalent places. A start next to the selected point stays on its bounds. A start far from
-        it begins well inside its bounds with a larger parameter: if it began on its bounds, with
-        the final parameter, the limits that become active or inactive one after another would block
-        nearly every step.
+        Many trajectories have nearly the same cost, and the controls of the optimum may differ
+        greatly from mesh to mesh. A positive barrier parameter selects a point of the central path
+        (the curve of optima for positive barrier parameters), which differs little from mesh to
+        mesh. A start next to that point stays on its bounds. A start far from that point begins
+        well inside its bounds, with a larger parameter: if it began on its bounds with the final
+        parameter, limits that become active or inactive would block nearly every step.
 
         Parameters
         ----------
         parameter : float
             Final barrier parameter (Ipopt's `mu_target`), for the scaled objective.
         way : Way
-            Expected distance of the start from that point.
+            Expected distance of the start from the selected point.
         """
         begun, pushes = dict(self.extra).get("mu_init", _BEGUN), dict[str, float]()
         if way is Way.NONE:
@@ -188,12 +190,13 @@ class SolverOptions:
 
         A barrier leaves a gap in the objective: the barrier parameter times the number of bounds.
         The first parameter is chosen so that this gap equals the expected change, because a larger
-        gap would first lead away from the warm start and then back. If this parameter is about as
-        small as the parameter at which Ipopt stops, the latter is taken: Ipopt would not change a
-        parameter that small any more, and the remaining gap would differ from mesh to mesh.
+        gap would first lead away from the warm start and then back. Ipopt does not reduce a
+        parameter that is already about as small as its final value, so that the remaining gap would
+        differ from mesh to mesh. In that case the solve begins with the final value.
 
-        A change that is not small shifts the times at which limits become active. A start on its
-        bounds then blocks many iterations, and a start well inside the bounds does not.
+        A large change shifts the times at which limits become active. A warm start on its bounds
+        would then shorten the steps of many iterations, so the start is moved well inside the
+        bounds.
 
         Parameters
         ----------
@@ -213,8 +216,9 @@ class SolverOptions:
     def for_moving_limits(self) -> SolverOptions:
         """Return the settings for warm starts whose limits become active at other times.
 
-        If the points of the new mesh lie differently relative to such a time, a start on its bounds
-        blocks Ipopt's first dozen steps; a start slightly inside the bounds does not.
+        The points of a new mesh may lie differently relative to the time at which a limit becomes
+        active. A start on its bounds then blocks Ipopt's first dozen steps; a start slightly inside
+        the bounds does not.
         """
         pushes = dict.fromkeys(_PUSHES, _INSIDE) | {"warm_start_mult_bound_push": _BEGUN}
         return replace(self, extra=(*pushes.items(), *self.extra))
@@ -222,8 +226,8 @@ class SolverOptions:
     def from_afar(self) -> SolverOptions:
         """Return the settings for a first point that is far from feasible, between many limits.
 
-        The adaptive barrier estimates its parameter from the first point. Where that violates many
-        limits, the parameter is often a thousandth of what is needed, and the bounds cut nearly
+        The adaptive barrier estimates its parameter from the first point. If that point violates
+        many limits, the estimate is often a thousand times too small, and the bounds shorten nearly
         every step; see docs/decisions/speed.md.
         """
         return replace(self, cold=_FROM_AFAR)
@@ -231,10 +235,10 @@ class SolverOptions:
     def for_small_changes(self) -> SolverOptions:
         """Return the settings for warm starts on meshes that differ in few elements.
 
-        The usual barrier parameter would first move away from a start that is nearly optimal. With
-        a smaller parameter, controls on which the objective hardly depends stay near their values
-        on the last mesh. This was measured on a flight of 1 km against the wind, whose mesh was
-        refined to five times as many points.
+        With the usual barrier parameter, the iterates would first move away from a start that is
+        nearly optimal. With a smaller parameter, controls on which the objective hardly depends
+        stay near their values on the previous mesh. The value was tested on a flight of 1 km
+        against the wind, whose mesh was refined to five times as many points.
         """
         pushes = tuple((name, _WELL_INSIDE) for name in _PUSHES)
         return replace(self, extra=(*self.extra, ("mu_init", _LOW_BARRIER), *pushes))
@@ -489,6 +493,7 @@ class _Callbacks:
         return goes_on and not self.is_bottomless
 
 
+# Default of Ipopt's tolerance `tol` for the scaled program; a mesh refinement uses no larger value.
 _TOLERANCE = 1e-9
 
 # With pivots as small as Ipopt's default for MUMPS (1e-6), steps lose so many digits that the
@@ -519,6 +524,7 @@ _WARM: dict[str, Any] = {
     "watchdog_trial_iter_max": 8,
 } | dict.fromkeys(_PUSHES, _NEAR)
 
+# Ipopt's return codes for convergence, for infeasibility, and for a stop by the callback.
 _SOLVED, _INFEASIBLE, _STOPPED = 0, 2, 5
 # A scaled objective is about 1 at the first point. Below `_BOTTOMLESS` for `_PATIENCE_BELOW`
 # iterations, it counts as unbounded.
@@ -535,6 +541,7 @@ SEEN = 1e-6
 _SHARPENINGS, _AIMED, _LARGEST_STEP, _PATIENCE = 2, 10.0, 1e5, 100
 #: Ipopt's return codes for a solve that reached its time limit, and for one that diverged.
 TIME_LIMIT_CODE, DIVERGED_CODE = -5, 4
+# Ipopt's return code for insufficient memory.
 _NO_MEMORY = -102
 
 
@@ -628,11 +635,11 @@ def _with_idle_unknowns(
     ----------
     program : NonlinearProgram
     own : int
-        Number of its unknowns.
+        Number of unknowns of the program.
     idle : int
-        Number of unknowns to add, which follow them.
+        Number of unknowns to add after the unknowns of the program.
     weight : float
-        Weight of their squares in the objective.
+        Weight of the squares of the added unknowns in the objective.
     """
     return ExtendedProgram(
         program=program,
@@ -689,7 +696,7 @@ def run_past_the_barrier(
     Returns
     -------
     IpoptResult
-        History and time are those of all solves.
+        The history and the wall-clock time cover all repeated solves.
     """
     solve = partial(run, program, bounds, progress=progress)
     result = solve(scaling, start, options=options, multipliers=multipliers)

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 OWN_SOLVER, OPTION = "mumps", "linear_solver"
 # Options that give the path of a solver's library.
 _LIBRARIES = ("hsllib", "pardisolib")
+# Time limit of the separate process that tries a linear solver [s].
 _TIMEOUT_S = 60.0
 
 # Ipopt loads the library of a linear solver at the start of a solve. Without the library the solve

@@ -28,8 +28,9 @@ class Bounds:
     Attributes
     ----------
     lower, upper : ndarray, shape (n,)
+        Bounds of the unknowns.
     row_lower, row_upper : ndarray, shape (m,)
-        Equal for an equation, infinite where a constraint has no bound.
+        Bounds of the constraints: equal for an equation, infinite where a constraint has no bound.
     """
 
     lower: FloatArray
@@ -39,7 +40,7 @@ class Bounds:
 
     @property
     def surplus(self) -> int:
-        """Number of equations minus number of free unknowns, those whose bounds are not equal."""
+        """Number of equations minus number of free unknowns (unknowns with unequal bounds)."""
         equations = int(np.sum(self.row_lower == self.row_upper))
         return equations - int(np.sum(self.lower < self.upper))
 
@@ -220,7 +221,7 @@ class ExtendedProgram:
 
     @property
     def n_rows(self) -> int:
-        """Number of constraints, with those that were added."""
+        """Number of constraints, including the added constraints."""
         return int(self.program.n_rows if self.terms is None else self.terms.shape[0])
 
     @property
@@ -230,7 +231,7 @@ class ExtendedProgram:
 
     @property
     def is_negated(self) -> bool:
-        """Whether the program is a maximisation; without its original objective it never is."""
+        """Whether the declared objective is maximised; False if the objective is left out."""
         return bool(self.share and self.program.is_negated)
 
     def split(self, w: FloatArray) -> tuple[FloatArray, FloatArray]:

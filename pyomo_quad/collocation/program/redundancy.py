@@ -1,9 +1,10 @@
 """Redundant conditions: detected at a point, left out of a solve, and checked afterwards.
 
-A condition is a constraint at a declared time, such as an end condition. A conserved quantity makes
-an end condition follow from the initial conditions and the equations over time. On a mesh it
-follows up to the discretisation error only. With both imposed, the program may have no solution, or
-one point instead of a curve of solutions, with unbounded multipliers.
+A condition is a constraint at a declared time, such as an end condition. If a quantity is
+conserved, an end condition on this quantity follows from the initial conditions and the equations
+over time. On a mesh, the end condition follows only up to the discretisation error. A program that
+imposes the end condition as well may have no solution, or a single point instead of a curve of
+solutions, with unbounded multipliers.
 """
 
 from __future__ import annotations
@@ -49,8 +50,9 @@ class Candidate:
     key : str or (str, float)
         The condition's name, or the key of the fixed value in `Instance.fixed`.
     row, column : int
-        For a condition that is a constraint: index of the constraint in the program, and -1. For a
-        condition that fixes an unknown: -1, and index of the unknown.
+        For a condition that is a constraint, `row` is the index of the constraint in the program
+        and `column` is -1. For a condition that fixes an unknown, `row` is -1 and `column` is the
+        index of the unknown.
     """
 
     name: str
@@ -92,9 +94,9 @@ def redundant_conditions(
     fixed: dict[tuple[str, float], float],
     z: FloatArray,
 ) -> tuple[Candidate, ...]:
-    """Return the conditions whose gradients depend linearly on those of earlier equations.
+    """Return the conditions whose gradient depends linearly on the gradients of earlier equations.
 
-    The equations over time come first in that order, then the conditions one by one.
+    For this test, all equations over time come first, and the conditions follow one by one.
 
     Parameters
     ----------
@@ -206,7 +208,7 @@ def misses(
     """
     values, keys = program.constraints(z), {candidate.key for candidate in left_out}
     found = []
-    # Rows and columns depend on the mesh, and the last mesh differs from the one of detection.
+    # Rows and columns depend on the mesh, and the last mesh differs from the mesh of the detection.
     for candidate in _candidates(program, bounds, fixed):
         if candidate.key not in keys:
             continue

@@ -137,7 +137,7 @@ class Layout:
     def path_variables(self) -> csr_matrix:
         """Matrix from the unknowns to rates, states, algebraic variables and statics at points.
 
-        The rows of the first point come first, then those of the second point, and so on.
+        The rows of the first point come first, then the rows of the second point, and so on.
         """
         slopes, n = self.slope_matrix, self.n_states
         rates = kron(slopes, np.eye(n)) @ _chosen(self.state_columns.ravel(), self.unknowns)
@@ -162,7 +162,8 @@ class Layout:
     def point_values(self) -> csr_matrix:
         """Matrix from the unknowns to the values at declared times in conditions and objective.
 
-        A time that is no node is reached by interpolation; a matrix row has one weight per node.
+        A value at a time between nodes is interpolated, so that its row has one weight per node of
+        the element.
         """
         rows: list[int] = []
         columns: list[int] = []
@@ -221,12 +222,14 @@ class Contributions:
         self._parts: list[tuple[NDArray[Any], ...]] = []
 
     def add(self, rows: Any, columns: Any, sources: Any, weights: Any) -> None:
-        """Add entries (row, column) += weight * source, a source being a value that CasADi returns.
+        """Add contributions: the entry at (row, column) increases by weight times source.
+
+        A source is a value that a CasADi function returns.
 
         Parameters
         ----------
         rows, columns : array_like of int
-            Position of each entry in the assembled matrix.
+            Position in the assembled matrix of the entry that each contribution increases.
         sources : array_like of int
             Position of each source among the values that CasADi returns.
         weights : array_like
@@ -252,7 +255,7 @@ class Contributions:
         rows : ndarray of int
             Row of each derivative in the assembled matrix.
         of : ndarray of int
-            Variable of each derivative.
+            Index of the variable with respect to which each derivative is taken.
         sources, weights : ndarray
             Position of each derivative among the values that CasADi returns, and its factor.
         """
@@ -273,15 +276,16 @@ class Contributions:
         variables : csr_matrix, shape (n_variables, n_unknowns)
             Matrix from the unknowns to the variables.
         first, second : ndarray of int
-            Variables of each second derivative.
+            Indices of the two variables of each second derivative.
         sources : ndarray of int
             Position of each second derivative among the values that CasADi returns.
 
         Notes
         -----
-        Only the lower triangle is assembled. If both variables are the same, every pair of unknowns
-        is listed twice, so half of these are dropped. If they differ, a contribution on the
-        diagonal counts twice.
+        Only the lower triangle of the Hessian is assembled. For two equal variables, the product of
+        the linear combinations lists each pair of different unknowns twice, and one of the two
+        entries is dropped. For two different variables, both orders of the pair contribute, so that
+        an entry on the diagonal counts twice.
         """
         one = variables[first].tocoo()
         other = variables[second[one.row]].tocoo()
@@ -324,7 +328,10 @@ class Scatter:
     matrix: csr_matrix
 
     def values(self, sources: FloatArray) -> FloatArray:
-        """Return the values of the nonzeros from the values that CasADi returned, (n_sources,)."""
+        """Return the values of the matrix's nonzeros, shape (n_nonzeros,).
+
+        `sources` are the values that CasADi returned, shape (n_sources,).
+        """
         return np.asarray(self.matrix @ sources, dtype=float)
 
 
@@ -337,14 +344,14 @@ class JacobianScatter:
     rows : Scatter
         Jacobian of the constraints.
     objective : Scatter
-        Gradient of the objective with respect to unknowns, apart from its integrals.
+        Gradient of the objective with its integrals held constant.
     integrals : tuple of Scatter
         Gradients of the integrals that enter the objective directly.
     slope_sources, slope_integrals : ndarray of int
-        Sources that are derivatives of the objective with respect to such integrals, and the
-        positions of these integrals.
+        Positions of the sources that are derivatives of the objective with respect to integrals
+        that enter it directly, and the positions of these integrals.
     n_integrals : int
-        Number of such integrals.
+        Number of integrals that enter the objective directly.
     n_path_sources : int
         Number of sources from path equations and integrands, which come first.
     unknowns : int
@@ -363,8 +370,8 @@ class JacobianScatter:
     def objective_slopes(self, point_sources: FloatArray) -> FloatArray:
         """Return derivatives of the objective with respect to integrals that enter it directly.
 
-        `point_sources` are the sources after those of path equations; the result has shape
-        (n_integrals,).
+        `point_sources` are the sources that belong to the conditions and the objective; the result
+        has shape (n_integrals,).
         """
         slopes = np.zeros(self.n_integrals)
         slopes[self.slope_integrals] = point_sources[self.slope_sources]

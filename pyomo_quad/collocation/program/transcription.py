@@ -214,7 +214,7 @@ class Transcription:
 
     @property
     def first_integral_row(self) -> int:
-        """Position, among the constraints, of the first equality of a static and an integral."""
+        """Position of the first constraint that equates a static variable to an integral."""
         return self.first_condition_row + len(self.compiled.declared.conditions)
 
     @property
@@ -254,7 +254,7 @@ class Transcription:
     def rows_at_points(self, z: FloatArray) -> FloatArray:
         """Return path equations, then integrands, at the points: (n_points, n_expressions).
 
-        The values of the last unknowns are cached.
+        The values at the most recent unknowns are cached.
         """
         if self._seen is None or not np.array_equal(self._seen, z):
             if self.layout.points:
@@ -395,10 +395,11 @@ class Transcription:
         return weights
 
     def path_curvatures(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
-        """Return second derivatives of the Lagrangian with respect to each variable of a point.
+        """Return the diagonals of the Lagrangian's Hessians at the points.
 
-        Shape (n_points, n_variables), in the order of `path_variables`, per unit of the fraction of
-        the horizon.
+        The result has the shape (n_points, n_variables). Entry (i, j) is the second derivative with
+        respect to variable j at point i, per unit of the fraction of the horizon. The variables are
+        in the order of `path_variables`.
         """
         path = self.compiled.path
         held = self._path_hessian(z, multipliers)
@@ -469,6 +470,7 @@ class Linearised:
     rows : ndarray of int, shape (n_rows,)
         Positions of the differential equations among the path equations.
     by_rate, by_state : ndarray, shape (n_points, n_rows, n_states)
+        Derivatives of these equations with respect to the rates and to the states.
     """
 
     rows: NDArray[np.intp]
@@ -508,13 +510,13 @@ def rate_corrections(
     variables, data : ndarray
         Variables and data of n points, as in `linearised`.
     rows : ndarray, shape (n_points, n_equations)
-        Values of the path equations there.
+        Values of the path equations at these points.
 
     Returns
     -------
     ndarray, shape (n_points, n_states)
-        Newton steps, exact if rates enter linearly; of least norm if there are fewer equations than
-        rates.
+        Newton steps for the rates, which are exact if the rates enter linearly. If there are fewer
+        equations than rates, the steps have the least norm.
     """
     equations = linearised(program, variables, data)
     matrices, residuals = equations.by_rate, rows[:, equations.rows]

@@ -27,7 +27,7 @@ def index_tuple(index: Any) -> tuple[Any, ...]:
 def is_over(component: Any, time: Any) -> bool:
     """Return whether a component is indexed by a given continuous set itself.
 
-    A set with equal members does not count.
+    Another set with the same members does not count.
     """
     return component.is_indexed() and any(part is time for part in component.index_set().subsets())
 
@@ -220,7 +220,11 @@ def _declared(time: Any, at: Any) -> float:
 
 
 def _refuse_unusable(time: Any, sets: tuple[Any, ...], given: dict[float, Any]) -> None:
-    """Raise an error for a replacement that is no static variable, or that replaces two times."""
+    """Raise an error for a replacement of a declared time that cannot be used.
+
+    The replacement `time` must be a static variable of the model, and must not replace two declared
+    times. `given` has the replacements of one continuous set by declared time.
+    """
     taken: dict[str, float] = {}
     for at, variable in given.items():
         is_static = getattr(variable, "is_variable_type", bool)() and not variable.is_indexed()

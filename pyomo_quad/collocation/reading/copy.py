@@ -43,8 +43,8 @@ _TEMPLATE_FRACTION = 0.3819660112501051
 class WorkingCopy:
     """Clone of the user's model with the template time added to each continuous set.
 
-    The template time is an additional interior time. The members of variables and constraints there
-    serve as templates for all times.
+    The template time is an additional interior time. The members of variables and constraints at
+    this time serve as templates for all times.
 
     Attributes
     ----------
@@ -114,7 +114,7 @@ def _refuse_other_than_models(model: Any) -> None:
 def continuous_sets(model: Any) -> tuple[Any, ...]:
     """Return the model's continuous sets that are not discretised: its horizons.
 
-    Sets that index no variable are left out if there are several.
+    If the model has several sets, those that index no variable are left out.
 
     Raises
     ------
@@ -264,7 +264,7 @@ def copies_with_template_times(model: Any) -> tuple[WorkingCopy, ...]:
     Raises
     ------
     TranscriptionError
-        If the model declares something outside what the engine transcribes.
+        If the model declares something that the engine cannot transcribe.
     """
     copy = model.clone()
     transfer_rules(model, copy)
@@ -297,7 +297,7 @@ def copies_with_template_times(model: Any) -> tuple[WorkingCopy, ...]:
 def _culprit(error: Exception, copies: list[WorkingCopy]) -> str:
     """Return the name of the component whose rule raised an error, for the message.
 
-    If it cannot be told from the traceback, the names of the continuous sets are returned.
+    If the traceback does not show the component, the names of the continuous sets are returned.
     """
     frames = [frame for frame, _ in walk_tb(error.__traceback__)]
     made = [frame.f_locals.get("self") for frame in frames]

@@ -2,19 +2,21 @@
 
 In each cell of its grid a spline is a polynomial. A single call finds the polynomial's coefficients
 and returns its value, gradient and Hessian. Where memory allows, a table holds these coefficients
-for every cell; it is computed once, along one axis after the other. Along axes for which the table
-would become too large, it holds the coefficients of the B-spline instead: the call then looks up
-the degree + 1 basis functions that are not zero in the cell, and multiplies their polynomials by
+for every cell; the table is computed once, along one axis after the other. Along axes for which the
+table would become too large, it holds the coefficients of the B-spline instead: the call then looks
+up the degree + 1 basis functions that are not zero in the cell, and multiplies their polynomials by
 their coefficients. CasADi's B-spline of degree zero serves as the look-up, because it neither
 copies nor searches its table.
 
-For CasADi's differentiation the call is a constant. It is made at a place that is rounded to 2**-38
-(4e-12) of the smallest cell, and the expression of the spline is the Taylor polynomial of degree
-two around that place. Its value and slope are exact to rounding errors, and its second derivatives
-to a corresponding fraction of their change in a cell.
+CasADi need not differentiate the call. The call is made at a place whose coordinates are rounded to
+2**-38 (4e-12) of the smallest cell, and the expression of the spline is the Taylor polynomial of
+degree two around that place. The polynomial's value and slope are exact to rounding errors. Its
+second derivatives are constant, so that their relative error is about 4e-12 of their change in a
+cell.
 
 CasADi differentiates its own cubic B-splines entry by entry: a Hessian of a table with four axes
-took 80 microseconds, and takes 15 with this method; of a table with two axes, 2.
+took 80 microseconds. With this method it takes 15 microseconds, and 2 microseconds for a table with
+two axes.
 """
 
 from __future__ import annotations
@@ -39,6 +41,7 @@ _ROUNDING = 2.0**-38
 # Offset of the place of a call within a rounding, and within a step at either end, as a fraction of
 # each: CasADi's look-up fails at the end of a cell itself.
 _ASIDE = 0.3819660112501051
+# Number of derivatives in the result of a call: value, first and second derivative.
 _VALUE_SLOPE_BEND = 3
 
 

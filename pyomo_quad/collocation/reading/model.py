@@ -105,7 +105,8 @@ class RelationReader:
         index : tuple
             Index without time, which the members share.
         instances : dict
-            Active members by time, with that at the interior time at which equations are read.
+            Active members by time, including the member at the template time (the added interior
+            time at which equations are read).
         equations, conditions : list
             Lists to which the result is added.
         """
@@ -263,8 +264,8 @@ class RelationReader:
     ) -> bool:
         """Return whether a condition is the path equation evaluated at a declared time.
 
-        A rule that branches on its time may return other numbers at that single time; they have no
-        effect, because an instant has no length.
+        A rule that branches on its time may return other numbers at exactly that time than just
+        before or after it. These numbers are ignored, because they hold for a single instant only.
 
         Parameters
         ----------
@@ -495,7 +496,7 @@ class ModelReader:
     def _read_expressions(self) -> None:
         """Translate every named expression over time once, so that its parameters are registered.
 
-        A solution can then be asked for expressions that no equation uses.
+        A solution can then evaluate expressions that no equation uses.
         """
         for component in self.copy.model.component_objects(
             Expression, active=True, descend_into=True
@@ -541,10 +542,11 @@ class ModelReader:
                 )
 
     def _said_without_rates(self, states: list[Slot], read: list[frozenset[str]]) -> frozenset[str]:
-        """Return the states that equations without derivatives determine, one equation per state.
+        """Return the names of the states that equations without time derivatives determine.
 
-        If the model has derivatives in space, each of them is determined by the equation that its
-        discretisation added to the model; this equation then determines no state.
+        Each equation determines at most one state. If the model has derivatives in space, the
+        discretisation in space has added an equation for each of them. Such an equation determines
+        the derivative in space, and no state. `read` has the names of the symbols in each equation.
         """
         rates = {s.rate.name() for s in self.symbols.states.values()}
         algebraic = [names for names in read if not names & rates]

@@ -1,4 +1,4 @@
-"""Sources of a problem's numbers: the user's Pyomo model, or the values kept of it in a pickle."""
+"""Sources of a problem's numbers: the user's Pyomo model, or the values in a pickle."""
 
 from __future__ import annotations
 
@@ -39,7 +39,9 @@ _CALLED = {
 }
 # Units of angle. Engineers omit the radians that Pyomo keeps in a squared rotor speed.
 _ANGLES = (units.dimensionless, units.rad, units.rad**2)
+# Largest difference from 1 of a conversion factor between two units that count as the same.
 _ROUNDING = 1e-12
+# Factor of radians in the text of a unit.
 _ANGLE_FACTOR = re.compile(r"\*rad(\*\*[\d.]+)?")
 _AT_ANY_TIME = (
     "; a parameter over time needs a value at any time: declare it with initialize= a function of "
@@ -86,7 +88,8 @@ def _spelled(unit: Any) -> str:
 def declared_magnitudes(model: Any) -> dict[str, float]:
     """Return the magnitudes of variables according to the Suffix `scaling_factor`, by name.
 
-    A magnitude is the inverse of a scaling factor; names are those of components or of members.
+    A magnitude is the inverse of a scaling factor; the names may be names of components or of their
+    members.
     """
     magnitudes: dict[str, float] = {}
     for suffix in model.component_objects(Suffix, descend_into=True):
@@ -163,8 +166,8 @@ class LiveModel:
     def first_guess(self, slot: Slot) -> Callable[[float], float] | None:
         """Return a variable's `initialize` rule as a function of time.
 
-        The result is None if the variable has no such rule, or if its values differ from those of
-        the rule.
+        The result is None if the variable has no such rule, or if the values in the model differ
+        from the rule's.
 
         Raises
         ------
@@ -225,8 +228,8 @@ class LiveModel:
         Raises
         ------
         TranscriptionError
-            If the parameter has no rule to evaluate it at any time; raised by the function, if the
-            rule fails.
+            If the parameter has no rule that gives its value at any time. The returned function
+            raises the same exception if the rule fails.
         """
         component = self.model.find_component(slot.component)
         rule = rule_of(component)
@@ -355,7 +358,11 @@ class LiveModel:
     def _signal_kept(
         self, slot: Slot, horizon: tuple[float, float], asked: list[float]
     ) -> Interpolant:
-        """Return a parameter over time as an `Interpolant` for a pickle, maybe without pieces."""
+        """Return a parameter over time as an `Interpolant`, which can be pickled.
+
+        The interpolant has no pieces if the parameter cannot be approximated by polynomials.
+        `asked` are the times between which jumps are searched.
+        """
         try:
             return _kept(slot, self.signal(slot), horizon, asked)
         except TranscriptionError as error:
@@ -368,8 +375,9 @@ def _kept(
     horizon: tuple[float, float],
     asked: list[float],
 ) -> Interpolant:
-    """Return a function of time as piecewise polynomials, or the reason for their absence.
+    """Return a function of time as an `Interpolant`: piecewise polynomials that can be pickled.
 
+    If the function fails or is too rough, the interpolant has no pieces and contains the reason.
     `asked` are the times between which jumps of the function are searched.
     """
     try:
@@ -441,17 +449,18 @@ class ModelSnapshot:
         return self.guesses.get(slot.name)
 
     def signal(self, slot: Slot) -> Interpolant:
-        """Return a parameter over time as a function of time, as the pickle holds it."""
+        """Return a parameter over time as piecewise polynomials of time, from the pickle."""
         return self.signals[slot.name]
 
     def snapshot(self, declared: Declarations, horizon: tuple[float, float]) -> ModelSnapshot:  # noqa: ARG002
-        """Return the snapshot itself; the arguments are those of `LiveModel.snapshot`."""
+        """Return the snapshot itself; the arguments are unused (see `LiveModel.snapshot`)."""
         return self
 
 
 def as_reading(signal: Callable[[float], float], time: float) -> Reading:
-    """Return the value of a function at a time in the form of a rule's result, a `Reading`.
+    """Return a function's value at a time as a `Reading`, the form of a rule's result.
 
-    It has no key, since a function has no forms; `jumps` can then be applied to it.
+    The reading has no key, because a function has no alternative forms. The function `jumps`, which
+    needs readings, can thus search the jumps of any function of time.
     """
     return Reading(None, (signal(time),))

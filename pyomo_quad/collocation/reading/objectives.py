@@ -42,9 +42,10 @@ def objective_of(copy: WorkingCopy) -> Any:
 def _refuse_sum(objective: Any, time: Any, copy: WorkingCopy) -> None:
     """Raise an error for an objective that sums a function of a control over the declared times.
 
-    Such a sum is probably meant as an integral. A control has no meaning at a single time, whereas
-    values of a state at all declared times are a fit to data or a cost of both ends. The sum is
-    recognised by equal terms at all times; the terms of a fit to data differ.
+    The sum is probably meant as an integral, because a control has no meaning at a single time. It
+    is recognised by terms that are equal at all declared times. A sum over a state is accepted: it
+    is either a fit to data, whose terms differ from time to time, or a cost at both ends of the
+    horizon.
     """
     addresses = AddressBook(time)
     states = {d.get_state_var().name for d in copy.model.component_objects(DerivativeVar)}
@@ -91,7 +92,7 @@ def _is_alike(cost: Any, key: Any, first: dict[Any, Any], other: dict[Any, Any])
     key : (str, tuple)
         Component name and index without time of the variable.
     first, other : dict
-        Symbols of all variables at either time, with such keys.
+        Symbols of all variables at either time, with keys in the form of `key`.
     """
     if key not in other:
         return False

@@ -24,6 +24,7 @@ from pyomo_quad.collocation.reading.clock import index_tuple
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+# Attributes in which Pyomo's components keep their rules.
 _RULES = ("_rule", "_rule_init", "_rule_bounds")
 _FUNCTION = "_fcn"  # attribute in which Pyomo's initializers keep a function
 _INNER = "_initializer"  # attribute in which a wrapping initializer keeps the wrapped one
@@ -103,7 +104,7 @@ def refuse_lost_members(copy: Any, template_time: float) -> None:
     Raises
     ------
     TranscriptionError
-        Naming the component.
+        If a rule fails; the message names the component.
     """
     for component, rule in _with_rules(copy):
         for index in component.index_set():
@@ -124,7 +125,7 @@ def refuse_changed_members(copy: Any) -> None:
     Raises
     ------
     TranscriptionError
-        Naming the member.
+        If a member differs; the message names the member.
     """
     for component, rule in _with_rules(copy):
         for index in tuple(component)[-1:]:
@@ -161,8 +162,8 @@ def _is_same(held: Any, stated: Any) -> bool:
 class _PrefixNotation(PrefixVisitor):
     """Prefix notation of an expression, in which a named expression is one entry.
 
-    Its own rule is compared once: many equations share a named expression, and each would walk
-    through it again.
+    The named expression is compared with its own rule once, and is not expanded in each of the
+    equations that share it.
     """
 
     def enterNode(self, node: Any) -> Any:  # noqa: N802  Pyomo's name

@@ -43,6 +43,7 @@ _RESOLUTION = 1e-14
 BESIDE = 2e-12
 # A change that bisection reduces to no less than this fraction, above rounding, is a jump.
 _UNDIMINISHED = 0.75
+# Change of a number, relative to the number, below which bisection does not search a jump.
 _ROUNDING = 1e-9
 # Number of times for which a schedule caches its readings.
 _REMEMBERED = 100_000
@@ -50,7 +51,7 @@ T = TypeVar("T")
 
 
 def _remembered(known: OrderedDict[float, T], time: float, of: Callable[[float], T]) -> T:
-    """Return a function's value at a time, from a cache of the last 100,000 times."""
+    """Return a function's value at a time, from a cache of the 100,000 most recent times."""
     if time not in known:
         if len(known) >= _REMEMBERED:
             known.popitem(last=False)
@@ -113,7 +114,7 @@ class _Form:
     varying: list[int] = field(default_factory=list)
 
     def meet(self, numbers: tuple[float, ...]) -> None:
-        """Record the positions of numbers that differ from those of the first result."""
+        """Record the positions of numbers that differ from the numbers in the first result."""
         for k, (held, met) in enumerate(zip(self.numbers, numbers, strict=True)):
             if held != met and k not in self.varying:
                 self.varying.append(k)
@@ -133,14 +134,14 @@ class Schedule:
     times : sequence of float
         Declared times; the rule is called between them and on both sides of each.
     place : callable, optional
-        Time -> the time at which the rule is called in its place, for rules whose result is the
+        Maps a time to the time with which the rule is called instead, for rules whose result is the
         same over an interval.
 
     Attributes
     ----------
     slots : tuple of Slot
-        Data of a collocation point that the compiled forms read, in the order of `row`: factors
-        that select the form, and the numbers that vary.
+        Data of a collocation point that the compiled forms read, in the order in which the method
+        `row` returns the values: factors that select the form, then the numbers that vary.
 
     Raises
     ------
@@ -176,7 +177,8 @@ class Schedule:
     def _slot(self, what: str) -> Slot:
         """Return a new quantity over time, with its CasADi symbol, as data for compiled equations.
 
-        `what` completes its name: the form that it selects, or the number that it supplies.
+        `what` completes the name of the quantity: the form that the quantity selects, or the number
+        that it supplies.
         """
         name = f"{self.name} ({what})"
         return Slot(name=name, component=self.name, index=(), symbol=casadi.SX.sym(name))
@@ -297,7 +299,10 @@ class Schedule:
 
 
 class Phases:
-    """Phase of a horizon with free times, as data over time with the interface of a `Schedule`."""
+    """Indicators of the phases of a horizon with free times, with the interface of a `Schedule`.
+
+    The indicator of a phase is 1 at times of the phase and 0 elsewhere.
+    """
 
     def __init__(self, clock: PhaseTimes) -> None:
         self.name = clock.name
@@ -415,8 +420,9 @@ def _steps(
 def one_sided(fraction: float, jumps_at: Sequence[float]) -> float:
     """Return a fraction of the horizon, moved to just before a jump that it coincides with.
 
-    A boundary between elements belongs to the element that ends there, so a jump there takes the
-    value before it. The start and the end of the horizon are moved inside.
+    A boundary between elements belongs to the element that ends there. At a jump on a boundary, the
+    value before the jump therefore applies. The fractions 0 and 1 are moved slightly into the
+    horizon.
     """
     inside = min(max(fraction, BESIDE), 1.0 - BESIDE)
     nearest = bisect_left(jumps_at, inside - BESIDE)
@@ -429,7 +435,7 @@ def one_sided(fraction: float, jumps_at: Sequence[float]) -> float:
 class Steps:
     """Piecewise constant function of time with steps of equal duration.
 
-    It is constant before the first step and after the last.
+    Before the first step the function has the first value, and after the last step the last value.
 
     Parameters
     ----------
@@ -468,10 +474,13 @@ class Steps:
         return [self.start + k * self.step for k in range(max(first, 1), last)]
 
 
+# Degree of the polynomials that replace functions of time in a pickle.
 _DEGREE = 12
-# Largest relative error of a piece, and the width below which no piece is halved.
+# Largest relative error of a piece, and the width below which no piece is halved, as a fraction of
+# the horizon.
 _ACCURACY = 1e-13
 _NARROWEST = 1e-14
+# Number of pieces above which a function counts as too rough to be pickled.
 _MOST_PIECES = 20_000
 _NODES = chebyshev.chebpts1(_DEGREE + 1)
 _TO_COEFFICIENTS = np.linalg.inv(chebyshev.chebvander(_NODES, _DEGREE))
@@ -529,8 +538,8 @@ def interpolant(
 ) -> Interpolant:
     """Approximate functions of time by piecewise polynomials over a horizon.
 
-    Between jumps, pieces are halved until a polynomial of degree 12 reproduces the functions to
-    1e-13; halving also brackets a kink.
+    Between jumps, each piece is halved until a polynomial of degree 12 reproduces the functions to
+    1e-13. At a kink, the pieces thus become short.
 
     Parameters
     ----------

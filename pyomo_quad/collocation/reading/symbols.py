@@ -178,9 +178,10 @@ RegisterNumericType(Instant)
 
 
 class _TrapezoidProbe:
-    """Stand-in for a block, whose continuous set consists of one trapezoid between equal times.
+    """Stand-in for a block, in which the continuous set consists of two equal times.
 
-    It makes the rule of a `pyomo.dae.Integral` return its integrand; see `integrand`.
+    With this block, the rule of a `pyomo.dae.Integral` sums a single trapezoid and returns its
+    integrand; see `integrand`.
     """
 
     def __init__(self, block: Any, continuous_set: Any, symbol: TimeSymbol | Instant) -> None:
@@ -351,8 +352,7 @@ class Slot:
     def scaled(self, magnitudes: Mapping[str, float]) -> Slot:
         """Return the variable with its magnitude (for scaling) from a mapping of magnitudes.
 
-        The mapping is searched for the name of the variable, then for that of its component.
-
+        The mapping is searched for the name of the variable, then for the name of its component.
         The magnitude is None if the mapping has neither name.
         """
         return replace(self, nominal=magnitudes.get(self.name, magnitudes.get(self.component)))
@@ -589,7 +589,7 @@ class SymbolTable:
         return self._signal(data, address)
 
     def _refuse_other_horizon(self, data: Any) -> None:
-        """Raise an error for a value over another continuous set in a component over this one."""
+        """Raise an error if a component over this horizon uses a value of another horizon."""
         other = self._copy.other_of(data.parent_component()) if self._copy.others else None
         if other is not None:
             raise TranscriptionError(

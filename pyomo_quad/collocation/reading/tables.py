@@ -20,10 +20,13 @@ if TYPE_CHECKING:
 
     from pyomo_quad.collocation.mesh import FloatArray
 
+# Degrees of the splines through a table, and through the samples of a function.
 _CUBIC, _QUINTIC = 3, 5
 # Numbers of samples along each axis, tried in turn, by number of arguments, for a function that can
 # only be called with numbers.
 _SAMPLES = {1: (17, 33, 65, 129, 257), 2: (9, 17, 33, 65)}
+# Largest accepted difference of a function from its spline, relative to the largest sample, and the
+# number of random points at which the two are compared.
 _ACCURACY = 1e-7
 _COMPARED = 40
 # Points at which a function of symbols is checked against the function of numbers.
@@ -108,14 +111,15 @@ def _going_on(at: FloatArray, values: FloatArray, degree: int) -> tuple[FloatArr
 
     A knot of multiplicity degree - 1 at the first and last data point keeps value and slope
     continuous there, and permits the linear continuation. The spline is determined by its values at
-    the averages of its knots: those of the interpolating spline inside the range of the data, and
-    those of the straight continuation outside.
+    the averages of its knots. Inside the range of the data, these values are taken from the
+    interpolating spline; outside, from the tangent of that spline at the nearest data point.
 
     Parameters
     ----------
     at : ndarray, shape (n,)
         Data points along the first axis.
     values : ndarray, shape (n, ...)
+        Values at the data points; all further axes are interpolated alike.
     degree : int
     """
     from scipy.interpolate import make_interp_spline  # noqa: PLC0415  few models have tables
@@ -146,10 +150,10 @@ class Table(PythonCallbackFunction):
     Parameters
     ----------
     *grid : array_like
-        The points of each argument, rising, at least four; last the values, with one axis per
-        argument.
+        First one array of points per argument, with at least four rising points each; last the
+        array of values, with one axis per argument.
     units, arg_units : optional
-        Pyomo units of value and arguments.
+        Pyomo unit of the values, and tuple of the units of the arguments; dimensionless by default.
 
     Raises
     ------

@@ -49,7 +49,7 @@ class Instance:
     jumps : tuple of float
         Fractions of the horizon at which a time-dependent parameter may jump.
     left_out : frozenset of str
-        Names of conditions that are not imposed because they follow from others.
+        Names of conditions that are not imposed because they follow from other equations.
     """
 
     parameters: FloatArray
@@ -84,7 +84,7 @@ class ModelValues:
     Parameters
     ----------
     source : LiveModel or ModelSnapshot
-        The Pyomo model, or the values kept of it in a pickle.
+        The Pyomo model, or the values that a pickle keeps.
     declared : Declarations
     """
 
@@ -109,7 +109,7 @@ class ModelValues:
         Parameters
         ----------
         overrides : mapping, optional
-            Values that replace those in the model, by component or full name.
+            Values that replace the values in the model, by component or full name.
         horizon : (float, float), optional
             Start and end of the horizon, which may be parameters; by default as declared.
 
@@ -169,8 +169,8 @@ class ModelValues:
         Raises
         ------
         TranscriptionError
-            If a parameter over time has neither a rule nor an override. Raised by the function, if
-            a rule returns a form that was not compiled.
+            If a parameter over time has neither a rule nor an override. The returned function
+            raises the same exception if a rule returns a form that was not compiled.
         """
         start, end = self._rule_horizon(instance.horizon)
         found = self._signal_functions(instance.overrides)
@@ -206,8 +206,9 @@ class ModelValues:
     def _rule_horizon(self, horizon: tuple[float, float]) -> tuple[float, float]:
         """Return the horizon at which rules are called.
 
-        It is the declared horizon if any time is free, because a rule knows declared times only;
-        else the horizon of the solve. The widest horizon so far is recorded for a pickle.
+        If any time is free, this is the declared horizon, because a rule is written in declared
+        times. Otherwise it is the horizon of the solve. The widest horizon that was requested is
+        recorded, so that a pickle covers it.
         """
         found = self.declared_horizon if self._declared.clock.is_free else horizon
         self._widest = min(self._widest[0], found[0]), max(self._widest[1], found[1])
@@ -291,7 +292,7 @@ class ModelValues:
     def load(self, slot: Slot, fraction: float | None, number: float) -> None:
         """Set the model's variable to a solved value, unless a user fixed the variable there.
 
-        `fraction` is that of a declared time, None for a static variable.
+        `fraction` is a declared time as a fraction of the horizon, None for a static variable.
         """
         time = None
         if fraction is not None:
@@ -312,7 +313,7 @@ class ModelValues:
     def snapshot(self) -> ModelSnapshot:
         """Return the model's present values for a pickle.
 
-        Functions of time cover the widest horizon requested so far.
+        Functions of time are stored for the widest horizon that any solve has requested.
         """
         return self._source.snapshot(self._declared, self._widest)
 

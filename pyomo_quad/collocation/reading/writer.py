@@ -79,8 +79,8 @@ class ExpressionWriter:
     leaf : callable
         Takes a Pyomo variable or mutable parameter (data object) and returns its symbol.
     named : callable, optional
-        Takes a named expression and returns its replacement: a CasADi symbol, another Pyomo
-        expression, or None to keep its own expression.
+        Takes a named Pyomo expression and returns its replacement: a CasADi symbol or another Pyomo
+        expression. None keeps the named expression itself.
 
     Notes
     -----
@@ -194,8 +194,8 @@ class ExpressionWriter:
 def same_expression(first: Any, second: Any) -> bool:
     """Return whether two CasADi expressions are the same function of the same symbols.
 
-    Constants may have been folded in one of them, so expressions whose trees differ are compared by
-    their values at a few points.
+    Expressions whose trees differ are compared by their values at a few points, because CasADi may
+    have simplified the constants of only one of the two.
     """
     first, second = casadi.SX(first), casadi.SX(second)
     if casadi.is_equal(first, second, 1_000_000):
@@ -222,8 +222,8 @@ class TemplateWriter:
     """Translator of a model's components to CasADi expressions, for all times.
 
     The components are those of a working copy, a clone of the user's model with an additional time,
-    the template time; equations there serve for all times. Each named expression and integral is
-    translated once.
+    the template time. An equation at the template time serves for all times. Each named expression
+    and integral is translated once.
 
     Parameters
     ----------
@@ -267,7 +267,7 @@ class TemplateWriter:
         ----------
         expression : Pyomo expression or number
         owner : str
-            Name of the component that contains it, for messages.
+            Name of the component that contains the expression, for messages.
         over_time : bool, default False
             Whether the expression belongs to an equation over time, in which values at single times
             are refused.
@@ -285,7 +285,9 @@ class TemplateWriter:
     def path_equation(
         self, component: Any, index: tuple[Any, ...], instance: Any
     ) -> PathEquation | None:
-        """Return a constraint's path equation, None if its rule imposes it at no interior time.
+        """Return a constraint over time as a path equation.
+
+        The result is None if the constraint's rule skips every interior time.
 
         Parameters
         ----------
@@ -337,18 +339,24 @@ class TemplateWriter:
         )
 
     def changed_bounds(self, slot: Slot) -> tuple[Any, Any] | None:
-        """Return the bounds that a user assigned to a variable after its declaration, or None.
+        """Return the bounds for all times that a user assigned after a variable's declaration.
 
-        Equal bounds at every declared time are meant for all times. The result is None if at some
-        declared time the bounds are as declared, and for a state without fixed values whose bounds
-        differ from time to time, because they are meant for these times alone.
+        A user may assign bounds to a variable's members at the declared times. If the assigned
+        bounds are equal at every declared time, they apply at all times, and are returned.
+
+        Returns
+        -------
+        (lower, upper) or None
+            None if the bounds are as declared at one or more declared times. Also None for a state
+            without fixed values whose bounds differ between the declared times: they apply at these
+            times only.
 
         Raises
         ------
         TranscriptionError
-            If the bounds were changed at every declared time and their meaning between these times
-            is ambiguous: equal bounds of a state without fixed values, which may be meant for these
-            times alone, and different bounds of any other variable.
+            If the bounds were changed at every declared time, and it is unclear whether they apply
+            between these times: equal bounds of a state without fixed values, or different bounds
+            of any other variable.
         """
         members = [self._member(slot, time) for time in self.copy.declared_times]
         if any(m.bounds == self.declared_bounds(m) for m in members):
@@ -553,7 +561,7 @@ class TemplateWriter:
         return symbol
 
     def named(self, expression: Any) -> Any:
-        """Return the replacement of a named expression, None to keep the expression itself.
+        """Return what replaces a named Pyomo expression; None keeps the expression itself.
 
         Integrals are replaced by their symbols, and expressions over time by the result of their
         rules.

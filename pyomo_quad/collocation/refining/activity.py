@@ -99,11 +99,13 @@ def active_limits(solution: Solution) -> NDArray[np.bool_]:
 
 
 def kinks(solution: Solution) -> FloatArray:
-    """Return the times at which limits on algebraic variables become active or inactive by a kink.
+    """Return the times at which an algebraic variable reaches or leaves a limit with a kink.
 
-    Between two points where the activity changes, the slack on the free side falls to zero. It is
-    extrapolated from three points. A variable that jumps leaves a large slack instead, or one that
-    does not reach zero between the two points.
+    At a kink the variable is continuous and its slope jumps. The limit is active at one collocation
+    point and inactive at the next. The slack (distance to the limit) is extrapolated from three
+    points on the inactive side, and the kink is where it reaches zero between the two points. If
+    the variable jumps instead, the slack is still large, or does not reach zero between the points;
+    such a place is left out.
 
     Returns
     -------
@@ -129,7 +131,8 @@ def kinks(solution: Solution) -> FloatArray:
 def _zero(times: FloatArray, values: FloatArray) -> float:
     """Return the time at which a function reaches zero, by inverse interpolation.
 
-    NaN unless its samples `values` at `times` increase with the distance from the zero.
+    `values` are samples of the function at `times`. The result is NaN unless the samples increase
+    with the distance from the zero.
     """
     if not np.all(np.diff(values) > 0.0):
         return math.nan

@@ -1,7 +1,7 @@
-"""Damping of controls that enter linearly, towards the smoothed controls of the last solution.
+"""Damping of controls that enter linearly, towards the smoothed controls of the previous mesh.
 
-On such controls the objective hardly depends, so that without damping they chatter and change from
-mesh to mesh. See docs/theory/refinement.md, eq. (9).
+The objective hardly depends on controls that enter linearly. Without damping they chatter, and
+change from mesh to mesh. See docs/theory/refinement.md, eq. (9).
 """
 
 from __future__ import annotations
@@ -36,17 +36,18 @@ class Damping:
     Attributes
     ----------
     solution : Solution
-        Solution on the last mesh.
+        Solution on the previous mesh.
     controls : ndarray of int, shape (n_controls,)
         Positions of the damped controls among the algebraic variables.
     prices : ndarray, shape (n_controls,)
         Penalty per unit of mean square distance over the horizon, for each control.
     gap : float
         Complementarity gap that the barrier is to leave, in the unit of the objective; zero for the
-        least that Ipopt reaches.
+        smallest gap that Ipopt reaches.
     is_still : bool
-        Whether the objective hardly changes from mesh to mesh any more; the penalty then draws the
-        controls to their own values, smoothed within each element.
+        Whether the objective hardly changes from mesh to mesh any more. The controls are then
+        damped towards the previous controls smoothed within each element, instead of towards the
+        straight lines between element means.
     """
 
     solution: Solution
@@ -57,15 +58,16 @@ class Damping:
 
     @property
     def way(self) -> Way:
-        """Expected distance of the next mesh's solution from the last one, as a `Way`."""
+        """Expected distance between the solutions on the previous and on the next mesh."""
         if self.is_still:
             return Way.NONE
         return Way.FAR if self.solution.error_estimate >= _FAR else Way.SHORT
 
     def firmer(self, factor: float, gap: float) -> Damping:
-        """Return the damping with `factor` times the penalties, towards the controls' own values.
+        """Return the damping with penalties that are larger by `factor`.
 
-        The complementarity gap becomes at least `gap` times the objective's reference magnitude.
+        The controls are damped towards the previous controls smoothed within each element. The
+        complementarity gap becomes at least `gap` times the objective's reference magnitude.
         """
         gap = max(gap * self.solution.nominal_objective, self.gap)
         return replace(self, prices=factor * self.prices, gap=gap, is_still=True)
@@ -141,14 +143,16 @@ def damping_of(
     Parameters
     ----------
     solution : Solution
-        Solution on the last mesh.
+        Solution on the previous mesh.
     weight : float
-        Penalty, as a fraction of the objective, for a control that is a whole range away.
+        Penalty, as a fraction of the objective, on a control that differs by its whole range from
+        the value towards which it is damped.
     gap : float, optional
         Complementarity gap, as a fraction of the objective, that the barrier is to leave.
     is_still : bool, optional
-        Whether the objective hardly changes from mesh to mesh any more; controls are then damped
-        toward their own smoothed values instead of the means over elements.
+        Whether the objective hardly changes from mesh to mesh any more. The controls are then
+        damped towards the previous controls smoothed within each element, instead of towards the
+        straight lines between element means.
 
     Returns
     -------

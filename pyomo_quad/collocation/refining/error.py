@@ -44,8 +44,8 @@ def final_misses(solution: Solution, errors: FloatArray) -> FloatArray:
     Returns
     -------
     ndarray, shape (n_elements, n_states)
-        To first order, relative to max(1, abs(final state)); zero if the equations do not determine
-        every rate.
+        Changes of the final states to first order, relative to max(1, abs(final state)). They are
+        zero if the equations do not determine every rate.
     """
     program, mesh = solution.program, solution.mesh
     variables = program.path_variables(solution.unknowns)
@@ -64,7 +64,8 @@ def final_misses(solution: Solution, errors: FloatArray) -> FloatArray:
 def _transition(solution: Solution, equations: Linearised, e: int) -> FloatArray:
     """Return the state transition matrix of an element, with the controls unchanged.
 
-    It is d (last state) / d (first state), shape (n_states, n_states).
+    The matrix is d (state at the end) / d (state at the start), shape (n_states, n_states). `e` is
+    the index of the element.
     """
     mesh = solution.mesh
     first, last = mesh.first_node[e], mesh.first_node[e + 1]
@@ -98,13 +99,14 @@ class Allowance:
     Attributes
     ----------
     control_breach : float
-        Violation of a control's bound between the collocation points, relative to max(1,
-        abs(bound)), above which the flown control is clipped. The effect of clipping on states and
-        objective counts as error; a smaller violation counts by the change of states that it
-        causes.
+        Largest violation of a control's bound between the collocation points that is flown as it
+        is, relative to max(1, abs(bound)). If the violation is larger, the control is clipped, and
+        the effect of clipping on states and objective counts as error. If it is smaller, the change
+        of states that it causes counts as error.
     limit_breach : float
-        Violation of any other limit, relative to max(1, abs(limit)), above which the violation
-        itself counts as error; a smaller violation counts by its effect on the objective.
+        Largest tolerable violation of any other limit, relative to max(1, abs(limit)). If the
+        violation is larger, the violation itself counts as error. If it is smaller, its effect on
+        the objective counts as error.
     final_miss : float
         Tolerance on the final states, relative to max(1, abs(final state)).
     """
@@ -149,9 +151,11 @@ class ErrorEstimate:
         Effect of the state errors on the final states, scaled so that the allowed miss equals the
         tolerance.
     gap : float
-        Complementarity gap that the barrier leaves, relative to the objective; no mesh reduces it.
+        Complementarity gap that the barrier leaves, relative to the objective; a finer mesh does
+        not reduce the gap.
     is_held : ndarray of bool, shape (n_elements,)
-        Whether a control is clipped to its limit in the element, a corner that no degree resolves.
+        Whether a control is clipped to its limit within the element. The clipped control has a
+        corner, which no polynomial degree resolves.
     """
 
     states: FloatArray
@@ -206,8 +210,10 @@ def estimate_error(
     ----------
     solution : Solution
     tolerance : float, optional
-        Error assigned to a final miss at the allowed limit. The costs of misplaced control switches
-        count only if all other errors are below it, so that coarse elements are refined first.
+        Tolerance with which the errors will be compared. An error in the final states that equals
+        its own limit (`Allowance.final_miss`) is given as this number. The costs of misplaced
+        control switches count only if all other errors are below the tolerance, so that coarse
+        elements are refined first.
     allowance : Allowance, optional
         Tolerances for flying the controls in open loop.
 
@@ -272,7 +278,7 @@ def _unit(solution: Solution) -> float:
 
 
 def _gap(solution: Solution) -> float:
-    """Return the complementarity gap left by Ipopt's barrier, relative to the objective's terms."""
+    """Return the complementarity gap of Ipopt's barrier, relative to the objective's magnitude."""
     program, z = solution.program, solution.unknowns
     least = min(_unit(solution), _LEAST_SIZE / solution.scaling.objective)
     size = max(program.objective_size(z), least)
@@ -305,9 +311,9 @@ class _Samples:
 
 @lru_cache(maxsize=64)
 def _panelled(degree: int) -> tuple[FloatArray, FloatArray]:
-    """Return Gauss points on panels of the unit element, with the element's end, and weights.
+    """Return Gauss points on panels of the unit element followed by the element's end, and weights.
 
-    The end gets the weight 0.
+    The quadrature weight of the element's end is 0.
     """
     points, weights = leggauss(degree + 1)
     inner = (np.arange(_PANELS)[:, None] + 0.5 * (1.0 + points)) / _PANELS
@@ -318,7 +324,8 @@ def _panelled(degree: int) -> tuple[FloatArray, FloatArray]:
 def densely_sampled(solution: Solution) -> _Samples:
     """Sample the path constraints densely, because they may be violated between collocation points.
 
-    The polynomials of an element may peak there; each element has 4 (degree + 1) + 1 samples.
+    Each element has 4 (degree + 1) + 1 samples, because its polynomials may have maxima between the
+    points.
     """
     (samples,) = _sampled(solution, _dense_places)
     return samples
@@ -340,12 +347,17 @@ def _panelled_places(degree: int) -> FloatArray:
 
 
 def state_errors_as_interpolated(solution: Solution) -> FloatArray:
-    """Return the errors of the states with all algebraic variables taken from their polynomials.
+    """Return the errors of the states if every algebraic variable follows its polynomial.
 
-    `estimate_error` computes an algebraic variable that an equation defines from that equation, as
-    r from f in ``x' = r``, ``f = r + r^3``. The equations may then be satisfied everywhere although
-    the polynomial of the variable differs from its optimal value. Shape (n_elements, n_states),
-    relative to the states' magnitudes.
+    If an equation defines an algebraic variable, `estimate_error` computes the variable from that
+    equation, for example r from f in ``x' = r``, ``f = r + r^3``. The equations may then be
+    satisfied everywhere although the polynomial of the variable differs from its optimal value.
+    This function takes the value of the polynomial instead.
+
+    Returns
+    -------
+    ndarray, shape (n_elements, n_states)
+        Errors relative to the states' magnitudes.
     """
     (finer,) = _sampled(solution, _finer_places, is_defined=False)
     slopes = rate_corrections(solution.program, finer.variables, finer.data, finer.rows)
@@ -482,7 +494,7 @@ def state_sizes(solution: Solution) -> FloatArray:
 def _objective_errors(solution: Solution, moved: list[FloatArray]) -> FloatArray:
     """Return the effect of each element's state errors on the objective, shape (n_elements,).
 
-    The changes of the states at the element's end are multiplied by the costates there.
+    The changes of the states at the element's end are multiplied by the costates at its end.
     """
     mesh = solution.mesh
     if not solution.problem.compiled.declared.states:
@@ -502,8 +514,8 @@ def _restraints(solution: Solution) -> FloatArray:
 def _of_all(shares: FloatArray) -> FloatArray:
     """Return the error of the whole horizon if all elements had the error of a given element.
 
-    That is its error times the number of elements, but at most the sum over all elements. `shares`
-    and the result have one entry per element.
+    The result for an element is its error times the number of elements, but at most the sum of the
+    errors of all elements. `shares` and the result have one entry per element.
     """
     return np.asarray(np.minimum(len(shares) * shares, shares.sum(axis=0)))
 
@@ -533,8 +545,8 @@ def _quadrature_errors(solution: Solution, samples: _Samples) -> FloatArray:
 def _integrands(program: Transcription, samples: _Samples) -> FloatArray:
     """Return the integrands at samples, shape (n_samples, n_integrals).
 
-    If an integrand is not finite there, variables are clipped to their limits, since it may be
-    undefined beyond them.
+    If an integrand is not finite at a sample, the variables are clipped to their limits, because
+    the integrand may be undefined outside them.
     """
     compiled, n = program.compiled, program.layout.n_states
     densities = samples.rows[:, compiled.n_equations :]
@@ -567,10 +579,10 @@ def _missed(solution: Solution, moved: list[FloatArray], weight: float) -> Float
 def _breaches(solution: Solution, samples: _Samples, allowance: Allowance) -> FloatArray:
     """Return the worst violation of equations and limits in each element, shape (n_elements,).
 
-    An equation counts by its relative residual. A control beyond its bound, or several controls
-    beyond a limit on them alone, count by the change of states within the element. Any other limit
-    counts by the effect on the objective, from its multipliers; if its violation is too large to be
-    flown, by the violation itself.
+    The measure of a violation depends on its kind. For an equation, it is the relative residual.
+    For a bound or limit on controls alone, it is the change of states that the violation causes
+    within the element. For any other limit, it is the effect on the objective, estimated from the
+    limit's multipliers. A violation that is too large to be flown (see `Allowance`) counts itself.
     """
     mesh = solution.mesh
     residuals, limits, controls = (
@@ -598,7 +610,8 @@ def violations(program: Transcription, samples: _Samples) -> tuple[FloatArray, .
     Returns
     -------
     tuple of three ndarray, shape (n_samples,)
-        Of algebraic equations, of limits with states or rates, and of limits on controls alone.
+        Violations of algebraic equations, of limits that involve states or rates, and of limits on
+        controls alone.
     """
     compiled, n = program.compiled, program.layout.n_states
     variables, data = samples.variables, samples.data

@@ -1,11 +1,12 @@
-"""Tests by Pontryagin's principle: better controls far from the present ones, and flat optima.
+"""Tests by Pontryagin's principle, for better controls far from the solution and for flat optima.
 
 Derivations: see docs/theory/refinement.md, eqs. (10) and (11).
 
 At the solution of a nonlinear program, small changes of a control gain nothing. If the Hamiltonian
-has two local minima this is not sufficient: a switch then stays where the first mesh put it, and no
-finer mesh reveals that; Pontryagin's principle does. The equations also do not show how well the
-optimum determines its states: on a singular arc the objective hardly depends on them.
+has two local minima, this does not make the control optimal: a switch between the minima stays
+where the first mesh put it. A finer mesh does not reveal the error, but Pontryagin's principle
+does. Small changes also do not show how well the optimum determines the states: on a singular arc
+the objective hardly depends on them.
 """
 
 from __future__ import annotations
@@ -42,9 +43,9 @@ _KEPT = 1e-9
 
 
 def improved_controls(solution: Solution, tolerance: float) -> Solution | None:
-    """Return a solution with the controls that minimise the Hamiltonian, if the gain suffices.
+    """Return a solution in which a control minimises the Hamiltonian, if the gain is large enough.
 
-    One control at a time is changed, at every point separately, with states and costates unchanged.
+    Each control is changed alone and at every point separately, with states and costates unchanged.
 
     Parameters
     ----------
@@ -100,7 +101,7 @@ def improved_controls(solution: Solution, tolerance: float) -> Solution | None:
 def _valleys(
     at: Callable[[FloatArray], FloatArray], lower: FloatArray, upper: FloatArray
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Yield values of a control to try at each point, each with the Hamiltonian there.
+    """Yield values of a control to try at each point, each with its value of the Hamiltonian.
 
     The values are a grid between the bounds, and the minima of parabolas through three neighbours.
 
@@ -131,8 +132,8 @@ def _hilly_controls(solution: Solution, lower: FloatArray, upper: FloatArray) ->
 
     Between two minima its curvature is negative. If a rate has a factor that depends on a control,
     the Lagrangian's curvature is inconclusive, and the control is included. `lower` and `upper` are
-    the bounds of the algebraic variables, shape (n_points, n_algebraics); the result holds
-    positions among these.
+    the bounds of the algebraic variables, shape (n_points, n_algebraics). The result holds the
+    positions of the controls among the algebraic variables.
     """
     program = solution.program
     free = _free_controls(program, lower, upper)
@@ -210,13 +211,14 @@ _LEAST_SLACK = 1e-100
 def state_error(
     solution: Solution, error: ErrorEstimate, before: Solution | None, change: float
 ) -> float:
-    """Estimate the distance of the states from the optimal ones, relative to their magnitudes.
+    """Estimate the distance of the states from the optimal states, relative to their magnitudes.
 
-    The errors of all elements are added. The mesh restricts where a limit can become active or
-    inactive; there the estimate includes the change since the last mesh, the violation of the
-    limit, and the possible effect of a jump within a one-point element that was cut for it. On a
-    singular arc only the objective determines the control, and the objective is flat about its
-    optimum.
+    The errors of all elements are added. Two further errors are considered. The mesh restricts the
+    times at which a limit can become active or inactive; the estimate therefore includes the change
+    of the states since the previous mesh, the violation of limits, and the possible effect of a
+    control's jump at another place within a one-point element that was cut around the jump. On a
+    singular arc only the objective determines the control; because the objective is flat about its
+    optimum, a small error of the objective allows a large error of the states.
 
     Parameters
     ----------
@@ -230,6 +232,7 @@ def state_error(
     Returns
     -------
     float
+        Estimated largest error of a state over the horizon, dimensionless.
     """
     moving = np.maximum(error.states, state_errors_as_interpolated(solution))
     own = max(error.largest, _UNSEEN * float(moving.sum(axis=0).max(initial=0.0)))
@@ -254,7 +257,7 @@ def state_error(
 
 
 def singular_order(solution: Solution) -> int:
-    """Return the order of a singular arc: 0 without one, 1, or 2 for higher orders too.
+    """Return the order of a singular arc: 0 if there is no such arc, 1, or 2 for any higher order.
 
     On a singular arc a control lies between its limits, and the Hamiltonian has no curvature in the
     control and in the variables that follow from it directly. The arc is of order 1 if the
@@ -308,10 +311,10 @@ def _barriers(solution: Solution) -> FloatArray:
 
 
 def _is_between(solution: Solution) -> NDArray[np.bool_]:
-    """Return for each collocation point whether a control may be singular there, (n_points,).
+    """Return whether a control may be singular at each collocation point, shape (n_points,).
 
-    No path inequality and no bound of a state may be active there, and the element has more than
-    one point.
+    A control may be singular at a point where no path inequality and no bound of a state is active,
+    in an element with more than one point.
     """
     layout = solution.program.layout
     states, algebraics = layout.n_states, layout.n_algebraics

@@ -42,6 +42,8 @@ _SETTLED = 0.5
 # first number, or if the objective has been settled for the second number of meshes. Their damping
 # is then increased by a factor, up to a limit; after the third number of meshes without a limit.
 _MANY_ITERATIONS, _MANY_SETTLED, _TOO_MANY_SETTLED = 30, 4, 8
+# Factor by which the damping is increased at once; its limit before the second number of meshes;
+# and its limit from then to the third number of meshes.
 _FIRMER, _FIRM, _FIRMEST = 5.0, 25.0, 125.0
 # Complementarity gap that the barrier then leaves: in units of the tolerance, and at most this
 # fraction of the objective.
@@ -115,11 +117,11 @@ class _Refinement(Generic[S]):
     start : Start
         Start of the next solve.
     before : tuple
-        The last solution on each horizon, None before the first.
+        The previous solution on each horizon; None before the first solve.
     records, tried : list
         One record per mesh, and the strategies that were tried.
     dampings : tuple
-        Damping of the controls for each horizon, None without.
+        Damping of the controls for each horizon; None for a horizon without damping.
     firmness : float
         Factor on the strength of the damping.
     settled : int
@@ -127,7 +129,7 @@ class _Refinement(Generic[S]):
     restarts : int
         Number of restarts by Pontryagin's principle.
     reached : _Reached, optional
-        The solution within tolerance before the last restart.
+        The solution within tolerance before the most recent restart.
     """
 
     solve: Callable[..., S]
@@ -150,7 +152,7 @@ class _Refinement(Generic[S]):
         self.dampings = (None,) * len(self.meshes)
 
     def with_next_meshes(self) -> S | None:
-        """Solve on the next meshes; return the refinement's result if it ends, None to continue."""
+        """Solve on the next meshes; return the result if the refinement ends, None to continue."""
         solution, errors, has_failed = self._solved()
         if solution.status is not Status.CONVERGED:
             return _lost(solution, self.reached, self.tolerance) if has_failed else solution
@@ -197,10 +199,11 @@ class _Refinement(Generic[S]):
     def _restarted(self, met: S) -> S | None:
         """Restart the refinement if Pontryagin's principle shows better controls.
 
-        The result is None after a restart, else the solution within tolerance, `met`, or the better
-        one from the last restart. A restart with a gain below the tolerance is the last: the
-        Hamiltonian of a singular control is so flat that rounding alone would produce lower values
-        again and again.
+        `met` is the solution within tolerance on the present meshes. The result is None if the
+        refinement was restarted. Otherwise it is the final solution: `met`, or the solution before
+        the previous restart if that is better. No further restart follows one whose gain was below
+        the tolerance, because the Hamiltonian of a singular control is so flat that rounding alone
+        would produce lower values again and again.
         """
         if self.reached is not None and self.reached.gain(met) <= self.tolerance:
             return self.reached.better(met)
@@ -257,10 +260,11 @@ class _Refinement(Generic[S]):
         return tuple(damping_of(part, weight, **how) for part in parts)
 
     def _measured(self, solved: S) -> tuple[S, tuple[ErrorEstimate, ...]]:
-        """Return a solution and its errors; reduce the barrier's gap first if it limits the errors.
+        """Return a solution and its errors, after reducing the complementarity gap if it dominates.
 
-        Damped solves leave a complementarity gap on purpose, and the next mesh has a smaller one.
-        Such a gap is reduced on the present mesh only if all other errors meet the tolerance.
+        A solve with damping leaves a complementarity gap on purpose, and the solve on the next mesh
+        leaves a smaller gap. On the present mesh the gap is therefore reduced only if all other
+        errors meet the tolerance.
         """
         errors = self._errors(solved)
         is_left = any(d is not None and d.gap > 0.0 for d in self.dampings)
@@ -273,7 +277,8 @@ class _Refinement(Generic[S]):
     def _errors(self, solution: Outcome) -> tuple[ErrorEstimate, ...]:
         """Return the error estimate on each horizon.
 
-        With several horizons the complementarity gap, which belongs to all, is set to 0.
+        With several horizons the complementarity gap is set to 0, because it belongs to all
+        horizons together.
         """
         how: dict[str, Any] = {"tolerance": self.tolerance, "allowance": self.options.allowance}
         errors = tuple(estimate_error(part, **how) for part in solution.parts)
@@ -295,8 +300,8 @@ class _Refinement(Generic[S]):
     ) -> tuple[Mesh, ...] | None:
         """Return the next meshes, or None if the tolerance is met.
 
-        If controls are damped (penalised for their distance from those of the last mesh), the
-        meshes may be unchanged as long as the objective still changes.
+        If controls are damped (penalised for their distance from the controls of the previous
+        mesh), the meshes may stay the same as long as the objective still changes.
         """
         parts = solution.parts
         junctions = [junction_elements(part) for part in parts]
@@ -318,7 +323,7 @@ class _Refinement(Generic[S]):
         return None if is_same and is_met and not is_damped else tuple(finer)
 
     def _has_settled(self, solution: Outcome) -> bool:
-        """Return whether the objective changed by less than half the tolerance on the last mesh."""
+        """Return whether the last change of the objective is less than half the tolerance."""
         return _objective_change(solution.parts[0], self.tolerance) <= _SETTLED * self.tolerance
 
     def _given_up(self, solution: S, error: float) -> S:
@@ -352,7 +357,7 @@ class _Refinement(Generic[S]):
     def _expected_change(self) -> float | None:
         """Return the last change of the objective, in its unit, as a bound on the next change.
 
-        The result is None if unknown.
+        The result is None if the change is unknown.
         """
         last = self.before[0]
         if last is None:
@@ -376,7 +381,7 @@ class _Refinement(Generic[S]):
 def _firmer(firmness: float, settled: int) -> float:
     """Return the next factor on the damping (penalty) of the controls.
 
-    It grows with the number `settled` of meshes on which the objective hardly changed.
+    The factor grows with `settled`, the number of meshes on which the objective hardly changed.
     """
     most = _FIRMEST if settled >= _MANY_SETTLED else _FIRM
     most = math.inf if settled >= _TOO_MANY_SETTLED else most
@@ -393,9 +398,9 @@ class _MeshSolve(Search[S], Generic[S]):
         See `refine`.
     meshes : tuple of Mesh
     start : Start
-        Warm start from the last meshes, with the caller's guess.
+        Warm start from the previous meshes, with the caller's guess.
     dampings : tuple
-        Damping of the controls for each horizon, None without.
+        Damping of the controls for each horizon; None for a horizon without damping.
     change : float or None
         Expected change of the objective.
     gap : float
@@ -431,9 +436,9 @@ class _MeshSolve(Search[S], Generic[S]):
 
 
 def _sharper(dampings: tuple[Damping | None, ...], tolerance: float) -> tuple[Damping | None, ...]:
-    """Return the dampings of the controls with a smaller complementarity gap for the barrier.
+    """Return the dampings with a smaller complementarity gap, which is a fraction of the tolerance.
 
-    The gap is reduced to a fraction of the tolerance.
+    There is one damping for each horizon; None for a horizon without damping.
     """
     least = _LEAST_INEXACT * tolerance
     return tuple(
@@ -442,7 +447,7 @@ def _sharper(dampings: tuple[Damping | None, ...], tolerance: float) -> tuple[Da
 
 
 def _are_damped(dampings: tuple[Damping | None, ...]) -> bool:
-    """Return whether any controls are damped (penalised for changes from the last mesh)."""
+    """Return whether any controls are damped (penalised for changes from the previous mesh)."""
     return any(damping is not None and damping.controls.size > 0 for damping in dampings)
 
 
@@ -451,8 +456,9 @@ def _is_held_by_the_barrier(
 ) -> bool:
     """Return whether Ipopt's barrier, not the mesh, limits the accuracy of a solution.
 
-    It does if the complementarity gap exceeds the tolerance, and the error of no element exceeds
-    `fine`; or if the scaled objective is so small that Ipopt's convergence test does not see it.
+    There are two cases. Either the complementarity gap exceeds the tolerance while the error of
+    every element is at most `fine`; or the scaled objective is so small that it has no influence on
+    Ipopt's convergence test.
     """
     (part,), (error,) = solution.parts, errors
     counted = replace(error, switches=0.0 * error.switches, costs=0.0 * error.costs)
@@ -472,10 +478,11 @@ class _Reached(Generic[S]):
     solution : Outcome
         The solution before the restart.
     shown : float, optional
-        Lower bound on the gain that the restart has shown, relative to the objective: the largest
-        gain of its solutions less their own errors; None before the first of them.
+        Gain of the restart that is certain, relative to the objective: the largest value, over the
+        solutions found since the restart, of gain minus estimated error. None before the first of
+        these solutions.
     earned : float
-        Gain of `solution` over the solution before it, relative to the objective.
+        Gain of `solution` over the solution before the previous restart, relative to the objective.
     """
 
     solution: S
@@ -490,12 +497,12 @@ class _Reached(Generic[S]):
         return (-earned if is_maximised else earned) / first.nominal_objective
 
     def compare(self, other: S, error: float) -> None:
-        """Record by how much a solution after the restart is better, less its error."""
+        """Record the gain of a solution found after the restart, minus the solution's error."""
         shown = self.gain(other) - error
         self.shown = shown if self.shown is None else max(self.shown, shown)
 
     def better(self, other: S) -> S:
-        """Return the better of two solutions: that before the restart, or another."""
+        """Return the better of two solutions: the solution before the restart, or `other`."""
         if self.gain(other) >= 0.0:
             return other
         return self.solution.updated(history=other.parts[0].history)
@@ -554,9 +561,10 @@ def _objective_change(solution: Solution, tolerance: float) -> float:
 
 
 def _is_lost(records: Sequence[MeshRecord]) -> bool:
-    """Return whether refinement should stop because the last two solves were long and in vain.
+    """Return whether refinement should stop because the last two solves gained too little.
 
-    Both took more than 150 iterations, and the second left more than half of the error.
+    This is the case if both solves took more than 150 iterations, and the error of the second is
+    more than half the error of the first.
     """
     if len(records) < 3:
         return False
@@ -566,7 +574,7 @@ def _is_lost(records: Sequence[MeshRecord]) -> bool:
 
 
 def _most_moved(solution: Outcome, before: tuple[Solution | None, ...]) -> str:
-    """Return a phrase on the control that changed most from the last mesh to this one.
+    """Return a phrase on the control that changed most between the previous mesh and this mesh.
 
     The phrase gives the control's name, the time and the change; "" if there is no control.
     """

@@ -44,13 +44,14 @@ class RefinementOptions:
     allowance : Allowance
         Tolerances for flying the controls in open loop.
     damping : float
-        Strength of the penalty on controls that enter linearly, for their distance from the
-        controls on the last mesh. For a distance of a control's whole range, the penalty is
-        `damping` times the tolerance times the objective.
+        Strength of the penalty on the distance between the controls and the controls on the
+        previous mesh. Only controls that enter linearly are penalised. If a control differs by its
+        whole range, the penalty is `damping` times the tolerance times the objective.
     limits_move : bool
-        For problems in which many limits become active and inactive. Most such junctions have no
-        cost, so elements are split for them only after all other errors meet the tolerance, and the
-        complementarity gap is reduced only as far as the last mesh's error.
+        Whether many limits become active and inactive along the trajectory. Most of these junctions
+        hardly affect the objective. Elements are then split at junctions only after all other
+        errors meet the tolerance, and the complementarity gap is reduced only as far as the error
+        on the previous mesh.
     on_mesh : callable, optional
         Called with the solution on each finished mesh, its error estimate and history included. If
         it returns False, the refinement ends with the status interrupted, and with the solution on
@@ -72,7 +73,10 @@ class RefinementOptions:
 
     @property
     def breach_between_points(self) -> float:
-        """Allowed relative violation of bounds between points, infinite if not imposed there."""
+        """Allowed relative violation of bounds between collocation points.
+
+        Infinite if the bounds are not imposed between the points.
+        """
         allowed = min(self.allowance.control_breach, self.allowance.limit_breach)
         return 0.5 * allowed if self.limits_move and allowed > 0.0 else math.inf
 
@@ -84,6 +88,7 @@ class RefinementOptions:
 
 # Errors are predicted from a fit, so the target is below the tolerance; elements are merged or
 # lowered in degree only if they are predicted to meet the tolerance by a wide margin.
+# Both numbers are fractions of the tolerance: the target, and the error below which elements merge.
 _AIM = 0.3
 _MARGIN = 1e-2
 # Elements are merged on the first meshes only, so that merging and splitting cannot alternate.
@@ -92,9 +97,11 @@ _MERGING_MESHES = 8
 # element; a constant cannot exceed a limit between the points.
 _CHASING_MESHES, _CONSTANT_PARTS = 12, 8
 # Corners are resolved by small elements; a high degree does not help there.
+# Number and highest degree of the parts into which an element with a corner is split.
 _CORNER_PARTS = 3
-_MOST_PARTS = 4
 _CORNER_DEGREE = 4
+# Largest number of parts into which any other element is split at once.
+_MOST_PARTS = 4
 # Highest degree of parts in which a limit on states becomes active or inactive; a higher degree
 # does not help there either.
 _TOUCHING_DEGREE = 6
@@ -117,7 +124,8 @@ class _Piece:
         Right end as a fraction of the horizon.
     degree : int
     error : float
-        Error of the element it was made from, or predicted error of a merged element.
+        Error of the element of the present mesh from which this element was made; for a merged
+        element, the predicted error.
     is_changed : bool
         Whether the element was refined; only unchanged elements are merged.
     """
@@ -130,9 +138,17 @@ class _Piece:
 
 @dataclass(frozen=True, kw_only=True)
 class Marks:
-    """Indices of elements to refine (`coarse`), and of elements that must keep their degree.
+    """Marks on elements, by index, that control the next mesh of a refinement.
 
-    `are_kinked` tells that controls meet their limits at kinks, because none enters linearly.
+    Attributes
+    ----------
+    coarse : frozenset of int
+        Elements to refine.
+    kept : frozenset of int
+        Elements that must keep their degree.
+    are_kinked : bool
+        Whether controls reach their limits with kinks instead of jumps. This holds if no control
+        enters linearly.
     """
 
     coarse: frozenset[int]
@@ -238,7 +254,9 @@ def _lowered(
 
 
 def _switches(solution: Solution, marks: Marks) -> dict[int, float]:
-    """Return the switches to isolate, by element: the only kink of a control, or else its jump.
+    """Return the times of the control switches to be isolated in small elements, by element.
+
+    A switch is a kink of a control, if the element has exactly one; otherwise a jump of a control.
 
     Parameters
     ----------
@@ -248,7 +266,8 @@ def _switches(solution: Solution, marks: Marks) -> dict[int, float]:
     Returns
     -------
     dict
-        Time of the switch as a fraction of the horizon, for each coarse element with one.
+        For each element of `marks.coarse` that has a switch, by index: the time of the switch as a
+        fraction of the horizon.
     """
     ends, found = np.asarray(solution.mesh.breakpoints)[1:], {}
     times = kinks(solution) if marks.are_kinked else np.zeros(0)
@@ -262,12 +281,12 @@ def _switches(solution: Solution, marks: Marks) -> dict[int, float]:
 
 
 def _isolated(mesh: Mesh, e: int, jump: float, size: float) -> list[_Piece]:
-    """Split an element around a jump or kink of a control: before it, a sliver with it, the rest.
+    """Split an element around a jump or kink of a control into three: before, sliver, and after.
 
-    In the sliver, a narrow element of degree 1, the control is constant, so it cannot exceed limits
-    that it satisfies at its only point, and the sliver's state error decreases with its width
-    squared. If an adjacent sliver, cut for the same jump, did not contain all of it, the element is
-    split into thirds.
+    The sliver is a narrow element of degree 1. The control is constant in the sliver, so that it
+    satisfies its limits everywhere if it does so at the only point, and the error of the states
+    decreases with the square of the sliver's width. If an adjacent sliver was cut for the same jump
+    and does not contain all of the jump, the element is split into thirds instead.
 
     Parameters
     ----------

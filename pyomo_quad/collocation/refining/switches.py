@@ -30,7 +30,7 @@ def misplaced_switches(solution: Solution) -> FloatArray:
     (Weierstrass and Erdmann). A mesh determines the element of the switch but not its place inside:
     the polynomials, or the single point of a sliver (a narrow element cut around a switch), put the
     switch anywhere in the width w. Neither the equations between the points nor a comparison with
-    the last mesh, which may have had the same sliver, determine the place. The jump of the
+    the previous mesh, which may have had the same sliver, determine the place. The jump of the
     Hamiltonian decreases towards the optimal switch, which is at most w away, so that J is too
     large by at most |H- - H+| w.
 
