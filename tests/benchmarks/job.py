@@ -155,13 +155,12 @@ def replanning(file, told):
     from pyomo_quad.flight.replanning import fly_replanned
     from pyomo_quad.scenario.tables import Knowledge
 
-    planner, scenario = Planner(), scenario_of(file, told)
-    given, known = {}, inspect.signature(fly_replanned).parameters
-    if "dynamics" in known:
+    # The seconds of the plan before take-off are not counted; it settles the passing times.
+    planner = Planner()
+    plan = planner.solve(scenario_of(file, told))
+    scenario, given = plan.mission_flown, {"plan": plan}
+    if "dynamics" in inspect.signature(fly_replanned).parameters:
         given["dynamics"] = planner.dynamics(scenario)
-    if "plan" in known:
-        # Its seconds are not counted; a mission of waypoints or zones cannot be flown without it.
-        given["plan"] = planner.solve(scenario)
     flight = fly_replanned(scenario, Knowledge.ESTIMATED, planner=planner, **given)
     spent = [solve.solve_s for solve in flight.resolves]
     failed = sum(not solve.is_converged for solve in flight.resolves)

@@ -26,7 +26,10 @@ from tests.benchmarks.report import FOLDER, Table
 TITLE = "Jobs, by an older commit and by this one"
 ABOUT = (
     "The same job by two checkouts, in processes of their own, one right after the other in one "
-    "run; a dash stands for a job that the run did not come to. Processor seconds of "
+    "run; a dash stands for a job that the run did not come to, inf for a failed or ended one. Other "
+    "programs used the machine meanwhile, which shows in the seconds of the clock most: the "
+    "stranger's delivery, of which the median stands here, took 117 s and alone 48 s. Its runs were "
+    "ended after 150 s for the older checkout and after 200 s at `standard`. Processor seconds of "
     "one thread from a scenario to its verified plan, without imports, the median of some runs; of "
     "a run, the clock on the wall from the start of the process to its end. `usable` asks for "
     "accuracy quick, `standard` for standard and `proof` for proof; an older checkout that knows "
