@@ -26,17 +26,17 @@ from tests.benchmarks.report import FOLDER, Table
 TITLE = "Jobs, by an older commit and by this one"
 ABOUT = (
     "The same job by two checkouts, in processes of their own, one right after the other in one "
-    "run; a dash stands for a job that the run did not come to, inf for a failed or ended one. Other "
-    "programs used the machine meanwhile, which shows in the seconds of the clock most: the "
-    "stranger's delivery, of which the median stands here, took 117 s and alone 48 s. Its runs were "
-    "ended after 150 s for the older checkout and after 200 s at `standard`. Processor seconds of "
-    "one thread from a scenario to its verified plan, without imports, the median of some runs; of "
-    "a run, the clock on the wall from the start of the process to its end. `usable` asks for "
-    "accuracy quick, `standard` for standard and `proof` for proof; an older checkout that knows "
-    "no accuracies is asked for its tolerance by default, 1e-6. The random missions are the first "
-    "of seed 2026 of the benchmark `robustness`, their seconds those of the median mission. Of the "
-    "second table, flights are SciPy's integrations, and the rest is mostly building, compiling "
-    "and the errors of meshes."
+    "run; a dash stands for a job that the run did not come to, inf for a failed or ended one. "
+    "Other programs used the machine meanwhile, which shows in the seconds of the clock most: the "
+    "stranger's delivery, of which the median stands here, took 117 s and alone 48 s. Its runs "
+    "were ended after 150 s for the older checkout and after 200 s at `standard`. Processor "
+    "seconds of one thread from a scenario to its verified plan, without imports, the median of "
+    "some runs; of a run, the clock on the wall from the start of the process to its end. `usable`"
+    " asks for accuracy quick, `standard` for standard and `proof` for proof; an older checkout "
+    "that knows no accuracies is asked for its tolerance by default, 1e-6. The random missions are"
+    " the first of seed 2026 of the benchmark `robustness`, their seconds those of the median "
+    "mission. Of the second table, flights are SciPy's integrations, and the rest is mostly "
+    "building, compiling and the errors of meshes."
 )
 ROOT = Path(__file__).parents[2]
 SCRIPT = Path(__file__).with_name("job.py")
