@@ -650,8 +650,10 @@ def se3_law(plant: OutsidePlant, path: ReferencePath, *, stiffness: float = 1.0)
 def _open_loop(plan: Plan, plant: OutsidePlant) -> tuple[OutsideLaw, list[float]]:
     """Return the plan's controls as a control law, and the boundaries of its mesh elements [s].
 
-    If the motors get a constant command for each control period (`Habits.command_rate_hz`), it is
-    the planned rotor speed, independent of the actual rotor speed.
+    The law returns the planned rotor accelerations. If the motors of the simulator receive
+    rotor-speed commands at a fixed rate (`Habits.command_rate_hz` is given), the law adds the
+    acceleration that removes the difference between planned and actual rotor speed, so that the
+    command equals the planned rotor speed.
     """
     held, rotors = plan.trajectories, rotor_columns(plant.dynamics)
     start, end = held.horizon

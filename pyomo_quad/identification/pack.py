@@ -197,7 +197,9 @@ class Record:
         return part
 
     def after_reading(self, rows: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Select the rows after the first seconds under load, which determine the resistance.
+        """Select the rows that follow the first seconds under load.
+
+        The first seconds under load determine the pack's resistance, so these rows are left out.
 
         Parameters
         ----------

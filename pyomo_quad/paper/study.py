@@ -118,8 +118,9 @@ class PaperStudy:
     packs : tuple of PackFacts
         Energy and power of the batteries.
     floors : dict
-        Bounds on the rotor acceleration [rad/s²] and least energies of any flight [J], for each
-        interpretation of the efficiency f_r.
+        For each interpretation of the efficiency f_r, an array with two columns: a bound on the
+        rotor acceleration [rad/s²], and the least energy [J] that any flight within this bound can
+        take.
     critical_acceleration, critical_speed : float
         Rotor acceleration [rad/s²] and speed [rad/s] at which f_r first reaches zero.
     efficiency_map : EfficiencyMap

@@ -242,8 +242,9 @@ class Sweep:
     def _forget_descendants(self, case: Case) -> list[str]:
         """Invalidate the results of a case's descendants if an earlier run lost the case.
 
-        A case's children start from its solution; descendants are also their children. When a case
-        is lost because its worker died, its children start from the solution of its parent instead.
+        The children of a case are the cases whose solves start from its solution; its descendants
+        are its children, the children of these, and so on. When a case is lost because its worker
+        process died, its children start from the solution of its parent instead.
         Now that the case is solved, its descendants are solved again, so that all rows equal those
         of a sweep in which no worker died.
 

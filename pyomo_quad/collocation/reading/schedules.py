@@ -123,7 +123,8 @@ class _Form:
 class Schedule:
     """Rule that branches on time, as a few compiled forms and their numbers over time.
 
-    A form comprises results of the rule that differ in their numbers only.
+    A form is an expression with numbers as parameters. Results of the rule that differ only in
+    their numbers share one form.
 
     Parameters
     ----------

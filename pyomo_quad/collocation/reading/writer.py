@@ -240,8 +240,9 @@ class TemplateWriter:
     table_uses : list of TableUse
         Arguments of interpolation tables found so far.
     schedules : list of Schedule or Phases
-        Quantities that vary with time without a formula: branches and numbers of rules that branch
-        on time, and the phase of the horizon.
+        Quantities for which the model gives a Python rule instead of an expression in time: the
+        branch that a rule takes at each time, the numerical values that it then uses, and the phase
+        of the horizon.
     """
 
     def __init__(
