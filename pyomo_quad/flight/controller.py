@@ -154,7 +154,7 @@ def rotor_columns(dynamics: Dynamics) -> list[int]:
     Parameters
     ----------
     dynamics : Dynamics
-        With states ``rotors.omega[j]`` for controls ``rotors.alpha[j]``.
+        Model with states ``rotors.omega[j]`` for controls ``rotors.alpha[j]``.
 
     Returns
     -------

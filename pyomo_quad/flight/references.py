@@ -114,7 +114,7 @@ class WaypointPath:
     Parameters
     ----------
     mission : Mission
-        With a time for each waypoint and a fixed duration.
+        Mission with a time for each waypoint and a fixed duration.
     derivatives : int
         Number n of derivatives that are zero at rest; the spline of degree 2 n + 1 minimises the
         integral of the square of the next derivative.

@@ -100,8 +100,8 @@ def build_pack(scenario: Scenario) -> ConcreteModel:
     Returns
     -------
     ConcreteModel
-        With `time` (one hour, not discretised), the mutable parameter `power.load`, the expression
-        `power.total` equal to it, and block `battery`.
+        Model with `time` (one hour, not discretised), the mutable parameter `power.load`, the
+        expression `power.total` equal to it, and block `battery`.
     """
     m = ConcreteModel(name="pack")
     m.time = ContinuousSet(initialize=(0.0, 1800.0, 3600.0), doc="time [s]")

@@ -44,8 +44,8 @@ def build_model(scenario: Scenario) -> ConcreteModel:
     Returns
     -------
     ConcreteModel
-        With ``time`` (start, one interior point, end; not discretised), ``clock`` and the blocks
-        ``vehicle, rigid_body, rotors, wind, aerodynamics, power, battery, limits, airspace,
+        Model with ``time`` (start, one interior point, end; not discretised), ``clock`` and the
+        blocks ``vehicle, rigid_body, rotors, wind, aerodynamics, power, battery, limits, airspace,
         mission`` and, over terrain, ``ground``, the integral ``energy`` and the ``objective``.
         Suffix ``scaling_factor`` holds one over the usual magnitude of each variable.
 
@@ -70,7 +70,7 @@ def build_in_turbulence(scenario: Scenario) -> ConcreteModel:
     Parameters
     ----------
     scenario : Scenario
-        With ``wind.turbulence``.
+        Mission with ``wind.turbulence``.
 
     Returns
     -------
@@ -192,7 +192,7 @@ def parameter_values(scenario: Scenario) -> dict[str, float]:
     Parameters
     ----------
     scenario : Scenario
-        With the same `structure_key` as the scenario that the model was built from.
+        Mission with the same `structure_key` as the scenario that the model was built from.
 
     Returns
     -------

@@ -291,7 +291,7 @@ def inspect_model(model: ConcreteModel) -> ModelInspection:
     Parameters
     ----------
     model : ConcreteModel
-        With one ContinuousSet, not discretised.
+        Model with one ContinuousSet, not discretised.
 
     Returns
     -------

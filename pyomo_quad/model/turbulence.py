@@ -165,7 +165,7 @@ def declare_turbulence(m: ConcreteModel, scenario: Scenario) -> None:
         Model that already declares `time`, `rigid_body` and the mean wind of `wind`, to which no
         component refers yet: each wind component is replaced by its sum with the gust.
     scenario : Scenario
-        With ``wind.turbulence``.
+        Mission with ``wind.turbulence``.
     """
     b = m.wind.turbulence = Block(doc="turbulence, MIL-F-8785C at low altitude")
     add_parameters(b, PARAMETERS, scenario)

@@ -50,7 +50,7 @@ def refuse_absent_solver(options: Mapping[str, Any]) -> None:
     Raises
     ------
     TranscriptionError
-        Naming the solver.
+        If Ipopt cannot load the solver; the message names it.
     """
     chosen = str(options.get(OPTION, OWN_SOLVER))
     asked = {name: options[name] for name in (OPTION, *_LIBRARIES) if name in options}

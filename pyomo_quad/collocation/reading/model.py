@@ -388,7 +388,7 @@ def read_declarations(
     Parameters
     ----------
     model : ConcreteModel
-        With one ContinuousSet that is not discretised, or with none at all.
+        Model with one ContinuousSet that is not discretised, or with none at all.
     final_time : Var, optional
         Static variable of the model that becomes the end of the horizon.
     times : mapping, optional

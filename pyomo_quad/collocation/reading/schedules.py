@@ -286,7 +286,7 @@ class Schedule:
         return result
 
     def _let_silent_ones_agree(self, forms: list[list[Any]]) -> None:
-        """Give forms in which the rule skips the constraint the linear body of another form.
+        """Give forms whose constraint is skipped by the rule the linear body of another form.
 
         The skipped constraint has no limits, so that its body has no effect. With equal bodies in
         all forms, a constraint on a single variable remains a bound of that variable.

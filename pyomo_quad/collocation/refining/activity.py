@@ -37,7 +37,8 @@ def junction_elements(solution: Solution) -> frozenset[int]:
 def switch_elements(solution: Solution) -> frozenset[int]:
     """Return the indices of elements in which only limits on algebraic variables change activity.
 
-    Where a limit on a state becomes active or inactive, the state's costate may jump as well.
+    Elements in which a limit on a state becomes active or inactive are left out, because the
+    state's costate may jump there.
     """
     chosen, active = _limits_on_algebraics(solution), active_limits(solution)
     return _changing(solution, chosen, active) - _changing(solution, ~chosen, active)

@@ -534,7 +534,7 @@ def _cut_off(reached: _Reached[S]) -> S:
 
 
 def _doubted(solution: S) -> S:
-    """Return a solution with a warning: better controls exist, but led to no optimum."""
+    """Return a solution with the warning that better controls exist, but led to no optimum."""
     return solution.updated(
         status=Status.TOLERANCE_NOT_MET,
         message=(
