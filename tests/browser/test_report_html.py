@@ -131,20 +131,25 @@ def test_answer_stands_in_the_first_screen(page):
 
 
 def test_phone_scrolls_in_one_direction_only(page):
-    page.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", PHONE)
-    try:
-        width = page.execute_script("return document.documentElement.scrollWidth")
-    finally:
-        page.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    width = on_a_screen(page, PHONE, "return document.documentElement.scrollWidth")
     assert width <= PHONE["width"]
+
+
+def settle(page):
+    """Wait for two frames: the page folds its contents on a phone in the frame after the resize."""
+    page.execute_async_script(
+        "const done = arguments[0]; requestAnimationFrame(() => requestAnimationFrame(() => done()))"
+    )
 
 
 def on_a_screen(page, screen, script):
     page.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", screen)
     try:
+        settle(page)
         return page.execute_script(script)
     finally:
         page.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+        settle(page)
 
 
 @pytest.mark.parametrize("screen", [PHONE, TABLET], ids=["phone", "tablet"])
