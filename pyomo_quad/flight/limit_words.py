@@ -74,12 +74,20 @@ def limit_amount(name: str, size: float, unit: str) -> tuple[float, str]:
     return (sqrt(size), _ROOTS[unit]) if unit in _ROOTS else (size, _UNITS.get(unit, unit))
 
 
-def breach_words(breach: Violation, unit: str) -> str:
-    """Return the name and the amount of a violated limit in words: "roll angle by 0.15 rad".
+def excess(breach: Violation, unit: str) -> tuple[float, str]:
+    """Return by how much a limit is violated, and the unit, in the form that readers see.
 
     `unit` is the unit of the limit in the model.
     """
     # For a square, this is the excess of the length over its limit, not the root of the difference.
     reached, plain = limit_amount(breach.name, abs(breach.bound) + breach.size, unit)
-    size = reached - limit_amount(breach.name, abs(breach.bound), unit)[0]
+    return reached - limit_amount(breach.name, abs(breach.bound), unit)[0], plain
+
+
+def breach_words(breach: Violation, unit: str) -> str:
+    """Return the name and the amount of a violated limit in words: "roll angle by 0.15 rad".
+
+    `unit` is the unit of the limit in the model.
+    """
+    size, plain = excess(breach, unit)
     return f"{limit_words(breach.name)} by {size:.2g} {plain}".rstrip()

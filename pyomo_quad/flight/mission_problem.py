@@ -23,7 +23,7 @@ from pyomo_quad.flight.flight import HELD_BREACH
 from pyomo_quad.flight.plan import PlanStatus, trajectories_of
 from pyomo_quad.flight.routes import with_plain_passages
 from pyomo_quad.flight.steady import SteadyFlight
-from pyomo_quad.flight.usable import flyable_from
+from pyomo_quad.flight.usable import flyable_from, led_inside, stricter_limits
 from pyomo_quad.flight.verdict import energy_of, horizon_of, plan_of, verified
 from pyomo_quad.model.power import wider_smoothings
 from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
@@ -290,7 +290,14 @@ class MissionProblem:
             return replace(verified(plan, solution, Accuracy.QUICK), status=PlanStatus.SOLVED)
 
         def flyable(solution: Solution) -> Iterator[Plan]:
-            near = flyable_from(self.problem, self.arguments, solution, self.told.airspace)
-            return map(flown, near)
+            near, plan = None, None
+            for near in flyable_from(self.problem, self.arguments, solution, self.told.airspace):
+                plan = flown(near)
+                yield plan
+            if near is not None and plan is not None:
+                changes = stricter_limits(plan)
+                inside = led_inside(self.problem, self.arguments, near, changes)
+                if inside is not None:
+                    yield flown(inside)
 
         search.finished(finished, energy_of(self.told, finished), flown, flyable)

@@ -29,6 +29,13 @@ if TYPE_CHECKING:
 
 Builder = Callable[[Scenario], Any]
 
+
+def _start_key(scenario: Scenario) -> Scenario:
+    """Return a key that is equal for scenarios of fixed duration with equal initial states."""
+    timeless = scenario.mission.model_copy(update={"duration": 1.0})
+    return guess_key(scenario).model_copy(update={"mission": timeless, "baseline": None})
+
+
 # Components of the declared wind along world x and y [m/s].
 _WIND = ("wind.velocity_x", "wind.velocity_y")
 
@@ -122,8 +129,25 @@ class Problems:
         The equations contain the limits for simulated flights. A simulated flight may use the
         thrust that plans reserve for the controller.
         """
-        problem, numbers = self.problem_for(scenario)[0], self.parameters(scenario)
-        return problem.dynamics(parameters=without_reserve(numbers), horizon=horizon_of(scenario))
+        _, problem = self._problems.get(self._key(scenario)) or (scenario, None)
+        if problem is None or not self._starts_alike(scenario):
+            problem = self.problem_for(scenario)[0]
+        numbers = without_reserve(self.parameters(scenario))
+        return problem.dynamics(parameters=numbers, horizon=horizon_of(scenario))
+
+    def _starts_alike(self, scenario: Scenario) -> bool:
+        """Return whether the cached problem of a scenario has the scenario's initial states.
+
+        That is the case if the cached problem was built for a scenario that differs only in a fixed
+        duration, in its wind or in its baselines. A wind measured over time is excluded, because
+        the model samples this wind at fractions of the duration.
+        """
+        built_for, _ = self._problems.get(self._key(scenario)) or (None, None)
+        if built_for is None or not self.is_declared or scenario.wind.series is not None:
+            return False
+        if built_for.mission.is_free or scenario.mission.is_free:
+            return guess_key(built_for) == guess_key(scenario)
+        return _start_key(built_for) == _start_key(scenario)
 
     def winds_at(self, scenario: Scenario, places: ArrayLike) -> FloatArray:
         """Return the wind along world x and y at places at the start of the mission [m/s].

@@ -59,12 +59,13 @@ class RouteFlights:
     """
 
     _near_on_first = _NEAR_ON_FIRST
+    _tolerance = 0.0
 
     def __init__(self, mission: MissionProblem, known: Solution | None = None) -> None:
         self._mission, self._told, self._known = mission, mission.told, known
         solver = self._told.solver
         self._mesh = Mesh.uniform(max(solver.elements, _ROUTE_ELEMENTS), solver.degree)
-        self._is_plain = False
+        self._is_plain, self._tolerance = False, solver.tolerance
         if self._told.solver.accuracy is not Accuracy.PROOF:
             self._near_on_first *= _ALIKE
 
@@ -143,7 +144,7 @@ class RouteFlights:
         list of int
             Numbers of the journeys near the least energy, the cheapest first.
         """
-        near = _nearest(known, self._near_on_first, _MOST_ON_NEXT)
+        near = _nearest(known, self._near_on_first, self._most(_MOST_ON_NEXT, self._near_on_first))
         if len(near) < 2:
             return near
         improved = {k: self.refine(known[k], _TO_THE_NEXT) for k in near}
@@ -151,7 +152,17 @@ class RouteFlights:
         for k in sorted(near, reverse=True):
             if any(_is_same(known[k], known[j]) for j in near if j < k):
                 del known[k]
-        return _nearest({k: s for k, s in known.items() if k in near}, _NEAR_ON_NEXT, _MOST_REFINED)
+        compared = {k: s for k, s in known.items() if k in near}
+        return _nearest(compared, _NEAR_ON_NEXT, self._most(_MOST_REFINED, _NEAR_ON_NEXT))
+
+    def _most(self, most: int, error: float) -> int:
+        """Return the largest number of journeys to solve on a finer mesh: ``most``, or only one.
+
+        One is enough if the energies of the journeys have a relative error (`error`) within the
+        accuracy asked for: any other journey that is near the least energy then saves less than
+        this accuracy.
+        """
+        return 1 if error <= self._tolerance else most
 
     def _refined(self, known: Mapping[int, Solution], near: list[int]) -> dict[int, Solution]:
         """Return the best solutions refined to the tolerance, by number of the journey.

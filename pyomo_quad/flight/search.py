@@ -29,13 +29,17 @@ USABLE_ENERGY = 0.1
 # Error estimate of a mesh above which, by experience, no simulated flight of its controls arrives.
 # The estimate includes violations of limits, of which a usable plan may have as much.
 _PROMISING = FIGURES[Accuracy.QUICK].breach
-# Processor time [s] before which a search looks for no usable plan; and largest fractions of its
-# time that it spends on simulating the controls of finished meshes: before it has a usable plan,
+# Work is the sum over Ipopt's iterations of the number of mesh points. Below: the work before which
+# a search looks for no usable plan (about two seconds of a processor); and largest fractions of its
+# work that it spends on simulating the controls of finished meshes: before it has a usable plan,
 # and to find a better one.
-_PATIENCE_S, _SHARE, _SHARE_FOR_BETTER = 2.0, 0.2, 0.05
+_PATIENCE, _SHARE, _SHARE_FOR_BETTER = 9e3, 0.2, 0.05
+# Simulating the controls of a mesh counts as the work of this number of iterations on the mesh.
+_ITERATIONS_OF_FLIGHT = 10
 # A flyable trajectory near a coarse solution, which takes seconds to compute, is sought after this
-# multiple of that time, or after this fraction of the time limit.
-_LONG, _SHARE_OF_LIMIT = 5.0, 0.3
+# multiple of that work. If the time limit is short, it is sought after this fraction of the work
+# that a processor does within the time limit, at this work per second.
+_LONG, _SHARE_OF_LIMIT, _WORK_PER_S = 5.0, 0.3, 4.5e3
 # Number of coarse meshes from which a usable plan is sought.
 _MOST_SEARCHES = 2
 
@@ -99,9 +103,9 @@ class Search:
         Outcomes of the strategies carried out so far.
     usable : Plan or None
         The best usable plan so far.
-    effort : int
-        Sum over all iterations of Ipopt, since the last `begin_effort`, of the number of mesh
-        points.
+    work : int
+        Sum over all iterations of Ipopt of the number of mesh points. It measures the cost of the
+        search independently of the speed and the load of the machine.
     """
 
     def __init__(self, deadline: Deadline, show: Callable[[State], None] | None = None) -> None:
@@ -109,11 +113,11 @@ class Search:
         self.stage = Stage.COARSE
         self.record: list[str] = []
         self.usable: Plan | None = None
+        self.work = self._patient_from = self._work_of_flights = self._searches = 0
         self.begin_effort(inf)
         self._show = show
-        self._began = self._patient_from = time.thread_time()
+        self._began = time.thread_time()
         self._coarse: Callable[[], Iterator[Plan]] | None = None
-        self._flights_s, self._searches = 0.0, 0
         self._energy, self._uncertainty = inf, inf
 
     @property
@@ -122,26 +126,31 @@ class Search:
         return time.thread_time() - self._began
 
     @property
-    def _waited_s(self) -> float:
-        return time.thread_time() - self._patient_from
+    def effort(self) -> int:
+        """Work since the last `begin_effort`: sum over Ipopt's iterations of the mesh points."""
+        return self.work - self._effort_from
+
+    @property
+    def _waited(self) -> int:
+        return self.work - self._patient_from
 
     def restart_patience(self) -> None:
-        """Restart the time that the search waits before it looks for a usable plan.
+        """Restart the count of work before which the search looks for no usable plan.
 
         A usable plan is one that simulation confirms at lower accuracy than requested.
         """
-        self._patient_from = time.thread_time()
+        self._patient_from = self.work
 
     def begin_effort(self, most: float) -> None:
         """Reset the effort counter, and set the effort ``most`` at which solves are stopped.
 
         The effort is the sum over Ipopt's iterations of the number of mesh points.
         """
-        self.effort, self._most_effort = 0, most
+        self._effort_from, self._most_effort = self.work, most
 
     def __call__(self, iteration: Iteration) -> bool:
         """Count an iteration of Ipopt; return False beyond a limit, so that Ipopt stops."""
-        self.effort += iteration.mesh_points
+        self.work += iteration.mesh_points
         if self._show is not None:
             self._show(
                 State(
@@ -188,10 +197,9 @@ class Search:
             self._seek_usable()
             return
         share = _SHARE if self.usable is None else _SHARE_FOR_BETTER
-        if self._waited_s >= _PATIENCE_S and self._flights_s <= share * self.spent_s:
-            began = time.thread_time()
+        if self._waited >= _PATIENCE and self._work_of_flights <= share * self.work:
             self.keep(flown(solution))
-            self._flights_s += time.thread_time() - began
+            self._work_of_flights += _ITERATIONS_OF_FLIGHT * solution.mesh.points
             self.stage = Stage.REFINING
 
     def _seek_usable(self) -> None:
@@ -199,8 +207,8 @@ class Search:
 
         A usable plan is one that simulation confirms at lower accuracy than requested.
         """
-        patience = min(_LONG * _PATIENCE_S, _SHARE_OF_LIMIT * self.deadline.limit_s)
-        is_time = self._waited_s >= patience and not self.deadline.is_over
+        patience = min(_LONG * _PATIENCE, _SHARE_OF_LIMIT * _WORK_PER_S * self.deadline.limit_s)
+        is_time = self._waited >= patience and not self.deadline.is_over
         is_wanted = self.usable is None and self.stage is not Stage.USABLE
         if self._coarse is None or not (is_time and is_wanted) or self._searches >= _MOST_SEARCHES:
             return

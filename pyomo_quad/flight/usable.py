@@ -1,7 +1,9 @@
 """Flyable trajectories near a coarse solution, for a search that runs out of time.
 
 Simulating the controls of a coarse solution may miss the goal. Here the equations are solved on
-finer meshes, without optimising again, until the simulated flight reaches the goal.
+finer meshes, without optimising again, until the simulated flight reaches the goal. If that flight
+breaks a limit slightly, for example the floor by a few centimetres between two points of the mesh,
+the equations are solved once more with a limit that is stricter by the violation.
 """
 
 from __future__ import annotations
@@ -15,12 +17,14 @@ import numpy as np
 
 from pyomo_quad.collocation import MeshRecord, Status, mesh_for_states
 from pyomo_quad.flight.flight import POSITION_STATES
+from pyomo_quad.flight.limit_words import excess
 from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from pyomo_quad.collocation import Problem, Solution
+    from pyomo_quad.flight.plan import Plan
     from pyomo_quad.scenario.airspace import Airspace
 
 # Tolerances of the lowest accuracy, which a usable plan must meet.
@@ -38,6 +42,22 @@ _AT_POINTS = 0.3
 _LOOKS = np.linspace(0.0, 1.0, 20, endpoint=False)
 # Name of the parameter that holds the distance kept from zones.
 _CLEARANCE = "airspace.clearance"
+# Parameter of each limit that can be made stricter, by the name of the limit without its index; and
+# the sign of the change that makes the limit stricter. A parameter with braces has the same index.
+_STRICTER = {
+    "airspace.ceiling_limit": ("airspace.ceiling", -1.0),
+    "airspace.floor_limit": ("airspace.floor", 1.0),
+    "airspace.keep_out": (_CLEARANCE, 1.0),
+    "limits.pitch_limit": ("limits.pitch_max", -1.0),
+    "limits.roll_limit": ("limits.roll_max", -1.0),
+    "limits.speed_limit": ("limits.speed_max", -1.0),
+    "mission.hold_distance": ("mission.passing_radius[{}]", -1.0),
+    "mission.passing_near": ("mission.passing_radius[{}]", -1.0),
+}
+# Violation of a limit, relative to the larger of 1 and the limit, above which a stricter limit is
+# not tried; and the change of the limit relative to the violation, since the violation between the
+# points of another mesh may be somewhat larger.
+_SLIGHT, _MORE = 0.2, 1.5
 
 
 def flyable_from(
@@ -89,6 +109,83 @@ def flyable_from(
             # The energy beyond that of the coarse optimum is the only known measure of its error.
             history = begun, _record(found, error)
             yield replace(found, instance=own, error_estimate=error, history=history)
+
+
+def stricter_limits(plan: Plan) -> dict[str, float]:
+    """Return the changes of parameters that make the limits broken by a plan's flight stricter.
+
+    Each limit becomes stricter by somewhat more than its violation in the simulated flight.
+
+    Parameters
+    ----------
+    plan : Plan
+        Plan with the result of its simulation.
+
+    Returns
+    -------
+    dict
+        Full name of a parameter -> change to add. It is empty if the flight breaks no limit, if a
+        violation is large, or if the package knows no parameter of a broken limit.
+    """
+    if plan.flown is None:
+        return {}
+    flown = plan.flown
+    changes: dict[str, float] = {}
+    for breach in plan.dynamics.violations(flown.t, flown.states, flown.controls):
+        if breach.relative <= _QUICK.breach:
+            continue
+        limit, _, index = breach.name.partition("[")
+        if breach.relative > _SLIGHT or limit not in _STRICTER:
+            return {}
+        parameter, sign = _STRICTER[limit]
+        name = parameter.format(index.removesuffix("]"))
+        change = sign * _MORE * excess(breach, plan.dynamics.unit(breach.name))[0]
+        changes[name] = max(changes.get(name, 0.0), change, key=abs)
+    return changes
+
+
+def led_inside(
+    problem: Problem, arguments: dict[str, Any], near: Solution, changes: Mapping[str, float]
+) -> Solution | None:
+    """Return a flyable trajectory within stricter limits near a trajectory that breaks limits.
+
+    Parameters
+    ----------
+    problem : Problem
+        Compiled problem of the mission.
+    arguments : dict
+        Arguments of `Problem.solve` for the mission.
+    near : Solution
+        Last trajectory of `flyable_from`.
+    changes : mapping
+        Full name of a parameter -> change to add, as from `stricter_limits`.
+
+    Returns
+    -------
+    Solution or None
+        Feasible trajectory, not optimised, with the parameters of the mission; None if the solve
+        fails or the mission lacks a parameter.
+    """
+    numbers = dict(arguments["parameters"] or {})
+    if not changes or not changes.keys() <= numbers.keys():
+        return None
+    numbers |= {name: numbers[name] + change for name, change in changes.items()}
+    finer = partial(mesh_for_states, options=arguments["refinement"], least_degree=_DEGREE)
+    error, met = _MESHES[-1]
+    found = problem.flyable(
+        near,
+        finer(near, error)[0],
+        parameters=numbers,
+        horizon=arguments["horizon"],
+        breach=_AT_POINTS * _QUICK.breach,
+        met=met,
+        progress=arguments["progress"],
+    )
+    if found.status is not Status.CONVERGED:
+        return None
+    left = finer(found, error)[1]
+    history = (*near.history[:1], _record(found, left))
+    return replace(found, instance=near.instance, error_estimate=left, history=history)
 
 
 def _deepest_cut(solution: Solution, airspace: Airspace) -> float:

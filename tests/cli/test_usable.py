@@ -22,8 +22,8 @@ def test_ctrl_c_leaves_a_usable_plan_that_is_refined_later(tmp_path, monkeypatch
         if state.has_usable:
             signal.raise_signal(signal.SIGINT)
 
-    monkeypatch.setattr(search, "_PATIENCE_S", 0.0)
-    monkeypatch.setattr(search, "_SHARE", math.inf)  # else a slow flight puts off the next one
+    monkeypatch.setattr(search, "_PATIENCE", 0.0)
+    monkeypatch.setattr(search, "_SHARE", math.inf)  # else a flight puts off the next one
     folder, later = tmp_path / "report", tmp_path / "later"
     with monkeypatch.context() as stopped:
         stopped.setattr(solving, "live_line", lambda **_: nullcontext(stop))

@@ -1,6 +1,7 @@
 """Accuracies, and the best usable plan of a search that is stopped."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -9,7 +10,7 @@ from pyomo_quad.collocation import Mesh
 from pyomo_quad.flight import PlanStatus, search
 from pyomo_quad.flight.mission_problem import MissionProblem
 from pyomo_quad.flight.planning import Planner
-from pyomo_quad.flight.usable import flyable_from
+from pyomo_quad.flight.usable import flyable_from, led_inside, stricter_limits
 from pyomo_quad.flight.verdict import plan_of, verified
 from pyomo_quad.scenario import load_scenario
 from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
@@ -41,8 +42,8 @@ def test_the_energy_is_as_close_to_the_least_as_the_accuracy_says(accuracy):
 
 
 def test_a_search_that_is_stopped_ends_with_its_usable_plan(monkeypatch, tmp_path):
-    monkeypatch.setattr(search, "_PATIENCE_S", 0.0)
-    monkeypatch.setattr(search, "_SHARE", math.inf)  # else a slow flight puts off the next one
+    monkeypatch.setattr(search, "_PATIENCE", 0.0)
+    monkeypatch.setattr(search, "_SHARE", math.inf)  # else a flight puts off the next one
     states = []
     # From a coarse mesh, a finer one still has iterations to go when the first plan is usable.
     stopped = Planner().solve(
@@ -72,3 +73,25 @@ def test_what_leads_on_from_a_coarse_mesh_can_be_flown():
     # Flown by SciPy it arrives, and of all flights that do, none spends less than the optimum.
     assert after.terminal_miss_m <= FIGURES[asked].miss
     assert after.flown_energy_J >= PROVEN_J * (1.0 - FIGURES[asked].energy)
+
+
+def test_a_flight_that_breaks_a_limit_slightly_is_led_inside():
+    planner, asked = Planner(), Accuracy.QUICK
+    goal = ["mission.goal.position=[4.0, 0.0, 1.0]", "mission.duration=6.0"]
+    wide, told = (
+        load_scenario(PAPER_CALM, [*goal, f"limits.speed_max={speed}"]) for speed in (1.06, 1.0)
+    )
+    loose, mission = MissionProblem(planner, wide), MissionProblem(planner, told)
+    coarse = loose.solve(mesh=Mesh.uniform(8, 4), tolerance=None)
+    *_, near = flyable_from(loose.problem, loose.arguments, coarse, wide.airspace)
+    own = mission.problem.instance(mission.arguments["parameters"], mission.arguments["horizon"])
+    plan = verified(plan_of(told, replace(near, instance=own), {}, 0.0), near, asked)
+    assert plan.verification.worst_constraint.startswith("limits.speed_limit")
+    assert plan.verification.max_violation > FIGURES[asked].breach
+    changes = stricter_limits(plan)
+    # Of a speed up to 1.06 m/s where 1 m/s is allowed, half more than the excess is taken off.
+    assert changes["limits.speed_max"] == pytest.approx(-1.5 * 0.06, abs=0.02)
+    inside = led_inside(mission.problem, mission.arguments, near, changes)
+    after = verified(plan_of(told, replace(inside, instance=own), {}, 0.0), inside, asked)
+    assert after.verification.max_violation <= FIGURES[asked].breach
+    assert after.verification.is_usable
