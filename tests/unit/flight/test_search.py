@@ -2,6 +2,8 @@
 
 import math
 from dataclasses import replace
+from itertools import count
+from types import SimpleNamespace
 
 import pytest
 
@@ -95,3 +97,27 @@ def test_a_flight_that_breaks_a_limit_slightly_is_led_inside():
     after = verified(plan_of(told, replace(inside, instance=own), {}, 0.0), inside, asked)
     assert after.verification.max_violation <= FIGURES[asked].breach
     assert after.verification.is_usable
+
+
+@pytest.mark.parametrize("seconds_per_look", [1e-6, 1e3])
+def test_the_search_for_a_usable_plan_begins_after_work_whatever_the_clock_says(
+    monkeypatch, seconds_per_look
+):
+    clock = count()
+    monkeypatch.setattr(search.time, "thread_time", lambda: seconds_per_look * next(clock))
+
+    class Deadline:
+        limit_s, is_over = math.inf, False
+
+        def __call__(self, _iteration):
+            return True
+
+    begun = []
+    looking = search.Search(Deadline())
+    coarse = SimpleNamespace(error_estimate=math.inf)
+    looking.finished(coarse, 1.0, None, lambda _: begun.append(looking.work) or iter(()))
+    for _ in range(200):
+        looking(SimpleNamespace(mesh_points=1000))
+    patience = search._LONG * search._PATIENCE
+    assert len(begun) == 1
+    assert patience <= begun[0] <= patience + 1000
