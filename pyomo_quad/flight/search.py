@@ -38,8 +38,8 @@ _PATIENCE, _SHARE, _SHARE_FOR_BETTER = 9e3, 0.2, 0.05
 _ITERATIONS_OF_FLIGHT = 10
 # A flyable trajectory near a coarse solution, which takes seconds to compute, is sought after this
 # multiple of that work. If the time limit is short, it is sought after this fraction of the work
-# that a processor does within the time limit, at this work per second.
-_LONG, _SHARE_OF_LIMIT, _WORK_PER_S = 5.0, 0.3, 4.5e3
+# that a slow or loaded processor does within the time limit, at this work per second.
+_LONG, _SHARE_OF_LIMIT, _WORK_PER_S = 5.0, 0.3, 2.5e3
 # Number of coarse meshes from which a usable plan is sought.
 _MOST_SEARCHES = 2
 
