@@ -12,7 +12,7 @@ from pyomo_quad.collocation import Mesh
 from pyomo_quad.flight import PlanStatus, search
 from pyomo_quad.flight.mission_problem import MissionProblem
 from pyomo_quad.flight.planning import Planner
-from pyomo_quad.flight.usable import flyable_from, led_inside, stricter_limits
+from pyomo_quad.flight.usable import flyable_from, led_inside, stricter_limits, within_airspace
 from pyomo_quad.flight.verdict import plan_of, verified
 from pyomo_quad.scenario import load_scenario
 from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
@@ -121,3 +121,18 @@ def test_the_search_for_a_usable_plan_begins_after_work_whatever_the_clock_says(
     patience = search._LONG * search._PATIENCE
     assert len(begun) == 1
     assert patience <= begun[0] <= patience + 1000
+
+
+def test_a_flyable_trajectory_keeps_a_high_floor_itself():
+    told = ["airspace.floor=19.8", "mission.start.position=[0, 0, 21]"]
+    told += ["mission.goal.position=[4, 0, 19.9]", "mission.duration=6.0"]
+    scenario = load_scenario(PAPER_CALM, told)
+    mission = MissionProblem(Planner(), scenario)
+    # The coarse flight keeps a floor that is lower: it dives below that of the mission.
+    lower = mission.arguments["parameters"] | {"airspace.floor": 15.0}
+    coarse = mission.solve(lower, mesh=Mesh.uniform(8, 4), tolerance=None)
+    assert within_airspace(lower)["airspace.floor"] > 15.0
+    *_, last = flyable_from(mission.problem, mission.arguments, coarse, scenario.airspace)
+    plan = verified(plan_of(scenario, last, {}, 0.0), last, Accuracy.QUICK)
+    names = list(plan.dynamics.state_names)
+    assert plan.flown.states[:, names.index("rigid_body.z")].min() >= 19.8 - 0.01
