@@ -43,12 +43,15 @@ _LOOKS = np.linspace(0.0, 1.0, 20, endpoint=False)
 # Name of the parameter that holds the distance kept from zones.
 _CLEARANCE = "airspace.clearance"
 # Parameters of limits on positions, with the sign of the change that makes the limit stricter.
-_AIRSPACE = (("airspace.floor", 1.0), ("airspace.ceiling", -1.0), (_CLEARANCE, 1.0))
+_FLOOR, _CEILING = "airspace.floor", "airspace.ceiling"
+_AIRSPACE = ((_FLOOR, 1.0), (_CEILING, -1.0), (_CLEARANCE, 1.0))
+# Parameters of the heights at which a mission starts and ends.
+_ENDS = ("mission.start_z", "mission.goal_z")
 # Parameter of each limit that can be made stricter, by the name of the limit without its index; and
 # the sign of the change that makes the limit stricter. A parameter with braces has the same index.
 _STRICTER = {
-    "airspace.ceiling_limit": ("airspace.ceiling", -1.0),
-    "airspace.floor_limit": ("airspace.floor", 1.0),
+    "airspace.ceiling_limit": (_CEILING, -1.0),
+    "airspace.floor_limit": (_FLOOR, 1.0),
     "airspace.keep_out": (_CLEARANCE, 1.0),
     "limits.pitch_limit": ("limits.pitch_max", -1.0),
     "limits.roll_limit": ("limits.roll_max", -1.0),
@@ -135,7 +138,16 @@ def within_airspace(numbers: Mapping[str, float]) -> dict[str, float]:
         for name, sign in _AIRSPACE
         if name in numbers
     }
-    return {**numbers, **changed}
+    return _with_open_ends({**numbers, **changed})
+
+
+def _with_open_ends(numbers: dict[str, float]) -> dict[str, float]:
+    """Return parameters whose floor and ceiling exclude neither the start nor the goal."""
+    ends = [numbers[name] for name in _ENDS if name in numbers]
+    for name, choose in ((_FLOOR, min), (_CEILING, max)):
+        if name in numbers and ends:
+            numbers[name] = choose(numbers[name], *ends)
+    return numbers
 
 
 def stricter_limits(plan: Plan) -> dict[str, float]:
@@ -196,7 +208,10 @@ def led_inside(
     numbers = within_airspace(arguments["parameters"] or {})
     if not changes or not changes.keys() <= numbers.keys():
         return None
-    numbers |= {name: numbers[name] + change for name, change in changes.items()}
+    for name, change in changes.items():
+        # A small radius keeps half of its length.
+        numbers[name] += change if numbers[name] <= 0.0 else max(change, -0.5 * numbers[name])
+    numbers = _with_open_ends(numbers)
     finer = partial(mesh_for_states, options=arguments["refinement"], least_degree=_DEGREE)
     error, met = _MESHES[-1]
     found = problem.flyable(
