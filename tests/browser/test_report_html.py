@@ -31,6 +31,7 @@ TIMEOUT = 60  # s; drawing in software on a busy machine is slow
 VIEW_ELEMENT = "flight-view"
 FLOWN = [TUNED_CRUISE if name == "adaptive/minimum_snap" else name for name in FLIGHTS]
 WIDE = {"width": 1400, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+AFTER_FRAME = "requestAnimationFrame"
 TALLEST = 6000  # px, with details folded
 
 
@@ -136,9 +137,9 @@ def test_phone_scrolls_in_one_direction_only(page):
 
 
 def settle(page):
-    """Wait for two frames: the page folds its contents on a phone in the frame after the resize."""
+    """Wait for two frames: a phone folds the page's contents in the frame after the resize."""
     page.execute_async_script(
-        "const done = arguments[0]; requestAnimationFrame(() => requestAnimationFrame(() => done()))"
+        f"const done = arguments[0]; {AFTER_FRAME}(() => {AFTER_FRAME}(done))"
     )
 
 
