@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pyomo_quad.collocation.packing import Packed, packed
+from pyomo_quad.collocation.program.shared_terms import WithoutCalls
 from pyomo_quad.collocation.reading.symbols import Declarations, PathEquation, PointCondition, Slot
 from pyomo_quad.collocation.reading.writer import is_unbounded, symbol_names
 
@@ -709,16 +710,19 @@ def _with_integral_variables(declared: Declarations) -> Declarations:
 
 def _derive(name: str, rows: Any, variables: Any, data: Any) -> DerivedFunctions:
     """Return CasADi functions of a column of expressions and of its derivatives."""
-    jacobian = casadi.jacobian(rows, variables)
+    plain = WithoutCalls.of(casadi.densify(rows), [variables, data])
+    jacobian = casadi.jacobian(plain.rows, variables)
     weights = casadi.SX.sym("weights", rows.shape[0])
-    hessian = casadi.tril(casadi.hessian(casadi.dot(weights, rows), variables)[0])
+    hessian = casadi.tril(casadi.hessian(casadi.dot(weights, plain.rows), variables)[0])
     j_rows, j_columns = jacobian.sparsity().get_triplet()
     h_rows, h_columns = hessian.sparsity().get_triplet()
     return DerivedFunctions(
         values=_values(name, rows, variables, data),
-        jacobian=casadi.Function(f"{name}_jacobian", [variables, data], [_nonzeros(jacobian)]),
+        jacobian=casadi.Function(
+            f"{name}_jacobian", [variables, data], [plain.merged(_nonzeros(jacobian))]
+        ),
         hessian=casadi.Function(
-            f"{name}_hessian", [variables, data, weights], [_nonzeros(hessian)]
+            f"{name}_hessian", [variables, data, weights], [plain.merged(_nonzeros(hessian))]
         ),
         jacobian_rows=np.asarray(j_rows, dtype=np.intp),
         jacobian_columns=np.asarray(j_columns, dtype=np.intp),

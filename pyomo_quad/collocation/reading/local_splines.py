@@ -43,6 +43,8 @@ _ROUNDING = 2.0**-38
 _ASIDE = 0.3819660112501051
 # Number of derivatives in the result of a call: value, first and second derivative.
 _VALUE_SLOPE_BEND = 3
+#: Name of the CasADi function of every table, by which its calls are found in an expression.
+CALLED = "local"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,12 +91,12 @@ class LocalSpline:
         told, seed = casadi.MX.sym("told", found.numel()), casadi.MX.sym("seed", found.numel())
         moved = casadi.MX.sym("moved", len(knots))
         zeros: dict[str, tuple[list[Any], Any]] = {
-            "fwd1_local": ([place, told, moved], casadi.MX.zeros(found.numel())),
-            "adj1_local": ([place, told, seed], casadi.MX.zeros(len(knots))),
+            f"fwd1_{CALLED}": ([place, told, moved], casadi.MX.zeros(found.numel())),
+            f"adj1_{CALLED}": ([place, told, seed], casadi.MX.zeros(len(knots))),
         }
         known = {n: casadi.Function(n, inputs, [zero]) for n, (inputs, zero) in zeros.items()}
         options: dict[str, Any] = {"never_inline": True, "cache": known}
-        function = casadi.Function("local", [place], [found], options)
+        function = casadi.Function(CALLED, [place], [found], options)
         inner = [np.unique(t)[1:-1] for t in knots]
         steps = [float(np.diff(breaks).min()) for breaks in inner]
         return cls(

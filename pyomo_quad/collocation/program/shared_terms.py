@@ -1,0 +1,93 @@
+"""Common subexpressions of derivatives, found without writing out the data of tables.
+
+CasADi differentiates column after column, so that a Jacobian or Hessian contains many terms more
+than once; `casadi.cse` merges equal terms and does not change a single rounding.  For each call of
+an interpolation table, however, `casadi.cse` writes out the whole table, which takes a second for a
+table of a million numbers.  Therefore each call is replaced by symbols before the expressions are
+differentiated, and inserted again after equal terms have been merged.  The symbols need no
+derivatives, because a call returns the coefficients of a Taylor polynomial, which are constants
+(`collocation.reading.local_splines`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Self
+
+import casadi
+
+from pyomo_quad.collocation.reading.local_splines import CALLED
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+@dataclass(frozen=True, kw_only=True)
+class WithoutCalls:
+    """Column of CasADi expressions in which symbols stand for the results of table calls.
+
+    Attributes
+    ----------
+    rows : casadi.SX
+        The expressions.
+    calls : tuple of (casadi.SX, casadi.Function, casadi.SX)
+        Symbols of a result, the table's function, and its arguments, in the order of evaluation:
+        arguments may contain the symbols of earlier calls.
+    """
+
+    rows: Any
+    calls: tuple[tuple[Any, Any, Any], ...]
+
+    @classmethod
+    def of(cls, rows: Any, inputs: Sequence[Any]) -> Self:
+        """Replace each call of a table in a column of expressions by symbols.
+
+        Parameters
+        ----------
+        rows : casadi.SX
+            Dense column of expressions.
+        inputs : sequence of casadi.SX
+            Columns of symbols, which are all symbols of the expressions.
+        """
+        function = casadi.Function("rows", list(inputs), [rows])
+        steps = range(function.n_instructions())
+        if not any(function.instruction_id(k) == casadi.OP_CALL for k in steps):
+            return cls(rows=rows, calls=())
+        nodes, held = function.instructions_sx(), {}
+        found, calls = casadi.SX(rows.shape[0], 1), []
+        for k in steps:
+            operation, at = function.instruction_id(k), function.instruction_input(k)
+            to = function.instruction_output(k)
+            if operation == casadi.OP_INPUT:
+                held[to[0]] = inputs[at[0]].nz[at[1]]
+            elif operation == casadi.OP_OUTPUT:
+                found[to[1]] = held[at[0]]
+            elif operation == casadi.OP_CONST:
+                held[to[0]] = casadi.SX(function.instruction_constant(k))
+            elif operation == casadi.OP_CALL:
+                called = nodes[k].which_function()
+                results = casadi.SX.sym(f"result_{k}", len(to))
+                arguments = casadi.vertcat(*[held[place] for place in at])
+                if called.name() != CALLED:
+                    # The results of any other function have derivatives.
+                    return cls(rows=rows, calls=())
+                calls.append((results, called, arguments))
+                held |= dict(zip(to, casadi.vertsplit(results), strict=True))
+            elif len(at) == 1:
+                held[to[0]] = casadi.SX.unary(operation, held[at[0]])
+            else:
+                held[to[0]] = casadi.SX.binary(operation, held[at[0]], held[at[1]])
+        return cls(rows=found, calls=tuple(calls))
+
+    def merged(self, column: Any) -> Any:
+        """Merge equal terms of a column of expressions, then insert the calls of tables.
+
+        Parameters
+        ----------
+        column : casadi.SX
+            Expressions derived from `rows`, such as the nonzeros of their Jacobian.
+        """
+        found = casadi.cse(column)
+        for results, called, arguments in reversed(self.calls):
+            found = casadi.substitute(found, results, called(arguments))
+        return found
