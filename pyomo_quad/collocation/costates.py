@@ -86,8 +86,8 @@ class Costates:
 def _roughness(degree: int) -> FloatArray:
     """Return the matrix that maps values at an element's nodes to the residuals of a smooth fit.
 
-    The fit is the least-squares polynomial of degree - 2. The nodes are the left end and the
-    collocation points, so that the matrix has shape (degree + 1, degree + 1).
+    For an element of degree d, the fit is the least-squares polynomial of degree d - 2. The nodes
+    are the left end and the d collocation points, so that the matrix has shape (d + 1, d + 1).
     """
     smooth = legendre.legvander(2.0 * radau_rule(degree).nodes - 1.0, max(degree - 2, 0))
     return np.asarray(np.eye(degree + 1) - smooth @ np.linalg.pinv(smooth))
@@ -138,8 +138,8 @@ def costates_of(
     timeline : Timeline
         Mapping from fractions of the horizon to physical times.
     objective : float
-        Magnitude of the objective. A costate below 1e-9 times this magnitude, per magnitude of its
-        state, counts as zero.
+        Magnitude of the objective. A costate counts as zero if its product with the magnitude of
+        its state is below 1e-9 times this magnitude.
 
     Returns
     -------

@@ -159,8 +159,9 @@ class Dynamics:
     def without_iterations(self) -> Dynamics:
         """Return the same right-hand side with implicit equations solved by fixed Newton steps.
 
-        It consists of CasADi's fast scalar expressions (SX). Where equations are implicit, CasADi's
-        Newton iteration costs ten times as much as the evaluation of all other equations.
+        The returned right-hand side consists of CasADi's fast scalar expressions (SX). Where
+        equations are implicit, CasADi's Newton iteration costs ten times as much as the evaluation
+        of all other equations.
         """
         if self._right_hand_side.is_a("SXFunction"):
             return self
@@ -186,7 +187,7 @@ class Dynamics:
         return lower[chosen], upper[chosen]
 
     def just_after(self, t: float) -> float:
-        """Return a time just after t if parameters jump, else t.
+        """Return a time just after t if a parameter jumps at t, else t itself.
 
         At a time t at which a parameter jumps, the equations take the value before the jump; at the
         returned time they take the value after it.

@@ -148,7 +148,8 @@ class Identification:
         Errors of extrapolations. An example is the energy of fast flights, computed with a fit to
         slow flights.
     together : tuple of (str, str)
-        Each parameter that is not determined, with the parameter that has the same effect.
+        Name of each parameter that the flights do not determine, and name of the parameter with the
+        most similar effect on the power ("" if no other parameter has a similar effect).
     cautions : tuple of str
         Warnings that the rows are too few or too far apart in time.
     """

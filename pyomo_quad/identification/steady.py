@@ -75,7 +75,8 @@ class SteadyFit:
     unseen : ndarray, shape (n_points,)
         Power of each point by a fit without the point [W]; NaN if there are too few points.
     together : tuple of (str, str)
-        Each field that the points do not determine, with the field that has the same effect.
+        Name of each field that the points do not determine, and name of the field with the most
+        similar effect on the power ("" if no other field has a similar effect).
     cautions : tuple of str
         Limitations of the result.
     """

@@ -64,7 +64,7 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters that the model of a scenario declares in its block `aerodynamics`.
 
     These are the coefficients of the chosen coupling of wind and vehicle, of the rotor forces and
-    of the parasitic drag, each only if the scenario has it.
+    of the parasitic drag. A coefficient that the scenario does not set is left out.
     """
     is_printed = scenario.wind.coupling is WindCoupling.ACCELERATION
     return (

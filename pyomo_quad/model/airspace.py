@@ -258,11 +258,10 @@ def _declare_keep_outs(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _beyond(away: Any, radius: Any, rounding: Any) -> Any:
-    """Return the distance outside the surface of a ball, from the squared distance of its centre.
+    """Return the distance of a place from the surface of a ball, negative inside the ball [m].
 
-    The result is negative inside. ``away`` is the squared distance from the ball's centre [m^2];
-    the smoothing `rounding` [m] makes the result differentiable at the centre and is zero on the
-    surface.
+    ``away`` is the squared distance of the place from the ball's centre [m^2]; the smoothing
+    `rounding` [m] makes the result differentiable at the centre and has no effect on the surface.
     """
     return sqrt(away + rounding**2) - sqrt(radius**2 + rounding**2)
 

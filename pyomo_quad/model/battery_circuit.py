@@ -1,17 +1,14 @@
 """Equivalent circuit of a battery: relaxation voltage (RC pair), temperature and health.
 
-symbol | name | unit | meaning
-u_1 | relaxation_voltage | V | voltage of the RC pair, the slow part of the pack's drop, a state
-R_1, tau_1 | relaxation_resistance, relaxation_time_constant | ohm, s | of one cell
-T | temperature | K | of the pack, a state
-C_T, h | heat_capacity, cooling | J/K, W/K | of one cell
-T_a, T_r | ambient_temperature, reference_temperature | K | of the air, of the resistances as given
-E_a | activation_energy | J/mol | of the resistances
-s_R | resistance_share | - | resistances at the temperature T over those at T_r
+symbol | name | unit | meaning u_1 | relaxation_voltage | V | voltage of the RC pair, the slow part
+of the pack's drop, a state R_1, tau_1 | relaxation_resistance, relaxation_time_constant | ohm, s |
+of one cell T | temperature | K | of the pack, a state C_T, h | heat_capacity, cooling | J/K, W/K |
+of one cell T_a, T_r | ambient_temperature, reference_temperature | K | of the air, of the
+resistances as given E_a | activation_energy | J/mol | of the resistances s_R | resistance_share | -
+| resistance at the temperature T over resistance at T_r
 
-Derivation and sources: see docs/theory/battery.md, eqs. (4) to (10). Without
-`battery.relaxation` in the scenario no RC pair is declared, without `battery.thermal` no
-temperature.
+Derivation and sources: see docs/theory/battery.md, eqs. (4) to (10). Without `battery.relaxation`
+in the scenario no RC pair is declared, without `battery.thermal` no temperature.
 
 Assumptions: all cells alike and at one temperature, no entropic heat, one time constant at all
 temperatures and states of charge.
@@ -150,9 +147,9 @@ def _line(equation: object) -> str:
 
 
 def resistance_share(b: Block, t: float) -> NumericExpression:
-    """Ratio of the resistances to those at the reference temperature, Arrhenius's law [-].
+    """Resistance at the cell's temperature over resistance at the reference temperature [-].
 
-    See docs/theory/battery.md, eq. (7).
+    Arrhenius's law; see docs/theory/battery.md, eq. (7).
     """
     inverse = 1 / b.temperature[t] - 1 / b.reference_temperature
     return exp(b.activation_energy / GAS_CONSTANT * inverse)

@@ -289,7 +289,7 @@ def _declare_end(
 
 
 def _goal_of_turning(b: Block) -> tuple[Any, ...]:
-    """Return the goal conditions on yaw and yaw rate, redundant if the heading is constant."""
+    """Return the goal conditions on yaw and yaw rate, which a constant heading makes redundant."""
     return b.goal_place["psi"], b.goal_rest["r"]
 
 

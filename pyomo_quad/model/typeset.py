@@ -250,7 +250,7 @@ def _number(number: float) -> str:
 
 
 def _is_single_term(node: NumericValue) -> bool:
-    """Return whether a leading minus in the LaTeX of an expression applies to the whole of it."""
+    """Return whether an expression is not a sum, and needs no parentheses after a minus sign."""
     return type(node) in native_numeric_types or not isinstance(node, numeric_expr.SumExpression)
 
 

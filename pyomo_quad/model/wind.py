@@ -1,25 +1,23 @@
 """Wind in world axes: eq. (11)-(12) of Yacef et al., a measured table, or a field over places.
 
-symbol | name | unit | meaning
-v_0 | mean | m/s | mean value, with the scenario's steady wind added
-A_k, Omega_k | amplitudes[k], frequencies[k] | m/s, rad/s | three harmonics
-v_gmax, T_g | gust_amplitude, gust_period | m/s, s | gust
-t | wind_time | s | wind time: time in flight plus the scenario's offset
+symbol | name | unit | meaning v_0 | mean | m/s | mean value, with the scenario's steady wind added
+A_k, Omega_k | amplitudes[k], frequencies[k] | m/s, rad/s | three harmonics v_gmax, T_g |
+gust_amplitude, gust_period | m/s, s | gust t | wind_time | s | wind time: time in flight plus the
+scenario's offset
 
 If the scenario has a profile, the horizontal wind is the wind at the reference height h_r times a
 factor:
 
-law | factor at height h | source
-power | (h / h_r)^exponent | Justus and Mikhail (1976)
-logarithmic | ln(h / z_0) / ln(h_r / z_0), of roughness z_0 | Stull (1988), section 9.7
+law | factor at height h | source power | (h / h_r)^exponent | Justus and Mikhail (1976) logarithmic
+| ln(h / z_0) / ln(h_r / z_0), of roughness z_0 | Stull (1988), section 9.7
 
 with h the vehicle's height above the ground: z, or over terrain the height over the smooth surface
 that is nowhere below the ground (`model.ground`). Below the larger of 0.1 m and z_0, where neither
-law is valid, the wind is constant: the laws use a smooth maximum of h and this lowest height. It
-increases with h, and equals h to 1e-12 m if h is half a metre above the lowest height or higher. A
-wind measured over heights is a cubic spline through the measurements between the lowest and the
-highest height, and constant beyond them, with the same smoothing. Its heights are also measured
-above the ground; the heights of a wind field are coordinates z.
+law is valid, the wind is constant: the laws use a smooth maximum of h and this lowest height. The
+maximum increases with h, and equals h to 1e-12 m if h is half a metre above the lowest height or
+higher. A wind measured over heights is a cubic spline through the measurements between the lowest
+and the highest height, and constant beyond them, with the same smoothing. Its heights are also
+measured above the ground; the heights of a wind field are coordinates z.
 
 A wind measured over time is the cubic spline of the wind time through its rows. It is twice
 differentiable at any time, so that a plan may choose its times. After the last row it is constant.
@@ -312,7 +310,10 @@ def _add_velocity(
     rule: Callable[[Block, float], NumericExpression],
     said: str = "wind",
 ) -> None:
-    """Declare the wind along a world axis from a rule for the wind at the reference height."""
+    """Declare the wind along a world axis from a rule for the wind at the reference height.
+
+    `said` begins the documentation text of the declared expression, as in "wind along world x".
+    """
 
     def velocity(b: Block, t: float) -> NumericExpression:
         return _at_height(b, t, rule(b, t))

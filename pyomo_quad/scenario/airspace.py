@@ -147,7 +147,10 @@ def is_convex(polygon: Any) -> bool:  # noqa: ANN401  shapely has no types that 
 
 
 def _refuse_folded(corners: Sequence[tuple[float, float]], what: str) -> None:
-    """Raise ValueError unless the corners, in the given order, form a convex polygon."""
+    """Raise ValueError unless the corners, in the given order, form a convex polygon.
+
+    The text `what`, the subject of the sentence, begins the error's message.
+    """
     from shapely import Polygon  # noqa: PLC0415  for polygons alone
 
     polygon = Polygon(corners)
@@ -178,9 +181,10 @@ def _edges_of(
 
 
 def _across_edges(corners: Sequence[tuple[float, float]]) -> Iterator[Ball]:
-    """Yield the interval across each edge of a convex polygon, from the edge to the far corner.
+    """Yield, for each edge of a convex polygon, the slab between the edge and the farthest corner.
 
-    Two parallel edges bound the same interval, which is yielded only once.
+    The slab is a `Ball` in one coordinate, measured along the edge's normal. Two parallel edges
+    have the same slab, which is yielded only once.
     """
     seen: list[tuple[float, float]] = []
     for normal, low, high in _edges_of(corners):
@@ -403,10 +407,11 @@ class TerrainGrid(Part):
         return _surface(self, side)
 
     def surface_of_ways(self, home: tuple[float, float, float]) -> "Surface":
-        """Return a smooth surface nowhere below the highest ground on the straight way to a home.
+        """Return a smooth surface that bounds the ground on all straight ways to a home.
 
-        At each place its height bounds the ground on the straight way from that place to the home,
-        a position x, y, z [m] whose height is ignored.
+        The height of the surface at a place is at least the height of the ground at every point of
+        the straight way from that place to the home, a position x, y, z [m] whose height z is
+        ignored.
         """
         return _surface_of_ways(self, home)
 

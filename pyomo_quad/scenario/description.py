@@ -134,7 +134,7 @@ _LIMITS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusi
 
 @dataclass(frozen=True, kw_only=True)
 class WritableField:
-    """Field of a file format, as a row of the printed table of fields; every column is text."""
+    """Row of the printed table of a file format's fields; every attribute is text."""
 
     path: str
     unit: str

@@ -169,7 +169,8 @@ def quantity(
         Plausible range of the number.
     is_late : bool, optional
         Whether the field is newer than some records (stored scenarios). A record without the field
-        has its default, and new records leave the field out while it has this value.
+        is read with the field's default, and new records leave the field out while its value is the
+        default.
     initial : object, optional
         Value that a scenario gets if its file leaves the field out, where this differs from
         `default`; `default` then is only the value of stored scenarios (records) without the field.

@@ -140,7 +140,7 @@ class ReturnFlight(Part):
 
 
 class NamedDuration(NamedTuple):
-    """Duration [s], with the scenario field that gives it, for messages."""
+    """Duration [s], with the path of the scenario field that sets the duration, for messages."""
 
     field: str
     value: float
@@ -323,7 +323,7 @@ class Mission(Part):
 
     @property
     def longest(self) -> NamedDuration:
-        """Greatest duration, with the field that gives it."""
+        """Greatest allowed duration, with the path of the scenario field that sets this limit."""
         field = "duration_max" if self.is_free else "duration"
         return NamedDuration(f"mission.{field}", self.duration_limits[1])
 

@@ -52,7 +52,7 @@ def created_power(vehicle: Vehicle, power: Power, gravity: float) -> str:
     Returns
     -------
     str
-        Message; empty if the motors take at least the power that they give out.
+        Message about motors that give out more power than they take in; empty otherwise.
     """
     motor = vehicle.motor
     if power.model not in _OF_MOTORS or motor is None:

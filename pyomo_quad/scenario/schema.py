@@ -332,8 +332,9 @@ class Scenario(Part):
         return self.vehicle.total_mass - self.mission.released
 
     def release_schedule(self) -> Callable[[float], float]:
-        """Return a function of time [s]: mass of the payloads released at waypoints before it [kg].
+        """Return a function of time [s] that gives the mass released so far at waypoints [kg].
 
+        The mass is the sum of the payloads of the waypoints that are left before this time.
         Waypoints without a given time are left at the estimated times, `nominal_times`.
         """
         left = self.nominal_times[1:-1:2]

@@ -120,7 +120,10 @@ class SolveTiming(StrEnum):
 
 
 class Replanning(Part):
-    """Re-planning in flight (model-predictive control): the rest of the mission is solved again."""
+    """Settings of re-planning in flight, which solves the rest of the mission again at intervals.
+
+    Re-planning in flight is also called model-predictive control.
+    """
 
     interval: Number = quantity(
         "s",

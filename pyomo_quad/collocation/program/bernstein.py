@@ -39,9 +39,9 @@ _NEAR = 0.45
 class BernsteinRule:
     """Linear maps from a variable's values in an element to its Bernstein coefficients.
 
-    Coefficients that equal a value at a node are left out, because the bounds of the unknowns
-    already hold there. These are the first and the last coefficient of a state, and the last
-    coefficient of an algebraic variable.
+    Coefficients that equal a value at a node are left out, because that value is an unknown of the
+    program, which has bounds already. These are the first and the last coefficient of a state, and
+    the last coefficient of an algebraic variable.
 
     Attributes
     ----------

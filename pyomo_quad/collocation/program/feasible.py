@@ -1,4 +1,4 @@
-"""Search for a trajectory that satisfies the equations of a fine mesh, near a given one.
+"""Search, near a given trajectory, for a trajectory that satisfies the equations of a fine mesh.
 
 The optimum of a coarse mesh satisfies the equations at few points only, and violates them widely on
 a finer mesh. From that optimum, Ipopt needs dozens of iterations to the optimum of the finer mesh,
