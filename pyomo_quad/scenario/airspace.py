@@ -351,7 +351,7 @@ class KeepIn(Part):
 
     @property
     def edges(self) -> tuple[tuple[tuple[float, float], float], ...]:
-        """Outward unit normal of each edge, and the edge's coordinate along it [m]."""
+        """Outward unit normal of each edge, and the edge's coordinate along that normal [m]."""
         # The normals of `_edges_of` point outwards if the corners are in counter-clockwise order.
         is_left = sum(turns_of(self.corners)) > 0.0
         return tuple(

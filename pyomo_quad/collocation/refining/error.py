@@ -311,9 +311,10 @@ class _Samples:
 
 @lru_cache(maxsize=64)
 def _panelled(degree: int) -> tuple[FloatArray, FloatArray]:
-    """Return Gauss points on panels of the unit element followed by the element's end, and weights.
+    """Return quadrature points and weights of an element of width 1, by Gauss's rule on panels.
 
-    The quadrature weight of the element's end is 0.
+    The element is divided into panels of equal width. The element's right end is added as the last
+    point, with weight 0.
     """
     points, weights = leggauss(degree + 1)
     inner = (np.arange(_PANELS)[:, None] + 0.5 * (1.0 + points)) / _PANELS

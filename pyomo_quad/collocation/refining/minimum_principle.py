@@ -2,11 +2,11 @@
 
 Derivations: see docs/theory/refinement.md, eqs. (10) and (11).
 
-At the solution of a nonlinear program, small changes of a control gain nothing. If the Hamiltonian
-has two local minima, this does not make the control optimal: a switch between the minima stays
-where the first mesh put it. A finer mesh does not reveal the error, but Pontryagin's principle
-does. Small changes also do not show how well the optimum determines the states: on a singular arc
-the objective hardly depends on them.
+At the solution of a nonlinear program, small changes of a control gain nothing. Large changes may
+gain nevertheless if the Hamiltonian has two local minima: a switch of the control between the
+minima stays where the first mesh put it. A finer mesh does not reveal the error, but Pontryagin's
+principle does. Small changes also do not show how well the optimum determines the states: on a
+singular arc the objective hardly depends on them.
 """
 
 from __future__ import annotations

@@ -50,8 +50,8 @@ class RefinementOptions:
     limits_move : bool
         Whether many limits become active and inactive along the trajectory. Most of these junctions
         hardly affect the objective. Elements are then split at junctions only after all other
-        errors meet the tolerance, and the complementarity gap is reduced only as far as the error
-        on the previous mesh.
+        errors meet the tolerance, and the complementarity gap is reduced only down to the error on
+        the previous mesh.
     on_mesh : callable, optional
         Called with the solution on each finished mesh, its error estimate and history included. If
         it returns False, the refinement ends with the status interrupted, and with the solution on
