@@ -161,7 +161,7 @@ class _Known:
         ndarray, shape (n,)
         """
         if slot.name in self.given:
-            return self._told(slot.name, fractions)
+            return self._guess_at(slot.name, fractions)
         fixed = _are_fixed(self.bounds, columns)
         guessed = self.values.first_guesses(slot, fractions)
         if guessed is not None:
@@ -174,7 +174,7 @@ class _Known:
         at = np.array(sorted(known))
         return np.interp(fractions, at, np.array([known[f] for f in at]))
 
-    def _told(self, name: str, fractions: FloatArray) -> FloatArray:
+    def _guess_at(self, name: str, fractions: FloatArray) -> FloatArray:
         """Return the user's guess of a variable at n fractions of the horizon, shape (n,).
 
         The user gives a function of time, a constant, or samples at the times in the guess.
