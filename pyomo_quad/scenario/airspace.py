@@ -359,7 +359,7 @@ class KeepIn(Part):
             for normal, low, high in _edges_of(self.corners)
         )
 
-    def room(self, places: "ArrayLike") -> "FloatArray":
+    def depth(self, places: "ArrayLike") -> "FloatArray":
         """Return the distance of places to the nearest edge of the fence [m], negative outside.
 
         Parameters
@@ -531,7 +531,7 @@ class Airspace(Part):
             return np.asarray(held[..., 2])
         return np.asarray(held[..., 2] - self.ground.surface(side).at(held))
 
-    def room_over_ground(self, places: "ArrayLike") -> "FloatArray":
+    def distance_to_height_limits(self, places: "ArrayLike") -> "FloatArray":
         """Return the distance of places to the nearer of floor and ceiling [m], negative outside.
 
         Parameters
@@ -578,7 +578,7 @@ class Airspace(Part):
                 f"is {told}above airspace.ceiling = {self.ceiling:g} m; lower it or raise the "
                 "ceiling"
             )
-        outside = 0.0 if self.keep_in is None else -float(self.keep_in.room(place))
+        outside = 0.0 if self.keep_in is None else -float(self.keep_in.depth(place))
         if outside > 0.0:
             yield f"is outside the fence airspace.keep_in by {outside:.3g} m; move one of them"
         for zone in self.keep_out:
