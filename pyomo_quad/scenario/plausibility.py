@@ -106,7 +106,7 @@ def contradictions(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[C
     if hover is not None and hover.shaft_W < hover.ideal_W * (1 - ROUNDED):
         yield Contradiction(
             field="vehicle.drag_torque_coefficient",
-            message=f"{hover.told}, ideal rotors {hover.ideal_W:.4g} W at a radius of "
+            message=f"{hover.start}, ideal rotors {hover.ideal_W:.4g} W at a radius of "
             f"{hover.radius}; raise it, or correct thrust_coefficient or rotor_radius.",
         )
 
@@ -140,7 +140,7 @@ def remarks(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[str]:
         merit = hover.ideal_W / hover.shaft_W
         if _BEST_MERIT < merit <= 1 / (1 - ROUNDED):
             yield (
-                f"{hover.told}, ideal rotors {hover.ideal_W:.4g} W at a radius of {hover.radius}: "
+                f"{hover.start}, ideal rotors {hover.ideal_W:.4g} W at a radius of {hover.radius}: "
                 f"figure of merit {merit:.2f}. Rotors of small vehicles reach {_USUAL_MERIT}, and "
                 f"none much more than {_BEST_MERIT:g}; a real vehicle spends more."
             )
@@ -177,7 +177,7 @@ class _Hover:
 
     Attributes
     ----------
-    told : str
+    start : str
         Beginning of a message, with the shaft power.
     shaft_W, ideal_W : float
         Power at the shafts of all rotors, and power of ideal rotors.
@@ -185,7 +185,7 @@ class _Hover:
         Rotor radius and its origin in words.
     """
 
-    told: str
+    start: str
     shaft_W: float
     ideal_W: float
     radius: str
@@ -210,7 +210,7 @@ def _hover(vehicle: Vehicle, power: Power, gravity: float) -> _Hover | None:
     shaft = len(places) * vehicle.drag_torque(speed) * speed
     disc_area = len(places) * pi * radius**2
     return _Hover(
-        told=f"vehicle.drag_torque_coefficient = {vehicle.drag_torque_coefficient:.4g} N m s^2: "
+        start=f"vehicle.drag_torque_coefficient = {vehicle.drag_torque_coefficient:.4g} N m s^2: "
         f"hover takes {shaft:.4g} W at the shafts",
         shaft_W=shaft,
         ideal_W=weight**1.5 / sqrt(2 * power.air_density * disc_area),

@@ -39,7 +39,7 @@ from pyomo_quad.scenario.plausibility import (
     created_power,
     remarks,
 )
-from pyomo_quad.scenario.resolution import ScenarioSource, resolve, whose
+from pyomo_quad.scenario.resolution import ScenarioSource, message_origin, resolve
 from pyomo_quad.scenario.tables import (
     USED_BY,
     Baseline,
@@ -133,7 +133,9 @@ class Scenario(Part):
             for path, line in complaints(error, cls, spared=spared):
                 said = rewritten.spellings.get(path)
                 given = f" It was given as {said}." if said else ""
-                lines.append(f"{whose(origin, resolution.provenance, path)}: {line}{given}")
+                lines.append(
+                    f"{message_origin(origin, resolution.provenance, path)}: {line}{given}"
+                )
         if lines:
             raise ScenarioError(listed(lines))
         scenario._origin = origin  # noqa: SLF001
