@@ -247,7 +247,7 @@ def _declare_keep_outs(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
             away = sum(normal[zone, ball, axis] * off[axis] for axis in axes) ** 2
         else:
             away = sum(off[axis] ** 2 for axis in axes)
-        return _beyond(away, b.radius[zone, ball] + b.clearance, b.rounding)
+        return _distance_outside(away, b.radius[zone, ball] + b.clearance, b.rounding)
 
     @b.Constraint(
         [zone.name for zone in scenario.airspace.keep_out], m.time, doc="outside of a zone [m]"
@@ -257,7 +257,7 @@ def _declare_keep_outs(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
         return _largest(distances, b.edge_width) >= 0
 
 
-def _beyond(away: Any, radius: Any, rounding: Any) -> Any:
+def _distance_outside(away: Any, radius: Any, rounding: Any) -> Any:
     """Return the distance of a place from the surface of a ball, negative inside the ball [m].
 
     ``away`` is the squared distance of the place from the ball's centre [m^2]; the smoothing
@@ -281,7 +281,7 @@ def _refuse_touching(scenario: Scenario) -> None:
     is_exact = (True, *(waypoint.radius == 0.0 for waypoint in mission.waypoints), True)
     for (field, place), has_no_room in zip(mission.named_positions, is_exact, strict=True):
         for zone in told.keep_out if has_no_room else ():
-            if _room(zone, told.clearance, place) < _TOUCHING_M:
+            if _smoothed_distance(zone, told.clearance, place) < _TOUCHING_M:
                 outside = max(0.0, -float(zone.depth(place)) - told.clearance)
                 rounded = (
                     f", beside an edge, which is rounded outwards by up to {_EDGE_M:g} m"
@@ -295,10 +295,10 @@ def _refuse_touching(scenario: Scenario) -> None:
                 )
 
 
-def _room(zone: KeepOut, clearance: float, place: Sequence[float]) -> float:
+def _smoothed_distance(zone: KeepOut, clearance: float, place: Sequence[float]) -> float:
     """Return the distance of a place from a zone, smoothed as in the path constraint [m]."""
     distances = [
-        _beyond(
+        _distance_outside(
             float(np.sum((ball.coordinates(place) - ball.centre) ** 2)),
             ball.radius + clearance,
             _ROUNDING_M,

@@ -453,10 +453,10 @@ class _OverTime:
         The speed is in m/s, without Pyomo unit.
         """
         if isinstance(t, int | float):
-            return float(self._spline(self._held(t, self._end)))
-        return self._table(self._held(t, float(self._spline.x[self._rows][-1])))
+            return float(self._spline(self._until(t, self._end)))
+        return self._table(self._until(t, float(self._spline.x[self._rows][-1])))
 
-    def _held(self, t: Any, end: float) -> Any:
+    def _until(self, t: Any, end: float) -> Any:
         return end - smooth_positive(end - (t + self._offset), self._width)
 
     @cached_property
