@@ -147,7 +147,7 @@ def costates_of(
     """
     mesh = program.mesh or Mesh.uniform(1, 1)
     by_rate, by_state = _products(program, z, program.path_weights(z, multipliers.rows))
-    by_state += _pull_of_bounds(program, multipliers, bounds)
+    by_state += _bound_multipliers(program, multipliers, bounds)
     weights = mesh.quadrature_weights[:, None]
     stages, slopes = -by_rate / weights, -by_state / weights
     starts, at_points = np.empty((mesh.elements, by_rate.shape[1])), np.empty_like(stages)
@@ -200,7 +200,9 @@ def _products(
     return products[:, :n], products[:, n:]
 
 
-def _pull_of_bounds(program: Transcription, multipliers: Multipliers, bounds: Bounds) -> FloatArray:
+def _bound_multipliers(
+    program: Transcription, multipliers: Multipliers, bounds: Bounds
+) -> FloatArray:
     """Return the multipliers of the bounds on states, shape (n_points, n_states).
 
     An entry is the multiplier of the upper bound minus the multiplier of the lower bound. It is 0
@@ -250,7 +252,7 @@ def costate_errors_of(
     n = program.compiled.n_equations
     rows[:, :n] = multipliers.rows[: rows.shape[0] * n].reshape(-1, n)
     rows[:, :n][:, program.compiled.is_equality] = 0.0
-    pull = _products(program, z, rows)[1] + _pull_of_bounds(program, multipliers, bounds)
+    pull = _products(program, z, rows)[1] + _bound_multipliers(program, multipliers, bounds)
     pull /= weights
     largest = np.zeros(costates.sizes.size)
     for degree, chosen, points in _by_degree(mesh):

@@ -251,7 +251,7 @@ class Solution(Outcome):
         if self.problem.has_horizon:
             size = {
                 "estimated error": f"{self.error_estimate:.2g}",
-                **self._errors_of_others(),
+                **self._state_and_costate_errors(),
                 "mesh": f"{self.mesh.points} points in {self.mesh.elements} elements",
                 "meshes": f"{len(self.history) or 1}",
             }
@@ -264,7 +264,7 @@ class Solution(Outcome):
             "message": self.message,
         }
 
-    def _errors_of_others(self) -> dict[str, str]:
+    def _state_and_costate_errors(self) -> dict[str, str]:
         """Return the estimated errors of states and costates as text by label, if estimated."""
         if not (np.isfinite(self.state_error) and self.problem.compiled.declared.states):
             return {}

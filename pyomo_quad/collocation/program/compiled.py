@@ -155,13 +155,13 @@ def _one_output(declared: Declarations) -> tuple[Slot, PathEquation] | None:
             and one_rate
             and equation.is_equality
             and is_unbounded(slot.lower, slot.upper)
-            and _held_at_start_only(declared, slot)
+            and _is_fixed_at_start_only(declared, slot)
         ):
             return slot, equation
     return None
 
 
-def _held_at_start_only(declared: Declarations, slot: Slot) -> bool:
+def _is_fixed_at_start_only(declared: Declarations, slot: Slot) -> bool:
     """Return whether a state is fixed at the start and appears in no other condition."""
     names = _names_at(declared, slot)
     if names & symbol_names(declared.objective):
@@ -540,12 +540,22 @@ def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> l
     if below:
         side, unbounded = _moving_side(equation.lower)
         found.append(
-            replace(equation, expression=body - side, lower=_unless(unbounded, -none), upper=none)
+            replace(
+                equation,
+                expression=body - side,
+                lower=_infinite_where(unbounded, -none),
+                upper=none,
+            )
         )
     if above:
         side, unbounded = _moving_side(equation.upper)
         found.append(
-            replace(equation, expression=body - side, lower=-none, upper=_unless(unbounded, none))
+            replace(
+                equation,
+                expression=body - side,
+                lower=-none,
+                upper=_infinite_where(unbounded, none),
+            )
         )
     rest = replace(
         equation,
@@ -555,7 +565,7 @@ def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> l
     return found if is_unbounded(rest.lower, rest.upper) else [*found, rest]
 
 
-def _unless(unbounded: Any, none: Any) -> Any:
+def _infinite_where(unbounded: Any, none: Any) -> Any:
     """Return the infinite number `none` where a limit is absent (`unbounded`), and 0 elsewhere."""
     zero = casadi.SX(0)
     return zero if unbounded.is_zero() else casadi.if_else(unbounded, none, zero)

@@ -123,7 +123,7 @@ def redundant_conditions(
     first = program.first_condition_row
     equal = np.flatnonzero(bounds.row_lower[:first] == bounds.row_upper[:first])
     own = _slopes_of(candidates, slopes, free)
-    outside = _outside(slopes[equal], own)
+    outside = _orthogonal_parts(slopes[equal], own)
     found, basis = [], list[np.ndarray]()
     for candidate, left, whole in zip(candidates, outside, own, strict=True):
         for known in basis:
@@ -156,7 +156,7 @@ def _slopes_of(
     return found
 
 
-def _outside(equations: coo_array, vectors: list[FloatArray]) -> list[FloatArray]:
+def _orthogonal_parts(equations: coo_array, vectors: list[FloatArray]) -> list[FloatArray]:
     """Return the component of each vector orthogonal to the span of the equations' gradients.
 
     `equations` is a sparse matrix with one gradient per row.

@@ -81,7 +81,7 @@ class PhaseTimes:
         return [(after - before) / (last - first) for (before, after), (first, last) in ends]
 
     @property
-    def _holds(self) -> tuple[Any, ...]:
+    def _phase_factors(self) -> tuple[Any, ...]:
         """Factors, one per phase, that are 1 at times of the phase and 0 elsewhere."""
         return self.phases or (1.0,)
 
@@ -91,7 +91,7 @@ class PhaseTimes:
 
         A CasADi expression that holds in all phases.
         """
-        return sum(p * span for p, span in zip(self._holds, self._spans, strict=True))
+        return sum(p * span for p, span in zip(self._phase_factors, self._spans, strict=True))
 
     @cached_property
     def time(self) -> Any:
@@ -99,7 +99,7 @@ class PhaseTimes:
         return sum(
             holds * (start + span * (self.fraction - first))
             for holds, start, span, first in zip(
-                self._holds, self.times, self._spans, self.fractions, strict=False
+                self._phase_factors, self.times, self._spans, self.fractions, strict=False
             )
         )
 
@@ -170,7 +170,7 @@ def free_times(
         given[only.name][float(only.last())] = final_time
     for key, named in (times or {}).items():
         if isinstance(named, Mapping):
-            chosen = _called(sets, str(key))
+            chosen = _set_named(sets, str(key))
             given[chosen.name] |= {_declared(chosen, at): v for at, v in named.items()}
         else:
             chosen = _only(sets, "times")
@@ -195,7 +195,7 @@ def _only(sets: tuple[Any, ...], argument: str) -> Any:
     return sets[0]
 
 
-def _called(sets: tuple[Any, ...], name: str) -> Any:
+def _set_named(sets: tuple[Any, ...], name: str) -> Any:
     """Return the continuous set of the given name; raise an error if the model has none."""
     for time in sets:
         if time.name == name:

@@ -130,7 +130,7 @@ def continuous_sets(model: Any) -> tuple[Any, ...]:
     if len(sets) < 2:
         return sets
     active = {id(s) for s in model.component_objects(ContinuousSet, active=True)}
-    sets = tuple(s for s in sets if id(s) in active or _is_asked_for(model, s))
+    sets = tuple(s for s in sets if id(s) in active or _is_used(model, s))
     used: set[int] = set()
     for component in model.component_objects((Var, DerivativeVar), descend_into=True):
         over = [s for s in sets if is_over(component, s)]
@@ -145,7 +145,7 @@ def continuous_sets(model: Any) -> tuple[Any, ...]:
     return tuple(s for s in sets if id(s) in used)
 
 
-def _is_asked_for(model: Any, time: Any) -> bool:
+def _is_used(model: Any, time: Any) -> bool:
     """Return whether an active constraint or objective uses a variable indexed by a set."""
     return any(
         is_over(variable.parent_component(), time)

@@ -323,7 +323,7 @@ class RelationReader:
                 if data.fixed and slot.rate is not None:
                     fixed.append((slot.name, table.clock.fraction_of(time)))
                 elif data.fixed:
-                    conditions.append(self._held(data))
+                    conditions.append(self._fixing_condition(data))
                 elif not is_changed and data.bounds != self._writer.declared_bounds(data):
                     conditions.append(
                         PointCondition(
@@ -364,7 +364,7 @@ class RelationReader:
                     is_equality=False,
                 )
 
-    def _held(self, data: Any) -> PointCondition:
+    def _fixing_condition(self, data: Any) -> PointCondition:
         """Return the condition that an algebraic variable equals the value fixed at a time."""
         number = self.symbols.fixed_value(data)
         expression = casadi.SX(self._writer.write(data, data.name)) - number
@@ -531,7 +531,7 @@ class ModelReader:
         states = self.symbols.states.values()
         still = [s for s in states if s.rate.name() not in used]
         moving = {s.component for s in states if s.rate.name() in used}
-        said = self._said_without_rates(still, read)
+        said = self._determined_without_rates(still, read)
         for state in still:
             # At the ends of a discretised space, an equation without a rate may determine the
             # variable.
@@ -541,7 +541,9 @@ class ModelReader:
                     "derivative; declare its dynamics as an equality constraint."
                 )
 
-    def _said_without_rates(self, states: list[Slot], read: list[frozenset[str]]) -> frozenset[str]:
+    def _determined_without_rates(
+        self, states: list[Slot], read: list[frozenset[str]]
+    ) -> frozenset[str]:
         """Return the names of the states that equations without time derivatives determine.
 
         Each equation determines at most one state. If the model has derivatives in space, the
