@@ -205,8 +205,9 @@ def _bound_multipliers(
 ) -> FloatArray:
     """Return the multipliers of the bounds on states, shape (n_points, n_states).
 
-    An entry is the multiplier of the upper bound minus the multiplier of the lower bound. It is 0
-    for a fixed state and for a bound that holds at a single time only, such as an end condition.
+    An entry is the multiplier of the upper bound minus the multiplier of the lower bound. The entry
+    is 0 for a fixed state and for a bound that holds at a single time only, such as an end
+    condition.
     """
     is_held = bounds.lower == bounds.upper
     for limit in limits_at_points(program):

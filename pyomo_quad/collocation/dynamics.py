@@ -575,7 +575,7 @@ class Dynamics:
         return found
 
     def violations_of(self, instants: Instants, t: FloatArray) -> list[tuple[Violation, ...]]:
-        """Return the worst violation of every limit for several flights with the same times.
+        """Return the worst violation of every limit for several flights sampled at equal times.
 
         Parameters
         ----------
@@ -639,8 +639,8 @@ def split_algebraics(formulation: Formulation) -> tuple[tuple[Slot, ...], tuple[
     """Split the algebraic variables into controls and variables that equations determine.
 
     Each equality equation without rates determines one algebraic variable, if possible. A maximum
-    matching assigns variables to equations; among possible variables it prefers the variable that
-    is declared later. The remaining algebraic variables are the controls.
+    matching assigns variables to equations. If several variables are possible for an equation, the
+    variable that is declared later is assigned. The remaining algebraic variables are the controls.
 
     Parameters
     ----------
@@ -1014,8 +1014,8 @@ class ClosedLoop:
     dynamics : Dynamics
         Right-hand side of the vehicle's equations.
     law : callable
-        (command, x, own) -> (controls, rates of own), sequences of numbers; see `Law`. It is called
-        once, with symbols.
+        (command, x, own) -> (controls, rates of own), sequences of numbers; see `Law`. The
+        constructor calls the law once, with symbols.
     n_command, n_own : int
         Number of components of the command that the law follows, and number of its own states.
 

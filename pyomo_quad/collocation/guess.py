@@ -282,11 +282,12 @@ _PROJECTIONS, _LEFT = 30, 1e-9
 def on_path_equalities(program: Transcription, bounds: Bounds, z: FloatArray) -> FloatArray:
     """Move states as little as possible until they satisfy the equations among states alone.
 
-    An equation among states, such as a path that a vehicle must follow, has index 2: it contains
-    neither rates nor controls. At a point that violates the equation, its derivatives tell Ipopt
-    little about the rates and controls that would satisfy it. The states are moved by Gauss-Newton
-    steps, each the shortest in units of the states' magnitudes. The result has shape (n_unknowns,)
-    and lies inside the bounds. If the residual does not decrease, the given `z` is returned.
+    An equation among states, such as a path that a vehicle must follow, has index 2: the equation
+    contains neither rates nor controls. At a point that violates the equation, the derivatives of
+    the equation tell Ipopt little about the rates and controls that would satisfy it. The states
+    are moved by Gauss-Newton steps, each the shortest in units of the states' magnitudes. The
+    result has shape (n_unknowns,) and lies inside the bounds. If the residual does not decrease,
+    the given `z` is returned.
     """
     compiled, layout = program.compiled, program.layout
     path, n = compiled.path, layout.n_states

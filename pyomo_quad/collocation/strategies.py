@@ -193,8 +193,8 @@ S = TypeVar("S", bound=Any)
 class Search(ABC, Generic[S]):
     """Loop that tries solution strategies one after another until one of them succeeds.
 
-    It tries the strategies of one part of a solve (see `Scope`: whole solve, first mesh, next mesh
-    or restart), in the order in which the table of this module lists them.
+    A search tries the strategies of one part of a solve (see `Scope`: whole solve, first mesh, next
+    mesh or restart), in the order in which the table of this module lists them.
 
     Subclasses define how a strategy is carried out, when its conditions are true, and which results
     end the search.

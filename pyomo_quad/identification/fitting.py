@@ -390,8 +390,8 @@ def _bounds(name: str) -> tuple[float, float]:
 def _most_drag(scenario: Scenario, frame: pd.DataFrame, power: int) -> float:
     """Return the drag coefficient that would tilt level flight by 45° at the largest airspeed.
 
-    It is the upper bound of the coefficient in the fit. `power` is the exponent of the airspeed in
-    the drag: 1 for linear and 2 for quadratic drag.
+    The result is the upper bound of the coefficient in the fit. `power` is the exponent of the
+    airspeed in the drag: 1 for linear and 2 for quadratic drag.
     """
     north, east = (frame[name].to_numpy() for name in AIR_VELOCITY)
     fastest = float(np.hypot(north, east).max()) * scenario.vehicle.anemometer_factor

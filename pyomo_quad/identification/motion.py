@@ -124,7 +124,7 @@ class LoggedMotion:
     def _power_only(self) -> frozenset[str]:
         """Names of the parameters that affect the power only, not the motion.
 
-        If only such parameters change, attitude and rotor speed need not be solved for again.
+        If only these parameters change, attitude and rotor speed need not be solved for again.
         """
         self._instants({})
         states = self._states_found[_FEW]

@@ -521,8 +521,8 @@ def with_circuit(scenario: Scenario) -> Scenario:
 def _as_given(scenario: Scenario) -> list[float]:
     """Return the initial values of the battery fields that are fitted, in the order of `FITTED`.
 
-    They are the values before the fit. A value of 0 is replaced by a tiny positive number, because
-    the fields are fitted as logarithms.
+    The initial values are the values before the fit. A value of 0 is replaced by a tiny positive
+    number, because the fields are fitted as logarithms.
     """
     pack = scenario.battery
     slow = (_NEARLY_NONE, 1.0)

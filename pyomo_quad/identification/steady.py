@@ -302,8 +302,8 @@ def _deviations(
 ) -> FloatArray:
     """Return the standard deviations of the fitted parameters.
 
-    They follow from linear least squares. The error of a measured power is estimated from the
-    residuals or, with few points, is at least an assumed relative error.
+    The standard deviations follow from linear least squares. The error of a measured power is
+    estimated from the residuals or, with few points, is at least an assumed relative error.
     """
     slopes = fit.slopes(values)
     measured = points[POWER].to_numpy()

@@ -1,11 +1,9 @@
 """The airspace: floor, ceiling, fence, edges of the terrain and keep-out zones.
 
-symbol | name | unit | meaning
-c_k | centre[zone, ball, axis] | m | centre of ball k of a zone, on the axes of the ball
-n_k | normal[zone, ball, axis] | - | direction across an edge of a polygon, of length one
-R_k | radius[zone, ball] | m | radius of ball k
-c | clearance | m | distance kept from every zone
-d_k | beyond[zone, ball] | m | distance from the surface of the ball minus the clearance
+symbol | name | unit | meaning c_k | centre[zone, ball, axis] | m | centre of ball k of a zone, on
+the axes of the ball n_k | normal[zone, ball, axis] | - | direction across an edge of a polygon, of
+length one R_k | radius[zone, ball] | m | radius of ball k c | clearance | m | distance kept from
+every zone d_k | beyond[zone, ball] | m | distance from the surface of the ball minus the clearance
 w | edge_width | m | width over which two faces of a zone are blended
 
 A zone is the intersection of balls (`scenario.airspace.Ball`): a disk and an interval of height for
@@ -20,15 +18,16 @@ sharp.
 A polygon with k corners has k + 1 faces, blended in the same way. Near a corner with several faces
 at nearly the same distance, up to 0.14 w more is forbidden for each further face.
 
-The fence (`keep_in`) is a linear limit for each of its edges. It is exact everywhere, corners
-included, and has no clearance.
+The fence (`keep_in`) is a linear limit for each of its edges. The fence is exact everywhere,
+corners included, and has no clearance.
 
 Over terrain, floor and ceiling limit the height above the ground (`model.ground`), and flights stay
 where the ground is known, within the edges of its grid.  Zones have their own heights z: terrain
 moves neither their bottom nor their top.
 
-A flight cannot start, end or pass a waypoint on the surface of a zone, because no neighbourhood of
-such a place is free. The declaration refuses such a mission before any solve.
+A flight cannot start, end or pass a waypoint on the surface of a zone, because a part of every
+neighbourhood of a place on the surface is forbidden. `declare_airspace` therefore raises an error
+for a mission with a start, goal or waypoint on a surface.
 """
 
 from collections.abc import Sequence

@@ -64,8 +64,8 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 def states_at_start(scenario: Scenario) -> dict[str, float]:
     """Return the initial values of the battery's states other than its charge, by full name.
 
-    These are the relaxation voltage [V], the temperature [K] and the lost energy [J], each only if
-    the scenario declares it.
+    The states are the relaxation voltage [V], the temperature [K] and the lost energy [J]. A state
+    that the model of the scenario does not declare is left out.
     """
     pack, states = scenario.battery, {}
     if pack.relaxation is not None:

@@ -76,9 +76,9 @@ def build_in_turbulence(scenario: Scenario) -> ConcreteModel:
     -------
     ConcreteModel
         The model of `build_model` with two additions: the Dryden shaping filters in block
-        `wind.turbulence`, and two mutable parameters, initially zero. They are the error of the
-        wind forecast, ``wind.error`` by axis [m/s], and the relative error of the power model,
-        ``power.error``.
+        `wind.turbulence`, and two mutable parameters, initially zero. The parameters are the error
+        of the wind forecast, ``wind.error`` by axis [m/s], and the relative error of the power
+        model, ``power.error``.
 
     Examples
     --------

@@ -6,13 +6,10 @@ is the integral of the sum, eq. (8) of the paper (Yacef et al.). The paper's sec
 speed for every rotor, is read as one sum over the four rotors. In the table, v and i are voltage
 and current of the motor, tau its torque, omega the rotor speed and alpha the rotor acceleration:
 
-name | power of one rotor | convex in alpha | convex in thrust in steady flight
-motor | v i | yes | yes
-motor_with_friction | v i with friction in the torque | yes | no
-shaft | tau omega | yes, linear | yes
-constant_efficiency | tau omega / eta | yes | yes
-efficiency | tau omega / f_r(tau, omega) | no | no
-momentum | induced, profile and axial power, in moving air | yes | yes
+name | power of one rotor | convex in alpha | convex in thrust in steady flight motor | v i | yes |
+yes motor_with_friction | v i with friction in the torque | yes | no shaft | tau omega | yes, linear
+| yes constant_efficiency | tau omega / eta | yes | yes efficiency | tau omega / f_r(tau, omega) |
+no | no momentum | induced, profile and axial power, in moving air | yes | yes
 
 By default, braking returns energy in the models `motor`, `motor_with_friction`, `shaft` and
 `momentum`, because their balances hold for either direction of the energy flow. The two models with
@@ -25,17 +22,15 @@ Alternating acceleration and braking of the rotors saves no energy: see docs/the
 Momentum theory, blade drag and climb, in moving air, `power.model momentum`; derivation and
 validated range: see docs/theory/momentum_power.md, eqs. (1) to (6).
 
-symbol | name | unit | meaning
-v_i | induced_velocity | m/s | velocity that the rotors add to the air, equal for all rotors
-v_a | axial_airspeed | m/s | airspeed along the thrust, positive in climb
-v_p | in_plane_airspeed | m/s | airspeed across the thrust
-v_h | | m/s | v_i of hover, v_h^2 = T / (2 rho A)
-k_i | induced_power_factor | - | induced power over the power of an ideal rotor
-c_0 | profile_power_coefficient | - | profile power over T^(3/2) / sqrt(rho A) of one rotor
-K | profile_advance_factor | - | growth of the profile power with the square of the advance ratio
-k_c, k_d | climb_power_factor, descent_power_factor | - | power over T v_a, up and down
-P_e | electronics_power | W | power drawn by all but the motors
-rho, A | air_density, disc_area | kg/m3, m2 | of the air and of all discs together
+symbol | name | unit | meaning v_i | induced_velocity | m/s | velocity that the rotors add to the
+air, equal for all rotors v_a | axial_airspeed | m/s | airspeed along the thrust, positive in climb
+v_p | in_plane_airspeed | m/s | airspeed across the thrust v_h | | m/s | v_i of hover, v_h^2 = T /
+(2 rho A) k_i | induced_power_factor | - | induced power over the power of an ideal rotor c_0 |
+profile_power_coefficient | - | profile power over T^(3/2) / sqrt(rho A) of one rotor K |
+profile_advance_factor | - | growth of the profile power with the square of the advance ratio k_c,
+k_d | climb_power_factor, descent_power_factor | - | power over T v_a, up and down P_e |
+electronics_power | W | power drawn by all but the motors rho, A | air_density, disc_area | kg/m3,
+m2 | of the air and of all discs together
 
 Induced velocity: Glauert (1926), v_i sqrt(v_p^2 + (v_a + v_i)^2) = v_h^2. For a rotor that descends
 into its own wake, the equation has no solution, or three. A term in the descent rate alone, tau
@@ -44,9 +39,9 @@ within 0.13 v_h of the curve that Leishman (2006), eq. (2.96), fits to measureme
 rotors down to v_a = -0.5 v_h, and within 0.4 v_h down to -1.5 v_h. Beyond -1.66 v_h the air flows
 upwards through the rotor.
 
-Profile power: P_0 = c_0 T^(3/2) / sqrt(rho A) (1 + K mu^2), with mu = v_p / (omega R). It depends
-on the thrust and not on the rotor speed, so that c_0 is valid for any payload and density. K = 4.65
-is Bennett's, in Leishman (2006), section 5.4.
+Profile power: P_0 = c_0 T^(3/2) / sqrt(rho A) (1 + K mu^2), with mu = v_p / (omega R). The profile
+power depends on the thrust and not on the rotor speed, so that c_0 is valid for any payload and
+density. K = 4.65 is Bennett's, in Leishman (2006), section 5.4.
 
 Rotor acceleration takes the power stored in the rotor, I_r omega alpha, plus the copper loss of the
 torque I_r alpha.
@@ -248,7 +243,7 @@ def declare_constant_efficiency_power(m: ConcreteModel, name: str) -> None:
     """Declare the power model `constant_efficiency`: shaft power divided by a constant efficiency.
 
     The model is valid near the operating point at which the efficiency was measured. The power is
-    convex in the rotor acceleration and in thrust. It is not negative unless regeneration is
+    convex in the rotor acceleration and in thrust. The power is not negative unless regeneration is
     enabled.
     """
 
@@ -262,12 +257,12 @@ def declare_efficiency_power(m: ConcreteModel, name: str) -> None:
     """Declare the power model `efficiency`: shaft power divided by f_r(tau, omega), eq. (8).
 
     f_r is the efficiency polynomial of the paper (Yacef et al.) in torque and rotor speed, with its
-    coefficients as recovered. Below some 780 rad/s, f_r has zeros at moderate braking torque. It is
-    therefore evaluated at a torque of at least `torque_floor`, and is bounded below by
-    `efficiency_floor`. Unless regeneration is enabled, braking returns nothing and the power is not
-    negative. The power is not convex in the rotor acceleration: below 858 rad/s, alternating
-    acceleration and coasting takes less energy than steady flight, so an optimum depends on the
-    bound on the acceleration and on the mesh.
+    coefficients as recovered. Below some 780 rad/s, f_r has zeros at moderate braking torque. The
+    polynomial is therefore evaluated at a torque of at least `torque_floor`, and its value is
+    bounded below by `efficiency_floor`. Unless regeneration is enabled, braking returns nothing and
+    the power is not negative. The power is not convex in the rotor acceleration: below 858 rad/s,
+    alternating acceleration and coasting takes less energy than steady flight, so an optimum
+    depends on the bound on the acceleration and on the mesh.
     """
     b = m.power
 
@@ -303,9 +298,10 @@ def declare_efficiency_power(m: ConcreteModel, name: str) -> None:
 def declare_motor_power_with_friction(m: ConcreteModel, name: str) -> None:
     """Declare the power model `motor_with_friction`: v i with dry and viscous friction.
 
-    The model follows Morbidi et al. (2016). The power is convex in the rotor acceleration. It is
-    not convex in thrust, because viscous and dry friction make the first newton of thrust the most
-    expensive. The published friction constants seem ten times too high: hover takes 1.3 kW.
+    The model follows Morbidi et al. (2016). The power is convex in the rotor acceleration. The
+    power is not convex in thrust, because viscous and dry friction make the first newton of thrust
+    the most expensive. The published friction constants seem ten times too high: hover takes 1.3
+    kW.
     """
     b = m.power
 

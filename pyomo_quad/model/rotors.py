@@ -30,8 +30,8 @@ def _by_rotor(
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters of positions and directions of rotation of the rotors.
 
-    A standard cross of four rotors without rotor forces needs no such parameters, because eq. (7)
-    contains its geometry.
+    A standard cross of four rotors without rotor forces needs no parameters of this kind, because
+    eq. (7) contains its geometry.
     """
     vehicle = scenario.vehicle
     ahead = Parameter(

@@ -1,7 +1,7 @@
 """Soft limits: limits and end conditions that a flight may violate at a penalty.
 
-Replanning in flight uses them, because a measured state may violate a limit already, and a plan
-must exist all the same. The physical limits of rotors (speed, acceleration, thrust, moments) and
+Replanning in flight uses soft limits, because a measured state may violate a limit already, and a
+plan must exist even then. The physical limits of rotors (speed, acceleration, thrust, moments) and
 pack (greatest power) stay hard.
 
 symbol | name | unit | meaning s_k | most[k] | unit of limit k | largest violation of limit k over

@@ -19,7 +19,7 @@ higher. A wind measured over heights is a cubic spline through the measurements 
 and the highest height, and constant beyond them, with the same smoothing. Its heights are also
 measured above the ground; the heights of a wind field are coordinates z.
 
-A wind measured over time is the cubic spline of the wind time through its rows. It is twice
+A wind measured over time is the cubic spline of the wind time through its rows. The spline is twice
 differentiable at any time, so that a plan may choose its times. After the last row it is constant.
 
 A wind that varies from place to place is declared in `wind_field`.
@@ -369,7 +369,7 @@ def _measured(components: Sequence[str], b: Block, t: float) -> NumericExpressio
 def _declare_shapes(b: Block, m: ConcreteModel, heights: FloatArray) -> None:
     """Declare the basis functions of height whose weighted sum is the wind measured over heights.
 
-    They are the basis functions of a cubic not-a-knot spline. Below the lowest and above the
+    These are the basis functions of a cubic not-a-knot spline. Below the lowest and above the
     highest measured height the wind is constant, with the same smoothing as a profile.
     """
     shares, functions = _shares(heights), _truncated_powers(_shares(heights))

@@ -5,9 +5,9 @@ per metre in the local wind. Over terrain the vehicle climbs where its height ab
 would fall below the floor of the airspace (the least height above ground). It does not descend on
 the way out, and returns at the same heights. A climb takes charge but brings no progress. The
 boundary ends where the terrain ends. Each metre uses the fraction 1 / range of the battery charge,
-where range is the distance that a full battery lasts for in the local wind. The boundary is reached
-where the sum of these fractions is 1. The sum is taken over the way out and, if the vehicle
-returns, also over the way back. Keep-out zones are ignored.
+where range is the distance [m] that the vehicle flies on a full battery in the local wind. The
+boundary is reached where the sum of these fractions is 1. The sum is taken over the way out and, if
+the vehicle returns, also over the way back. Keep-out zones are ignored.
 """
 
 import json
@@ -142,7 +142,7 @@ def _heights(scenario: Scenario, along: FloatArray, headings: FloatArray) -> Flo
 
 
 def _is_within_terrain(scenario: Scenario, places: FloatArray) -> NDArray[np.bool_]:
-    """Return which places, shape (..., 3), lie over the terrain; all of them without terrain."""
+    """Return which places, shape (..., 3), lie over the terrain; all places if there is none."""
     within, ground = np.ones(places.shape[:-1], dtype=bool), scenario.airspace.ground
     for axis, side, end in () if ground is None else ground.edges.values():
         within &= side * (places[..., axis] - end) <= 0.0

@@ -554,8 +554,8 @@ class Airspace(Part):
     def complaints(self, place: Sequence[float]) -> Iterator[str]:
         """Yield one message for each reason why a place is outside the airspace.
 
-        A message is the end of a sentence that begins with the name of the place. It says which
-        limit the place violates and what to change.
+        A message is the end of a sentence that begins with the name of the place. The message says
+        which limit the place violates and what to change.
 
         Parameters
         ----------

@@ -63,8 +63,8 @@ class Yaw(StrEnum):
 class Waypoint(Part):
     """Place to pass between start and goal.
 
-    It may prescribe the distance within which the flight must pass, a time of hovering, heading,
-    largest speed, time of passing and a release of payload.
+    A waypoint may prescribe the distance within which the flight must pass, a time of hovering, a
+    heading, a largest speed, a time of passing and a release of payload.
     """
 
     position: Triple = quantity(
@@ -313,7 +313,7 @@ class Mission(Part):
 
     @property
     def duration_limits(self) -> tuple[float, float]:
-        """Least and greatest duration [s]; both equal the duration if it is fixed."""
+        """Least and greatest duration [s], which are equal if the duration is fixed."""
         if not isinstance(self.duration, str):
             return self.duration, self.duration
         return (

@@ -319,8 +319,8 @@ class Scenario(Part):
         """Whether the heading stays constant throughout the flight.
 
         If the power depends on thrust and airspeed only, a turn costs nearly nothing and the best
-        heading is not unique. Unless a heading is prescribed, the plan of such a flight keeps its
-        heading, as autopilots do.
+        heading is not unique. Unless a heading is prescribed, the plan with such a power model
+        keeps the heading constant, as autopilots do.
         """
         if self.mission.yaw is not None:
             return self.mission.yaw is Yaw.KEPT

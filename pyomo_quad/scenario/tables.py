@@ -54,10 +54,11 @@ MISSION_TIMED = tuple(reference for reference in Reference if reference is not R
 class Gains(Part):
     """Gains of the adaptive backstepping controller, per unit of mass and of inertia.
 
-    Because of the division by mass and inertia, the defaults suit vehicles of any size. They place
-    the poles of the position error at 1.5 and 3 rad/s, of the tilt command at 12 rad/s, of the
-    attitude error at 6 and 15 rad/s and of the rotors at 60 rad/s. Each loop is at least twice as
-    fast as the next outer loop, and a step settles in less than 3 s.
+    Because of the division by mass and inertia, the defaults suit vehicles of any size. The default
+    gains place the poles of the position error at 1.5 and 3 rad/s, of the tilt command at 12 rad/s,
+    of the attitude error at 6 and 15 rad/s and of the rotors at 60 rad/s. Each control loop is at
+    least twice as fast as the next outer loop, and the response to a step of the position command
+    settles in less than 3 s.
     """
 
     position: Number = _rate("position error to velocity (k1)", 1.5)
@@ -156,7 +157,7 @@ class Replanning(Part):
 class CruiseSettings:
     """Settings of the baseline flight `cruise`, which flies like an autopilot.
 
-    They are the largest speed [m/s], acceleration [m/s²] and jerk [m/s³].
+    The settings are the largest speed [m/s], acceleration [m/s²] and jerk [m/s³].
     """
 
     speed: float

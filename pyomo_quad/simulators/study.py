@@ -265,7 +265,7 @@ class _Mission:
         return self.planner.dynamics(self.scenario)
 
     def declared(self, pilot: Pilot, followed: Reference = Reference.PLAN) -> Flown:
-        """Return a flight of the package's own ("declared") vehicle model, not simulated yet."""
+        """Return a flight, not simulated yet, of the package's own ("declared") vehicle model."""
         fly: Callable[[], Flight] = partial(
             fly_baseline, self.scenario, followed, dynamics=self.dynamics, plan=self.plan
         )
@@ -411,7 +411,7 @@ def _leaps(mission: _Mission, limited: OutsidePlant) -> Iterator[Flown]:
 def _why_se3_misses(mission: _Mission, plant: OutsidePlant) -> Iterator[Flown]:
     """Yield flights under SE3 with larger gains, and with feedforward of the air's force.
 
-    They show why SE3 misses the goal.
+    The flights show why SE3 misses the goal.
     """
     for followed in (Reference.QUINTIC, Reference.PLAN):
         path = mission.path(followed)

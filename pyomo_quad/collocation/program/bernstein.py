@@ -164,7 +164,8 @@ def bounded(
 ) -> BernsteinRows | None:
     """Return bounds on Bernstein coefficients in the elements where a trajectory is near a bound.
 
-    They keep the trajectory within its bounds between the collocation points too.
+    Bounds on the coefficients keep the trajectory within the variables' bounds between the
+    collocation points too.
 
     Parameters
     ----------

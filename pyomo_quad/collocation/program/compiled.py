@@ -127,10 +127,10 @@ def _names_at(declared: Declarations, slot: Slot) -> frozenset[str]:
 
 
 def _one_output(declared: Declarations) -> tuple[Slot, PathEquation] | None:
-    """Return an output state with its equation; None if the model has no such state.
+    """Return an output state with its equation; None if the model has no output state.
 
-    An output state affects neither the objective nor other equations. It appears in a single
-    equality, has no bounds, and is fixed at the start and nowhere else.
+    An output state affects neither the objective nor other equations. An output state appears in a
+    single equality, has no bounds, and is fixed at the start and nowhere else.
     """
     uses = Counter[str]()
     for equation in declared.equations:
@@ -529,8 +529,8 @@ def with_moving_limits(declared: Declarations) -> Declarations:
 def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> list[PathEquation]:
     """Return constraints equivalent to a path equation, with sides that depend on data alone.
 
-    `moves` tells whether a side depends on static variables; each such side becomes a constraint of
-    its own.
+    `moves` tells whether a side depends on static variables; each side that does becomes a separate
+    constraint.
     """
     below, above = moves(equation.lower), moves(equation.upper)
     if not (below or above):
@@ -683,7 +683,7 @@ def _point_symbols(declared: Declarations) -> dict[str, Any]:
 def _boundable_at_points(declared: Declarations) -> frozenset[str]:
     """Return the names of quantities in conditions that the nonlinear program can bound.
 
-    They are values of states at declared times, and static variables.
+    These quantities are values of states at declared times, and static variables.
     """
     states = {s.name for s in declared.states}
     at_points = {

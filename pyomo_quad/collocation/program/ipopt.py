@@ -50,7 +50,7 @@ class Status(Enum):
 
     @property
     def has_failed(self) -> bool:
-        """Whether Ipopt failed or reported infeasibility; a poor initial guess may cause either."""
+        """Whether Ipopt failed or reported infeasibility; a poor guess may cause both outcomes."""
         return self in (Status.NOT_CONVERGED, Status.INFEASIBLE)
 
 

@@ -3,8 +3,8 @@
 A condition is a constraint at a declared time, such as an end condition. If a quantity is
 conserved, an end condition on this quantity follows from the initial conditions and the equations
 over time. On a mesh, the end condition follows only up to the discretisation error. A program that
-imposes the end condition as well may have no solution, or a single point instead of a curve of
-solutions, with unbounded multipliers.
+imposes the redundant end condition may have no solution. It may also have a single solution where
+the problem without the condition has many, and unbounded multipliers.
 """
 
 from __future__ import annotations

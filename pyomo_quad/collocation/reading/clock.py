@@ -1,7 +1,7 @@
 """Declared times of a horizon, some of which may be free, and the phases between them.
 
 A declared time is a member of the model's continuous set, at which the model can state conditions.
-It is free if a static variable gives the physical time to which it corresponds.
+The declared time is free if a static variable gives the physical time to which it corresponds.
 Between two declared times, physical time is linear in the fraction of the horizon.
 """
 
@@ -27,7 +27,7 @@ def index_tuple(index: Any) -> tuple[Any, ...]:
 def is_over(component: Any, time: Any) -> bool:
     """Return whether a component is indexed by a given continuous set itself.
 
-    Another set with the same members does not count.
+    False for an index by a different set, even if that set has the same members.
     """
     return component.is_indexed() and any(part is time for part in component.index_set().subsets())
 
@@ -123,8 +123,8 @@ class PhaseTimes:
     def orders(self) -> list[tuple[str, Any]]:
         """Return the constraints that keep the phases in order.
 
-        Each is a pair: name, and CasADi expression that must not be negative. There are none for a
-        single phase.
+        Each constraint is a pair: name, and CasADi expression that must not be negative. The list
+        is empty for a single phase.
         """
         whole = LEAST_PHASE * (self.times[-1] - self.times[0])
         if not self.phases:

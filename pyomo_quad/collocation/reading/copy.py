@@ -67,7 +67,10 @@ class WorkingCopy:
     others: tuple[Any, ...] = ()
 
     def other_of(self, component: Any) -> Any:
-        """Return the other continuous set that indexes a component, None if no other set does."""
+        """Return the continuous set of another horizon that indexes a component.
+
+        The result is None if no other horizon's set indexes the component.
+        """
         return next((time for time in self.others if is_over(component, time)), None)
 
     def takes(self, component: Any, data: Any) -> bool:
@@ -259,7 +262,8 @@ def copies_with_template_times(model: Any) -> tuple[WorkingCopy, ...]:
     Returns
     -------
     tuple of WorkingCopy
-        One per horizon, all of the same clone; a single one for a model without time.
+        One working copy per horizon; all of them share one clone of the model. A model without time
+        gives a single working copy.
 
     Raises
     ------

@@ -166,8 +166,8 @@ class LiveModel:
     def first_guess(self, slot: Slot) -> Callable[[float], float] | None:
         """Return a variable's `initialize` rule as a function of time.
 
-        The result is None if the variable has no such rule, or if the values in the model differ
-        from the values of the rule.
+        The result is None if the variable has no `initialize` rule, or if the values in the model
+        differ from the values of the rule.
 
         Raises
         ------

@@ -1,7 +1,8 @@
 """Rules of a model's components: functions that make the members of constraints and expressions.
 
 A clone of a model keeps the rules of the original, which refer to the original's components. This
-module makes them refer to the clone, and checks that the members still agree with their rules.
+module makes the clone's rules refer to the clone, and checks that the members of components still
+agree with their rules.
 """
 
 from __future__ import annotations

@@ -318,7 +318,7 @@ class Phases:
         return Reading(self._clock.phase_of(time), ())
 
     def row(self, time: float) -> list[float]:
-        """Return 1 for the phase that contains a declared time and 0 for the others."""
+        """Return 1 for the phase that contains a declared time, and 0 for every other phase."""
         return [float(k == self._clock.phase_of(time)) for k in range(len(self.slots))]
 
 
@@ -352,7 +352,8 @@ def _structure(part: Any, numbers: list[float]) -> Any:
 def probes(times: Sequence[float]) -> list[float]:
     """Return the times at which a rule is called to find its forms and jumps.
 
-    They are 64 times spread over the horizon, and times just before and after each declared time.
+    The result has 64 times spread over the horizon, and times just before and after each declared
+    time.
     """
     span = times[-1] - times[0]
     between = np.linspace(times[0], times[-1], _PROBES + 1)[:-1] + 0.618 * span / _PROBES

@@ -397,7 +397,7 @@ class PointSymbol:
 class PointCondition:
     """Constraint among values at declared times, static variables and integrals.
 
-    It has the form lower <= expression <= upper, in CasADi expressions.
+    The constraint has the form lower <= expression <= upper, in CasADi expressions.
     """
 
     name: str

@@ -313,7 +313,7 @@ def _bounds(argument: Any) -> tuple[float | None, float | None]:
 def _range(argument: Any) -> tuple[float, float]:
     """Return the interval on which a function is checked.
 
-    It is the interval between the argument's bounds, or (0.1, 0.9) unless both bounds exist.
+    The result is the interval between the argument's bounds, or (0.1, 0.9) if a bound is missing.
     """
     lower, upper = _bounds(argument)
     return (0.1, 0.9) if lower is None or upper is None else (float(lower), float(upper))

@@ -514,8 +514,9 @@ class _Reached(Generic[S]):
 def _lost(ended: S, reached: _Reached[S] | None, tolerance: float) -> S:
     """Return the result of a refinement that ended above its tolerance.
 
-    If the refinement had been restarted, the result is the solution before the restart. It carries
-    a warning if the restart has shown that a better solution exists, or has led to no solution.
+    If the refinement had been restarted, the result is the solution before the restart. The
+    returned solution carries a warning if the restart has shown that a better solution exists, or
+    has led to no solution.
     """
     if reached is None:
         return ended
@@ -566,8 +567,8 @@ def _objective_change(solution: Solution, tolerance: float) -> float:
 def _is_lost(records: Sequence[MeshRecord]) -> bool:
     """Return whether refinement should stop because the last two solves gained too little.
 
-    This is the case if both solves took more than 150 iterations, and the error of the second is
-    more than half the error of the first.
+    True if each of the last two solves took more than 150 iterations, and the error after the
+    second solve is more than half the error after the first solve.
     """
     if len(records) < 3:
         return False

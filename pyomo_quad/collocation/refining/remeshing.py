@@ -147,8 +147,8 @@ class Marks:
     kept : frozenset of int
         Elements that must keep their degree.
     are_kinked : bool
-        Whether controls reach their limits with kinks instead of jumps. This holds if no control
-        enters linearly.
+        Whether controls reach their limits with kinks instead of jumps. True if no control enters
+        linearly.
     """
 
     coarse: frozenset[int]
