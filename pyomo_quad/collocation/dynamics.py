@@ -859,7 +859,10 @@ _OPERATIONS = _ARITHMETIC | _FUNCTIONS
 
 
 class Symbol(NDArrayOperatorsMixin):
-    """Symbolic number that records the NumPy functions applied to it, to compile a control law."""
+    """Symbolic number with which a control law is called once, to compile the law.
+
+    NumPy functions that the law applies to the symbol become CasADi expressions.
+    """
 
     def __init__(self, expression: Any) -> None:
         self.expression = expression

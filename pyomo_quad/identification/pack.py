@@ -119,9 +119,18 @@ class PackIdentification:
 
 
 class _Flown(NamedTuple):
-    """Power and cell voltage of one flight, beginning a few seconds before the load.
+    """Measured power and cell voltage of one flight, beginning a few seconds before the load.
 
-    `rest` has the mean voltage and power before the load; the first `aloft` rows are in flight.
+    Attributes
+    ----------
+    name : object
+        Name of the flight.
+    power, voltage : ndarray, shape (n_times,)
+        Power of the pack [W] and voltage per cell [V], on the common time grid.
+    rest : (float, float)
+        Mean voltage per cell [V] and mean power [W] before the load.
+    aloft : int
+        Number of rows in flight, from the first row on.
     """
 
     name: object

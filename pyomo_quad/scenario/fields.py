@@ -91,7 +91,11 @@ def not_negative(high: float, because: str) -> Sound:
 
 
 class Part(BaseModel):
-    """Base class of all tables of a scenario: immutable, finite numbers, no unknown keys."""
+    """Base class of all tables of a scenario.
+
+    A table is immutable, has finite numbers only, and refuses unknown keys. Unit and meaning of
+    each field are in the field's declaration, see `quantity`.
+    """
 
     model_config = ConfigDict(
         frozen=True,

@@ -140,7 +140,15 @@ class ReturnFlight(Part):
 
 
 class NamedDuration(NamedTuple):
-    """Duration [s], with the path of the scenario field that sets the duration, for messages."""
+    """Duration, with the scenario field that sets the duration, for messages.
+
+    Attributes
+    ----------
+    field : str
+        Dotted path of the field.
+    value : float
+        Duration [s].
+    """
 
     field: str
     value: float

@@ -31,7 +31,15 @@ _OF_MOTORS = (PowerModel.MOTOR, PowerModel.MOTOR_WITH_FRICTION)
 
 @dataclass(frozen=True, kw_only=True)
 class Contradiction:
-    """Field of a vehicle that contradicts other numbers of the vehicle, with a one-line message."""
+    """Contradiction between numbers of a vehicle.
+
+    Attributes
+    ----------
+    field : str
+        Field of the vehicle whose value contradicts the values of other fields.
+    message : str
+        Message for the user, one line.
+    """
 
     field: str
     message: str

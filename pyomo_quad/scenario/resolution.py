@@ -564,7 +564,23 @@ def _with_assignments(
 
 @dataclass
 class _Filled:
-    """Tables of a scenario while library entries are added, with the errors found so far."""
+    """Tables of a scenario during their completion, with the errors found.
+
+    Attributes
+    ----------
+    origin : ScenarioSource
+        The scenario as written.
+    own : mapping
+        Tables with the values that the user has written.
+    provenance : dict
+        Origin of each value, by dotted path.
+    tables : dict
+        Tables with the values added up to now.
+    complaints : list of str
+        Error messages.
+    unfilled : list
+        Paths that remain incomplete because of these errors.
+    """
 
     origin: ScenarioSource
     own: Mapping[str, Any]

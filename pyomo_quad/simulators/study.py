@@ -199,10 +199,14 @@ class OutsideStudy:
 
 
 class Arrivals(NamedTuple):
-    """Counts of a controller's flights in RotorPy.
+    """Numbers of a controller's flights in RotorPy, by outcome.
 
-    `confirmed` flights agree with a second integration, `unconfirmed` flights do not; `arrived`
-    counts the confirmed flights that reached the goal.
+    Attributes
+    ----------
+    arrived : int
+        Confirmed flights that reached the goal.
+    confirmed, unconfirmed : int
+        Flights that agree with a second integration, and flights that do not.
     """
 
     arrived: int
@@ -253,7 +257,18 @@ class Flown(NamedTuple):
 
 @dataclass(frozen=True)
 class _Mission:
-    """Planned mission of the comparison with RotorPy, with methods that make its flights."""
+    """Planned mission of the comparison with RotorPy, with methods that make its flights.
+
+    Attributes
+    ----------
+    case : str
+        Name of the mission, a key of `CASES`.
+    scenario : Scenario
+    planner : Planner
+        Keeps the compiled models.
+    plan : Plan
+        Minimum-energy plan of the mission.
+    """
 
     case: str
     scenario: Scenario

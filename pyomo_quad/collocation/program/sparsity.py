@@ -212,10 +212,10 @@ def _chosen(columns: IndexArray, width: int) -> csr_matrix:
 
 
 class Contributions:
-    """List of contributions to the nonzeros of a sparse matrix, from which a `Scatter` is made.
+    """Contributions to the entries of a sparse matrix, collected to make a `Scatter` of them.
 
-    A contribution adds a weight times a source to the entry at (row, column). A source is a number
-    that a CasADi function returns at each evaluation.
+    A source is a number that a CasADi function returns at each evaluation. A contribution adds a
+    weight times a source to the entry at (row, column) of the matrix.
     """
 
     def __init__(self) -> None:

@@ -61,10 +61,15 @@ def _remembered(known: OrderedDict[float, T], time: float, of: Callable[[float],
 
 @dataclass(frozen=True, kw_only=True)
 class Statement:
-    """Result of a rule at one time: Pyomo expressions, and whether they state an equality.
+    """Result of a rule at one time.
 
-    For a constraint the parts are lower bound, body and upper bound, with None for an absent bound;
-    for an expression over time there is one part.
+    Attributes
+    ----------
+    parts : tuple
+        Pyomo expressions. For a constraint: lower bound, body and upper bound, with None for an
+        absent bound. For an expression over time: the expression alone.
+    is_equality : bool
+        Whether the constraint is an equality.
     """
 
     parts: tuple[Any, ...]
