@@ -1,9 +1,11 @@
 """The airspace: floor, ceiling, fence, edges of the terrain and keep-out zones.
 
-symbol | name | unit | meaning c_k | centre[zone, ball, axis] | m | centre of ball k of a zone, on
-the axes of the ball n_k | normal[zone, ball, axis] | - | direction across an edge of a polygon, of
-length one R_k | radius[zone, ball] | m | radius of ball k c | clearance | m | distance kept from
-every zone d_k | beyond[zone, ball] | m | distance from the surface of the ball minus the clearance
+symbol | name | unit | meaning
+c_k | centre[zone, ball, axis] | m | centre of ball k of a zone, on the axes of the ball
+n_k | normal[zone, ball, axis] | - | direction across an edge of a polygon, of length one
+R_k | radius[zone, ball] | m | radius of ball k
+c | clearance | m | distance kept from every zone
+d_k | beyond[zone, ball] | m | distance from the surface of the ball minus the clearance
 w | edge_width | m | width over which two faces of a zone are blended
 
 A zone is the intersection of balls (`scenario.airspace.Ball`): a disk and an interval of height for

@@ -1,11 +1,13 @@
 """Equivalent circuit of a battery: relaxation voltage (RC pair), temperature and health.
 
-symbol | name | unit | meaning u_1 | relaxation_voltage | V | voltage of the RC pair, the slow part
-of the pack's drop, a state R_1, tau_1 | relaxation_resistance, relaxation_time_constant | ohm, s |
-of one cell T | temperature | K | of the pack, a state C_T, h | heat_capacity, cooling | J/K, W/K |
-of one cell T_a, T_r | ambient_temperature, reference_temperature | K | of the air, of the
-resistances as given E_a | activation_energy | J/mol | of the resistances s_R | resistance_share | -
-| resistance at the temperature T over resistance at T_r
+symbol | name | unit | meaning
+u_1 | relaxation_voltage | V | voltage of the RC pair, the slow part of the pack's drop, a state
+R_1, tau_1 | relaxation_resistance, relaxation_time_constant | ohm, s | of one cell
+T | temperature | K | of the pack, a state
+C_T, h | heat_capacity, cooling | J/K, W/K | of one cell
+T_a, T_r | ambient_temperature, reference_temperature | K | of the air, of the resistances as given
+E_a | activation_energy | J/mol | of the resistances
+s_R | resistance_share | - | resistance at the temperature T over resistance at T_r
 
 Derivation and sources: see docs/theory/battery.md, eqs. (4) to (10). Without `battery.relaxation`
 in the scenario no RC pair is declared, without `battery.thermal` no temperature.

@@ -1,9 +1,10 @@
 """The ground: flat at z = 0, or terrain.
 
-symbol | name | unit | meaning U(x, y) | above | m | height of a smooth surface that is nowhere
-below the ground L(x, y) | below | m | height of a smooth surface that is nowhere above the ground z
-- U | height_limited_below | m | lower bound of the height above the ground, which floors limit z -
-L | height_limited_above | m | upper bound of the height above the ground, which ceilings limit
+symbol | name | unit | meaning
+U(x, y) | above | m | height of a smooth surface that is nowhere below the ground
+L(x, y) | below | m | height of a smooth surface that is nowhere above the ground
+z - U | height_limited_below | m | lower bound of the height above the ground, which floors limit
+z - L | height_limited_above | m | upper bound of the height above the ground, which ceilings limit
 
 The ground of `airspace.terrain` is bilinear between the points of its grid.  U and L are splines
 through values on the same grid (`scenario.surfaces`). These splines are twice differentiable with

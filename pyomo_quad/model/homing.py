@@ -1,11 +1,13 @@
 """Reserve of charge that brings a vehicle home from any place, as a limit along the flight.
 
-symbol | name | unit | meaning d_k | way | m | straight distance to home k: the start, or a rally
-point w_k | tail_wind | m/s | component of the wind towards home k, at the vehicle g_k |
-ground_speed | m/s | ground speed towards home k at the airspeed V, by the wind triangle H_k |
-height_home | m | least height of the level return to home k over terrain c_k | climb | m | climb
-from the vehicle's height to H_k, over terrain q_k | charge_to | A h | charge of the return to home
-k, including the margin q | charge_home | A h | charge of the return to the nearest home
+symbol | name | unit | meaning
+d_k | way | m | straight distance to home k: the start, or a rally point
+w_k | tail_wind | m/s | component of the wind towards home k, at the vehicle
+g_k | ground_speed | m/s | ground speed towards home k at the airspeed V, by the wind triangle
+H_k | height_home | m | least height of the level return to home k over terrain
+c_k | climb | m | climb from the vehicle's height to H_k, over terrain
+q_k | charge_to | A h | charge of the return to home k, including the margin
+q | charge_home | A h | charge of the return to the nearest home
 
 The return is a steady, level flight at one airspeed V, at which the pack delivers a constant
 current i. At the ground speed g = w + sqrt(V^2 - |wind|^2 + w^2) the distance d takes the time d /

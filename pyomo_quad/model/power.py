@@ -6,10 +6,13 @@ is the integral of the sum, eq. (8) of the paper (Yacef et al.). The paper's sec
 speed for every rotor, is read as one sum over the four rotors. In the table, v and i are voltage
 and current of the motor, tau its torque, omega the rotor speed and alpha the rotor acceleration:
 
-name | power of one rotor | convex in alpha | convex in thrust in steady flight motor | v i | yes |
-yes motor_with_friction | v i with friction in the torque | yes | no shaft | tau omega | yes, linear
-| yes constant_efficiency | tau omega / eta | yes | yes efficiency | tau omega / f_r(tau, omega) |
-no | no momentum | induced, profile and axial power, in moving air | yes | yes
+name | power of one rotor | convex in alpha | convex in thrust in steady flight
+motor | v i | yes | yes
+motor_with_friction | v i with friction in the torque | yes | no
+shaft | tau omega | yes, linear | yes
+constant_efficiency | tau omega / eta | yes | yes
+efficiency | tau omega / f_r(tau, omega) | no | no
+momentum | induced, profile and axial power, in moving air | yes | yes
 
 By default, braking returns energy in the models `motor`, `motor_with_friction`, `shaft` and
 `momentum`, because their balances hold for either direction of the energy flow. The two models with
@@ -22,15 +25,17 @@ Alternating acceleration and braking of the rotors saves no energy: see docs/the
 Momentum theory, blade drag and climb, in moving air, `power.model momentum`; derivation and
 validated range: see docs/theory/momentum_power.md, eqs. (1) to (6).
 
-symbol | name | unit | meaning v_i | induced_velocity | m/s | velocity that the rotors add to the
-air, equal for all rotors v_a | axial_airspeed | m/s | airspeed along the thrust, positive in climb
-v_p | in_plane_airspeed | m/s | airspeed across the thrust v_h | | m/s | v_i of hover, v_h^2 = T /
-(2 rho A) k_i | induced_power_factor | - | induced power over the power of an ideal rotor c_0 |
-profile_power_coefficient | - | profile power over T^(3/2) / sqrt(rho A) of one rotor K |
-profile_advance_factor | - | growth of the profile power with the square of the advance ratio k_c,
-k_d | climb_power_factor, descent_power_factor | - | power over T v_a, up and down P_e |
-electronics_power | W | power drawn by all but the motors rho, A | air_density, disc_area | kg/m3,
-m2 | of the air and of all discs together
+symbol | name | unit | meaning
+v_i | induced_velocity | m/s | velocity that the rotors add to the air, equal for all rotors
+v_a | axial_airspeed | m/s | airspeed along the thrust, positive in climb
+v_p | in_plane_airspeed | m/s | airspeed across the thrust
+v_h | | m/s | v_i of hover, v_h^2 = T / (2 rho A)
+k_i | induced_power_factor | - | induced power over the power of an ideal rotor
+c_0 | profile_power_coefficient | - | profile power over T^(3/2) / sqrt(rho A) of one rotor
+K | profile_advance_factor | - | growth of the profile power with the square of the advance ratio
+k_c, k_d | climb_power_factor, descent_power_factor | - | power over T v_a, up and down
+P_e | electronics_power | W | power drawn by all but the motors
+rho, A | air_density, disc_area | kg/m3, m2 | of the air and of all discs together
 
 Induced velocity: Glauert (1926), v_i sqrt(v_p^2 + (v_a + v_i)^2) = v_h^2. For a rotor that descends
 into its own wake, the equation has no solution, or three. A term in the descent rate alone, tau

@@ -4,9 +4,11 @@ Replanning in flight uses soft limits, because a measured state may violate a li
 plan must exist even then. The physical limits of rotors (speed, acceleration, thrust, moments) and
 pack (greatest power) stay hard.
 
-symbol | name | unit | meaning s_k | most[k] | unit of limit k | largest violation of limit k over
-time s+_j, s-_j | above[j], below[j] | unit of condition j | violation of condition j, upwards and
-downwards rho | price | J/unit | penalty per unit of violation
+symbol | name | unit | meaning
+s_k | most[k] | unit of limit k | largest violation of limit k over time
+s+_j, s-_j | above[j], below[j] | unit of condition j | violation of condition j, upwards and
+downwards
+rho | price | J/unit | penalty per unit of violation
 
 A limit g(t) <= u over time becomes g(t) - s <= u with one s >= 0, a condition h = c becomes h = c +
 s+ - s-, and the objective grows by rho times the sum of all s.  Some flight within the limits of

@@ -1,15 +1,17 @@
 """Wind in world axes: eq. (11)-(12) of Yacef et al., a measured table, or a field over places.
 
-symbol | name | unit | meaning v_0 | mean | m/s | mean value, with the scenario's steady wind added
-A_k, Omega_k | amplitudes[k], frequencies[k] | m/s, rad/s | three harmonics v_gmax, T_g |
-gust_amplitude, gust_period | m/s, s | gust t | wind_time | s | wind time: time in flight plus the
-scenario's offset
+symbol | name | unit | meaning
+v_0 | mean | m/s | mean value, with the scenario's steady wind added
+A_k, Omega_k | amplitudes[k], frequencies[k] | m/s, rad/s | three harmonics
+v_gmax, T_g | gust_amplitude, gust_period | m/s, s | gust
+t | wind_time | s | wind time: time in flight plus the scenario's offset
 
 If the scenario has a profile, the horizontal wind is the wind at the reference height h_r times a
 factor:
 
-law | factor at height h | source power | (h / h_r)^exponent | Justus and Mikhail (1976) logarithmic
-| ln(h / z_0) / ln(h_r / z_0), of roughness z_0 | Stull (1988), section 9.7
+law | factor at height h | source
+power | (h / h_r)^exponent | Justus and Mikhail (1976)
+logarithmic | ln(h / z_0) / ln(h_r / z_0), of roughness z_0 | Stull (1988), section 9.7
 
 with h the vehicle's height above the ground: z, or over terrain the height over the smooth surface
 that is nowhere below the ground (`model.ground`). Below the larger of 0.1 m and z_0, where neither

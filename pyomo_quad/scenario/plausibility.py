@@ -1,8 +1,9 @@
 """Physical consistency of a vehicle's numbers: motor constants, rotors and inertias.
 
-symbol | meaning k_t, k_v | torque constant [N m/A] and voltage constant [rad/s/V] tau, omega |
-torque and speed of one rotor in hover P_i | ideal power of hover, T^(3/2) / sqrt(2 rho A), the
-least for a disc area A
+symbol | meaning
+k_t, k_v | torque constant [N m/A] and voltage constant [rad/s/V]
+tau, omega | torque and speed of one rotor in hover
+P_i | ideal power of hover, T^(3/2) / sqrt(2 rho A), the least for a disc area A
 
 A motor with k_t k_v = 1 conserves energy; a larger product would create power. No rotor hovers with
 less power than P_i (momentum theory). No moment of inertia of a body exceeds the sum of the body's
