@@ -415,9 +415,8 @@ def _windows(frame: pd.DataFrame) -> NDArray[np.int64]:
 def undetermined(fit: Fit) -> tuple[str, ...]:
     """Return the names of the parameters that the flights do not determine.
 
-    A parameter is not determined if the effect of a change on the power can be compensated by
-    changes of the other parameters. The weakest parameter is removed until all others are
-    determined.
+    A parameter is not determined if changes of the other parameters can compensate the effect of
+    its change on the power. The weakest parameter is removed until all others are determined.
 
     Parameters
     ----------

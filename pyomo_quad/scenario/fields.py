@@ -287,7 +287,8 @@ def unit_keys_of(model: type[BaseModel]) -> dict[str, tuple[str, float]]:
     Returns
     -------
     dict
-        For each key the name of the field, and the factor from the key's unit to the field's.
+        For each key the name of the field, and the factor from the key's unit to the unit of the
+        field.
     """
     keys: dict[str, tuple[str, float]] = {}
     for name in model.model_fields:

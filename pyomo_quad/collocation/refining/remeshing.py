@@ -289,8 +289,9 @@ def _isolated(mesh: Mesh, e: int, jump: float, size: float) -> list[_Piece]:
 
     The sliver is a narrow element of degree 1, with one collocation point. The control is constant
     in the sliver: if it satisfies its limits at the point, it satisfies them everywhere. The error
-    of the states decreases with the square of the sliver's width. If an adjacent sliver was cut for
-    the same jump and does not contain all of the jump, the element is split into thirds instead.
+    of the states decreases with the square of the sliver's width. If an adjacent element is already
+    a sliver for this jump, but the jump reaches beyond it, the element is split into thirds
+    instead.
 
     Parameters
     ----------

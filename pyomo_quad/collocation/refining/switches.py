@@ -37,9 +37,9 @@ def misplaced_switches(solution: Solution) -> FloatArray:
     If an equation depends on time explicitly, the Hamiltonian changes without a switch. The
     Hamiltonians of two neighbouring points are therefore compared at equal times: at the time of
     the first point, and at the time of the second point. A jump between two elements counts for the
-    narrower element, which was cut for that jump. Costates are computed in two ways, directly as
-    multipliers, and by integration through the element; where the polynomials cannot follow the
-    costates, the two differ, and the smaller jump counts.
+    narrower element, which was cut for that jump. Costates are computed in two ways: directly as
+    multipliers, and by integration through the element. Where the polynomials cannot follow the
+    costates, the two results differ; the smaller jump of the Hamiltonian then counts.
 
     Returns
     -------
