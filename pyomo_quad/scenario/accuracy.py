@@ -11,7 +11,7 @@ from types import MappingProxyType
 
 
 class Accuracy(StrEnum):
-    """Required accuracy of a plan, in ascending order."""
+    """Levels of accuracy that a plan may be required to have, in ascending order."""
 
     QUICK = "quick"
     STANDARD = "standard"

@@ -26,7 +26,7 @@ _MOST_ZONES = 64
 
 
 class Shape(StrEnum):
-    """Shape of a keep-out zone."""
+    """Shape of a keep-out zone: cylinder, sphere, box, or prism over a convex polygon."""
 
     CYLINDER = "cylinder"
     SPHERE = "sphere"

@@ -187,7 +187,7 @@ class _Hover:
     Attributes
     ----------
     start : str
-        Beginning of a message, with the shaft power.
+        Beginning of a message, which states the shaft power.
     shaft_W, ideal_W : float
         Power at the shafts of all rotors, and power of ideal rotors.
     radius : str

@@ -106,7 +106,11 @@ class Gains(Part):
 
 
 class Knowledge(StrEnum):
-    """Knowledge of the wind when a mission is planned again in flight: true, estimated or none."""
+    """Wind that a plan made again in flight is based on.
+
+    `TOLD` is the true wind, `ESTIMATED` an estimate from the flight added to the forecast, and
+    `UNTOLD` the forecast alone, or calm air if there is no forecast.
+    """
 
     TOLD = "told"
     ESTIMATED = "estimated"
@@ -114,7 +118,11 @@ class Knowledge(StrEnum):
 
 
 class SolveTiming(StrEnum):
-    """Time that a solve takes in a simulated flight: as the scenario states, or as measured."""
+    """Time that a solve takes in a simulated flight with re-planning.
+
+    `STATED` is the time in the scenario, which makes the flight reproducible; `MEASURED` is the
+    measured time of the solve.
+    """
 
     STATED = "stated"
     MEASURED = "measured"
