@@ -86,8 +86,8 @@ class Costates:
 def _roughness(degree: int) -> FloatArray:
     """Return the matrix that maps values at an element's nodes to the residuals of a smooth fit.
 
-    The fit is the least-squares polynomial of degree - 2. The nodes are the left end and the
-    collocation points, so that the matrix has shape (degree + 1, degree + 1).
+    For an element of degree d, the fit is the least-squares polynomial of degree d - 2. The nodes
+    are the left end and the d collocation points, so that the matrix has shape (d + 1, d + 1).
     """
     smooth = legendre.legvander(2.0 * radau_rule(degree).nodes - 1.0, max(degree - 2, 0))
     return np.asarray(np.eye(degree + 1) - smooth @ np.linalg.pinv(smooth))
@@ -138,8 +138,8 @@ def costates_of(
     timeline : Timeline
         Mapping from fractions of the horizon to physical times.
     objective : float
-        Magnitude of the objective. A costate below 1e-9 times this magnitude, per magnitude of its
-        state, counts as zero.
+        Magnitude of the objective. A costate counts as zero if its product with the magnitude of
+        its state is below 1e-9 times this magnitude.
 
     Returns
     -------
@@ -147,7 +147,7 @@ def costates_of(
     """
     mesh = program.mesh or Mesh.uniform(1, 1)
     by_rate, by_state = _products(program, z, program.path_weights(z, multipliers.rows))
-    by_state += _pull_of_bounds(program, multipliers, bounds)
+    by_state += _bound_multipliers(program, multipliers, bounds)
     weights = mesh.quadrature_weights[:, None]
     stages, slopes = -by_rate / weights, -by_state / weights
     starts, at_points = np.empty((mesh.elements, by_rate.shape[1])), np.empty_like(stages)
@@ -200,11 +200,14 @@ def _products(
     return products[:, :n], products[:, n:]
 
 
-def _pull_of_bounds(program: Transcription, multipliers: Multipliers, bounds: Bounds) -> FloatArray:
+def _bound_multipliers(
+    program: Transcription, multipliers: Multipliers, bounds: Bounds
+) -> FloatArray:
     """Return the multipliers of the bounds on states, shape (n_points, n_states).
 
-    An entry is the multiplier of the upper bound minus the multiplier of the lower bound. It is 0
-    for a fixed state and for a bound that holds at a single time only, such as an end condition.
+    An entry is the multiplier of the upper bound minus the multiplier of the lower bound. The entry
+    is 0 for a fixed state and for a bound that holds at a single time only, such as an end
+    condition.
     """
     is_held = bounds.lower == bounds.upper
     for limit in limits_at_points(program):
@@ -250,7 +253,7 @@ def costate_errors_of(
     n = program.compiled.n_equations
     rows[:, :n] = multipliers.rows[: rows.shape[0] * n].reshape(-1, n)
     rows[:, :n][:, program.compiled.is_equality] = 0.0
-    pull = _products(program, z, rows)[1] + _pull_of_bounds(program, multipliers, bounds)
+    pull = _products(program, z, rows)[1] + _bound_multipliers(program, multipliers, bounds)
     pull /= weights
     largest = np.zeros(costates.sizes.size)
     for degree, chosen, points in _by_degree(mesh):

@@ -325,10 +325,10 @@ def diagnose(
 def _least_slacks(solution: Solution, soft: SoftRows, progress: Progress | None) -> IpoptResult:
     """Minimise the sum of the slacks by which families of limits are violated.
 
-    A family is all limits that one component of the model declares. It has a single slack, which
-    bounds the relative violation of each of its limits. The result's unknowns are the program's
-    unknowns, then the violation of each relaxed constraint, then the slacks. Bounds on unknowns
-    that may be relaxed become constraints.
+    A family is all limits that one component of the model declares. Each family has a single slack,
+    which bounds the relative violation of every limit in the family. The result's unknowns are the
+    program's unknowns, then the violation of each relaxed constraint, then the slacks. Bounds on
+    unknowns that may be relaxed become constraints.
     """
     program, bounds, z = solution.program, solution.bounds, solution.unknowns
     n, m, count, families = z.size, program.n_rows, len(soft), len(soft.names)

@@ -159,8 +159,9 @@ class Dynamics:
     def without_iterations(self) -> Dynamics:
         """Return the same right-hand side with implicit equations solved by fixed Newton steps.
 
-        It consists of CasADi's fast scalar expressions (SX). Where equations are implicit, CasADi's
-        Newton iteration costs ten times as much as the evaluation of all other equations.
+        The returned right-hand side consists of CasADi's fast scalar expressions (SX). Where
+        equations are implicit, CasADi's Newton iteration costs ten times as much as the evaluation
+        of all other equations.
         """
         if self._right_hand_side.is_a("SXFunction"):
             return self
@@ -186,7 +187,7 @@ class Dynamics:
         return lower[chosen], upper[chosen]
 
     def just_after(self, t: float) -> float:
-        """Return a time just after t if parameters jump, else t.
+        """Return a time just after t if a parameter jumps at t, else t itself.
 
         At a time t at which a parameter jumps, the equations take the value before the jump; at the
         returned time they take the value after it.
@@ -574,7 +575,7 @@ class Dynamics:
         return found
 
     def violations_of(self, instants: Instants, t: FloatArray) -> list[tuple[Violation, ...]]:
-        """Return the worst violation of every limit for several flights with the same times.
+        """Return the worst violation of every limit for several flights sampled at equal times.
 
         Parameters
         ----------
@@ -638,8 +639,8 @@ def split_algebraics(formulation: Formulation) -> tuple[tuple[Slot, ...], tuple[
     """Split the algebraic variables into controls and variables that equations determine.
 
     Each equality equation without rates determines one algebraic variable, if possible. A maximum
-    matching assigns variables to equations; among possible variables it prefers the variable that
-    is declared later. The remaining algebraic variables are the controls.
+    matching assigns variables to equations. If several variables are possible for an equation, the
+    variable that is declared later is assigned. The remaining algebraic variables are the controls.
 
     Parameters
     ----------
@@ -858,7 +859,10 @@ _OPERATIONS = _ARITHMETIC | _FUNCTIONS
 
 
 class Symbol(NDArrayOperatorsMixin):
-    """Symbolic number that records the NumPy functions applied to it, to compile a control law."""
+    """Symbolic number with which a control law is called once, to compile the law.
+
+    NumPy functions that the law applies to the symbol become CasADi expressions.
+    """
 
     def __init__(self, expression: Any) -> None:
         self.expression = expression
@@ -1013,8 +1017,8 @@ class ClosedLoop:
     dynamics : Dynamics
         Right-hand side of the vehicle's equations.
     law : callable
-        (command, x, own) -> (controls, rates of own), sequences of numbers; see `Law`. It is called
-        once, with symbols.
+        (command, x, own) -> (controls, rates of own), sequences of numbers; see `Law`. The
+        constructor calls the law once, with symbols.
     n_command, n_own : int
         Number of components of the command that the law follows, and number of its own states.
 

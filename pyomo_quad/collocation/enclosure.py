@@ -170,7 +170,7 @@ class Enclosure:
 
 
 class _Steps:
-    """Elementary operations of a CasADi function, evaluated in order on intervals."""
+    """Elementary operations of a CasADi function, in the order of their evaluation on intervals."""
 
     def __init__(self, function: Any) -> None:
         self._function = function

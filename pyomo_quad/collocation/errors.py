@@ -10,7 +10,7 @@ class TranscriptionError(EngineError, ValueError):
 
 
 class SolveError(EngineError, RuntimeError):
-    """Error of a numerical solve that did not converge although its caller requires a result."""
+    """Error of a numerical solve that did not converge, although a result is indispensable."""
 
 
 def raised(error: Exception) -> str:

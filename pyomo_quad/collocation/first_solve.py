@@ -1,7 +1,7 @@
 """First solve of a problem, on its initial mesh, with fallback strategies if it fails.
 
 The strategies of the table in `strategies` change the initial point, the mesh or the settings of
-Ipopt. This module carries them out, on a model with one horizon or several.
+Ipopt. This module carries the strategies out, on a model with one horizon or several.
 """
 
 from __future__ import annotations
@@ -75,8 +75,8 @@ class FirstSolve(Search[S], Generic[S]):
     def judged(self) -> S:
         """Result of the failed first solve, with a verdict on the problem's feasibility.
 
-        The verdict says whether the problem is infeasible near the last iterate. It is found by
-        minimising the constraint violation, once; later calls return the cached result.
+        The verdict says whether the problem is infeasible near the last iterate. The constraint
+        violation is minimised once to find the verdict; later calls return the cached result.
         """
         return self.judge(self.failed)
 
@@ -166,8 +166,9 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
         Transcription (nonlinear program on one mesh) -> its bounds, with all conditions imposed.
     simulate : callable, optional
         Function without arguments that simulates the model from its initial states and returns the
-        trajectory. It returns None if the model has controls or free initial states, because a
-        simulation would need them. The attribute is None if the caller gave a guess.
+        trajectory. The function returns None if the model has controls or free initial states,
+        because a simulation would need values of them. The attribute is None if the caller gave a
+        guess.
     instance : Instance
         Parameter values, horizon and fixed variables of the solve.
     progress : callable or None

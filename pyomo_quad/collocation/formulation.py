@@ -288,8 +288,8 @@ class OutputStates:
     ) -> FloatArray:
         """Solve the collocation equations of the output states by Newton's method.
 
-        Output states are states that nothing else depends on. They are not among the unknowns of
-        the nonlinear program.
+        Output states are states that nothing else depends on. Output states are not among the
+        unknowns of the nonlinear program.
 
         Parameters
         ----------
@@ -588,10 +588,11 @@ class StructuralIndex:
 def structural_index(declared: Declarations) -> StructuralIndex:
     """Return the structural index of the equations over time, by Pryce's signature matrix.
 
-    The index is 0 for an ODE. It is also 0 where the method does not apply: there are no equations,
-    more equations than variables, or no assignment of equations to variables. Controls count as
-    unknowns, like all algebraic variables. An equation among states therefore raises the index even
-    if controls drive these states. Source: Pryce (2001), BIT Numerical Mathematics 41, 364-394.
+    The index is 0 for an ODE. The result is also 0 where the method does not apply: there are no
+    equations, more equations than variables, or no assignment of equations to variables. Controls
+    count as unknowns, like all algebraic variables. An equation among states therefore raises the
+    index even if controls drive these states. Source: Pryce (2001), BIT Numerical Mathematics 41,
+    364-394.
     """
     equations = [e for e in declared.equations if e.is_equality]
     names = [s.name for s in (*declared.states, *declared.algebraics)]

@@ -161,7 +161,7 @@ class _Known:
         ndarray, shape (n,)
         """
         if slot.name in self.given:
-            return self._told(slot.name, fractions)
+            return self._guess_at(slot.name, fractions)
         fixed = _are_fixed(self.bounds, columns)
         guessed = self.values.first_guesses(slot, fractions)
         if guessed is not None:
@@ -174,7 +174,7 @@ class _Known:
         at = np.array(sorted(known))
         return np.interp(fractions, at, np.array([known[f] for f in at]))
 
-    def _told(self, name: str, fractions: FloatArray) -> FloatArray:
+    def _guess_at(self, name: str, fractions: FloatArray) -> FloatArray:
         """Return the user's guess of a variable at n fractions of the horizon, shape (n,).
 
         The user gives a function of time, a constant, or samples at the times in the guess.
@@ -282,11 +282,12 @@ _PROJECTIONS, _LEFT = 30, 1e-9
 def on_path_equalities(program: Transcription, bounds: Bounds, z: FloatArray) -> FloatArray:
     """Move states as little as possible until they satisfy the equations among states alone.
 
-    An equation among states, such as a path that a vehicle must follow, has index 2: it contains
-    neither rates nor controls. At a point that violates the equation, its derivatives tell Ipopt
-    little about the rates and controls that would satisfy it. The states are moved by Gauss-Newton
-    steps, each the shortest in units of the states' magnitudes. The result has shape (n_unknowns,)
-    and lies inside the bounds. If the residual does not decrease, the given `z` is returned.
+    An equation among states, such as a path that a vehicle must follow, has index 2: the equation
+    contains neither rates nor controls. At a point that violates the equation, the derivatives of
+    the equation tell Ipopt little about the rates and controls that would satisfy it. The states
+    are moved by Gauss-Newton steps, each the shortest in units of the states' magnitudes. The
+    result has shape (n_unknowns,) and lies inside the bounds. If the residual does not decrease,
+    the given `z` is returned.
     """
     compiled, layout = program.compiled, program.layout
     path, n = compiled.path, layout.n_states

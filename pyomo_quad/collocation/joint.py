@@ -205,9 +205,9 @@ class JointProblem(Summarised):
     Parameters
     ----------
     model : ConcreteModel
-        Model with several ContinuousSets that are not discretised. Each is the horizon of the
-        variables that it indexes. Constraints on values at the ends of horizons, on integrals and
-        on static variables may couple the horizons.
+        Model with several ContinuousSets that are not discretised. Each set is the horizon of the
+        variables that the set indexes. Constraints on values at the ends of horizons, on integrals
+        and on static variables may couple the horizons.
     times : mapping, optional
         Free times of each horizon, by the name of its continuous set, for example {"flight": {1.0:
         m.T1}}. The key 1.0 is a declared time (a member of the set), and its value is a static

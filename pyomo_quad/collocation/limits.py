@@ -13,7 +13,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Violation:
-    """Worst violation of a limit over time: its name, size in the limit's unit, bound and time."""
+    """Worst violation of a limit over time.
+
+    Attributes
+    ----------
+    name : str
+        Name of the component that declares the limit.
+    size : float
+        Amount by which the limit is exceeded, in the limit's unit; 0 if the limit is met.
+    bound : float
+        Value of the limit at that time.
+    time : float
+        Physical time of the worst violation.
+    """
 
     name: str
     size: float
@@ -30,7 +42,14 @@ class Violation:
 class LimitValues:
     """Values of a limited quantity at n times, with the lower and upper bounds at these times.
 
-    The three arrays have shape (n,); a bound that does not exist is infinite.
+    Attributes
+    ----------
+    name : str
+        Name of the component that declares the limit.
+    values : ndarray, shape (n,)
+        Values of the limited variable or expression, in its own unit.
+    lower, upper : ndarray, shape (n,)
+        Bounds at the same times; infinite where there is no bound.
     """
 
     name: str

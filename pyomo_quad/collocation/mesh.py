@@ -661,10 +661,9 @@ class Mesh(Summarised):
 
     @cached_property
     def first_node(self) -> NDArray[np.intp]:
-        """Indices of the nodes at the element boundaries, shape (n_elements + 1,).
+        """Index of the first node of each element, and index of the last node of the mesh.
 
-        Each element has the index of its first node; the last entry is the node at the horizon's
-        end.
+        These are the nodes at the element boundaries, shape (n_elements + 1,).
         """
         return np.concatenate(([0], np.cumsum(self.degrees))).astype(np.intp)
 

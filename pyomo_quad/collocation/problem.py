@@ -74,8 +74,8 @@ class Problem(Summarised, Formulation):
     times : mapping, optional
         Free times, for example {1.0: m.T1}. The key 1.0 is a declared time (a member of the
         continuous set), and the value is a static variable. The solve determines the variable,
-        which is the physical time at which the conditions declared at 1.0 hold. Each declared time
-        between two free times keeps its relative position between them.
+        which is the physical time at which the conditions declared at 1.0 hold. A declared time
+        between two free times divides the physical time between them in the declared proportion.
 
     Raises
     ------
@@ -148,7 +148,7 @@ class Problem(Summarised, Formulation):
             Settings of the mesh refinement.
         starts : int, default 1
             Number of initial points on the first mesh, all but one random between the bounds; the
-            best optimum is kept. This does not guarantee a global optimum.
+            best optimum is kept. A global optimum is not guaranteed.
         progress : callable, optional
             Called with an `Iteration` at each iteration of Ipopt; returning False stops the solve.
 
@@ -337,7 +337,7 @@ class Problem(Summarised, Formulation):
             is negligible relative to the objective.
         change : float, optional
             Expected difference between the objective and its value at the warm start, in the unit
-            of the objective. It determines the initial barrier parameter.
+            of the objective. The expected difference determines the initial barrier parameter.
         most : float, optional
             Limit of Ipopt's iterations; the limit in `options` holds too.
         breach : float, optional

@@ -251,7 +251,7 @@ class Solution(Outcome):
         if self.problem.has_horizon:
             size = {
                 "estimated error": f"{self.error_estimate:.2g}",
-                **self._errors_of_others(),
+                **self._state_and_costate_errors(),
                 "mesh": f"{self.mesh.points} points in {self.mesh.elements} elements",
                 "meshes": f"{len(self.history) or 1}",
             }
@@ -264,7 +264,7 @@ class Solution(Outcome):
             "message": self.message,
         }
 
-    def _errors_of_others(self) -> dict[str, str]:
+    def _state_and_costate_errors(self) -> dict[str, str]:
         """Return the estimated errors of states and costates as text by label, if estimated."""
         if not (np.isfinite(self.state_error) and self.problem.compiled.declared.states):
             return {}
@@ -330,8 +330,8 @@ class Solution(Outcome):
         """Values of the output states at the nodes, shape (n_points + 1, n_outputs).
 
         Output states are states on which no other equation depends, for example an energy that is
-        only reported. They are no unknowns of the nonlinear program, and are computed at first
-        access.
+        only reported. Output states are no unknowns of the nonlinear program, and are computed at
+        first access.
         """
         program, outputs = self.program, self.problem.outputs
         if not len(outputs) or program.mesh is None:
@@ -427,8 +427,8 @@ class Solution(Outcome):
     def _inputs(self, fractions: FloatArray) -> list[FloatArray]:
         """Return the five inputs of an `Evaluator` at fractions of the horizon.
 
-        They are, with one row per fraction: rates, states, algebraic variables, static variables,
-        and data (fraction and parameters).
+        The inputs, with one row per fraction, are: rates, states, algebraic variables, static
+        variables, and data (fraction and parameters).
         """
         path, n = self.trajectory, len(fractions)
         states, rates = path.states_at(fractions), path.rates_at(fractions)
@@ -569,8 +569,8 @@ class Solution(Outcome):
     def algebraic_ranges(self) -> FloatArray:
         """Range of each algebraic variable, shape (n_algebraics,), in the variable's unit.
 
-        Upper minus lower limit; for a variable without both limits, the range of its values in the
-        solution.
+        The range is the upper minus the lower limit. If a variable lacks a limit, the range is the
+        difference of its largest and smallest values in the solution.
         """
         lower, upper = self.algebraic_limits
         own = np.ptp(self.trajectory.algebraics, axis=0)

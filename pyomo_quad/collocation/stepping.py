@@ -141,8 +141,8 @@ class SteppedLoops:
     ) -> list[FloatArray]:
         """Return the inputs of a step that are the same for all vehicles.
 
-        They are the length of the step [s], then the time-dependent inputs of the equations, and
-        then the commands, both at the start, the middle and the end of the step.
+        The list holds the length of the step [s]; then the time-dependent inputs of the equations
+        at the start, the middle and the end of the step; then the commands at these three times.
         """
         middle = 0.5 * (begin + end)
         # If the equations jump, a step starts after the jump and the previous step ends before it.

@@ -31,7 +31,10 @@ class Scope(Enum):
 
 
 class Fact(Enum):
-    """Condition that a strategy may require; the search that uses the strategy evaluates it."""
+    """Condition that a strategy may require, such as a given warm start or a single horizon.
+
+    The search that uses the strategy evaluates the condition; see `Search.holds`.
+    """
 
     #: A warm start is given.
     WARM_START = auto()
@@ -61,7 +64,11 @@ class Fact(Enum):
 
 
 class First(Enum):
-    """Kind of initial point from which a strategy solves."""
+    """Kind of initial point from which a strategy solves.
+
+    Examples are the caller's guess, a simulation, the optimum on a coarse mesh, and the point of
+    least constraint violation.
+    """
 
     #: The start that the caller requested: warm start or guess.
     GIVEN = auto()
@@ -193,8 +200,8 @@ S = TypeVar("S", bound=Any)
 class Search(ABC, Generic[S]):
     """Loop that tries solution strategies one after another until one of them succeeds.
 
-    It tries the strategies of one part of a solve (see `Scope`: whole solve, first mesh, next mesh
-    or restart), in the order in which the table of this module lists them.
+    A search tries the strategies of one part of a solve (see `Scope`: whole solve, first mesh, next
+    mesh or restart), in the order in which the table of this module lists them.
 
     Subclasses define how a strategy is carried out, when its conditions are true, and which results
     end the search.

@@ -45,7 +45,8 @@ class Sensitivities:
     def add(self, name: str, price: Callable[[float], float]) -> None:
         """Add a function of time under a name, summing functions of the same name.
 
-        Both sides of a limit (lower and upper) share a name; at any time at most one is active.
+        The lower and the upper side of a limit share a name; at any time at most one side is
+        active.
         """
         held = self.over_time.get(name)
         if held is None:
@@ -141,7 +142,8 @@ def _sensitivities(solution: Solution) -> tuple[Sensitivities, Sensitivities]:
 def _widths(solution: Solution) -> FloatArray:
     """Return the duration that each collocation point represents, shape (n_points,).
 
-    This is its quadrature weight times the length of the horizon (or of its phase).
+    The duration is the point's quadrature weight times the length of the horizon (or of the phase
+    that contains the point).
     """
     mesh = solution.mesh
     return np.asarray(solution.timeline.span_at(mesh.point_fractions) * mesh.quadrature_weights)

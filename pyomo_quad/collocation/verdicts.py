@@ -94,8 +94,8 @@ def judged(failed: Solution, found: LeastViolation) -> Solution:
     -------
     Solution
         Solution at that point. Its status is infeasible, with a message on the violated equations,
-        if the least violation is positive. It is not converged if the least violation is zero
-        although Ipopt reported infeasibility. Otherwise the status is unchanged.
+        if the least violation is positive. The status is not converged if the least violation is
+        zero although Ipopt reported infeasibility. Otherwise the status is unchanged.
     """
     told = replace(
         failed,
@@ -226,8 +226,8 @@ def _without_objective(solution: S) -> S:
 def _undoubted(solution: S) -> S:
     """Mark a solution as not converged if multipliers diverge and the Hamiltonian is not constant.
 
-    Both together show that the solution is wrong. Problems that depend on time explicitly are not
-    marked, because their Hamiltonian need not be constant.
+    The two signs together show that the solution is wrong. Problems that depend on time explicitly
+    are not marked, because their Hamiltonian need not be constant.
     """
     for part in solution.parts if solution.status is Status.CONVERGED else ():
         names, warnings = diverging_multipliers(part), hamiltonian_warnings(part)

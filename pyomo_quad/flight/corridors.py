@@ -193,7 +193,9 @@ class LineCosts:
         for zone in airspace.keep_out:
             blocked |= are_blocked(zone, starts, stops, airspace.clearance + MARGIN_M)
         if airspace.keep_in is not None:
-            blocked |= np.minimum(airspace.keep_in.room(starts), airspace.keep_in.room(stops)) < 0.0
+            blocked |= (
+                np.minimum(airspace.keep_in.depth(starts), airspace.keep_in.depth(stops)) < 0.0
+            )
         return blocked
 
 

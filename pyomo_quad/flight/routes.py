@@ -263,11 +263,11 @@ class _Graph:
         self._zones = relevant
         beside = [places_beside(zone, airspace.clearance, ends) for zone in relevant]
         places = np.vstack([ends, *beside])
-        is_free = airspace.room_over_ground(places) >= 0.0
+        is_free = airspace.distance_to_height_limits(places) >= 0.0
         for zone in airspace.keep_out:
             is_free &= zone.depth(places) + airspace.clearance <= ROUNDING
         if airspace.keep_in is not None:
-            is_free &= airspace.keep_in.room(places) >= 0.0
+            is_free &= airspace.keep_in.depth(places) >= 0.0
         is_free[:2] = True
         self._places = places[is_free]
         first, last = np.triu_indices(len(self._places), 1)

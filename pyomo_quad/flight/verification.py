@@ -340,7 +340,7 @@ def _samples_near_zones(
     is_near = np.maximum(depth[:-1], depth[1:]) > -_REACH * gaps
     apart = np.where(is_near, spacing, np.inf)
     if airspace.ground is not None:
-        room = airspace.room_over_ground(places)
+        room = airspace.distance_to_height_limits(places)
         is_low = np.minimum(room[:-1], room[1:]) < _REACH * gaps
         step = _PART_OF_CELL * airspace.ground.least_step
         apart = np.minimum(apart, np.where(is_low, step, np.inf))

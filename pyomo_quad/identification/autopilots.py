@@ -186,8 +186,8 @@ _USUAL_CELSIUS = 15.0
 def read_ardupilot(file: Path) -> pd.DataFrame:
     """Read an ArduPilot log (`.BIN`) as averages over each second of flight.
 
-    Motion and wind are the estimates of the first instance of the Kalman filter EKF3. If it does
-    not estimate the wind, the air is taken to be calm.
+    Motion and wind are the estimates of the first instance of the Kalman filter EKF3. If the filter
+    does not estimate the wind, the air is taken to be calm.
 
     Parameters
     ----------

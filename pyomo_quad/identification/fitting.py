@@ -148,7 +148,8 @@ class Identification:
         Errors of extrapolations. An example is the energy of fast flights, computed with a fit to
         slow flights.
     together : tuple of (str, str)
-        Each parameter that is not determined, with the parameter that has the same effect.
+        Name of each parameter that the flights do not determine, and name of the parameter with the
+        most similar effect on the power ("" if no other parameter has a similar effect).
     cautions : tuple of str
         Warnings that the rows are too few or too far apart in time.
     """
@@ -389,8 +390,8 @@ def _bounds(name: str) -> tuple[float, float]:
 def _most_drag(scenario: Scenario, frame: pd.DataFrame, power: int) -> float:
     """Return the drag coefficient that would tilt level flight by 45° at the largest airspeed.
 
-    It is the upper bound of the coefficient in the fit. `power` is the exponent of the airspeed in
-    the drag: 1 for linear and 2 for quadratic drag.
+    The result is the upper bound of the coefficient in the fit. `power` is the exponent of the
+    airspeed in the drag: 1 for linear and 2 for quadratic drag.
     """
     north, east = (frame[name].to_numpy() for name in AIR_VELOCITY)
     fastest = float(np.hypot(north, east).max()) * scenario.vehicle.anemometer_factor
@@ -414,9 +415,8 @@ def _windows(frame: pd.DataFrame) -> NDArray[np.int64]:
 def undetermined(fit: Fit) -> tuple[str, ...]:
     """Return the names of the parameters that the flights do not determine.
 
-    A parameter is not determined if the effect of a change on the power can be compensated by
-    changes of the other parameters. The weakest parameter is removed until all others are
-    determined.
+    A parameter is not determined if changes of the other parameters can compensate the effect of
+    its change on the power. The weakest parameter is removed until all others are determined.
 
     Parameters
     ----------

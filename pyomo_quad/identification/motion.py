@@ -99,7 +99,7 @@ class LoggedMotion:
         self._states[:, [names.index(name) for name in VELOCITY_STATES]] = velocity
         self._wanted = _accelerations(frame)
         self._payload, self._mass = frame[PAYLOAD].to_numpy(), vehicle.mass
-        self._told = {_DENSITY: frame[DENSITY].to_numpy()}
+        self._densities = {_DENSITY: frame[DENSITY].to_numpy()}
         self._solved: dict[tuple[tuple[str, float], ...], Instants] = {}
 
     def power(self, numbers: Mapping[str, float] | None = None) -> FloatArray:
@@ -116,15 +116,15 @@ class LoggedMotion:
             Power [W].
         """
         changed = dict(numbers or {})
-        deciding = {name: value for name, value in changed.items() if name not in self._powerless}
-        own = {name: value for name, value in changed.items() if name in self._powerless}
+        deciding = {name: value for name, value in changed.items() if name not in self._power_only}
+        own = {name: value for name, value in changed.items() if name in self._power_only}
         return self._instants(deciding).table(_POWER, own)[:, 0]
 
     @cached_property
-    def _powerless(self) -> frozenset[str]:
+    def _power_only(self) -> frozenset[str]:
         """Names of the parameters that affect the power only, not the motion.
 
-        If only such parameters change, attitude and rotor speed need not be solved for again.
+        If only these parameters change, attitude and rotor speed need not be solved for again.
         """
         self._instants({})
         states = self._states_found[_FEW]
@@ -154,7 +154,7 @@ class LoggedMotion:
     ) -> Instants:
         own = dict(numbers)
         mass = own.pop(_MASS, self._mass) + self._payload[rows]
-        told = {name: column[rows] for name, column in self._told.items()}
+        told = {name: column[rows] for name, column in self._densities.items()}
         controls = np.zeros((len(states), len(self._dynamics.control_names)))
         times = np.full(len(states), self._dynamics.start)
         return self._dynamics.solved(times, states, controls, {_MASS: mass, **told, **own})

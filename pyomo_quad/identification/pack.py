@@ -119,9 +119,18 @@ class PackIdentification:
 
 
 class _Flown(NamedTuple):
-    """Power and cell voltage of one flight, beginning a few seconds before the load.
+    """Measured power and cell voltage of one flight, beginning a few seconds before the load.
 
-    `rest` has the mean voltage and power before the load; the first `aloft` rows are in flight.
+    Attributes
+    ----------
+    name : object
+        Name of the flight.
+    power, voltage : ndarray, shape (n_times,)
+        Power of the pack [W] and voltage per cell [V], on the common time grid.
+    rest : (float, float)
+        Mean voltage per cell [V] and mean power [W] before the load.
+    aloft : int
+        Number of rows in flight, from the first row on.
     """
 
     name: object
@@ -521,8 +530,8 @@ def with_circuit(scenario: Scenario) -> Scenario:
 def _as_given(scenario: Scenario) -> list[float]:
     """Return the initial values of the battery fields that are fitted, in the order of `FITTED`.
 
-    They are the values before the fit. A value of 0 is replaced by a tiny positive number, because
-    the fields are fitted as logarithms.
+    The initial values are the values before the fit. A value of 0 is replaced by a tiny positive
+    number, because the fields are fitted as logarithms.
     """
     pack = scenario.battery
     slow = (_NEARLY_NONE, 1.0)

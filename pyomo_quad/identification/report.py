@@ -1,6 +1,7 @@
 """Output files of the commands `identify` and `predict`.
 
-These are tables, figures, report text, summary, and files of the identified vehicle and battery.
+The files are tables, figures, a report text, a summary, and the files of the identified vehicle and
+battery.
 """
 
 from collections.abc import Iterator, Mapping

@@ -75,7 +75,8 @@ class SteadyFit:
     unseen : ndarray, shape (n_points,)
         Power of each point by a fit without the point [W]; NaN if there are too few points.
     together : tuple of (str, str)
-        Each field that the points do not determine, with the field that has the same effect.
+        Name of each field that the points do not determine, and name of the field with the most
+        similar effect on the power ("" if no other field has a similar effect).
     cautions : tuple of str
         Limitations of the result.
     """
@@ -301,8 +302,8 @@ def _deviations(
 ) -> FloatArray:
     """Return the standard deviations of the fitted parameters.
 
-    They follow from linear least squares. The error of a measured power is estimated from the
-    residuals or, with few points, is at least an assumed relative error.
+    The standard deviations follow from linear least squares. The error of a measured power is
+    estimated from the residuals or, with few points, is at least an assumed relative error.
     """
     slopes = fit.slopes(values)
     measured = points[POWER].to_numpy()

@@ -63,8 +63,8 @@ _PARASITIC = Parameter(
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters that the model of a scenario declares in its block `aerodynamics`.
 
-    These are the coefficients of the chosen coupling of wind and vehicle, of the rotor forces and
-    of the parasitic drag, each only if the scenario has it.
+    The parameters are the coefficients of the chosen coupling of wind and vehicle, of the rotor
+    forces and of the parasitic drag. A coefficient that the scenario does not set is left out.
     """
     is_printed = scenario.wind.coupling is WindCoupling.ACCELERATION
     return (
@@ -77,7 +77,8 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 def acts_in_body_axes(scenario: Scenario) -> bool:
     """Return whether the vehicle has forces that depend on the airspeed in body axes.
 
-    These are the rotor forces (drag and translational lift at each rotor) and the parasitic drag.
+    These forces are the rotor forces (drag and translational lift at each rotor) and the parasitic
+    drag.
     """
     return scenario.vehicle.has_rotor_forces or any(scenario.vehicle.parasitic_drag)
 

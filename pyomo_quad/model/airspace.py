@@ -20,15 +20,16 @@ sharp.
 A polygon with k corners has k + 1 faces, blended in the same way. Near a corner with several faces
 at nearly the same distance, up to 0.14 w more is forbidden for each further face.
 
-The fence (`keep_in`) is a linear limit for each of its edges. It is exact everywhere, corners
-included, and has no clearance.
+The fence (`keep_in`) is a linear limit for each of its edges. The fence is exact everywhere,
+corners included, and has no clearance.
 
 Over terrain, floor and ceiling limit the height above the ground (`model.ground`), and flights stay
 where the ground is known, within the edges of its grid.  Zones have their own heights z: terrain
 moves neither their bottom nor their top.
 
-A flight cannot start, end or pass a waypoint on the surface of a zone, because no neighbourhood of
-such a place is free. The declaration refuses such a mission before any solve.
+A flight cannot start, end or pass a waypoint on the surface of a zone, because a part of every
+neighbourhood of a place on the surface is forbidden. `declare_airspace` therefore raises an error
+for a mission with a start, goal or waypoint on a surface.
 """
 
 from collections.abc import Sequence
@@ -247,7 +248,7 @@ def _declare_keep_outs(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
             away = sum(normal[zone, ball, axis] * off[axis] for axis in axes) ** 2
         else:
             away = sum(off[axis] ** 2 for axis in axes)
-        return _beyond(away, b.radius[zone, ball] + b.clearance, b.rounding)
+        return _distance_outside(away, b.radius[zone, ball] + b.clearance, b.rounding)
 
     @b.Constraint(
         [zone.name for zone in scenario.airspace.keep_out], m.time, doc="outside of a zone [m]"
@@ -257,12 +258,11 @@ def _declare_keep_outs(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
         return _largest(distances, b.edge_width) >= 0
 
 
-def _beyond(away: Any, radius: Any, rounding: Any) -> Any:
-    """Return the distance outside the surface of a ball, from the squared distance of its centre.
+def _distance_outside(away: Any, radius: Any, rounding: Any) -> Any:
+    """Return the distance of a place from the surface of a ball, negative inside the ball [m].
 
-    The result is negative inside. ``away`` is the squared distance from the ball's centre [m^2];
-    the smoothing `rounding` [m] makes the result differentiable at the centre and is zero on the
-    surface.
+    ``away`` is the squared distance of the place from the ball's centre [m^2]; the smoothing
+    `rounding` [m] makes the result differentiable at the centre and has no effect on the surface.
     """
     return sqrt(away + rounding**2) - sqrt(radius**2 + rounding**2)
 
@@ -282,7 +282,7 @@ def _refuse_touching(scenario: Scenario) -> None:
     is_exact = (True, *(waypoint.radius == 0.0 for waypoint in mission.waypoints), True)
     for (field, place), has_no_room in zip(mission.named_positions, is_exact, strict=True):
         for zone in told.keep_out if has_no_room else ():
-            if _room(zone, told.clearance, place) < _TOUCHING_M:
+            if _smoothed_distance(zone, told.clearance, place) < _TOUCHING_M:
                 outside = max(0.0, -float(zone.depth(place)) - told.clearance)
                 rounded = (
                     f", beside an edge, which is rounded outwards by up to {_EDGE_M:g} m"
@@ -296,10 +296,10 @@ def _refuse_touching(scenario: Scenario) -> None:
                 )
 
 
-def _room(zone: KeepOut, clearance: float, place: Sequence[float]) -> float:
+def _smoothed_distance(zone: KeepOut, clearance: float, place: Sequence[float]) -> float:
     """Return the distance of a place from a zone, smoothed as in the path constraint [m]."""
     distances = [
-        _beyond(
+        _distance_outside(
             float(np.sum((ball.coordinates(place) - ball.centre) ** 2)),
             ball.radius + clearance,
             _ROUNDING_M,

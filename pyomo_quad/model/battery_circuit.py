@@ -7,11 +7,10 @@ T | temperature | K | of the pack, a state
 C_T, h | heat_capacity, cooling | J/K, W/K | of one cell
 T_a, T_r | ambient_temperature, reference_temperature | K | of the air, of the resistances as given
 E_a | activation_energy | J/mol | of the resistances
-s_R | resistance_share | - | resistances at the temperature T over those at T_r
+s_R | resistance_share | - | resistance at the temperature T over resistance at T_r
 
-Derivation and sources: see docs/theory/battery.md, eqs. (4) to (10). Without
-`battery.relaxation` in the scenario no RC pair is declared, without `battery.thermal` no
-temperature.
+Derivation and sources: see docs/theory/battery.md, eqs. (4) to (10). Without `battery.relaxation`
+in the scenario no RC pair is declared, without `battery.thermal` no temperature.
 
 Assumptions: all cells alike and at one temperature, no entropic heat, one time constant at all
 temperatures and states of charge.
@@ -67,8 +66,8 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 def states_at_start(scenario: Scenario) -> dict[str, float]:
     """Return the initial values of the battery's states other than its charge, by full name.
 
-    These are the relaxation voltage [V], the temperature [K] and the lost energy [J], each only if
-    the scenario declares it.
+    The states are the relaxation voltage [V], the temperature [K] and the lost energy [J]. A state
+    that the model of the scenario does not declare is left out.
     """
     pack, states = scenario.battery, {}
     if pack.relaxation is not None:
@@ -150,9 +149,9 @@ def _line(equation: object) -> str:
 
 
 def resistance_share(b: Block, t: float) -> NumericExpression:
-    """Ratio of the resistances to those at the reference temperature, Arrhenius's law [-].
+    """Resistance at the cell's temperature over resistance at the reference temperature [-].
 
-    See docs/theory/battery.md, eq. (7).
+    Arrhenius's law; see docs/theory/battery.md, eq. (7).
     """
     inverse = 1 / b.temperature[t] - 1 / b.reference_temperature
     return exp(b.activation_energy / GAS_CONSTANT * inverse)

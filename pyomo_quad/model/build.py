@@ -76,9 +76,9 @@ def build_in_turbulence(scenario: Scenario) -> ConcreteModel:
     -------
     ConcreteModel
         The model of `build_model` with two additions: the Dryden shaping filters in block
-        `wind.turbulence`, and two mutable parameters, initially zero. They are the error of the
-        wind forecast, ``wind.error`` by axis [m/s], and the relative error of the power model,
-        ``power.error``.
+        `wind.turbulence`, and two mutable parameters, initially zero. The parameters are the error
+        of the wind forecast, ``wind.error`` by axis [m/s], and the relative error of the power
+        model, ``power.error``.
 
     Examples
     --------
@@ -254,7 +254,8 @@ def structure_key(scenario: Scenario) -> Hashable:
 def guess_key(scenario: Scenario) -> Scenario:
     """Return a key that is equal for scenarios with the same initial guess and variable scaling.
 
-    The key is the scenario without its wind, which affects neither.
+    The key is the scenario without its wind, because neither the guess nor the scaling depends on
+    the wind.
     """
     return scenario.model_copy(update={"wind": None})
 
@@ -300,7 +301,7 @@ def model_builder(scenario: Scenario, *, is_code_allowed: bool) -> Builder:
     Parameters
     ----------
     scenario : Scenario
-        Its field ``model`` may name a builder, relative to the scenario's folder.
+        Scenario whose field ``model`` may name a builder, relative to the scenario's folder.
     is_code_allowed : bool
         Whether the user agreed to run code from a file.
 
@@ -312,7 +313,7 @@ def model_builder(scenario: Scenario, *, is_code_allowed: bool) -> Builder:
     Raises
     ------
     ScenarioError
-        If the scenario names a builder and code is not allowed, or it cannot be loaded.
+        If the scenario names a builder and code is not allowed, or the builder cannot be loaded.
 
     Examples
     --------

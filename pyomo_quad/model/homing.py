@@ -16,8 +16,8 @@ equal to the wind at the vehicle, and a difference of height counts as distance;
 the errors of these assumptions.
 
 Over terrain the vehicle first climbs, without progress, until it clears the highest ground on its
-straight way home by the floor of the airspace. It then flies level to the place above the home, and
-descends; the descent counts as distance. See docs/theory/homing.md.
+straight way home by the floor of the airspace. The vehicle then flies level to the place above the
+home, and descends; the descent counts as distance. See docs/theory/homing.md.
 """
 
 from collections.abc import Hashable
@@ -88,9 +88,10 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 
 
 def terrain_key(scenario: Scenario) -> Hashable:
-    """Return the homes if tables of terrain on the ways home are part of the model, else None.
+    """Return the homes if the model has tables of the terrain on the ways home, else None.
 
-    Models of scenarios with different homes then differ in more than parameter values.
+    The key is part of `structure_key`: the tables differ from home to home, so that a model cannot
+    be used again for another home by changing parameter values only.
     """
     has_tables = scenario.mission.return_reserve and scenario.airspace.ground is not None
     return _homes(scenario) if has_tables else None
@@ -107,7 +108,7 @@ def declare_homing(m: ConcreteModel, scenario: Scenario) -> None:
     m : ConcreteModel
         Model that already declares `time`, `rigid_body`, `wind` and `battery`.
     scenario : Scenario
-        Nothing is declared if its mission keeps no charge for a return.
+        Scenario with the mission. Nothing is declared if the mission keeps no charge for a return.
     """
     if not scenario.mission.return_reserve:
         return
@@ -156,16 +157,16 @@ def _declare_way(b: Block, m: ConcreteModel) -> None:
 
 
 def _declare_climb(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare the height of the return over terrain, the climb to it, and the way flown.
+    """Declare the height of the return over terrain, the climb to this height, and the distance.
 
     Parameters
     ----------
     b : Block
-        Block `homing`, with its homes.
+        Block `homing`, which already has the positions of the homes.
     m : ConcreteModel
-        With `time`, `rigid_body` and `airspace`.
+        Model that already declares `time`, `rigid_body` and `airspace`.
     scenario : Scenario
-        Has terrain.
+        Scenario with terrain; nothing is declared without terrain.
     """
     ground, floor = scenario.airspace.ground, m.airspace.component("floor")
     if ground is None:

@@ -143,8 +143,9 @@ def _hover_speed(m: ConcreteModel, mass: NumericExpression) -> NumericExpression
 def free_times(m: ConcreteModel, scenario: Scenario) -> dict[float, Any]:
     """Return the variables of the times that the plan chooses, by their nominal time [s].
 
-    These are the duration, if it is free, the passage of each waypoint and the end of each hover at
-    a waypoint. The nominal time is the member of the model's time set that stands for the variable.
+    The times are the duration, if the duration is free, the passage of each waypoint and the end of
+    each hover at a waypoint. The nominal time is the member of the model's time set that stands for
+    the variable.
     """
     *passages, end = scenario.nominal_times
     free: dict[float, Any] = {end: m.duration} if scenario.mission.is_free else {}
@@ -289,7 +290,7 @@ def _declare_end(
 
 
 def _goal_of_turning(b: Block) -> tuple[Any, ...]:
-    """Return the goal conditions on yaw and yaw rate, redundant if the heading is constant."""
+    """Return the goal conditions on yaw and yaw rate, which a constant heading makes redundant."""
     return b.goal_place["psi"], b.goal_rest["r"]
 
 
@@ -307,9 +308,9 @@ def _declare_kept_yaw(b: Block, m: ConcreteModel) -> None:
 def start_where_measured(m: ConcreteModel) -> None:
     """Replace the start of a mission by measured states, mutable parameters of block `start`.
 
-    This is used for replanning in flight. Each state gets a parameter of the same name, and a
-    condition that equates the state's initial value to the parameter. The condition of a constant
-    heading is removed.
+    Models for replanning in flight use these parameters. Each state gets a parameter of the same
+    name, and a condition that equates the state's initial value to the parameter. The condition of
+    a constant heading is removed.
 
     Parameters
     ----------
@@ -352,9 +353,9 @@ def _start_measured(b: Block, start: float, state: Var) -> None:
 def end_in_equilibrium(m: ConcreteModel) -> None:
     """Replace the level hover at the goal by steady hover in the wind, tilted against it.
 
-    This is used for replanning in flight. In wind, a vehicle at rest with a level attitude is not
-    in equilibrium: it reaches this state for an instant only, by a well-timed swing. If the wind is
-    not known exactly, the vehicle misses the instant.
+    Models for replanning in flight use this end condition. In wind, a vehicle at rest with a level
+    attitude is not in equilibrium: it reaches this state for an instant only, by a well-timed
+    swing. If the wind is not known exactly, the vehicle misses the instant.
 
     Parameters
     ----------

@@ -23,10 +23,19 @@ Value = float | Mapping[Any, float] | None
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
-    """Declaration of a model parameter: name in its block, unit, and source in a scenario.
+    """Declaration of a parameter of a model block, whose value comes from a scenario.
 
-    `value` takes the scenario and returns a number, or a mapping from indices to numbers. Where it
-    returns None or an empty mapping, the model does not have the parameter.
+    Attributes
+    ----------
+    name : str
+        Name of the parameter in its block.
+    units : Pyomo unit
+        Unit of the parameter.
+    value : callable
+        Takes a scenario and returns a number, or a mapping from indices to numbers. If it returns
+        None or an empty mapping, the model of that scenario does not have the parameter.
+    doc : str
+        Meaning of the parameter.
     """
 
     name: str

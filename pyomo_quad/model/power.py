@@ -44,9 +44,9 @@ within 0.13 v_h of the curve that Leishman (2006), eq. (2.96), fits to measureme
 rotors down to v_a = -0.5 v_h, and within 0.4 v_h down to -1.5 v_h. Beyond -1.66 v_h the air flows
 upwards through the rotor.
 
-Profile power: P_0 = c_0 T^(3/2) / sqrt(rho A) (1 + K mu^2), with mu = v_p / (omega R). It depends
-on the thrust and not on the rotor speed, so that c_0 is valid for any payload and density. K = 4.65
-is Bennett's, in Leishman (2006), section 5.4.
+Profile power: P_0 = c_0 T^(3/2) / sqrt(rho A) (1 + K mu^2), with mu = v_p / (omega R). The profile
+power depends on the thrust and not on the rotor speed, so that c_0 is valid for any payload and
+density. K = 4.65 is Bennett's, in Leishman (2006), section 5.4.
 
 Rotor acceleration takes the power stored in the rotor, I_r omega alpha, plus the copper loss of the
 torque I_r alpha.
@@ -248,7 +248,7 @@ def declare_constant_efficiency_power(m: ConcreteModel, name: str) -> None:
     """Declare the power model `constant_efficiency`: shaft power divided by a constant efficiency.
 
     The model is valid near the operating point at which the efficiency was measured. The power is
-    convex in the rotor acceleration and in thrust. It is not negative unless regeneration is
+    convex in the rotor acceleration and in thrust. The power is not negative unless regeneration is
     enabled.
     """
 
@@ -262,12 +262,12 @@ def declare_efficiency_power(m: ConcreteModel, name: str) -> None:
     """Declare the power model `efficiency`: shaft power divided by f_r(tau, omega), eq. (8).
 
     f_r is the efficiency polynomial of the paper (Yacef et al.) in torque and rotor speed, with its
-    coefficients as recovered. Below some 780 rad/s, f_r has zeros at moderate braking torque. It is
-    therefore evaluated at a torque of at least `torque_floor`, and is bounded below by
-    `efficiency_floor`. Unless regeneration is enabled, braking returns nothing and the power is not
-    negative. The power is not convex in the rotor acceleration: below 858 rad/s, alternating
-    acceleration and coasting takes less energy than steady flight, so an optimum depends on the
-    bound on the acceleration and on the mesh.
+    coefficients as recovered. Below some 780 rad/s, f_r has zeros at moderate braking torque. The
+    polynomial is therefore evaluated at a torque of at least `torque_floor`, and its value is
+    bounded below by `efficiency_floor`. Unless regeneration is enabled, braking returns nothing and
+    the power is not negative. The power is not convex in the rotor acceleration: below 858 rad/s,
+    alternating acceleration and coasting takes less energy than steady flight, so an optimum
+    depends on the bound on the acceleration and on the mesh.
     """
     b = m.power
 
@@ -303,9 +303,10 @@ def declare_efficiency_power(m: ConcreteModel, name: str) -> None:
 def declare_motor_power_with_friction(m: ConcreteModel, name: str) -> None:
     """Declare the power model `motor_with_friction`: v i with dry and viscous friction.
 
-    The model follows Morbidi et al. (2016). The power is convex in the rotor acceleration. It is
-    not convex in thrust, because viscous and dry friction make the first newton of thrust the most
-    expensive. The published friction constants seem ten times too high: hover takes 1.3 kW.
+    The model follows Morbidi et al. (2016). The power is convex in the rotor acceleration. The
+    power is not convex in thrust, because viscous and dry friction make the first newton of thrust
+    the most expensive. The published friction constants seem ten times too high: hover takes 1.3
+    kW.
     """
     b = m.power
 

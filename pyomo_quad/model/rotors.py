@@ -30,8 +30,8 @@ def _by_rotor(
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters of positions and directions of rotation of the rotors.
 
-    A standard cross of four rotors without rotor forces needs no such parameters, because eq. (7)
-    contains its geometry.
+    A standard cross of four rotors without rotor forces needs no parameters of this kind, because
+    eq. (7) contains its geometry.
     """
     vehicle = scenario.vehicle
     ahead = Parameter(
@@ -65,7 +65,7 @@ def declare_motors(m: ConcreteModel, scenario: Scenario) -> None:
         Model that already declares `time`, `vehicle` and the speeds and accelerations of `rotors`,
         to which the expressions are added.
     scenario : Scenario
-        Its vehicle has a table `motor` if the constants are known.
+        Scenario whose vehicle has a table `motor` if the constants are known.
     """
     b = m.rotors
 
@@ -107,7 +107,7 @@ def declare_rotors(m: ConcreteModel, scenario: Scenario) -> None:
     m : ConcreteModel
         Model that already declares `time`, `vehicle` and `scaling_factor`.
     scenario : Scenario
-        Its vehicle gives the rotor layout.
+        Scenario whose vehicle gives the rotor layout.
     """
     b = m.rotors = Block(doc="rotors, Yacef et al., eqs. (7) and (9)")
     b.rotor = Set(initialize=_numbers(scenario), doc="rotors as the paper numbers them")

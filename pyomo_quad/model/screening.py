@@ -51,7 +51,15 @@ class Finding:
 
 @dataclass(frozen=True, kw_only=True)
 class _Interval:
-    """Interval of values to which one declaration (bounds or a constraint) restricts a variable."""
+    """Interval of values that one declaration permits for a variable.
+
+    Attributes
+    ----------
+    source : str
+        Words for the declaration: "bounds of NAME", or the name of the constraint.
+    lower, upper : float
+        Ends of the interval, infinite where there is no limit.
+    """
 
     source: str
     lower: float

@@ -1,7 +1,7 @@
 """Soft limits: limits and end conditions that a flight may violate at a penalty.
 
-Replanning in flight uses them, because a measured state may violate a limit already, and a plan
-must exist all the same. The physical limits of rotors (speed, acceleration, thrust, moments) and
+Replanning in flight uses soft limits, because a measured state may violate a limit already, and a
+plan must exist even then. The physical limits of rotors (speed, acceleration, thrust, moments) and
 pack (greatest power) stay hard.
 
 symbol | name | unit | meaning
@@ -10,9 +10,9 @@ s+_j, s-_j | above[j], below[j] | unit of condition j | violation of condition j
 downwards
 rho | price | J/unit | penalty per unit of violation
 
-A limit g(t) <= u over time becomes g(t) - s <= u with one s >= 0, a condition h = c becomes
-h = c + s+ - s-, and the objective grows by rho times the sum of all s.  Some flight within the
-limits of rotors and pack always exists, and therefore a solution does.  See
+A limit g(t) <= u over time becomes g(t) - s <= u with one s >= 0, a condition h = c becomes h = c +
+s+ - s-, and the objective grows by rho times the sum of all s.  Some flight within the limits of
+rotors and pack always exists, so that the softened problem always has a solution.  See
 docs/theory/soft_limits.md for the penalty above which all violations are zero wherever a flight
 without violation exists.
 """
@@ -95,7 +95,7 @@ def soften(m: ConcreteModel, scenario: Scenario) -> None:
         Model with its `objective`. The penalty per unit of violation becomes the mutable parameter
         `soft.price` [J per unit].
     scenario : Scenario
-        Its vehicle's weight sets the initial penalty.
+        Scenario; the weight of its vehicle sets the initial penalty.
     """
     b = m.soft = Block(doc="soft limits: breaches and their price")
     limits = [c for c in map(m.find_component, _LIMITS) if c]

@@ -336,8 +336,8 @@ class Gusts:
     def noise(self, duration: float) -> FloatArray:
         """Return the white noise of a flight, constant over steps of `NOISE_STEP`.
 
-        The variance of the noise is 1 / `NOISE_STEP`. With the same seed, flights of different
-        duration have the same noise for as long as both last.
+        The variance of the noise is 1 / `NOISE_STEP`. With the same seed, two flights of different
+        duration have the same noise until the shorter flight ends.
 
         Parameters
         ----------

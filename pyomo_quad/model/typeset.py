@@ -55,7 +55,17 @@ _FUNCTIONS = {"sin", "cos", "tan", "exp", "log", "tanh"}
 
 @dataclass(frozen=True, kw_only=True)
 class TypesetEquation:
-    """One declared equation as LaTeX without delimiters, with component name and its `doc` text."""
+    """Declared equation as LaTeX.
+
+    Attributes
+    ----------
+    name : str
+        Name of the Pyomo component.
+    description : str
+        The component's `doc` text.
+    latex : str
+        The equation as LaTeX, without delimiters.
+    """
 
     name: str
     description: str
@@ -110,9 +120,10 @@ def _index(data: ComponentData) -> tuple[Hashable, ...]:
 
 
 class _Writer:
-    """Writer of Pyomo expressions as LaTeX; rotor 1 is written as j if the index is free.
+    """Writer of Pyomo expressions as LaTeX.
 
-    A free index means that the equation is typeset once for all rotors.
+    If `has_free_index` is true, an equation is typeset once for all rotors, and the index of rotor
+    1 is written as j.
     """
 
     def __init__(self, *, has_free_index: bool) -> None:
@@ -250,7 +261,7 @@ def _number(number: float) -> str:
 
 
 def _is_single_term(node: NumericValue) -> bool:
-    """Return whether a leading minus in the LaTeX of an expression applies to the whole of it."""
+    """Return whether an expression is not a sum, and needs no parentheses after a minus sign."""
     return type(node) in native_numeric_types or not isinstance(node, numeric_expr.SumExpression)
 
 

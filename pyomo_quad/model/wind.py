@@ -15,13 +15,13 @@ logarithmic | ln(h / z_0) / ln(h_r / z_0), of roughness z_0 | Stull (1988), sect
 
 with h the vehicle's height above the ground: z, or over terrain the height over the smooth surface
 that is nowhere below the ground (`model.ground`). Below the larger of 0.1 m and z_0, where neither
-law is valid, the wind is constant: the laws use a smooth maximum of h and this lowest height. It
-increases with h, and equals h to 1e-12 m if h is half a metre above the lowest height or higher. A
-wind measured over heights is a cubic spline through the measurements between the lowest and the
-highest height, and constant beyond them, with the same smoothing. Its heights are also measured
-above the ground; the heights of a wind field are coordinates z.
+law is valid, the wind is constant: the laws use a smooth maximum of h and this lowest height. The
+maximum increases with h, and equals h to 1e-12 m if h is half a metre above the lowest height or
+higher. A wind measured over heights is a cubic spline through the measurements between the lowest
+and the highest height, and constant beyond them, with the same smoothing. Its heights are also
+measured above the ground; the heights of a wind field are coordinates z.
 
-A wind measured over time is the cubic spline of the wind time through its rows. It is twice
+A wind measured over time is the cubic spline of the wind time through its rows. The spline is twice
 differentiable at any time, so that a plan may choose its times. After the last row it is constant.
 
 A wind that varies from place to place is declared in `wind_field`.
@@ -312,7 +312,10 @@ def _add_velocity(
     rule: Callable[[Block, float], NumericExpression],
     said: str = "wind",
 ) -> None:
-    """Declare the wind along a world axis from a rule for the wind at the reference height."""
+    """Declare the wind along a world axis from a rule for the wind at the reference height.
+
+    `said` begins the documentation text of the declared expression, as in "wind along world x".
+    """
 
     def velocity(b: Block, t: float) -> NumericExpression:
         return _at_height(b, t, rule(b, t))
@@ -368,7 +371,7 @@ def _measured(components: Sequence[str], b: Block, t: float) -> NumericExpressio
 def _declare_shapes(b: Block, m: ConcreteModel, heights: FloatArray) -> None:
     """Declare the basis functions of height whose weighted sum is the wind measured over heights.
 
-    They are the basis functions of a cubic not-a-knot spline. Below the lowest and above the
+    These are the basis functions of a cubic not-a-knot spline. Below the lowest and above the
     highest measured height the wind is constant, with the same smoothing as a profile.
     """
     shares, functions = _shares(heights), _truncated_powers(_shares(heights))
@@ -452,10 +455,10 @@ class _OverTime:
         The speed is in m/s, without Pyomo unit.
         """
         if isinstance(t, int | float):
-            return float(self._spline(self._held(t, self._end)))
-        return self._table(self._held(t, float(self._spline.x[self._rows][-1])))
+            return float(self._spline(self._until(t, self._end)))
+        return self._table(self._until(t, float(self._spline.x[self._rows][-1])))
 
-    def _held(self, t: Any, end: float) -> Any:
+    def _until(self, t: Any, end: float) -> Any:
         return end - smooth_positive(end - (t + self._offset), self._width)
 
     @cached_property

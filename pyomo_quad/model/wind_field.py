@@ -86,7 +86,7 @@ def declare_field(m: ConcreteModel, grid: WindGrid, scenario: Scenario) -> list[
             told = _arguments(b, grid, t)
             if is_held:
                 told = [
-                    _led_back(one, axis, unit)
+                    _clipped_to_axis(one, axis, unit)
                     for one, axis, unit in zip(told, axes, unit_of_axis, strict=True)
                 ]
             return b.field_unit * table(*told)
@@ -104,7 +104,7 @@ def _arguments(b: Block, grid: WindGrid, t: float) -> list[Any]:
     return [*place, *([b.wind_time[t]] if grid.times else [])]
 
 
-def _led_back(argument: Any, axis: FloatArray, unit: Any) -> Any:
+def _clipped_to_axis(argument: Any, axis: FloatArray, unit: Any) -> Any:
     """Clip a coordinate smoothly to the range of a grid axis."""
     width = _PASSING_STEPS * float(np.diff(axis).min()) * unit
     first, last = float(axis[0]) * unit, float(axis[-1]) * unit

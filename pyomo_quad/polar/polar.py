@@ -1,10 +1,10 @@
 """Polar of a vehicle: steady flight over airspeed, with best speeds, range and endurance.
 
 Each point is a trim: the equations of the scenario's model are solved for the attitude and the
-rotor speeds that keep level flight at that airspeed, and give the power P. In a wind, the velocity
-through the air is the velocity over ground minus the wind. At ground speed g, the energy per metre
-over ground is P / g. With a price of time c (the value of a second of flight, in W), the cost per
-metre is (P + c) / g.
+rotor speeds that keep the vehicle in level flight at the point's airspeed; the equations then give
+the power P. In a wind, the velocity through the air is the velocity over ground minus the wind. At
+ground speed g, the energy per metre over ground is P / g. With a price of time c (the value of a
+second of flight, in W), the cost per metre is (P + c) / g.
 """
 
 from collections.abc import Callable, Sequence

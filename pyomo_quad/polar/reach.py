@@ -1,13 +1,13 @@
 """Reach of a vehicle on one battery charge in a wind, one way or out and back.
 
 The flight is straight and level, at the height of the start and at the ground speed of least energy
-per metre in the local wind. Over terrain the vehicle climbs where the ground ahead comes nearer
-than the floor of the airspace, and keeps the height gained until it is back above that place; a
-climb counts as time without progress. The boundary ends where the terrain ends. Each metre uses the
-fraction 1 / range of the battery charge, where range is the distance that a full battery lasts for
-in the local wind. The boundary lies where these fractions add up to 1: over the way out or, if the
-vehicle returns, over the ways out and back.
-Keep-out zones are ignored.
+per metre in the local wind. Over terrain the vehicle climbs where its height above the ground ahead
+would fall below the floor of the airspace (the least height above ground). It does not descend on
+the way out, and returns at the same heights. A climb takes charge but brings no progress. The
+boundary ends where the terrain ends. Each metre uses the fraction 1 / range of the battery charge,
+where range is the distance [m] that the vehicle flies on a full battery in the local wind. The
+boundary is reached where the sum of these fractions is 1. The sum is taken over the way out and, if
+the vehicle returns, also over the way back. Keep-out zones are ignored.
 """
 
 import json
@@ -113,7 +113,7 @@ def find_reach(scenario: Scenario, *, has_return: bool) -> Reach:
 
 
 def _heights(scenario: Scenario, along: FloatArray, headings: FloatArray) -> FloatArray:
-    """Return the least height of a flight on each course that clears all ground flown over so far.
+    """Return the least heights of flights that clear the ground and never descend, for each course.
 
     Parameters
     ----------
@@ -127,7 +127,8 @@ def _heights(scenario: Scenario, along: FloatArray, headings: FloatArray) -> Flo
     Returns
     -------
     ndarray, shape (n_courses, n_steps)
-        Heights z [m], at least that of the start.
+        Heights z [m]. They are at least the height of the start, and at least the floor's distance
+        above the ground.
     """
     start, airspace = np.array(scenario.mission.start.position), scenario.airspace
     found = np.full((len(headings), along.size), start[2])
@@ -141,7 +142,7 @@ def _heights(scenario: Scenario, along: FloatArray, headings: FloatArray) -> Flo
 
 
 def _is_within_terrain(scenario: Scenario, places: FloatArray) -> NDArray[np.bool_]:
-    """Return which places, shape (..., 3), lie over the terrain; all of them without terrain."""
+    """Return which places, shape (..., 3), lie over the terrain; all places if there is none."""
     within, ground = np.ones(places.shape[:-1], dtype=bool), scenario.airspace.ground
     for axis, side, end in () if ground is None else ground.edges.values():
         within &= side * (places[..., axis] - end) <= 0.0
@@ -151,7 +152,8 @@ def _is_within_terrain(scenario: Scenario, places: FloatArray) -> NDArray[np.boo
 def _share_per_climb(scenario: Scenario, steady: SteadyFlight, curve: SteadyCurve) -> float:
     """Return the share of the battery charge that a metre of climb uses [1/m]; 0 without terrain.
 
-    The climb is that of the return flight of a mission: `climb_current`.
+    Rate and current of the climb are computed as for the return flight of a mission
+    (`climb_current`).
     """
     if scenario.airspace.ground is None:
         return 0.0
@@ -244,7 +246,8 @@ def _boundary_on(
     along : ndarray, shape (n_steps,)
         Distances from the start [m].
     share, climbed : ndarray, shape (n_steps,)
-        Share of the battery charge for a metre at each distance [1/m], and for all climbs so far.
+        Share of the battery charge that a metre at each distance uses [1/m], and share that all
+        climbs up to this distance use.
     is_known : ndarray of bool, shape (n_steps,)
         Whether wind and ground are known at each distance.
     start : ndarray, shape (3,)

@@ -11,7 +11,7 @@ from types import MappingProxyType
 
 
 class Accuracy(StrEnum):
-    """Required accuracy of a plan, in ascending order."""
+    """Levels of accuracy that a plan may be required to have, in ascending order."""
 
     QUICK = "quick"
     STANDARD = "standard"
@@ -31,8 +31,8 @@ class Figures:
     ----------
     energy : float
         Relative tolerance of three quantities: the plan's energy compared with the least energy,
-        the energy of the simulation compared with the plan's energy, and the error of the states
-        to which the mesh is refined.
+        the energy of the simulation compared with the plan's energy, and the error of the states to
+        which the mesh is refined.
     miss : float
         Deviation of each final state, and of the passage of waypoints, when the controls are
         simulated without feedback. Its unit is m, m/s or rad; for a state of magnitude above 1, the
@@ -40,8 +40,9 @@ class Figures:
     breach : float
         Violation of a limit between collocation points, relative to the larger of 1 and the limit.
     integration : float
-        Relative and absolute tolerance of the simulation. It is far below the other tolerances,
-        because errors of a flight without feedback grow about a millionfold in half a minute.
+        Relative and absolute tolerance of the simulation. This tolerance is far below the other
+        tolerances, because errors of a flight without feedback grow about a millionfold in half a
+        minute.
     spacing : float
         Distance [m] between the places at which the simulated path is checked against zones.
     """

@@ -26,7 +26,7 @@ _MOST_ZONES = 64
 
 
 class Shape(StrEnum):
-    """Shape of a keep-out zone."""
+    """Shape of a keep-out zone: cylinder, sphere, box, or prism over a convex polygon."""
 
     CYLINDER = "cylinder"
     SPHERE = "sphere"
@@ -147,7 +147,10 @@ def is_convex(polygon: Any) -> bool:  # noqa: ANN401  shapely has no types that 
 
 
 def _refuse_folded(corners: Sequence[tuple[float, float]], what: str) -> None:
-    """Raise ValueError unless the corners, in the given order, form a convex polygon."""
+    """Raise ValueError unless the corners, in the given order, form a convex polygon.
+
+    The text `what`, the subject of the sentence, begins the error's message.
+    """
     from shapely import Polygon  # noqa: PLC0415  for polygons alone
 
     polygon = Polygon(corners)
@@ -178,9 +181,10 @@ def _edges_of(
 
 
 def _across_edges(corners: Sequence[tuple[float, float]]) -> Iterator[Ball]:
-    """Yield the interval across each edge of a convex polygon, from the edge to the far corner.
+    """Yield, for each edge of a convex polygon, the slab between the edge and the farthest corner.
 
-    Two parallel edges bound the same interval, which is yielded only once.
+    The slab is a `Ball` in one coordinate, measured along the edge's normal. Two parallel edges
+    have the same slab, which is yielded only once.
     """
     seen: list[tuple[float, float]] = []
     for normal, low, high in _edges_of(corners):
@@ -347,7 +351,7 @@ class KeepIn(Part):
 
     @property
     def edges(self) -> tuple[tuple[tuple[float, float], float], ...]:
-        """Outward unit normal of each edge, and the edge's coordinate along it [m]."""
+        """Outward unit normal of each edge, and the edge's coordinate along that normal [m]."""
         # The normals of `_edges_of` point outwards if the corners are in counter-clockwise order.
         is_left = sum(turns_of(self.corners)) > 0.0
         return tuple(
@@ -355,7 +359,7 @@ class KeepIn(Part):
             for normal, low, high in _edges_of(self.corners)
         )
 
-    def room(self, places: "ArrayLike") -> "FloatArray":
+    def depth(self, places: "ArrayLike") -> "FloatArray":
         """Return the distance of places to the nearest edge of the fence [m], negative outside.
 
         Parameters
@@ -403,10 +407,11 @@ class TerrainGrid(Part):
         return _surface(self, side)
 
     def surface_of_ways(self, home: tuple[float, float, float]) -> "Surface":
-        """Return a smooth surface nowhere below the highest ground on the straight way to a home.
+        """Return a smooth surface that bounds the ground on all straight ways to a home.
 
-        At each place its height bounds the ground on the straight way from that place to the home,
-        a position x, y, z [m] whose height is ignored.
+        The height of the surface at a place is at least the height of the ground at every point of
+        the straight way from that place to the home, a position x, y, z [m] whose height z is
+        ignored.
         """
         return _surface_of_ways(self, home)
 
@@ -526,7 +531,7 @@ class Airspace(Part):
             return np.asarray(held[..., 2])
         return np.asarray(held[..., 2] - self.ground.surface(side).at(held))
 
-    def room_over_ground(self, places: "ArrayLike") -> "FloatArray":
+    def distance_to_height_limits(self, places: "ArrayLike") -> "FloatArray":
         """Return the distance of places to the nearer of floor and ceiling [m], negative outside.
 
         Parameters
@@ -549,8 +554,8 @@ class Airspace(Part):
     def complaints(self, place: Sequence[float]) -> Iterator[str]:
         """Yield one message for each reason why a place is outside the airspace.
 
-        A message is the end of a sentence that begins with the name of the place. It says which
-        limit the place violates and what to change.
+        A message is the end of a sentence that begins with the name of the place. The message says
+        which limit the place violates and what to change.
 
         Parameters
         ----------
@@ -573,7 +578,7 @@ class Airspace(Part):
                 f"is {told}above airspace.ceiling = {self.ceiling:g} m; lower it or raise the "
                 "ceiling"
             )
-        outside = 0.0 if self.keep_in is None else -float(self.keep_in.room(place))
+        outside = 0.0 if self.keep_in is None else -float(self.keep_in.depth(place))
         if outside > 0.0:
             yield f"is outside the fence airspace.keep_in by {outside:.3g} m; move one of them"
         for zone in self.keep_out:

@@ -134,7 +134,7 @@ _LIMITS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusi
 
 @dataclass(frozen=True, kw_only=True)
 class WritableField:
-    """Field of a file format, as a row of the printed table of fields; every column is text."""
+    """Row of the printed table of a file format's fields; every attribute is text."""
 
     path: str
     unit: str
@@ -173,7 +173,7 @@ def editor_schema(model: type[BaseModel], title: str, required: tuple[str, ...])
         table["properties"] = {name: _for_editors(field) for name, field in fields.items()}
         table["properties"] |= in_units
         for name, field in fields.items():
-            table["properties"] |= _otherwise(name, field)
+            table["properties"] |= _alternative_notations(name, field)
     for name in ("WindSeries", "WindGrid"):
         definitions.pop(name, None)
     return {
@@ -201,7 +201,7 @@ def writable_fields(model: type[BaseModel]) -> tuple[WritableField, ...]:
     return tuple(_writable(schema, schema.get("$defs", {}), ""))
 
 
-def _otherwise(name: str, field: dict[str, Any]) -> dict[str, Any]:
+def _alternative_notations(name: str, field: dict[str, Any]) -> dict[str, Any]:
     """Return the JSON Schema of a field's alternative notations, by key; empty if it has none.
 
     A place may be given by latitude and longitude, a wind by the direction that it comes from.
@@ -277,7 +277,9 @@ def _default(field: Mapping[str, Any]) -> str:
 def _allowed(field: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
     words = [field["allowed"]] if field.get("allowed") else []
     options = (field, *field.get("anyOf", ()))
-    words += [_of_type(option, definitions) for option in options if not _is_ranged(field, option)]
+    words += [
+        _allowed_values(option, definitions) for option in options if not _is_ranged(field, option)
+    ]
     if "sound" in field:
         ranged = next(option for option in options if _is_ranged(field, option))
         words.append(_range(field["sound"], ranged))
@@ -323,7 +325,7 @@ def _range(sound: Mapping[str, Any], option: Mapping[str, Any]) -> str:
     return f"{each}{words} ({sound['because']})"
 
 
-def _of_type(option: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
+def _allowed_values(option: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
     """Return in words the values that a field allows, for one of its types.
 
     Parameters
@@ -339,7 +341,7 @@ def _of_type(option: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
     if "enum" in held:
         return ", ".join(map(str, held["enum"]))
     if option.get("type") == "array" and "items" in option:
-        each = _of_type(option["items"], definitions)
+        each = _allowed_values(option["items"], definitions)
         return f"a list of {each}" if each else "a list"
     return ", ".join(f"{sign} {option[key]:g}" for key, sign in _LIMITS.items() if key in option)
 

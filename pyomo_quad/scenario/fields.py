@@ -91,7 +91,11 @@ def not_negative(high: float, because: str) -> Sound:
 
 
 class Part(BaseModel):
-    """Base class of all tables of a scenario: immutable, finite numbers, no unknown keys."""
+    """Base class of all tables of a scenario.
+
+    A table is immutable, has finite numbers only, and refuses unknown keys. Unit and meaning of
+    each field are in the field's declaration, see `quantity`.
+    """
 
     model_config = ConfigDict(
         frozen=True,
@@ -169,7 +173,8 @@ def quantity(
         Plausible range of the number.
     is_late : bool, optional
         Whether the field is newer than some records (stored scenarios). A record without the field
-        has its default, and new records leave the field out while it has this value.
+        is read with the field's default, and new records leave the field out while its value is the
+        default.
     initial : object, optional
         Value that a scenario gets if its file leaves the field out, where this differs from
         `default`; `default` then is only the value of stored scenarios (records) without the field.
@@ -282,7 +287,8 @@ def unit_keys_of(model: type[BaseModel]) -> dict[str, tuple[str, float]]:
     Returns
     -------
     dict
-        For each key the name of the field, and the factor from the key's unit to the field's.
+        For each key the name of the field, and the factor from the key's unit to the unit of the
+        field.
     """
     keys: dict[str, tuple[str, float]] = {}
     for name in model.model_fields:

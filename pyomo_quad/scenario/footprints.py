@@ -1,10 +1,10 @@
 """Zones with polygonal ground plan: division into convex parts, and import from GeoJSON.
 
-Keep-out zones must be convex: a plan is outside of a zone if it is beyond at least one face, which
-is a sufficient and necessary condition for convex zones only.  A concave polygon is divided into
-convex zones NAME-1, NAME-2 and so on, which share edges without gaps.  A concave fence is replaced
-by its convex hull, and the parts of the hull outside of the fence become keep-out zones fence-1,
-fence-2 and so on.
+Keep-out zones must be convex: the model requires a place to be beyond at least one face of a zone,
+and only for convex zones are these exactly the places outside of the zone.  A concave polygon is
+divided into convex zones NAME-1, NAME-2 and so on, which share edges without gaps.  A concave fence
+is replaced by its convex hull, and the parts of the hull outside of the fence become keep-out zones
+fence-1, fence-2 and so on.
 """
 
 import json

@@ -191,7 +191,7 @@ def _on_middle_lines(
     return {"x": x, "y": y}
 
 
-def _told(error: Exception) -> str:
+def _one_line(error: Exception) -> str:
     return printable(" ".join(f"{error}".split())[:120]) or type(error).__name__
 
 
@@ -202,7 +202,7 @@ def _from_netcdf(file: Path, place: str, quantity: Quantity) -> Gridded:
         with xarray.open_dataset(file) as opened:
             data = opened.load()
     except Exception as error:  # noqa: BLE001  readers raise many types for damaged files
-        refuse(place, f"is not NetCDF that can be read ({_told(error)}); save it anew")
+        refuse(place, f"is not NetCDF that can be read ({_one_line(error)}); save it anew")
     axes, on_earth, is_above_sea = {}, [], False
     for axis in quantity.axes:
         variable = _named(data.coords, _AXIS_NAMES[axis])
@@ -297,7 +297,7 @@ def _from_table(file: Path, place: str, quantity: Quantity) -> Gridded:
         frame = pd.read_parquet(file) if is_parquet else pd.read_csv(file, encoding="utf-8-sig")
     except Exception as error:  # noqa: BLE001  see `_from_netcdf`
         kind = "Parquet" if is_parquet else "CSV text"
-        refuse(place, f"is not {kind} that can be read ({_told(error)}); save it anew")
+        refuse(place, f"is not {kind} that can be read ({_one_line(error)}); save it anew")
     columns = [str(name).strip() for name in frame.columns]
     in_degrees = dict(zip(_COLUMNS_ON_EARTH, _AXIS_COLUMNS.values(), strict=False))
     on_earth = tuple(AXES[k] for k, name in enumerate(_COLUMNS_ON_EARTH) if name in columns)

@@ -54,8 +54,8 @@ def complaints(
 ) -> list[tuple[FieldPath, str]]:
     """Convert the validation errors of pydantic to messages of one line.
 
-    Unknown keys come first. An unknown key is probably a misspelt field; a required field that is
-    misspelt in this way is not reported as missing too.
+    Unknown keys come first. An unknown key is probably a misspelt field. If a required field seems
+    to be misspelt, only the unknown key is reported, and not the missing field.
 
     Parameters
     ----------

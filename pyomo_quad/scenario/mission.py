@@ -63,8 +63,8 @@ class Yaw(StrEnum):
 class Waypoint(Part):
     """Place to pass between start and goal.
 
-    It may prescribe the distance within which the flight must pass, a time of hovering, heading,
-    largest speed, time of passing and a release of payload.
+    A waypoint may prescribe the distance within which the flight must pass, a time of hovering, a
+    heading, a largest speed, a time of passing and a release of payload.
     """
 
     position: Triple = quantity(
@@ -140,7 +140,15 @@ class ReturnFlight(Part):
 
 
 class NamedDuration(NamedTuple):
-    """Duration [s], with the scenario field that gives it, for messages."""
+    """Duration, with the scenario field that sets the duration, for messages.
+
+    Attributes
+    ----------
+    field : str
+        Dotted path of the field.
+    value : float
+        Duration [s].
+    """
 
     field: str
     value: float
@@ -313,7 +321,7 @@ class Mission(Part):
 
     @property
     def duration_limits(self) -> tuple[float, float]:
-        """Least and greatest duration [s]; both equal the duration if it is fixed."""
+        """Least and greatest duration [s], which are equal if the duration is fixed."""
         if not isinstance(self.duration, str):
             return self.duration, self.duration
         return (
@@ -323,7 +331,7 @@ class Mission(Part):
 
     @property
     def longest(self) -> NamedDuration:
-        """Greatest duration, with the field that gives it."""
+        """Greatest allowed duration, with the path of the scenario field that sets this limit."""
         field = "duration_max" if self.is_free else "duration"
         return NamedDuration(f"mission.{field}", self.duration_limits[1])
 

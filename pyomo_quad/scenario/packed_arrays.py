@@ -14,7 +14,7 @@ def packed(values: "FloatArray") -> str:
 
 
 def unpacked(text: str) -> "FloatArray":
-    """Decode a text that `packed` made, as a one-dimensional array."""
+    """Decode a text that `packed` made, as a one-dimensional array in C order."""
     import numpy as np  # noqa: PLC0415  reading a scenario does without it
 
     return np.frombuffer(decompress(b64decode(text)), dtype="<f8")

@@ -6,8 +6,9 @@ tau, omega | torque and speed of one rotor in hover
 P_i | ideal power of hover, T^(3/2) / sqrt(2 rho A), the least for a disc area A
 
 A motor with k_t k_v = 1 conserves energy; a larger product would create power. No rotor hovers with
-less power than P_i (momentum theory). No moment of inertia of a body exceeds the sum of the other
-two, because each integrates the squares of two of the three coordinates.
+less power than P_i (momentum theory). No moment of inertia of a body exceeds the sum of the body's
+other two moments: the moment about x, for example, is the integral of y² + z², and the integrals of
+x² + z² and x² + y² sum to at least as much.
 """
 
 from collections.abc import Iterator
@@ -31,7 +32,15 @@ _OF_MOTORS = (PowerModel.MOTOR, PowerModel.MOTOR_WITH_FRICTION)
 
 @dataclass(frozen=True, kw_only=True)
 class Contradiction:
-    """Field of a vehicle that contradicts other numbers of the vehicle, with a one-line message."""
+    """Contradiction between numbers of a vehicle.
+
+    Attributes
+    ----------
+    field : str
+        Field of the vehicle whose value contradicts the values of other fields.
+    message : str
+        Message for the user, one line.
+    """
 
     field: str
     message: str
@@ -52,7 +61,7 @@ def created_power(vehicle: Vehicle, power: Power, gravity: float) -> str:
     Returns
     -------
     str
-        Message; empty if the motors take at least the power that they give out.
+        Message about motors that give out more power than they take in; empty otherwise.
     """
     motor = vehicle.motor
     if power.model not in _OF_MOTORS or motor is None:
@@ -106,7 +115,7 @@ def contradictions(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[C
     if hover is not None and hover.shaft_W < hover.ideal_W * (1 - ROUNDED):
         yield Contradiction(
             field="vehicle.drag_torque_coefficient",
-            message=f"{hover.told}, ideal rotors {hover.ideal_W:.4g} W at a radius of "
+            message=f"{hover.start}, ideal rotors {hover.ideal_W:.4g} W at a radius of "
             f"{hover.radius}; raise it, or correct thrust_coefficient or rotor_radius.",
         )
 
@@ -140,7 +149,7 @@ def remarks(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[str]:
         merit = hover.ideal_W / hover.shaft_W
         if _BEST_MERIT < merit <= 1 / (1 - ROUNDED):
             yield (
-                f"{hover.told}, ideal rotors {hover.ideal_W:.4g} W at a radius of {hover.radius}: "
+                f"{hover.start}, ideal rotors {hover.ideal_W:.4g} W at a radius of {hover.radius}: "
                 f"figure of merit {merit:.2f}. Rotors of small vehicles reach {_USUAL_MERIT}, and "
                 f"none much more than {_BEST_MERIT:g}; a real vehicle spends more."
             )
@@ -177,15 +186,15 @@ class _Hover:
 
     Attributes
     ----------
-    told : str
-        Beginning of a message, with the shaft power.
+    start : str
+        Beginning of a message, which states the shaft power.
     shaft_W, ideal_W : float
         Power at the shafts of all rotors, and power of ideal rotors.
     radius : str
         Rotor radius and its origin in words.
     """
 
-    told: str
+    start: str
     shaft_W: float
     ideal_W: float
     radius: str
@@ -210,7 +219,7 @@ def _hover(vehicle: Vehicle, power: Power, gravity: float) -> _Hover | None:
     shaft = len(places) * vehicle.drag_torque(speed) * speed
     disc_area = len(places) * pi * radius**2
     return _Hover(
-        told=f"vehicle.drag_torque_coefficient = {vehicle.drag_torque_coefficient:.4g} N m s^2: "
+        start=f"vehicle.drag_torque_coefficient = {vehicle.drag_torque_coefficient:.4g} N m s^2: "
         f"hover takes {shaft:.4g} W at the shafts",
         shaft_W=shaft,
         ideal_W=weight**1.5 / sqrt(2 * power.air_density * disc_area),

@@ -523,7 +523,7 @@ def _initial_values(model: type[BaseModel]) -> dict[str, Any]:
     return tables
 
 
-def whose(origin: ScenarioSource, provenance: Mapping[str, str], path: FieldPath) -> str:
+def message_origin(origin: ScenarioSource, provenance: Mapping[str, str], path: FieldPath) -> str:
     """Return the origin of a field's value (file, library entry or option), to begin a message.
 
     Parameters
@@ -564,7 +564,23 @@ def _with_assignments(
 
 @dataclass
 class _Filled:
-    """Tables of a scenario while library entries are added, with the errors found so far."""
+    """Tables of a scenario during their completion, with the errors found.
+
+    Attributes
+    ----------
+    origin : ScenarioSource
+        The scenario as written.
+    own : mapping
+        Tables with the values that the user has written.
+    provenance : dict
+        Origin of each value, by dotted path.
+    tables : dict
+        Tables with the values added up to now.
+    complaints : list of str
+        Error messages.
+    unfilled : list
+        Paths that remain incomplete because of these errors.
+    """
 
     origin: ScenarioSource
     own: Mapping[str, Any]
@@ -604,7 +620,7 @@ class _Filled:
         try:
             entry = read_entry(kind, name, folder) if is_file else library_entry(kind, name)
         except ScenarioError as error:
-            where = whose(self.origin, self.provenance, use)
+            where = message_origin(self.origin, self.provenance, use)
             said = f"{where}: {spell(use)} = {shown(name)}; "
             for line in str(error).splitlines():
                 self.complain(said + line.removeprefix("library: "), *left_open)
@@ -653,7 +669,9 @@ class _Filled:
 
     def naming(self, path: FieldPath, file: str) -> str:
         """Return the beginning of messages on a file: source, field, and name of the file."""
-        return f"{whose(self.origin, self.provenance, path)}: {spell(path)} = {shown(file)}"
+        return (
+            f"{message_origin(self.origin, self.provenance, path)}: {spell(path)} = {shown(file)}"
+        )
 
     def on_earth(self) -> GeodeticOrigin | None:
         """Return the position of x = y = z = 0 on earth; None if the mission gives no origin."""
@@ -733,7 +751,7 @@ class _Filled:
         known: list[tuple[float, str]] = []
         for place, wind in self.winds("file"):
             path, offset = (*place, "file"), wind.get("time_offset", 0.0)
-            where = f"{whose(self.origin, self.provenance, path)}: {spell(path)}"
+            where = f"{message_origin(self.origin, self.provenance, path)}: {spell(path)}"
             told = (spell(field), _SHORTEST_S if longest is None else longest)
             series = read_wind_file(self.origin.folder / wind["file"], where, told, offset)
             self.put_read((*place, "series"), series, wind["file"])

@@ -39,7 +39,7 @@ from pyomo_quad.scenario.plausibility import (
     created_power,
     remarks,
 )
-from pyomo_quad.scenario.resolution import ScenarioSource, resolve, whose
+from pyomo_quad.scenario.resolution import ScenarioSource, message_origin, resolve
 from pyomo_quad.scenario.tables import (
     USED_BY,
     Baseline,
@@ -133,7 +133,9 @@ class Scenario(Part):
             for path, line in complaints(error, cls, spared=spared):
                 said = rewritten.spellings.get(path)
                 given = f" It was given as {said}." if said else ""
-                lines.append(f"{whose(origin, resolution.provenance, path)}: {line}{given}")
+                lines.append(
+                    f"{message_origin(origin, resolution.provenance, path)}: {line}{given}"
+                )
         if lines:
             raise ScenarioError(listed(lines))
         scenario._origin = origin  # noqa: SLF001
@@ -317,8 +319,8 @@ class Scenario(Part):
         """Whether the heading stays constant throughout the flight.
 
         If the power depends on thrust and airspeed only, a turn costs nearly nothing and the best
-        heading is not unique. Unless a heading is prescribed, the plan of such a flight keeps its
-        heading, as autopilots do.
+        heading is not unique. Unless a heading is prescribed, the plan with such a power model
+        keeps the heading constant, as autopilots do.
         """
         if self.mission.yaw is not None:
             return self.mission.yaw is Yaw.KEPT
@@ -332,8 +334,9 @@ class Scenario(Part):
         return self.vehicle.total_mass - self.mission.released
 
     def release_schedule(self) -> Callable[[float], float]:
-        """Return a function of time [s]: mass of the payloads released at waypoints before it [kg].
+        """Return a function of time [s] that gives the mass released so far at waypoints [kg].
 
+        The mass is the sum of the payloads of the waypoints that are left before this time.
         Waypoints without a given time are left at the estimated times, `nominal_times`.
         """
         left = self.nominal_times[1:-1:2]

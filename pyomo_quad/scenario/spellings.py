@@ -61,7 +61,7 @@ def in_plain_terms(
     ScenarioError
         If a field is given in both notations, or an angle or a place is not valid; one line.
     """
-    found = list(_written_otherwise(tables, ()))
+    found = list(_in_other_notation(tables, ()))
     is_on_earth = any(isinstance(value, Mapping) for _, value in found)
     origin = origin_of_mission(tables, source) if is_on_earth else None
     for path, value in found:
@@ -80,7 +80,7 @@ def in_plain_terms(
     return tables
 
 
-def _written_otherwise(tree: Any, path: FieldPath) -> Iterator[tuple[FieldPath, Any]]:  # noqa: ANN401
+def _in_other_notation(tree: Any, path: FieldPath) -> Iterator[tuple[FieldPath, Any]]:  # noqa: ANN401
     """Yield path and value of each field that is written in an alternative notation."""
     items: Any = ()
     if isinstance(tree, Mapping):
@@ -98,9 +98,9 @@ def _written_otherwise(tree: Any, path: FieldPath) -> Iterator[tuple[FieldPath, 
             if is_from:
                 yield below, value
             else:
-                yield from _written_otherwise(value, below)
+                yield from _in_other_notation(value, below)
         else:
-            yield from _written_otherwise(value, below)
+            yield from _in_other_notation(value, below)
 
 
 def origin_of_mission(tables: Mapping[str, Any], source: str) -> GeodeticOrigin | None:

@@ -54,10 +54,11 @@ MISSION_TIMED = tuple(reference for reference in Reference if reference is not R
 class Gains(Part):
     """Gains of the adaptive backstepping controller, per unit of mass and of inertia.
 
-    Because of the division by mass and inertia, the defaults suit vehicles of any size. They place
-    the poles of the position error at 1.5 and 3 rad/s, of the tilt command at 12 rad/s, of the
-    attitude error at 6 and 15 rad/s and of the rotors at 60 rad/s. Each loop is at least twice as
-    fast as the next outer loop, and a step settles in less than 3 s.
+    Because of the division by mass and inertia, the defaults suit vehicles of any size. The default
+    gains place the poles of the position error at 1.5 and 3 rad/s, of the tilt command at 12 rad/s,
+    of the attitude error at 6 and 15 rad/s and of the rotors at 60 rad/s. Each control loop is at
+    least twice as fast as the next outer loop, and the response to a step of the position command
+    settles in less than 3 s.
     """
 
     position: Number = _rate("position error to velocity (k1)", 1.5)
@@ -105,7 +106,11 @@ class Gains(Part):
 
 
 class Knowledge(StrEnum):
-    """Knowledge of the wind when a mission is planned again in flight: true, estimated or none."""
+    """Wind that a plan made again in flight is based on.
+
+    `TOLD` is the true wind, `ESTIMATED` an estimate from the flight added to the forecast, and
+    `UNTOLD` the forecast alone, or calm air if there is no forecast.
+    """
 
     TOLD = "told"
     ESTIMATED = "estimated"
@@ -113,14 +118,21 @@ class Knowledge(StrEnum):
 
 
 class SolveTiming(StrEnum):
-    """Time that a solve takes in a simulated flight: as the scenario states, or as measured."""
+    """Time that a solve takes in a simulated flight with re-planning.
+
+    `STATED` is the time in the scenario, which makes the flight reproducible; `MEASURED` is the
+    measured time of the solve.
+    """
 
     STATED = "stated"
     MEASURED = "measured"
 
 
 class Replanning(Part):
-    """Re-planning in flight (model-predictive control): the rest of the mission is solved again."""
+    """Settings of re-planning in flight, which solves the rest of the mission again at intervals.
+
+    Re-planning in flight is also called model-predictive control.
+    """
 
     interval: Number = quantity(
         "s",
@@ -153,7 +165,7 @@ class Replanning(Part):
 class CruiseSettings:
     """Settings of the baseline flight `cruise`, which flies like an autopilot.
 
-    They are the largest speed [m/s], acceleration [m/s²] and jerk [m/s³].
+    The settings are the largest speed [m/s], acceleration [m/s²] and jerk [m/s³].
     """
 
     speed: float

@@ -357,7 +357,7 @@ class Vehicle(Part):
     def has_rotor_forces(self) -> bool:
         """Whether aerodynamic forces on the rotors other than thrust are modelled.
 
-        These are rotor drag and translational lift.
+        The forces are rotor drag and translational lift.
         """
         return bool(self.rotor_drag_plane or self.rotor_drag_axis or self.translational_lift)
 

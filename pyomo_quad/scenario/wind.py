@@ -86,7 +86,7 @@ class WindLaw(StrEnum):
 
 
 class WindProfile(Part):
-    """Horizontal wind as a function of the height z above the ground."""
+    """Growth of the horizontal wind with height above ground, by a power or logarithmic law."""
 
     law: WindLaw = quantity(
         "", "power: (z / reference_height)^exponent, or logarithmic: ln(z / roughness)"
@@ -139,7 +139,7 @@ class WindSeries(Part):
 
 
 class Intensity(StrEnum):
-    """Intensity of turbulence by MIL-F-8785C, section 3.7.3.4."""
+    """Intensity of turbulence, from the wind at 6 m above the ground (MIL-F-8785C, 3.7.3.4)."""
 
     LIGHT = "light"
     MODERATE = "moderate"

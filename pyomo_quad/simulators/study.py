@@ -199,10 +199,14 @@ class OutsideStudy:
 
 
 class Arrivals(NamedTuple):
-    """Counts of a controller's flights in RotorPy.
+    """Numbers of a controller's flights in RotorPy, by outcome.
 
-    `confirmed` flights agree with a second integration, `unconfirmed` flights do not; `arrived`
-    counts the confirmed flights that reached the goal.
+    Attributes
+    ----------
+    arrived : int
+        Confirmed flights that reached the goal.
+    confirmed, unconfirmed : int
+        Flights that agree with a second integration, and flights that do not.
     """
 
     arrived: int
@@ -253,7 +257,18 @@ class Flown(NamedTuple):
 
 @dataclass(frozen=True)
 class _Mission:
-    """Planned mission of the comparison with RotorPy, with methods that make its flights."""
+    """Planned mission of the comparison with RotorPy, with methods that make its flights.
+
+    Attributes
+    ----------
+    case : str
+        Name of the mission, a key of `CASES`.
+    scenario : Scenario
+    planner : Planner
+        Keeps the compiled models.
+    plan : Plan
+        Minimum-energy plan of the mission.
+    """
 
     case: str
     scenario: Scenario
@@ -265,7 +280,7 @@ class _Mission:
         return self.planner.dynamics(self.scenario)
 
     def declared(self, pilot: Pilot, followed: Reference = Reference.PLAN) -> Flown:
-        """Return a flight of the package's own ("declared") vehicle model, not simulated yet."""
+        """Return a flight, not simulated yet, of the package's own ("declared") vehicle model."""
         fly: Callable[[], Flight] = partial(
             fly_baseline, self.scenario, followed, dynamics=self.dynamics, plan=self.plan
         )
@@ -411,7 +426,7 @@ def _leaps(mission: _Mission, limited: OutsidePlant) -> Iterator[Flown]:
 def _why_se3_misses(mission: _Mission, plant: OutsidePlant) -> Iterator[Flown]:
     """Yield flights under SE3 with larger gains, and with feedforward of the air's force.
 
-    They show why SE3 misses the goal.
+    The flights show why SE3 misses the goal.
     """
     for followed in (Reference.QUINTIC, Reference.PLAN):
         path = mission.path(followed)

@@ -22,7 +22,7 @@ NAMES = tuple(_ROTORS)
 
 
 class Said(NamedTuple):
-    """Value of a vehicle's field, with its source."""
+    """Value of a vehicle's field in SI units, with its source in words."""
 
     value: float | str | list[float]
     source: str

@@ -83,7 +83,7 @@ def scenario_of(vehicle: EstimatedVehicle) -> Scenario:
 
 
 def example_mission(name: str) -> str:
-    """Return the text of an example scenario (TOML) that flies the vehicle of this name 40 m."""
+    """Return the text of an example scenario (TOML): the named vehicle flies 40 m in calm air."""
     return (
         f'name = "{name}_hop"\n'
         f'vehicle = {{ use = "{name}.toml" }}\n'

@@ -160,7 +160,8 @@ def data_sheets() -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        One row for each vehicle: mass, propeller, both powers [W], error [percent] and source.
+        One row for each vehicle: mass, propeller, estimated and published hover power [W], error of
+        the estimate [percent] and source.
     """
     told = tomllib.loads(_folder().joinpath(_SHEETS).read_text(encoding="utf-8"))
     rows = []

@@ -48,7 +48,7 @@ class MassModel:
     def moments(self) -> tuple[float, float, float]:
         """Return the moments of inertia about body x, y and z [kg m²].
 
-        They follow eq. (9) of docs/theory/vehicle_from_data.md.
+        Derivation: see docs/theory/vehicle_from_data.md, eq. (9).
         """
         tips = _MOTOR_SHARE * self.empty * self.arm**2
         arms = _ARM_SHARE * self.empty * self.arm**2 / 3

@@ -39,7 +39,13 @@ _HALF_LOST_W, _LOSS_EXPONENT = 2.6, 0.3
 
 @dataclass(frozen=True, kw_only=True)
 class Propeller:
-    """Propeller, described by its diameter and pitch [m]."""
+    """Propeller, described by its diameter and pitch.
+
+    Attributes
+    ----------
+    diameter, pitch : float
+        Diameter and pitch [m].
+    """
 
     diameter: float
     pitch: float

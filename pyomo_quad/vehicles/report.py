@@ -1,6 +1,6 @@
 """Report that compares vehicles with measured powers.
 
-It has a table of data sheets, and a page for each vehicle of the library.
+The report has a table of data sheets, and a page for each vehicle of the library.
 """
 
 from functools import partial

@@ -39,9 +39,9 @@ _NEAR = 0.45
 class BernsteinRule:
     """Linear maps from a variable's values in an element to its Bernstein coefficients.
 
-    Coefficients that equal a value at a node are left out, because the bounds of the unknowns
-    already hold there. These are the first and the last coefficient of a state, and the last
-    coefficient of an algebraic variable.
+    Coefficients that equal a value at a node are left out, because that value is an unknown of the
+    program, which has bounds already. These are the first and the last coefficient of a state, and
+    the last coefficient of an algebraic variable.
 
     Attributes
     ----------
@@ -164,7 +164,8 @@ def bounded(
 ) -> BernsteinRows | None:
     """Return bounds on Bernstein coefficients in the elements where a trajectory is near a bound.
 
-    They keep the trajectory within its bounds between the collocation points too.
+    Bounds on the coefficients keep the trajectory within the variables' bounds between the
+    collocation points too.
 
     Parameters
     ----------

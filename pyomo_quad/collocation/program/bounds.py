@@ -321,7 +321,8 @@ def nominal_magnitudes(program: Transcription, bounds: Bounds, z: FloatArray) ->
 def _magnitude(slot: Slot, bounds: Bounds, z: FloatArray, columns: Any) -> float:
     """Return the magnitude of one variable, the same for all unknowns that belong to it.
 
-    It is the declared magnitude, else the largest absolute value among finite bounds and values.
+    The result is the declared magnitude, else the largest absolute value among finite bounds and
+    values.
     """
     if slot.nominal is not None:
         return slot.nominal
@@ -417,8 +418,8 @@ _ROUNDING = 1e-9
 def without_settled_rows(program: NonlinearProgram, bounds: Bounds, z: FloatArray) -> Bounds:
     """Remove the bounds of constraints that involve only fixed unknowns and are satisfied.
 
-    A path equality at a point where all its states are fixed is redundant; its zero slopes would
-    make the remaining equations appear dependent.
+    A path equality at a point where all states in the equality are fixed is redundant. The equality
+    has no slopes in free unknowns, which would make the equations appear linearly dependent.
     """
     rows, columns = program.jacobianstructure()
     is_free = bounds.lower < bounds.upper

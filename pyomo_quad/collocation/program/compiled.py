@@ -128,10 +128,10 @@ def _names_at(declared: Declarations, slot: Slot) -> frozenset[str]:
 
 
 def _one_output(declared: Declarations) -> tuple[Slot, PathEquation] | None:
-    """Return an output state with its equation; None if the model has no such state.
+    """Return an output state with its equation; None if the model has no output state.
 
-    An output state affects neither the objective nor other equations. It appears in a single
-    equality, has no bounds, and is fixed at the start and nowhere else.
+    An output state affects neither the objective nor other equations. An output state appears in a
+    single equality, has no bounds, and is fixed at the start and nowhere else.
     """
     uses = Counter[str]()
     for equation in declared.equations:
@@ -156,13 +156,13 @@ def _one_output(declared: Declarations) -> tuple[Slot, PathEquation] | None:
             and one_rate
             and equation.is_equality
             and is_unbounded(slot.lower, slot.upper)
-            and _held_at_start_only(declared, slot)
+            and _is_fixed_at_start_only(declared, slot)
         ):
             return slot, equation
     return None
 
 
-def _held_at_start_only(declared: Declarations, slot: Slot) -> bool:
+def _is_fixed_at_start_only(declared: Declarations, slot: Slot) -> bool:
     """Return whether a state is fixed at the start and appears in no other condition."""
     names = _names_at(declared, slot)
     if names & symbol_names(declared.objective):
@@ -530,8 +530,8 @@ def with_moving_limits(declared: Declarations) -> Declarations:
 def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> list[PathEquation]:
     """Return constraints equivalent to a path equation, with sides that depend on data alone.
 
-    `moves` tells whether a side depends on static variables; each such side becomes a constraint of
-    its own.
+    `moves` tells whether a side depends on static variables; each side that does becomes a separate
+    constraint.
     """
     below, above = moves(equation.lower), moves(equation.upper)
     if not (below or above):
@@ -541,12 +541,22 @@ def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> l
     if below:
         side, unbounded = _moving_side(equation.lower)
         found.append(
-            replace(equation, expression=body - side, lower=_unless(unbounded, -none), upper=none)
+            replace(
+                equation,
+                expression=body - side,
+                lower=_infinite_where(unbounded, -none),
+                upper=none,
+            )
         )
     if above:
         side, unbounded = _moving_side(equation.upper)
         found.append(
-            replace(equation, expression=body - side, lower=-none, upper=_unless(unbounded, none))
+            replace(
+                equation,
+                expression=body - side,
+                lower=-none,
+                upper=_infinite_where(unbounded, none),
+            )
         )
     rest = replace(
         equation,
@@ -556,7 +566,7 @@ def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> l
     return found if is_unbounded(rest.lower, rest.upper) else [*found, rest]
 
 
-def _unless(unbounded: Any, none: Any) -> Any:
+def _infinite_where(unbounded: Any, none: Any) -> Any:
     """Return the infinite number `none` where a limit is absent (`unbounded`), and 0 elsewhere."""
     zero = casadi.SX(0)
     return zero if unbounded.is_zero() else casadi.if_else(unbounded, none, zero)
@@ -674,7 +684,7 @@ def _point_symbols(declared: Declarations) -> dict[str, Any]:
 def _boundable_at_points(declared: Declarations) -> frozenset[str]:
     """Return the names of quantities in conditions that the nonlinear program can bound.
 
-    They are values of states at declared times, and static variables.
+    These quantities are values of states at declared times, and static variables.
     """
     states = {s.name for s in declared.states}
     at_points = {

@@ -250,9 +250,9 @@ def _refuse_gaps(
     """Raise an error for a condition that links two horizons with a gap of time between them.
 
     An equality between a value at the end of one horizon and a value at the start of another is
-    meant to continue the first horizon in the second. It is refused if the second horizon is
-    declared to start later than the first ends. A gap is accepted if a static variable replaces one
-    of the two times.
+    meant to continue the first horizon in the second. The equality is refused if the second horizon
+    is declared to start later than the first horizon ends. A gap is accepted if a static variable
+    replaces the end of the first or the start of the second horizon.
 
     Parameters
     ----------

@@ -48,8 +48,8 @@ def _with_slacks(
 ) -> ExtendedProgram:
     """Return a program of n unknowns in which some constraints have penalised slacks.
 
-    Each chosen constraint has two non-negative slacks, so that it may be violated in either
-    direction.
+    Each chosen constraint has two non-negative slacks: one permits a violation upwards, the other a
+    violation downwards.
 
     Parameters
     ----------

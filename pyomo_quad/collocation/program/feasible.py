@@ -1,11 +1,11 @@
-"""Search for a trajectory that satisfies the equations of a fine mesh, near a given one.
+"""Search, near a given trajectory, for a trajectory that satisfies the equations of a fine mesh.
 
 The optimum of a coarse mesh satisfies the equations at few points only, and violates them widely on
 a finer mesh. From that optimum, Ipopt needs dozens of iterations to the optimum of the finer mesh,
-but only a few iterations to a point that satisfies the equations of the finer mesh. This search
-stops at such a point. A small penalty on the distance from the initial point determines the
-unknowns on which the objective hardly depends. The bounds are relaxed slightly, because no iterate
-of an interior-point method lies on them.
+but only a few iterations to a point that satisfies the equations of the finer mesh. The search
+stops at the first point that satisfies the equations. A small penalty on the distance from the
+initial point determines the unknowns on which the objective hardly depends. The bounds are relaxed
+slightly, because no iterate of an interior-point method lies on them.
 """
 
 from __future__ import annotations

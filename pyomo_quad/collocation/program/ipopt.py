@@ -50,7 +50,7 @@ class Status(Enum):
 
     @property
     def has_failed(self) -> bool:
-        """Whether Ipopt failed or reported infeasibility; a poor initial guess may cause either."""
+        """Whether Ipopt failed or reported infeasibility; a poor guess may cause both outcomes."""
         return self in (Status.NOT_CONVERGED, Status.INFEASIBLE)
 
 
@@ -626,10 +626,10 @@ def _with_idle_unknowns(
 
     If there are as many equations as free unknowns, Ipopt solves the equations alone: it stops at
     the first point that satisfies them, whatever the objective, and it refuses a program with more
-    equations. Both are wrong if some equations follow from others, for example an end condition
-    that a conserved quantity satisfies: the feasible point is then not unique. An added unknown
-    appears as a square in the objective and in no equation, so that it stays zero and changes
-    nothing else.
+    equations. Ipopt must do neither if some equations follow from others, for example an end
+    condition that a conserved quantity satisfies: the feasible point is then not unique. An added
+    unknown appears as a square in the objective and in no equation, so that it stays zero and
+    changes nothing else.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """Nonlinear programs (NLPs): interface, bounds, scaling, multipliers, and extension.
 
-An `ExtendedProgram` adds unknowns, linear constraints and quadratic costs to a program. It serves
-elastic programs (constraints with penalised slacks), bounds between the collocation points, damped
-controls, and unknowns that keep Ipopt from treating a program as square.
+An `ExtendedProgram` adds unknowns, linear constraints and quadratic costs to a program. Extended
+programs are used for elastic programs (constraints with penalised slacks), bounds between the
+collocation points, damped controls, and unknowns that keep Ipopt from treating a program as square.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
 A condition is a constraint at a declared time, such as an end condition. If a quantity is
 conserved, an end condition on this quantity follows from the initial conditions and the equations
 over time. On a mesh, the end condition follows only up to the discretisation error. A program that
-imposes the end condition as well may have no solution, or a single point instead of a curve of
-solutions, with unbounded multipliers.
+imposes the redundant end condition may have no solution. It may also have a single solution where
+the problem without the condition has many, and unbounded multipliers.
 """
 
 from __future__ import annotations
@@ -123,7 +123,7 @@ def redundant_conditions(
     first = program.first_condition_row
     equal = np.flatnonzero(bounds.row_lower[:first] == bounds.row_upper[:first])
     own = _slopes_of(candidates, slopes, free)
-    outside = _outside(slopes[equal], own)
+    outside = _orthogonal_parts(slopes[equal], own)
     found, basis = [], list[np.ndarray]()
     for candidate, left, whole in zip(candidates, outside, own, strict=True):
         for known in basis:
@@ -156,7 +156,7 @@ def _slopes_of(
     return found
 
 
-def _outside(equations: coo_array, vectors: list[FloatArray]) -> list[FloatArray]:
+def _orthogonal_parts(equations: coo_array, vectors: list[FloatArray]) -> list[FloatArray]:
     """Return the component of each vector orthogonal to the span of the equations' gradients.
 
     `equations` is a sparse matrix with one gradient per row.

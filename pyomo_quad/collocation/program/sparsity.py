@@ -212,10 +212,10 @@ def _chosen(columns: IndexArray, width: int) -> csr_matrix:
 
 
 class Contributions:
-    """List of contributions to the nonzeros of a sparse matrix, from which a `Scatter` is made.
+    """Contributions to the entries of a sparse matrix, collected to make a `Scatter` of them.
 
-    A contribution adds a weight times a source to the entry at (row, column). A source is a number
-    that a CasADi function returns at each evaluation.
+    A source is a number that a CasADi function returns at each evaluation. A contribution adds a
+    weight times a source to the entry at (row, column) of the matrix.
     """
 
     def __init__(self) -> None:
@@ -446,9 +446,9 @@ def jacobian_scatter(compiled: CompiledModel, layout: Layout) -> JacobianScatter
 def hessian_scatter(compiled: CompiledModel, layout: Layout) -> Scatter:
     """Return the linear map that assembles the Lagrangian's Hessian from derivatives at points.
 
-    It gives the nonzeros of the lower triangle. Its inputs (sources) are the values that CasADi
-    returns at each evaluation: the nonzeros of the Hessians of the path equations, point by point,
-    then the nonzeros of the Hessian of conditions and objective.
+    The map gives the nonzeros of the lower triangle. Its inputs (sources) are the values that
+    CasADi returns at each evaluation: the nonzeros of the Hessians of the path equations, point by
+    point, then the nonzeros of the Hessian of conditions and objective.
     """
     into, path, points = Contributions(), compiled.path, compiled.points
     n_path, count = layout.points * len(path.hessian_rows), len(path.hessian_rows)

@@ -219,7 +219,7 @@ class Transcription:
 
     @property
     def horizon(self) -> tuple[float, float] | None:
-        """Start and end of the horizon as given by parameters, None if either is a variable."""
+        """Start and end of the horizon as given by parameters, None if one is a variable."""
         names = [p.name for p in self.compiled.declared.parameters]
         if not {"horizon.start", "horizon.end"} <= set(names):
             return None
@@ -298,8 +298,8 @@ class Transcription:
     def point_variables(self, z: FloatArray) -> FloatArray:
         """Return the variables of conditions and objective as one row.
 
-        They are values at declared times, static variables, and the integrals that enter the
-        objective directly.
+        These variables are values at declared times, static variables, and the integrals that enter
+        the objective directly.
         """
         layout = self.layout
         direct = self.integrals(z)[list(self.compiled.row_integrals)]

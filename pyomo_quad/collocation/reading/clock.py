@@ -1,7 +1,7 @@
 """Declared times of a horizon, some of which may be free, and the phases between them.
 
 A declared time is a member of the model's continuous set, at which the model can state conditions.
-It is free if a static variable gives the physical time to which it corresponds.
+The declared time is free if a static variable gives the physical time to which it corresponds.
 Between two declared times, physical time is linear in the fraction of the horizon.
 """
 
@@ -27,7 +27,7 @@ def index_tuple(index: Any) -> tuple[Any, ...]:
 def is_over(component: Any, time: Any) -> bool:
     """Return whether a component is indexed by a given continuous set itself.
 
-    Another set with the same members does not count.
+    False for an index by a different set, even if that set has the same members.
     """
     return component.is_indexed() and any(part is time for part in component.index_set().subsets())
 
@@ -81,7 +81,7 @@ class PhaseTimes:
         return [(after - before) / (last - first) for (before, after), (first, last) in ends]
 
     @property
-    def _holds(self) -> tuple[Any, ...]:
+    def _phase_factors(self) -> tuple[Any, ...]:
         """Factors, one per phase, that are 1 at times of the phase and 0 elsewhere."""
         return self.phases or (1.0,)
 
@@ -91,7 +91,7 @@ class PhaseTimes:
 
         A CasADi expression that holds in all phases.
         """
-        return sum(p * span for p, span in zip(self._holds, self._spans, strict=True))
+        return sum(p * span for p, span in zip(self._phase_factors, self._spans, strict=True))
 
     @cached_property
     def time(self) -> Any:
@@ -99,7 +99,7 @@ class PhaseTimes:
         return sum(
             holds * (start + span * (self.fraction - first))
             for holds, start, span, first in zip(
-                self._holds, self.times, self._spans, self.fractions, strict=False
+                self._phase_factors, self.times, self._spans, self.fractions, strict=False
             )
         )
 
@@ -123,8 +123,8 @@ class PhaseTimes:
     def orders(self) -> list[tuple[str, Any]]:
         """Return the constraints that keep the phases in order.
 
-        Each is a pair: name, and CasADi expression that must not be negative. There are none for a
-        single phase.
+        Each constraint is a pair: name, and CasADi expression that must not be negative. The list
+        is empty for a single phase.
         """
         whole = LEAST_PHASE * (self.times[-1] - self.times[0])
         if not self.phases:
@@ -170,7 +170,7 @@ def free_times(
         given[only.name][float(only.last())] = final_time
     for key, named in (times or {}).items():
         if isinstance(named, Mapping):
-            chosen = _called(sets, str(key))
+            chosen = _set_named(sets, str(key))
             given[chosen.name] |= {_declared(chosen, at): v for at, v in named.items()}
         else:
             chosen = _only(sets, "times")
@@ -195,7 +195,7 @@ def _only(sets: tuple[Any, ...], argument: str) -> Any:
     return sets[0]
 
 
-def _called(sets: tuple[Any, ...], name: str) -> Any:
+def _set_named(sets: tuple[Any, ...], name: str) -> Any:
     """Return the continuous set of the given name; raise an error if the model has none."""
     for time in sets:
         if time.name == name:

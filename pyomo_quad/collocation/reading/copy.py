@@ -67,7 +67,10 @@ class WorkingCopy:
     others: tuple[Any, ...] = ()
 
     def other_of(self, component: Any) -> Any:
-        """Return the other continuous set that indexes a component, None if no other set does."""
+        """Return the continuous set of another horizon that indexes a component.
+
+        The result is None if no other horizon's set indexes the component.
+        """
         return next((time for time in self.others if is_over(component, time)), None)
 
     def takes(self, component: Any, data: Any) -> bool:
@@ -130,7 +133,7 @@ def continuous_sets(model: Any) -> tuple[Any, ...]:
     if len(sets) < 2:
         return sets
     active = {id(s) for s in model.component_objects(ContinuousSet, active=True)}
-    sets = tuple(s for s in sets if id(s) in active or _is_asked_for(model, s))
+    sets = tuple(s for s in sets if id(s) in active or _is_used(model, s))
     used: set[int] = set()
     for component in model.component_objects((Var, DerivativeVar), descend_into=True):
         over = [s for s in sets if is_over(component, s)]
@@ -145,7 +148,7 @@ def continuous_sets(model: Any) -> tuple[Any, ...]:
     return tuple(s for s in sets if id(s) in used)
 
 
-def _is_asked_for(model: Any, time: Any) -> bool:
+def _is_used(model: Any, time: Any) -> bool:
     """Return whether an active constraint or objective uses a variable indexed by a set."""
     return any(
         is_over(variable.parent_component(), time)
@@ -259,7 +262,8 @@ def copies_with_template_times(model: Any) -> tuple[WorkingCopy, ...]:
     Returns
     -------
     tuple of WorkingCopy
-        One per horizon, all of the same clone; a single one for a model without time.
+        One working copy per horizon; all of them share one clone of the model. A model without time
+        gives a single working copy.
 
     Raises
     ------

@@ -97,7 +97,7 @@ class RelationReader:
     ) -> None:
         """Read the members of a constraint that differ in time only.
 
-        They become an equation over time, or conditions (constraints at declared times).
+        The members become an equation over time, or conditions (constraints at declared times).
 
         Parameters
         ----------
@@ -126,8 +126,8 @@ class RelationReader:
     def _refuse_alike(self, component: Any, instances: list[Any]) -> None:
         """Raise an error for members without a rule that are identical at every declared time.
 
-        They are probably meant for all times, but the engine imposes them at the declared times
-        only.
+        The members are probably meant for all times, but the engine imposes them at the declared
+        times only.
         """
         if all(self._is_alike(instances[0], other) for other in instances[1:]):
             raise TranscriptionError(
@@ -210,8 +210,8 @@ class RelationReader:
     ) -> list[PointCondition]:
         """Return the members at declared interior times that differ from the path equation.
 
-        Each of them becomes a separate condition. `template` is the member at the template time,
-        `instances` has the members at declared times.
+        Each returned member becomes a separate condition. `template` is the member at the template
+        time, `instances` has the members at declared times.
         """
         added = []
         for time in self.copy.declared_times[1:-1]:
@@ -323,7 +323,7 @@ class RelationReader:
                 if data.fixed and slot.rate is not None:
                     fixed.append((slot.name, table.clock.fraction_of(time)))
                 elif data.fixed:
-                    conditions.append(self._held(data))
+                    conditions.append(self._fixing_condition(data))
                 elif not is_changed and data.bounds != self._writer.declared_bounds(data):
                     conditions.append(
                         PointCondition(
@@ -364,7 +364,7 @@ class RelationReader:
                     is_equality=False,
                 )
 
-    def _held(self, data: Any) -> PointCondition:
+    def _fixing_condition(self, data: Any) -> PointCondition:
         """Return the condition that an algebraic variable equals the value fixed at a time."""
         number = self.symbols.fixed_value(data)
         expression = casadi.SX(self._writer.write(data, data.name)) - number
@@ -531,7 +531,7 @@ class ModelReader:
         states = self.symbols.states.values()
         still = [s for s in states if s.rate.name() not in used]
         moving = {s.component for s in states if s.rate.name() in used}
-        said = self._said_without_rates(still, read)
+        said = self._determined_without_rates(still, read)
         for state in still:
             # At the ends of a discretised space, an equation without a rate may determine the
             # variable.
@@ -541,12 +541,15 @@ class ModelReader:
                     "derivative; declare its dynamics as an equality constraint."
                 )
 
-    def _said_without_rates(self, states: list[Slot], read: list[frozenset[str]]) -> frozenset[str]:
+    def _determined_without_rates(
+        self, states: list[Slot], read: list[frozenset[str]]
+    ) -> frozenset[str]:
         """Return the names of the states that equations without time derivatives determine.
 
         Each equation determines at most one state. If the model has derivatives in space, the
-        discretisation in space has added an equation for each of them. Such an equation determines
-        the derivative in space, and no state. `read` has the names of the symbols in each equation.
+        discretisation in space has added an equation for each derivative in space. An added
+        equation determines its derivative, and no state. `read` has the names of the symbols in
+        each equation.
         """
         rates = {s.rate.name() for s in self.symbols.states.values()}
         algebraic = [names for names in read if not names & rates]

@@ -166,8 +166,8 @@ class LiveModel:
     def first_guess(self, slot: Slot) -> Callable[[float], float] | None:
         """Return a variable's `initialize` rule as a function of time.
 
-        The result is None if the variable has no such rule, or if the values in the model differ
-        from the values of the rule.
+        The result is None if the variable has no `initialize` rule, or if the values in the model
+        differ from the values of the rule.
 
         Raises
         ------
@@ -178,7 +178,7 @@ class LiveModel:
         rule = initial_rule_of(component) if component.ctype is Var else None
         if rule is None:
             return None
-        guess = self._said(component, slot, rule, "initialize rule")
+        guess = self._guarded(component, slot, rule, "initialize rule")
         members = ((t, self._member(component, slot, t)) for t in self.times)
         held = [(t, member.value) for t, member in members if not member.fixed]
         try:
@@ -187,7 +187,7 @@ class LiveModel:
             return None
         return guess if is_as_made else None
 
-    def _said(
+    def _guarded(
         self, component: Any, slot: Slot, rule: Any, kind: str, advice: str = ""
     ) -> Callable[[float], float]:
         """Return a component's rule as a function of time, which raises an error if it fails.
@@ -242,7 +242,7 @@ class LiveModel:
                 "initialize= a function of time."
             )
 
-        signal = self._said(component, slot, rule, "rule", _AT_ANY_TIME)
+        signal = self._guarded(component, slot, rule, "rule", _AT_ANY_TIME)
         if held != [signal(t) for t in self.times]:
             raise TranscriptionError(
                 f"{slot.name}: was changed after its rule made it; give parameters= a function of "
@@ -342,10 +342,11 @@ class LiveModel:
             variables={(s.name, None): self.variable(s) for s in declared.statics}
             | {(s.name, t): self.variable(s, t) for s in declared.varying for t in self.times},
             signals={
-                slot.name: self._signal_kept(slot, horizon, asked) for slot in declared.signals
+                slot.name: self._signal_as_interpolant(slot, horizon, asked)
+                for slot in declared.signals
             },
             guesses={
-                slot.name: _kept(slot, guess, horizon, asked)
+                slot.name: _as_interpolant(slot, guess, horizon, asked)
                 for slot in declared.varying
                 if (guess := self.first_guess(slot)) is not None
             },
@@ -355,7 +356,7 @@ class LiveModel:
             ),
         )
 
-    def _signal_kept(
+    def _signal_as_interpolant(
         self, slot: Slot, horizon: tuple[float, float], asked: list[float]
     ) -> Interpolant:
         """Return a parameter over time as an `Interpolant`, which can be pickled.
@@ -364,12 +365,12 @@ class LiveModel:
         `asked` are the times between which jumps are searched.
         """
         try:
-            return _kept(slot, self.signal(slot), horizon, asked)
+            return _as_interpolant(slot, self.signal(slot), horizon, asked)
         except TranscriptionError as error:
             return Interpolant(edges=(), pieces=(), refusal=str(error))
 
 
-def _kept(
+def _as_interpolant(
     slot: Slot,
     function: Callable[[float], float],
     horizon: tuple[float, float],

@@ -42,10 +42,10 @@ def objective_of(copy: WorkingCopy) -> Any:
 def _refuse_sum(objective: Any, time: Any, copy: WorkingCopy) -> None:
     """Raise an error for an objective that sums a function of a control over the declared times.
 
-    The sum is probably meant as an integral, because a control has no meaning at a single time. It
-    is recognised by terms that are equal at all declared times. A sum over a state is accepted: it
-    is either a fit to data, whose terms differ from time to time, or a cost at both ends of the
-    horizon.
+    The sum is probably meant as an integral, because a control has no meaning at a single time. A
+    sum that is meant as an integral is recognised by terms that are equal at all declared times. A
+    sum over a state is accepted: the sum may be a fit to data, whose terms differ from time to
+    time, or a cost at start and end of the horizon.
     """
     addresses = AddressBook(time)
     states = {d.get_state_var().name for d in copy.model.component_objects(DerivativeVar)}
@@ -83,7 +83,8 @@ def _refuse_sum(objective: Any, time: Any, copy: WorkingCopy) -> None:
 def _is_alike(cost: Any, key: Any, first: dict[Any, Any], other: dict[Any, Any]) -> bool:
     """Return whether the objective depends on a variable in the same way at two declared times.
 
-    The derivatives of the objective with respect to the variable at either time are compared.
+    The derivatives of the objective with respect to the variable at the first and at the second
+    time are compared.
 
     Parameters
     ----------
@@ -92,7 +93,8 @@ def _is_alike(cost: Any, key: Any, first: dict[Any, Any], other: dict[Any, Any])
     key : (str, tuple)
         Component name and index without time of the variable.
     first, other : dict
-        Symbols of all variables at either time, with keys in the form of `key`.
+        Symbols of all variables at the first and at the second time, with keys in the form of
+        `key`.
     """
     if key not in other:
         return False

@@ -1,7 +1,8 @@
 """Rules of a model's components: functions that make the members of constraints and expressions.
 
 A clone of a model keeps the rules of the original, which refer to the original's components. This
-module makes them refer to the clone, and checks that the members still agree with their rules.
+module makes the clone's rules refer to the clone, and checks that the members of components still
+agree with their rules.
 """
 
 from __future__ import annotations
@@ -161,10 +162,10 @@ def _is_same(held: Any, stated: Any) -> bool:
 
 
 class _PrefixNotation(PrefixVisitor):
-    """Prefix notation of an expression, in which a named expression is one entry.
+    """Visitor that writes a Pyomo expression in prefix notation, to compare two expressions.
 
-    The named expression is compared with its own rule once, and is not expanded in each of the
-    equations that share it.
+    A named expression is a single entry of the notation: it is compared with its own rule once, and
+    is not expanded in each of the equations that share it.
     """
 
     def enterNode(self, node: Any) -> Any:  # noqa: N802  Pyomo's name
@@ -183,9 +184,10 @@ def _with_rules(copy: Any) -> Iterator[tuple[Any, Any]]:
 
 
 class _Translator:
-    """Replacer of a model's components inside functions by the components of its clone.
+    """Translator of functions that refer to a model into functions that refer to the model's clone.
 
-    Closures, global variables and default arguments of a rule may refer to the model.
+    A rule may refer to components of the model through its closure, global variables and default
+    arguments. The translator makes a copy of the rule in which the clone's components replace them.
     """
 
     def __init__(self, model: Any, copy: Any) -> None:

@@ -61,10 +61,15 @@ def _remembered(known: OrderedDict[float, T], time: float, of: Callable[[float],
 
 @dataclass(frozen=True, kw_only=True)
 class Statement:
-    """Result of a rule at one time: Pyomo expressions, and whether they state an equality.
+    """Result of a rule at one time.
 
-    For a constraint the parts are lower bound, body and upper bound, with None for an absent bound;
-    for an expression over time there is one part.
+    Attributes
+    ----------
+    parts : tuple
+        Pyomo expressions. For a constraint: lower bound, body and upper bound, with None for an
+        absent bound. For an expression over time: the expression alone.
+    is_equality : bool
+        Whether the constraint is an equality.
     """
 
     parts: tuple[Any, ...]
@@ -318,7 +323,7 @@ class Phases:
         return Reading(self._clock.phase_of(time), ())
 
     def row(self, time: float) -> list[float]:
-        """Return 1 for the phase that contains a declared time and 0 for the others."""
+        """Return 1 for the phase that contains a declared time, and 0 for every other phase."""
         return [float(k == self._clock.phase_of(time)) for k in range(len(self.slots))]
 
 
@@ -352,7 +357,8 @@ def _structure(part: Any, numbers: list[float]) -> Any:
 def probes(times: Sequence[float]) -> list[float]:
     """Return the times at which a rule is called to find its forms and jumps.
 
-    They are 64 times spread over the horizon, and times just before and after each declared time.
+    The result has 64 times spread over the horizon, and times just before and after each declared
+    time.
     """
     span = times[-1] - times[0]
     between = np.linspace(times[0], times[-1], _PROBES + 1)[:-1] + 0.618 * span / _PROBES

@@ -225,9 +225,16 @@ def integrand(integral: Any, index: Any, symbol: TimeSymbol | Instant) -> Any:
 
 @dataclass(frozen=True)
 class Address:
-    """Identification of a member of a Pyomo component: name, index without time, and time.
+    """Identification of a member of a Pyomo component.
 
-    The time is None for a component that is not indexed by time.
+    Attributes
+    ----------
+    component : str
+        Full name of the component.
+    index : tuple
+        Index of the member without time.
+    time : float or None
+        Time of the member; None if the component is not indexed by time.
     """
 
     component: str
@@ -362,7 +369,8 @@ class Slot:
 class PathEquation:
     """Constraint lower <= expression <= upper that is imposed at every collocation point.
 
-    All three are CasADi expressions of the variables and data of a point.
+    The attributes `lower`, `expression` and `upper` are CasADi expressions of the variables and
+    data of a point. `is_equality` tells whether the constraint is an equality.
     """
 
     name: str
@@ -397,7 +405,7 @@ class PointSymbol:
 class PointCondition:
     """Constraint among values at declared times, static variables and integrals.
 
-    It has the form lower <= expression <= upper, in CasADi expressions.
+    The constraint has the form lower <= expression <= upper, in CasADi expressions.
     """
 
     name: str

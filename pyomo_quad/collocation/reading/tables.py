@@ -71,7 +71,7 @@ class Spline:
         """
         held, knots = np.asarray(values, dtype=float), []
         for axis, at in enumerate(points):
-            found, coefficients = _going_on(at, np.moveaxis(held, axis, 0), degree)
+            found, coefficients = _extended_linearly(at, np.moveaxis(held, axis, 0), degree)
             held = np.moveaxis(coefficients, 0, axis)
             knots.append(found)
         ranges = tuple((float(at[0]), float(at[-1])) for at in points)
@@ -106,7 +106,9 @@ class Spline:
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
-def _going_on(at: FloatArray, values: FloatArray, degree: int) -> tuple[FloatArray, FloatArray]:
+def _extended_linearly(
+    at: FloatArray, values: FloatArray, degree: int
+) -> tuple[FloatArray, FloatArray]:
     """Return knots and coefficients of a spline that is extrapolated linearly beyond its data.
 
     A knot of multiplicity degree - 1 at the first and last data point keeps value and slope
@@ -311,7 +313,7 @@ def _bounds(argument: Any) -> tuple[float | None, float | None]:
 def _range(argument: Any) -> tuple[float, float]:
     """Return the interval on which a function is checked.
 
-    It is the interval between the argument's bounds, or (0.1, 0.9) unless both bounds exist.
+    The result is the interval between the argument's bounds, or (0.1, 0.9) if a bound is missing.
     """
     lower, upper = _bounds(argument)
     return (0.1, 0.9) if lower is None or upper is None else (float(lower), float(upper))
@@ -366,7 +368,7 @@ def _sampled(function: Any, stated: Sequence[Any], owner: str) -> Spline:
                 "its arguments; tighten them."
             )
         spline = Spline.through(points, values, _QUINTIC)
-        miss = _miss(call, spline, float(np.abs(values).max(initial=0.0)))
+        miss = _largest_difference(call, spline, float(np.abs(values).max(initial=0.0)))
         if miss <= _ACCURACY:
             return spline
     raise TranscriptionError(
@@ -381,7 +383,7 @@ def _on_grid(call: Callable[..., float], points: Sequence[FloatArray]) -> FloatA
     return np.array(values).reshape([at.size for at in points])
 
 
-def _miss(call: Callable[..., float], spline: Spline, size: float) -> float:
+def _largest_difference(call: Callable[..., float], spline: Spline, size: float) -> float:
     """Return the largest relative difference of a function from its spline between the samples."""
     generator = np.random.default_rng(seed=0)
     lower, upper = np.transpose(spline.ranges)

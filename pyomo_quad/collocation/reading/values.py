@@ -61,13 +61,15 @@ class Instance:
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle functions of time as piecewise polynomials."""
-        return vars(self) | {"overrides": {n: self._kept(n, v) for n, v in self.overrides.items()}}
+        return vars(self) | {
+            "overrides": {n: self._picklable(n, v) for n, v in self.overrides.items()}
+        }
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Instance:
         """Return the instance itself: it is immutable, and its functions are the caller's."""
         return self
 
-    def _kept(
+    def _picklable(
         self, name: str, given: float | Callable[[float], float]
     ) -> float | Interpolant | Steps:
         """Return a parameter's value for a pickle; a function becomes piecewise polynomials."""

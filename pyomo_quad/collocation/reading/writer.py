@@ -195,7 +195,7 @@ def same_expression(first: Any, second: Any) -> bool:
     """Return whether two CasADi expressions are the same function of the same symbols.
 
     Expressions whose trees differ are compared by their values at a few points, because CasADi may
-    have simplified the constants of only one of the two.
+    have simplified constants in the first expression and not in the second.
     """
     first, second = casadi.SX(first), casadi.SX(second)
     if casadi.is_equal(first, second, 1_000_000):

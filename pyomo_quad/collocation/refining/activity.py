@@ -92,8 +92,8 @@ def active_limits(solution: Solution) -> NDArray[np.bool_]:
 
     The limits are, in this order: lower bounds of states and algebraic variables, their upper
     bounds, lower sides of path equations, and their upper sides. At an interior-point solution the
-    product of multiplier and slack is the same small number everywhere; a limit is active where the
-    multiplier is the larger of the two.
+    product of a limit's multiplier and slack (distance to the limit) is the same small number
+    everywhere. A limit is active where its scaled multiplier is larger than its scaled slack.
     """
     pulls, slacks = _pulls_and_slacks(solution)
     return np.asarray(pulls > slacks)
@@ -104,9 +104,9 @@ def kinks(solution: Solution) -> FloatArray:
 
     At a kink the variable is continuous and its slope jumps. The limit is active at one collocation
     point and inactive at the next. The slack (distance to the limit) is extrapolated from three
-    points on the inactive side, and the kink is where it reaches zero between the two points. If
-    the variable jumps instead, the slack is still large, or does not reach zero between the points;
-    such a place is left out.
+    points on the inactive side, and the kink is where the extrapolated slack is zero, between these
+    two points. If the variable jumps instead, the extrapolated slack has no zero between the
+    points, or is still large; the place of a jump is left out.
 
     Returns
     -------

@@ -137,9 +137,8 @@ def damping_of(
 
     Damping is a penalty on the distance from the controls of the solution. A control is damped if
     it is bounded and enters nearly linearly, that is if the Lagrangian's second derivative with
-    respect to the control is small.
-    Next to a corner of the cost, which has curvature at the corner only, a control chatters like a
-    control that enters linearly.
+    respect to the control is small. A control next to a corner of the cost chatters in the same
+    way, and is damped too: the cost has curvature at the corner only, and is linear beside it.
 
     Parameters
     ----------

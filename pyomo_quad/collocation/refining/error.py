@@ -44,8 +44,8 @@ def final_misses(solution: Solution, errors: FloatArray) -> FloatArray:
     Returns
     -------
     ndarray, shape (n_elements, n_states)
-        Changes of the final states to first order, relative to max(1, abs(final state)). They are
-        zero if the equations do not determine every rate.
+        Changes of the final states to first order, relative to max(1, abs(final state)). All
+        entries are zero if the equations do not determine every rate.
     """
     program, mesh = solution.program, solution.mesh
     variables = program.path_variables(solution.unknowns)
@@ -120,9 +120,10 @@ class Allowance:
 class ErrorEstimate:
     """Estimated relative errors of a solution, element by element.
 
-    Some effects of the elements' errors on the objective add up over the elements. So that such an
-    effect can be compared with the tolerance, the effect of each element is multiplied by the
-    number of elements, but limited to the sum over all elements ("extrapolated" below).
+    Some effects of the elements' errors on the objective add up over the elements. Attributes
+    marked "extrapolated" hold such an effect for each element, multiplied by the number of
+    elements, but at most the sum over all elements. An extrapolated effect can be compared with the
+    tolerance for the whole horizon.
 
     Attributes
     ----------
@@ -142,8 +143,8 @@ class ErrorEstimate:
         for the unknown error of the controls. Zero unless all other errors are below the tolerance.
     restraint : ndarray, shape (n_elements,)
         Cost of the bounds that are imposed between the points, extrapolated, relative to the
-        nominal magnitude of the objective. It is divided by the fraction of the tolerance that this
-        cost may use up, so that it too is compared with the whole tolerance.
+        nominal magnitude of the objective. The cost may use up only a fraction of the tolerance; it
+        is divided by this fraction, so that the quotient can be compared with the whole tolerance.
     integrals : ndarray, shape (n_elements,)
         Error of the quadrature of the objective and of every integral, relative to the objective
         and to max(1, abs(integral)).
@@ -270,8 +271,8 @@ _LEAST_UNIT = 1e-4
 def _unit(solution: Solution) -> float:
     """Return the reference magnitude for relative errors of the objective, in its unit.
 
-    It is the objective's magnitude. An objective near zero is compared with 1 instead, or with the
-    inverse of its scaling factor if that is smaller.
+    The result is the objective's magnitude. For an objective near zero, the result is 1, or the
+    inverse of the objective's scaling factor if the inverse is smaller than 1.
     """
     scaled = 1.0 / solution.scaling.objective
     return max(abs(solution.objective), min(1.0, scaled), _LEAST_UNIT * scaled)
@@ -311,9 +312,10 @@ class _Samples:
 
 @lru_cache(maxsize=64)
 def _panelled(degree: int) -> tuple[FloatArray, FloatArray]:
-    """Return Gauss points on panels of the unit element followed by the element's end, and weights.
+    """Return quadrature points and weights of an element of width 1, by Gauss's rule on panels.
 
-    The quadrature weight of the element's end is 0.
+    The element is divided into panels of equal width. The element's right end is added as the last
+    point, with weight 0.
     """
     points, weights = leggauss(degree + 1)
     inner = (np.arange(_PANELS)[:, None] + 0.5 * (1.0 + points)) / _PANELS
@@ -484,7 +486,7 @@ def _relative(solution: Solution, moved: list[FloatArray]) -> FloatArray:
 def state_sizes(solution: Solution) -> FloatArray:
     """Return the largest magnitude of each state over the horizon, shape (n_states,).
 
-    It is at least the nominal magnitude, 1 unless declared.
+    Each entry is at least the state's nominal magnitude, which is 1 unless declared.
     """
     slots = solution.problem.compiled.declared.states
     nominal = np.array([s.nominal or 1.0 for s in slots])
@@ -566,8 +568,8 @@ def _missed(solution: Solution, moved: list[FloatArray], weight: float) -> Float
     """Return the share of each element in the error of the final states, times a weight.
 
     Only the final state with the largest error counts. The element that contributes most to this
-    error is assigned the whole error; each other element is assigned a part of it, in proportion to
-    its contribution. The result has shape (n_elements,).
+    error is assigned the whole error. Every other element is assigned a part of the error, in
+    proportion to the element's contribution. The result has shape (n_elements,).
     """
     if weight == 0.0:
         return np.zeros(solution.mesh.elements)

@@ -2,11 +2,11 @@
 
 Derivations: see docs/theory/refinement.md, eqs. (10) and (11).
 
-At the solution of a nonlinear program, small changes of a control gain nothing. If the Hamiltonian
-has two local minima, this does not make the control optimal: a switch between the minima stays
-where the first mesh put it. A finer mesh does not reveal the error, but Pontryagin's principle
-does. Small changes also do not show how well the optimum determines the states: on a singular arc
-the objective hardly depends on them.
+At the solution of a nonlinear program, small changes of a control gain nothing. Large changes may
+gain nevertheless if the Hamiltonian has two local minima: a switch of the control between the
+minima stays where the first mesh put it. A finer mesh does not reveal the error, but Pontryagin's
+principle does. Small changes also do not show how well the optimum determines the states: on a
+singular arc the objective hardly depends on them.
 """
 
 from __future__ import annotations
@@ -213,21 +213,21 @@ def state_error(
 ) -> float:
     """Estimate the distance of the states from the optimal states, relative to their magnitudes.
 
-    The errors of all elements are added. Two further errors are considered. The mesh restricts the
-    times at which a limit can become active or inactive; the estimate therefore includes the change
-    of the states since the previous mesh, the violation of limits, and the possible effect of a
-    control's jump at another place within a one-point element that was cut around the jump. On a
-    singular arc only the objective determines the control; because the objective is flat about its
-    optimum, a small error of the objective allows a large error of the states.
+    The errors of all elements are added. Two further errors are added. First, the mesh restricts
+    the times at which a limit can become active or inactive. The estimate therefore includes the
+    change of the states since the previous mesh, the violation of limits, and the effect of a
+    control that jumps at another place within the one-point element that was cut around the jump.
+    Second, on a singular arc only the objective determines the control. The objective is flat about
+    its optimum, so that a small error of the objective allows a large error of the states.
 
     Parameters
     ----------
-    solution : Solution
-    error : ErrorEstimate
+    solution : Solution error : ErrorEstimate
     before : Solution, optional
         Solution on the previous mesh; given if limits become active or inactive inside elements.
     change : float
-        Relative change of the objective since a mesh with the same accuracy.
+        Relative change of the objective since the previous mesh, or since an earlier mesh that met
+        the tolerance.
 
     Returns
     -------

@@ -155,7 +155,11 @@ class _Refinement(Generic[S]):
         """Solve on the next meshes; return the result if the refinement ends, None to continue."""
         solution, errors, has_failed = self._solved()
         if solution.status is not Status.CONVERGED:
-            return _lost(solution, self.reached, self.tolerance) if has_failed else solution
+            return (
+                _result_above_tolerance(solution, self.reached, self.tolerance)
+                if has_failed
+                else solution
+            )
         error, is_damped = max(e.largest for e in errors), _are_damped(self.dampings)
         if self.reached is not None:
             self.reached.compare(solution, error)
@@ -164,12 +168,12 @@ class _Refinement(Generic[S]):
             return self._restarted(self._with_state_error(solution, errors))
         is_stuck = finer == _meshes(solution) and error > self.tolerance
         has_no_more = len(self.records) >= self.options.max_meshes
-        if is_stuck or has_no_more or _is_lost(self.records):
+        if is_stuck or has_no_more or _gains_too_little(self.records):
             ended = self._given_up(solution, error)
             if self.reached is not None and self.reached.earned > self.tolerance and not is_stuck:
                 return _cut_off(self.reached)
             ended = self._with_state_error(ended, errors)
-            return _lost(ended, self.reached, self.tolerance)
+            return _result_above_tolerance(ended, self.reached, self.tolerance)
         self._go_on(solution, errors, finer, is_damped=is_damped)
         return None
 
@@ -333,7 +337,7 @@ class _Refinement(Generic[S]):
         """Return a solution with the status and message of a refinement that stops too early."""
         records = self.records
         why = "allow more meshes, elements or a higher degree, or ask for less."
-        if _is_lost(records):
+        if _gains_too_little(records):
             why = (
                 f"the last two took {records[-2].iterations} and {records[-1].iterations} "
                 f"iterations without progress; {_most_moved(solution, self.before)}start from a "
@@ -511,11 +515,12 @@ class _Reached(Generic[S]):
         return self.solution.updated(history=other.parts[0].history)
 
 
-def _lost(ended: S, reached: _Reached[S] | None, tolerance: float) -> S:
+def _result_above_tolerance(ended: S, reached: _Reached[S] | None, tolerance: float) -> S:
     """Return the result of a refinement that ended above its tolerance.
 
-    If the refinement had been restarted, the result is the solution before the restart. It carries
-    a warning if the restart has shown that a better solution exists, or has led to no solution.
+    If the refinement had been restarted, the result is the solution before the restart. The
+    returned solution carries a warning if the restart has shown that a better solution exists, or
+    has led to no solution.
     """
     if reached is None:
         return ended
@@ -563,11 +568,11 @@ def _objective_change(solution: Solution, tolerance: float) -> float:
     return min(moved, default=math.inf) / solution.nominal_objective
 
 
-def _is_lost(records: Sequence[MeshRecord]) -> bool:
+def _gains_too_little(records: Sequence[MeshRecord]) -> bool:
     """Return whether refinement should stop because the last two solves gained too little.
 
-    This is the case if both solves took more than 150 iterations, and the error of the second is
-    more than half the error of the first.
+    True if each of the last two solves took more than 150 iterations, and the error after the
+    second solve is more than half the error after the first solve.
     """
     if len(records) < 3:
         return False

@@ -50,8 +50,8 @@ class RefinementOptions:
     limits_move : bool
         Whether many limits become active and inactive along the trajectory. Most of these junctions
         hardly affect the objective. Elements are then split at junctions only after all other
-        errors meet the tolerance, and the complementarity gap is reduced only as far as the error
-        on the previous mesh.
+        errors meet the tolerance, and the complementarity gap is reduced only down to the error on
+        the previous mesh.
     on_mesh : callable, optional
         Called with the solution on each finished mesh, its error estimate and history included. If
         it returns False, the refinement ends with the status interrupted, and with the solution on
@@ -147,8 +147,8 @@ class Marks:
     kept : frozenset of int
         Elements that must keep their degree.
     are_kinked : bool
-        Whether controls reach their limits with kinks instead of jumps. This holds if no control
-        enters linearly.
+        Whether controls reach their limits with kinks instead of jumps. True if no control enters
+        linearly.
     """
 
     coarse: frozenset[int]
@@ -289,8 +289,9 @@ def _isolated(mesh: Mesh, e: int, jump: float, size: float) -> list[_Piece]:
 
     The sliver is a narrow element of degree 1, with one collocation point. The control is constant
     in the sliver: if it satisfies its limits at the point, it satisfies them everywhere. The error
-    of the states decreases with the square of the sliver's width. If an adjacent sliver was cut for
-    the same jump and does not contain all of the jump, the element is split into thirds instead.
+    of the states decreases with the square of the sliver's width. If an adjacent element is already
+    a sliver for this jump, but the jump reaches beyond it, the element is split into thirds
+    instead.
 
     Parameters
     ----------

@@ -34,11 +34,12 @@ def misplaced_switches(solution: Solution) -> FloatArray:
     Hamiltonian decreases towards the optimal switch, which is at most w away, so that J is too
     large by at most |H- - H+| w.
 
-    If an equation depends on time explicitly, the Hamiltonian changes without a switch: each pair
-    of neighbouring points is therefore compared at the times of both. A jump between two elements
-    counts for the narrower element, which was cut for that jump. Costates are computed in two ways,
-    directly as multipliers, and by integration through the element; where the polynomials cannot
-    follow the costates, the two differ, and the smaller jump counts.
+    If an equation depends on time explicitly, the Hamiltonian changes without a switch. The
+    Hamiltonians of two neighbouring points are therefore compared at equal times: at the time of
+    the first point, and at the time of the second point. A jump between two elements counts for the
+    narrower element, which was cut for that jump. Costates are computed in two ways: directly as
+    multipliers, and by integration through the element. Where the polynomials cannot follow the
+    costates, the two results differ; the smaller jump of the Hamiltonian then counts.
 
     Returns
     -------

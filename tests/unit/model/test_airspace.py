@@ -132,5 +132,5 @@ def test_a_place_has_the_room_that_the_constraint_says():
         for place in places:
             at.set(body=(*place, *[0.0] * 9))
             declared = value(at.model.airspace.keep_out[zone.name, at.t].body)
-            room = airspace._room(zone, told.airspace.clearance, place)
+            room = airspace._smoothed_distance(zone, told.airspace.clearance, place)
             assert room == pytest.approx(declared, rel=1e-12, abs=1e-12)

@@ -71,10 +71,10 @@ def test_depth_and_room_are_distances_from_the_edges(seed, place, is_turned):
     distance = hull.exterior.distance(Point(place))
     at = np.array([*place, 10.0])
     if inside:
-        assert fence.room(at) == pytest.approx(distance, abs=1e-9)
+        assert fence.depth(at) == pytest.approx(distance, abs=1e-9)
         assert zone.depth(at) == pytest.approx(min(distance, 19.0), abs=1e-9)
     elif distance > 1e-9:
-        assert -distance - 1e-9 <= fence.room(at) < 0.0
+        assert -distance - 1e-9 <= fence.depth(at) < 0.0
         assert -distance - 1e-9 <= zone.depth(at) < 0.0
 
 
@@ -152,7 +152,7 @@ def test_what_a_fence_cuts_off_inwards_is_kept_out_of():
     for x in np.arange(-8.5, 40, 1.7):
         for y in np.arange(-8.5, 9, 1.3):
             place = np.array([x, y, 100.0])
-            is_inside = airspace.keep_in.room(place) > 0 and airspace.keep_out[0].depth(place) < 0
+            is_inside = airspace.keep_in.depth(place) > 0 and airspace.keep_out[0].depth(place) < 0
             assert is_inside == shape.contains(Point(x, y))
 
 

@@ -11,7 +11,7 @@ from scipy.optimize import minimize_scalar
 from pyomo_quad.collocation import Mesh, RefinementOptions, Status, compile
 from pyomo_quad.collocation.refining import minimum_principle
 from pyomo_quad.collocation.refining.minimum_principle import improved_controls
-from pyomo_quad.collocation.refining.refinement import _lost, _Reached
+from pyomo_quad.collocation.refining.refinement import _Reached, _result_above_tolerance
 from tests.problems import bang_bang, bryson_denham
 from tests.problems.published.chemistry import oil_shale
 from tests.problems.published.mechanics import singular_control
@@ -133,5 +133,5 @@ def test_a_lost_restart_refutes_only_by_a_better_solution():
     ):
         reached = _Reached(found)
         reached.compare(replace(found, objective=found.objective - earned * unit), error)
-        assert _lost(found, reached, 1e-4).status is status
-    assert _lost(found, _Reached(found), 1e-4).status is Status.TOLERANCE_NOT_MET
+        assert _result_above_tolerance(found, reached, 1e-4).status is status
+    assert _result_above_tolerance(found, _Reached(found), 1e-4).status is Status.TOLERANCE_NOT_MET
