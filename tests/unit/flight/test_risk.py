@@ -300,6 +300,22 @@ def test_a_plan_with_a_risk_leaves_the_margin_that_its_flights_need(tmp_path):
     assert Plan.load(tmp_path / "plan.npz").risk == taken
 
 
+@pytest.mark.parametrize(
+    ("failing", "flown", "whole"),
+    [((), 200, 200), ((3, 120), 200, 200), ((3, 7, 9), 50, 200), ((60, 61, 62), 200, 200)],
+)
+def test_a_test_ends_with_the_first_flights_where_they_fail_it(monkeypatch, failing, flown, whole):
+    """Two of 200 flights may break a limit at a risk of 0.01."""
+    monkeypatch.setattr(risk, "_FLIGHTS", 200)
+    broken = [("floor",) if k in failing else () for k in range(200)]
+    search = risk._Search(SimpleNamespace(scenario=mission(risk=0.01)), PLANNER)
+    monkeypatch.setattr(search, "_flown", lambda _tried, _seed, chosen: broken[chosen])
+    found = search._tested(None, 7)
+    assert (found.failed, found.flown) == (len(failing), flown)
+    again = search._tested(None, 7, is_whole=True)
+    assert (again.counts["floor"], again.flown) == (len(failing), whole)
+
+
 @pytest.mark.slow
 def test_flights_of_the_paper_plan_break_the_limit_that_it_flies_at():
     paper, held = plans()
