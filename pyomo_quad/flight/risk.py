@@ -81,7 +81,8 @@ _RESERVES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.58, 0.65, 0.72, 0.8)
 # Relative increase of a free duration per unit of such a reserve: weaker braking alone is not
 # enough where the rotors can lift many times the weight.
 _LONGER = 0.75
-# Factors by which margins grow after test flights; a reserve grows less, because it costs more.
+# Factors by which margins grow after test flights; a reserve, and the free duration that belongs to
+# it, grow less, because they cost more.
 _GROWTH, _GROWTH_OF_RESERVE = 1.5, 1.1
 # Time by which each new plan starts a hover at a waypoint earlier than the last plan, and largest
 # total [s].
@@ -589,27 +590,38 @@ class _Search:
         `counts` has the number of test flights that broke each limit, by limit in words; `flown` is
         the number of test flights. Margins are the amounts by which the plan stays inside its
         limits. A flight that misses the goal had too little thrust to correct the effect of a gust;
-        therefore the margins of thrust and tilt grow.
+        therefore the margins of thrust and tilt grow, and a free duration that was lengthened for
+        the reserve of thrust grows with them.
         """
         allowed = self._risk * flown / max(len(counts), 1)
         fields: set[str] = set()
+        is_goal_missed = False
         for word, count in counts.items():
             if count > allowed:
                 own = {a.field for a in tried.near if limit_words(a.name) == word}
                 own |= {miss.field for miss in tried.missed if miss.words == word and miss.field}
-                fields |= own or set(AUTHORITY)
+                fields |= own
+                is_goal_missed |= not own
         margins = dict(tried.margins)
+        if is_goal_missed and DURATION in margins:
+            least, greatest = self._scenario.mission.duration_limits
+            longer = _GROWTH_OF_RESERVE * (least + margins[DURATION])
+            margins[DURATION] = min(longer, greatest) - least
         if HOLD in fields:
             margins[HOLD] = min(margins.get(HOLD, 0.0) + _EARLIER_S, _EARLIEST_S)
             fields.remove(HOLD)
-        for name in fields:
+        for name in fields | set(AUTHORITY if is_goal_missed else ()):
             deviation = max(
-                (float(a.deviation.max()) for a in tried.near if a.field == name), default=0.0
+                (
+                    float(a.deviation.max())
+                    for a in tried.near
+                    if a.field == name and name in fields
+                ),
+                default=0.0,
             )
             held = margins.get(name, 0.0)
-            grown = max(_GROWTH * held, held + deviation / 2)
-            if name in self._least:
-                grown = _GROWTH_OF_RESERVE * held
+            factor = _GROWTH_OF_RESERVE if name in self._least else _GROWTH
+            grown = max(factor * held, held + deviation / 2)
             is_at_places = name in {miss.field for miss in tried.missed}
             most = grown if is_at_places else greatest_margin(self._scenario, name)
             margins[name] = min(grown, most)
