@@ -59,6 +59,9 @@ _USUAL_TURBULENCE = Turbulence(intensity=Intensity.LIGHT)
 # Number of simulated flights that test a plan, and seed of the first plan's; each plan is tested in
 # other winds.
 _FLIGHTS, _SEED = 200, 20_260_515
+# Number of test flights after which a plan has failed its test if more of them have broken a limit
+# than is allowed for all test flights together.
+_FIRST_FLIGHTS = 50
 # Largest number of plans until the margins agree with the covariance, and of plans after that with
 # margins increased because of the test flights.
 _PLANS, _CALIBRATIONS = 3, 2
@@ -78,7 +81,8 @@ _RESERVES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.58, 0.65, 0.72, 0.8)
 # Relative increase of a free duration per unit of such a reserve: weaker braking alone is not
 # enough where the rotors can lift many times the weight.
 _LONGER = 0.75
-# Factors by which margins grow after test flights; a reserve grows less, because it costs more.
+# Factors by which margins grow after test flights; a reserve, and the free duration that belongs to
+# it, grow less, because they cost more.
 _GROWTH, _GROWTH_OF_RESERVE = 1.5, 1.1
 # Time by which each new plan starts a hover at a waypoint earlier than the last plan, and largest
 # total [s].
@@ -231,6 +235,29 @@ class _Tried:
         return float(np.linalg.norm(self.spread.states[-1, columns] - goal))
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Tested:
+    """Result of simulated test flights of one plan in turbulence.
+
+    Attributes
+    ----------
+    tried : _Tried
+        The plan.
+    seed : int
+        Seed of the winds.
+    counts : Counter
+        Number of flights that broke each limit, by limit in words.
+    failed, flown : int
+        Number of flights that broke any limit, and number of all flights.
+    """
+
+    tried: _Tried
+    seed: int
+    counts: Counter[str]
+    failed: int
+    flown: int
+
+
 class _Search:
     """Iterative search for the margins of one scenario, starting from its plan without margins.
 
@@ -275,21 +302,22 @@ class _Search:
         amounts by which the plan stays inside its limits.
         """
         tried = self._verified(self._settled(self._followed(self._tried(self._paper, {}))))
-        found: list[tuple[Counter[str], int, _Tried]] = []
+        found: list[_Tested] = []
         # If flights miss the goal with any reserve, further margins do not help.
         for k in range(_CALIBRATIONS + 1 if self._is_followed(tried) else 1):
-            broken = self._flown(tried, _SEED + k)
-            counts = Counter(word for words in broken for word in words)
-            found.append((counts, sum(1 for words in broken if words), tried))
-            if found[-1][1] <= self._risk * _FLIGHTS or self._is_stopped():
+            tested = self._tested(tried, _SEED + k)
+            found.append(tested)
+            if tested.failed <= self._risk * _FLIGHTS or self._is_stopped():
                 break
-            grown = self._grown(tried, counts)
+            grown = self._grown(tried, tested.counts, tested.flown)
             other = None if grown == tried.margins else self._planned(tried, grown)
             if other is None:
                 break
             tried = self._verified(other)
-        counts, failed, tried = min(found, key=lambda one: (one[1], one[2].plan.energy))
-        return self._stated(tried, counts, failed)
+        best = min(found, key=lambda one: (one.failed / one.flown, one.tried.plan.energy))
+        if best.flown < _FLIGHTS:
+            best = self._tested(best.tried, best.seed, is_whole=True)
+        return self._stated(best.tried, best.counts, best.failed)
 
     def unfinished(self, why: str) -> Plan:
         """Return the last flyable plan of a search that ended early, with the reason ``why``.
@@ -512,8 +540,38 @@ class _Search:
                 return False
         return True
 
-    def _flown(self, tried: _Tried, seed: int) -> list[tuple[str, ...]]:
+    def _tested(self, tried: _Tried, seed: int, *, is_whole: bool = False) -> _Tested:
+        """Simulate test flights of a plan in turbulence, and count the limits that they break.
+
+        If more of the first flights break a limit than the risk allows for all flights together,
+        the plan has failed, and the remaining flights are not simulated, unless `is_whole` asks for
+        all flights. `seed` is the seed of the winds.
+        """
+        first = slice(0, _FLIGHTS if is_whole else min(_FIRST_FLIGHTS, _FLIGHTS))
+        broken = self._flown(tried, seed, first)
+        if sum(map(bool, broken)) <= self._risk * _FLIGHTS and len(broken) < _FLIGHTS:
+            broken += self._flown(tried, seed, slice(len(broken), _FLIGHTS))
+        return _Tested(
+            tried=tried,
+            seed=seed,
+            counts=Counter(word for words in broken for word in words),
+            failed=sum(map(bool, broken)),
+            flown=len(broken),
+        )
+
+    def _flown(
+        self, tried: _Tried, seed: int, chosen: slice = slice(None)
+    ) -> list[tuple[str, ...]]:
         """Simulate test flights of a plan in turbulence; return the limits that each breaks.
+
+        Parameters
+        ----------
+        tried : _Tried
+            Plan with margins.
+        seed : int
+            Seed of the winds.
+        chosen : slice, optional
+            Which of the test flights are simulated, by position; all by default.
 
         Returns
         -------
@@ -524,34 +582,46 @@ class _Search:
         dynamics, draws = draw(self._planner, expected, _FLIGHTS, seed)
         path = reference_path(expected, Reference.PLAN, tried.plan)
         squadron = Squadron(expected, dynamics, path, (*draws.noise, *draws.numbers))
-        return [tuple(ending.broken) for ending in squadron.fly(draws).endings]
+        return [tuple(ending.broken) for ending in squadron.fly(draws.part(chosen)).endings]
 
-    def _grown(self, tried: _Tried, counts: Mapping[str, int]) -> dict[str, float]:
+    def _grown(self, tried: _Tried, counts: Mapping[str, int], flown: int) -> dict[str, float]:
         """Return larger margins for the limits that test flights break too often.
 
-        Margins are the amounts by which the plan stays inside its limits. A flight that misses the
-        goal had too little thrust to correct the effect of a gust; therefore the margins of thrust
-        and tilt grow.
+        `counts` has the number of test flights that broke each limit, by limit in words; `flown` is
+        the number of test flights. Margins are the amounts by which the plan stays inside its
+        limits. A flight that misses the goal had too little thrust to correct the effect of a gust;
+        therefore the margins of thrust and tilt grow, and a free duration that was lengthened for
+        the reserve of thrust grows with them.
         """
-        allowed = self._risk * _FLIGHTS / max(len(counts), 1)
+        allowed = self._risk * flown / max(len(counts), 1)
         fields: set[str] = set()
+        is_goal_missed = False
         for word, count in counts.items():
             if count > allowed:
                 own = {a.field for a in tried.near if limit_words(a.name) == word}
                 own |= {miss.field for miss in tried.missed if miss.words == word and miss.field}
-                fields |= own or set(AUTHORITY)
+                fields |= own
+                is_goal_missed |= not own
         margins = dict(tried.margins)
+        if is_goal_missed and DURATION in margins:
+            least, greatest = self._scenario.mission.duration_limits
+            longer = _GROWTH_OF_RESERVE * (least + margins[DURATION])
+            margins[DURATION] = min(longer, greatest) - least
         if HOLD in fields:
             margins[HOLD] = min(margins.get(HOLD, 0.0) + _EARLIER_S, _EARLIEST_S)
             fields.remove(HOLD)
-        for name in fields:
+        for name in fields | set(AUTHORITY if is_goal_missed else ()):
             deviation = max(
-                (float(a.deviation.max()) for a in tried.near if a.field == name), default=0.0
+                (
+                    float(a.deviation.max())
+                    for a in tried.near
+                    if a.field == name and name in fields
+                ),
+                default=0.0,
             )
             held = margins.get(name, 0.0)
-            grown = max(_GROWTH * held, held + deviation / 2)
-            if name in self._least:
-                grown = _GROWTH_OF_RESERVE * held
+            factor = _GROWTH_OF_RESERVE if name in self._least else _GROWTH
+            grown = max(factor * held, held + deviation / 2)
             is_at_places = name in {miss.field for miss in tried.missed}
             most = grown if is_at_places else greatest_margin(self._scenario, name)
             margins[name] = min(grown, most)

@@ -1,7 +1,7 @@
 """Measure all benchmarks, or those named, and write their report.
 
 python -m tests.benchmarks [NAME ...] [--against PYTHON] [--beside CHECKOUT] [--minutes M]
-                           [--count N] [--render]
+                           [--first K] [--count N] [--render]
 """
 
 import argparse
@@ -42,6 +42,9 @@ def main():
     )
     parser.add_argument(
         "--count", type=int, help="strangers, holds: the first so many missions only."
+    )
+    parser.add_argument(
+        "--first", type=int, help="holds: the number of the mission to begin with, from 0."
     )
     parser.add_argument("--beside", type=Path, help="jobs: a checkout of an older commit.")
     parser.add_argument("--render", action="store_true", help="Measure nothing.")

@@ -16,7 +16,9 @@ from pyomo_quad.cli.solving import complain_about, exit_code_of
 from pyomo_quad.flight import Plan, PlanStatus, risk
 from pyomo_quad.flight.breaching import Approach, Miss, _crossing
 from pyomo_quad.flight.deadline import TimeIsUpError
+from pyomo_quad.flight.limit_words import limit_words
 from pyomo_quad.flight.margins import (
+    AUTHORITY,
     DURATION,
     HOLD,
     RADIUS,
@@ -298,6 +300,39 @@ def test_a_plan_with_a_risk_leaves_the_margin_that_its_flights_need(tmp_path):
     assert "Risk at most 0.05" in held.risk_words
     held.save(tmp_path / "plan.npz")
     assert Plan.load(tmp_path / "plan.npz").risk == taken
+
+
+@pytest.mark.parametrize(
+    ("failing", "flown", "whole"),
+    [((), 200, 200), ((3, 120), 200, 200), ((3, 7, 9), 50, 200), ((60, 61, 62), 200, 200)],
+)
+def test_a_test_ends_with_the_first_flights_where_they_fail_it(monkeypatch, failing, flown, whole):
+    """Two of 200 flights may break a limit at a risk of 0.01."""
+    monkeypatch.setattr(risk, "_FLIGHTS", 200)
+    broken = [("floor",) if k in failing else () for k in range(200)]
+    search = risk._Search(SimpleNamespace(scenario=mission(risk=0.01)), PLANNER)
+    monkeypatch.setattr(search, "_flown", lambda _tried, _seed, chosen: broken[chosen])
+    found = search._tested(None, 7)
+    assert (found.failed, found.flown) == (len(failing), flown)
+    again = search._tested(None, 7, is_whole=True)
+    assert (again.counts["floor"], again.flown) == (len(failing), whole)
+
+
+def test_margins_of_a_reserve_grow_by_what_test_flights_break():
+    """A broken tilt takes half its deviation more; a missed goal more of each, and more time."""
+    told = mission.__wrapped__(duration="free", duration_min=4.0, risk=0.01)
+    search = risk._Search(SimpleNamespace(scenario=told), PLANNER)
+    held = dict.fromkeys(AUTHORITY, 0.05) | {DURATION: 6.0}
+    search._least = held
+    at_roll = SimpleNamespace(
+        name="limits.roll", field="limits.roll_max", deviation=np.array([0.01, 0.04])
+    )
+    tried = SimpleNamespace(margins=held, near=[at_roll], missed=[])
+    steeper = search._grown(tried, {limit_words(at_roll.name): 7}, 200)
+    assert steeper == pytest.approx(held | {"limits.roll_max": 0.07})
+    missed = search._grown(tried, {"distance from the goal at the end": 30}, 200)
+    assert missed == pytest.approx(dict.fromkeys(AUTHORITY, 0.055) | {DURATION: 7.0})
+    assert search._grown(tried, {"distance from the goal at the end": 2}, 200) == held
 
 
 @pytest.mark.slow
