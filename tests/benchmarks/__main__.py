@@ -25,6 +25,7 @@ MODULES = {
     "mpc": "replanning",
     "charge": "charge",
     "fields": "wind_fields",
+    "pairs": "pairs",
     "holds": "holds",
 }
 
@@ -38,10 +39,11 @@ def main():
     parser.add_argument(
         "--minutes",
         type=float,
-        help="robustness, places, strangers, mpc, jobs, peers, holds: begin nothing after it.",
+        help="robustness, places, strangers, mpc, jobs, peers, fields, pairs, holds: begin nothing"
+        " after it.",
     )
     parser.add_argument(
-        "--count", type=int, help="strangers, holds: the first so many missions only."
+        "--count", type=int, help="strangers, pairs, holds: the first so many missions only."
     )
     parser.add_argument(
         "--first", type=int, help="holds: the number of the mission to begin with, from 0."

@@ -16,7 +16,7 @@ FOLDER = Path(__file__).parents[2] / "reports" / "benchmarks"
 REPORT = "report.md"
 NAMES = (
     "run", "jobs", "engine", "peers", "resolve", "counts", "missions", "strangers", "robustness",
-    "places", "sweep", "mpc", "charge", "fields", "holds",
+    "places", "sweep", "mpc", "charge", "fields", "pairs", "holds",
 )  # fmt: skip
 PACKAGES = ("pyomo_quad", "pyomo", "casadi", "cyipopt-wheels", "numpy", "scipy")
 HEADING = """# Benchmarks
