@@ -1,6 +1,6 @@
-"""Pairs of places are drawn where a vehicle may be, their starts go round buildings, and a plan that
-a random start beats is counted.
-"""  # fmt: skip
+"""Pairs of places are drawn where a vehicle may be, random starts go round the buildings, and plans
+that a random start beats are counted.
+"""
 
 from itertools import pairwise
 from math import nan
