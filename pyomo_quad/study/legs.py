@@ -63,49 +63,51 @@ class Leg:
 
     Attributes
     ----------
-    way : ndarray, shape (3,)
+    displacement : ndarray, shape (3,)
         Displacement between the nominal places of the leg's ends, m.
-    room : float
+    slack : float
         Sum of the distances that the mission allows between the leg's ends and their nominal
         places, m.
     mass : float
         Mass, as a fraction of the mass at the start.
-    party : int
-        Index of the leg's party. A party is a group of legs between fixed times, so that the sum of
-        their durations is fixed or limited.
+    group : int
+        Index of the leg's group. A group consists of the legs between two fixed times; the sum of
+        their durations is therefore fixed or limited.
     end_speed : float
         Largest speed at the end of the leg, m/s; infinite without a limit.
     """
 
-    way: FloatArray
-    room: float
+    displacement: FloatArray
+    slack: float
     mass: float
-    party: int
+    group: int
     end_speed: float = inf
 
 
 def legs_of(scenario: Scenario) -> tuple[list[Leg], list[tuple[float, float]]]:
     """Return the legs and hovers of a mission, and the limits on the durations of groups of them.
 
-    Waypoints at a given time divide the legs into groups (parties); each hover is a party of its
-    own.
+    Waypoints with a given passing time divide the legs into groups; the sum of the durations in a
+    group is fixed or limited. Each hover at a waypoint is a group with one leg.
 
     Returns
     -------
     legs : list of Leg
         From start to goal.
     shared : list of tuple of float
-        Least and greatest sum of the durations of the legs of each party, s.
+        Least and greatest sum of the durations of the legs of each group, s.
     """
     mission, mass, hovering = scenario.mission, 1.0, HOVERING_M_PER_S
-    ways = np.diff(np.array(mission.positions), axis=0)
+    displacements = np.diff(np.array(mission.positions), axis=0)
     legs: list[Leg] = []
     shared: list[tuple[float, float]] = []
-    parties = 1 + sum(waypoint.at is not None for waypoint in mission.waypoints)
+    groups = 1 + sum(waypoint.at is not None for waypoint in mission.waypoints)
     holds: list[float] = []
     begun = held = slack = 0.0
-    for waypoint, way in zip(mission.waypoints, ways, strict=False):
-        leg = Leg(way=way, room=slack + waypoint.radius, mass=mass, party=len(shared))
+    for waypoint, displacement in zip(mission.waypoints, displacements, strict=False):
+        leg = Leg(
+            displacement=displacement, slack=slack + waypoint.radius, mass=mass, group=len(shared)
+        )
         slack = waypoint.radius
         if waypoint.speed_max is not None:
             leg = replace(leg, end_speed=waypoint.speed_max)
@@ -115,13 +117,15 @@ def legs_of(scenario: Scenario) -> tuple[list[Leg], list[tuple[float, float]]]:
             begun, held = waypoint.at, 0.0
         if waypoint.hold > 0.0:
             near = min(waypoint.radius, HOVERING_M)
-            legs[-1] = replace(leg, room=leg.room - waypoint.radius + near, end_speed=hovering)
+            legs[-1] = replace(leg, slack=leg.slack - waypoint.radius + near, end_speed=hovering)
             held, slack = held + waypoint.hold, HOVERING_M
-            still = replace(leg, way=0.0 * way, room=near + slack, end_speed=hovering)
-            legs.append(replace(still, party=parties + len(holds)))
+            still = replace(
+                leg, displacement=0.0 * displacement, slack=near + slack, end_speed=hovering
+            )
+            legs.append(replace(still, group=groups + len(holds)))
             holds.append(waypoint.hold)
         mass -= waypoint.release / scenario.vehicle.total_mass
-    legs.append(Leg(way=ways[-1], room=slack, mass=mass, party=len(shared)))
+    legs.append(Leg(displacement=displacements[-1], slack=slack, mass=mass, group=len(shared)))
     least, greatest = (time - begun - held for time in mission.duration_limits)
     shared.append((max(least, 0.0), greatest))
     return legs, shared + [(hold, hold) for hold in holds]
@@ -135,7 +139,7 @@ class Itinerary:
     legs : sequence of Leg
         From start to goal.
     shared : sequence of tuple of float
-        Least and greatest sum of the durations of the legs of each party, s.
+        Least and greatest sum of the durations of the legs of each group, s.
     standing : ndarray, shape (3,)
         Thrust that holds the whole mass at the start still, N.
     mass : float
@@ -153,11 +157,11 @@ class Itinerary:
         mass: float,
         conjugate: Callable[[FloatArray], tuple[FloatArray, FloatArray]],
     ) -> None:
-        self._ways = np.array([leg.way for leg in legs])
-        self._rooms = np.array([leg.room for leg in legs])
+        self._displacements = np.array([leg.displacement for leg in legs])
+        self._slacks = np.array([leg.slack for leg in legs])
         self._masses = mass * np.array([leg.mass for leg in legs])
         self._standing = np.outer([leg.mass for leg in legs], standing)
-        self._parties = np.array([leg.party for leg in legs])
+        self._groups = np.array([leg.group for leg in legs])
         self._shared = shared
         self._conjugate = conjugate
         nodes, widths = np.polynomial.legendre.leggauss(_NODES)
@@ -189,13 +193,13 @@ class Itinerary:
         slopes : ndarray, shape (2 n_legs + 1, n_prices, 3)
             Gradients of A_k, of G_k and of `jumped`.
         """
-        n = len(self._ways)
+        n = len(self._displacements)
         legs = np.arange(n)
         first, last = prices[self._first], prices[self._last]
         length, direction = _length(last - first)
-        gained = -np.sum((last - first) * self._ways, axis=1) - self._rooms * length
+        gained = -np.sum((last - first) * self._displacements, axis=1) - self._slacks * length
         slopes = np.zeros((2 * n + 1, self._size, 3))
-        along = self._ways + self._rooms[:, None] * direction
+        along = self._displacements + self._slacks[:, None] * direction
         slopes[legs, self._first] += along
         slopes[legs, self._last] -= along
         share = self._shares[None, :, None]
@@ -210,9 +214,9 @@ class Itinerary:
         slopes[n + legs, self._first] += np.sum((1 - share) * missing, axis=1)
         slopes[n + legs, self._last] += np.sum(share * missing, axis=1)
         here, there = self._last[self._jumps], self._first[self._jumps + 1]
-        jump, way = _length(prices[there] - prices[here])
-        slopes[-1, here] += self._jump_price[:, None] * way
-        slopes[-1, there] -= self._jump_price[:, None] * way
+        jump, towards = _length(prices[there] - prices[here])
+        slopes[-1, here] += self._jump_price[:, None] * towards
+        slopes[-1, there] -= self._jump_price[:, None] * towards
         return gained, spent, -float(self._jump_price @ jump), slopes
 
     def bound(self, price: FloatArray) -> float:
@@ -224,9 +228,11 @@ class Itinerary:
             Price (multiplier) of thrust at which the search begins, W/N.
         """
         places = np.zeros((self._size, 3))
-        for first, last, way in zip(self._first, self._last, self._ways, strict=True):
-            places[last : last + 2] = places[first] + way
-        # Prices that fall along the way have A_k > 0 on every leg, so the bound is finite.
+        for first, last, displacement in zip(
+            self._first, self._last, self._displacements, strict=True
+        ):
+            places[last : last + 2] = places[first] + displacement
+        # Prices that fall along the displacement have A_k > 0 on every leg, so the bound is finite.
         starts = (price * self._masses[0] - stiffness * places for stiffness in _STIFFNESSES)
         found = min(starts, key=lambda start: self._negative(start.ravel())[0]).ravel()
         for _ in range(_RESTARTS):
@@ -247,7 +253,7 @@ class Itinerary:
         """
         gained, spent, jumped, slopes = self._terms(flat.reshape(-1, 3))
         bound, times = jumped, np.zeros(len(gained))
-        for of, limits in zip(self._by_party(), self._shared, strict=True):
+        for of, limits in zip(self._by_group(), self._shared, strict=True):
             least, times[of] = _least_over_times(gained[of], spent[of], *limits)
             bound += least
         if not np.isfinite(bound):
@@ -257,9 +263,9 @@ class Itinerary:
         weights = np.concatenate([paces, times, [1.0]])
         return -bound, -np.tensordot(weights, slopes, 1).ravel()
 
-    def _by_party(self) -> list[NDArray[np.bool_]]:
-        """Return for each party (legs whose durations have a limited sum) a mask of its legs."""
-        return [self._parties == k for k in range(len(self._shared))]
+    def _by_group(self) -> list[NDArray[np.bool_]]:
+        """Return a mask of the legs of each group: legs whose durations have a limited sum."""
+        return [self._groups == k for k in range(len(self._shared))]
 
 
 def _length(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -271,9 +277,9 @@ def _length(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _least_over_times(
     gained: FloatArray, spent: FloatArray, least: float, greatest: float
 ) -> tuple[float, FloatArray]:
-    """Minimise the sum of A_k / T_k + G_k T_k over the durations T_k of the legs of one party.
+    """Minimise the sum of A_k / T_k + G_k T_k over the durations T_k of one group of legs.
 
-    A party is a group of legs whose durations have a fixed or limited sum.
+    The sum of the durations of the legs in the group is fixed or limited.
 
     Parameters
     ----------

@@ -93,14 +93,14 @@ class MotionPrices:
     ----------
     momentum : ndarray, shape (3,)
         Price of momentum per mass, W/N.
-    way : ndarray, shape (3,)
+    displacement : ndarray, shape (3,)
         Price of displacement, N.
     motion : float
         Price of kinetic energy, dimensionless.
     """
 
     momentum: FloatArray
-    way: FloatArray
+    displacement: FloatArray
     motion: float
 
 
@@ -229,15 +229,15 @@ class Pairs:
         return still + self.fastest if self._has_induced else still
 
     def _numbers(self, prices: MotionPrices, mass: float) -> tuple[float, ...]:
-        way = prices.way - prices.motion * mass * self.standing
+        displacement = prices.displacement - prices.motion * mass * self.standing
         size = float(np.linalg.norm(prices.momentum))
         if size == 0.0:
-            return 0.0, float(np.linalg.norm(way)), 0.0, prices.motion
-        aside = float(np.linalg.norm(np.cross(prices.momentum, way)))
-        return size, float(prices.momentum @ way) / size, aside / size, prices.motion
+            return 0.0, float(np.linalg.norm(displacement)), 0.0, prices.motion
+        aside = float(np.linalg.norm(np.cross(prices.momentum, displacement)))
+        return size, float(prices.momentum @ displacement) / size, aside / size, prices.motion
 
     def _constant(self, prices: MotionPrices, mass: float) -> float:
-        return float(prices.momentum @ self.standing * mass - prices.way @ self.wind)
+        return float(prices.momentum @ self.standing * mass - prices.displacement @ self.wind)
 
     def cheapest(self, prices: MotionPrices, mass: float) -> tuple[float, list[FloatArray]]:
         """Sample the function H over all pairs; return its least value and its local minima.
@@ -296,11 +296,14 @@ class Pairs:
         of momentum, displacement and kinetic energy. `at` has the three coordinates of the pair;
         the result has shape (8,).
         """
-        momentum, way = prices.momentum, prices.way - prices.motion * mass * self.standing
+        momentum, displacement = (
+            prices.momentum,
+            prices.displacement - prices.motion * mass * self.standing,
+        )
         _, along, across = at
         _, thrust, _, _, forward, upward, power, _ = self._at(at[:, None])[:, 0]
         force, air = np.array([forward, 0.0, thrust + upward]), np.array([across, 0.0, along])
-        left, _, right = np.linalg.svd(np.outer(force, momentum) + np.outer(air, way))
+        left, _, right = np.linalg.svd(np.outer(force, momentum) + np.outer(air, displacement))
         turn = (left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right).T
         pushed, moved = turn @ force - mass * self.standing, turn @ air
         return np.array([power, *-pushed, *-(moved + self.wind), -float(moved @ pushed)])
@@ -491,24 +494,27 @@ class _Program:
         scales = np.repeat([power / weight, 1.0, weight], [3, 1, 6 * n])
         self._dearest = _DEAREST * scales
         # Unknowns: prices of momentum and of kinetic energy for the whole mass; for each leg the
-        # price of displacement, its absolute value along each axis, and H; for each party its time
-        # times the least H of its legs.
-        self._way, self._length, self._least = 4, 4 + 3 * n, 4 + 6 * n
+        # price of displacement, its absolute value along each axis, and H; for each group of
+        # legs its duration times the least H of its legs.
+        self._displacement, self._length, self._least = 4, 4 + 3 * n, 4 + 6 * n
         self._worth = 4 + 7 * n
         self.size = self._worth + len(shared)
         self._rows: list[FloatArray] = []
         self._limits: list[float] = []
         self._gain = np.zeros(self.size)
         for k, leg in enumerate(legs):
-            self._gain[self._of(self._way, k)] = leg.way
-            self._gain[self._of(self._length, k)] = -leg.room
+            self._gain[self._of(self._displacement, k)] = leg.displacement
+            self._gain[self._of(self._length, k)] = -leg.slack
             for sign in (1.0, -1.0):
                 for axis in range(3):
-                    row = {self._way + 3 * k + axis: sign, self._length + 3 * k + axis: -1.0}
+                    row = {
+                        self._displacement + 3 * k + axis: sign,
+                        self._length + 3 * k + axis: -1.0,
+                    }
                     self._add(row, 0.0)
-            for time in shared[leg.party]:
-                held = 0.0 if len(set(shared[leg.party])) == 1 else margin
-                row = {self._worth + leg.party: 1.0, self._least + k: -time}
+            for time in shared[leg.group]:
+                held = 0.0 if len(set(shared[leg.group])) == 1 else margin
+                row = {self._worth + leg.group: 1.0, self._least + k: -time}
                 self._add(row, -held * time)
         self._gain[self._worth :] = 1.0
 
@@ -528,7 +534,7 @@ class _Program:
         `pair` is a result of `Pairs.cheapest`.
         """
         mass, line = self._legs[k].mass, np.zeros(self.size)
-        line[:3], line[self._of(self._way, k)] = -pair[1:4] / mass, -pair[4:7]
+        line[:3], line[self._of(self._displacement, k)] = -pair[1:4] / mass, -pair[4:7]
         line[3], line[self._least + k] = -pair[7] / mass, 1.0
         self._rows.append(line)
         self._limits.append(float(pair[0]))
@@ -552,7 +558,7 @@ class _Program:
         return [
             MotionPrices(
                 momentum=solution[:3] / leg.mass,
-                way=solution[self._of(self._way, k)],
+                displacement=solution[self._of(self._displacement, k)],
                 motion=float(solution[3] / leg.mass),
             )
             for k, leg in enumerate(self._legs)
@@ -565,11 +571,12 @@ class _Program:
         terms of the prices, shape (n_legs,), W.
         """
         found = sum(
-            float(p.way @ leg.way) - leg.room * float(np.linalg.norm(p.way))
+            float(p.displacement @ leg.displacement)
+            - leg.slack * float(np.linalg.norm(p.displacement))
             for p, leg in zip(prices, self._legs, strict=True)
         )
-        for party, times in enumerate(self._shared):
-            of = [k for k, leg in enumerate(self._legs) if leg.party == party]
+        for group, times in enumerate(self._shared):
+            of = [k for k, leg in enumerate(self._legs) if leg.group == group]
             cheapest = float(np.min(least[of]))
             found += min(time * cheapest for time in times)
         return found

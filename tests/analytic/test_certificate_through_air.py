@@ -38,7 +38,7 @@ def test_a_steady_flight_costs_what_its_trim_does(pairs):
     hover = steady.hover_power
     prices = MotionPrices(
         momentum=np.array([0.0, 0.0, 1.4 * hover / weight]),
-        way=np.array([3.0, 0.0, weight]),
+        displacement=np.array([3.0, 0.0, weight]),
         motion=1.05,
     )
     for speed in (0.0, 8.0, 15.0):
@@ -61,7 +61,7 @@ def test_what_is_proven_is_below_every_sample_and_near_the_least(pairs):
     for _ in range(3):
         prices = MotionPrices(
             momentum=np.array([1.0, 0.5, 16.0]) * generator.uniform(0.9, 1.1, 3),
-            way=np.array([20.0, 5.0, 40.0]) * generator.uniform(0.8, 1.2, 3),
+            displacement=np.array([20.0, 5.0, 40.0]) * generator.uniform(0.8, 1.2, 3),
             motion=1.1,
         )
         sampled, _ = found.cheapest(prices, 1.0)
