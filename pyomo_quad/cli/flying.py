@@ -98,7 +98,9 @@ def fly_declared(
 
 
 def fly_mpc(planner: Planner, scenario: Scenario, knowledge: Knowledge) -> Flight:
-    """Simulate a flight under model-predictive control: the rest is planned again in flight.
+    """Simulate a flight under model-predictive control.
+
+    During the flight, the controller plans the remaining part of the mission again and again.
 
     Parameters
     ----------

@@ -59,7 +59,8 @@ def offboard(motion: Motion, rate_hz: float) -> pd.DataFrame:
     """Make the stream of setpoints for PX4's offboard mode.
 
     Each row is a MAVLink message SET_POSITION_TARGET_LOCAL_NED with axes x north, y east, z down.
-    In the plan x is east and y north; the plan's yaw counts from east, MAVLink's from north.
+    In the plan, x is east, y is north, and yaw is counter-clockwise from east. In the message, yaw
+    is clockwise from north.
 
     Parameters
     ----------
@@ -348,7 +349,7 @@ class _Writer:
 
 
 _DIGITS = "%.9g"  # nine digits distinguish all floating-point numbers of 32 bits
-_MOST_ROTORPY_PIECES = 2000
+_MOST_ROTORPY_PIECES = 2000  # limits the written file to 64 000 coefficients
 _CRAZYFLIE_MEMORY, _BYTES_OF_A_PIECE = 4096, 132
 #: Number of pieces that fit into a Crazyflie's trajectory memory.
 MOST_CRAZYFLIE_PIECES = _CRAZYFLIE_MEMORY // _BYTES_OF_A_PIECE

@@ -31,17 +31,21 @@ from pyomo_quad.scenario.toml_text import inline
 
 _TAKEOFFS = {Command.TAKEOFF, Command.VTOL_TAKEOFF}
 _LANDINGS = {Command.LAND, Command.VTOL_LAND}
+# Commands that circle a place; the scenario only passes the centre.
 _CIRCLED = {Command.LOITER_UNLIMITED, Command.LOITER_TURNS}
 _PLACES = {
     *(Command.WAYPOINT, Command.SPLINE_WAYPOINT, Command.PAYLOAD_PLACE, Command.LOITER_TIME),
     *(*_TAKEOFFS, *_LANDINGS, *_CIRCLED),
 }
+# Frames whose altitudes count from home, and from the level of the sea (MAVLink).
 _RELATIVE = {Frame.GLOBAL_RELATIVE_ALTITUDE, Frame.GLOBAL_RELATIVE_ALTITUDE_INT}
 _ABOVE_SEA = {Frame.GLOBAL, Frame.GLOBAL_INT}
 # Fields of a scenario's waypoint, with the values that need not be written.
 _UNSTATED = {"position": None, "hold": 0.0, "radius": 0.0, "yaw": None, "release": 0.0}
 # Distance up to which the places of two successive items are the same place [m].
 _SAME_M = 1e-3
+# Limits that separate missions from damaged files: size of a file, distance from home, one day of
+# hover, and length of a scenario's name.
 _LARGEST_BYTES = 20_000_000
 _FURTHEST_M = 1e5
 _LONGEST_S = 86_400.0

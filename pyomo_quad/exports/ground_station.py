@@ -66,6 +66,7 @@ MOST_ITEMS = 500
 _CHECKED = 4001  # samples of a flight at which the distance of the legs from the plan is checked
 # Numbers of the autopilot and of the kind of vehicle in the file.
 _PX4, _QUADROTOR = 12, 2
+# First parameter of the command DO_CHANGE_SPEED for a speed over ground (MAVLink).
 _GROUND_SPEED = 1
 #: Second parameter of the command DO_GRIPPER that opens the gripper.
 GRIPPER_OPENED = 0
@@ -73,6 +74,7 @@ _PLAN_VERSION, _MISSION_VERSION, _FENCE_VERSION, _RALLY_VERSION = 1, 2, 2, 2
 #: Key that marks a waypoint which only shapes the path, and is no start, waypoint or goal of the
 #: mission.
 SHAPES_PATH = "shapesPath"
+#: First line of Mission Planner's text format; 110 is the version of the format.
 WAYPOINT_FILE_HEADER = "QGC WPL 110"
 
 
@@ -87,7 +89,8 @@ class Legs:
     places : ndarray, shape (n, 3)
         Positions x, y, z at these times [m].
     is_of_mission : ndarray of bool, shape (n,)
-        Whether a position is the mission's start, a waypoint or the goal; empty if all are.
+        Whether each position is the mission's start, a waypoint or the goal. An empty array means
+        that every position is one of these.
     """
 
     times: FloatArray

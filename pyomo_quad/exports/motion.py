@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 ATTITUDE_STATES = ("rigid_body.phi", "rigid_body.theta", "rigid_body.psi")
 RATE_STATES = ("rigid_body.p", "rigid_body.q", "rigid_body.r")
 
+# Next step that error messages propose.
 _AGAIN = "solve the scenario again"
 
 
@@ -362,8 +363,9 @@ def _refuse_unverified(name: str, status: str) -> None:
         )
 
 
+#: Degree of the polynomial pieces. Seven is the degree of a Crazyflie's trajectory memory.
 DEGREE = 7
-_FIRST_PIECES = 4
+_FIRST_PIECES = 4  # number of pieces that the fit tries first
 # Step of the finite difference for the jerk at start and end, as a fraction of the duration.
 _END_STEP = 1e-3
 _CHECKED_PER_PIECE = 16

@@ -199,7 +199,18 @@ def critical_acceleration(samples: int = 151) -> tuple[float, float]:
 
 
 def _last_zero(braking: FloatArray, efficiency: FloatArray) -> float:
-    """Return the weakest braking at which an efficiency is zero [rad/s²], or minus infinity."""
+    """Return the weakest braking at which a sampled efficiency is zero [rad/s²].
+
+    The result is a rotor acceleration, negative because the rotor brakes; it is minus infinity if
+    the efficiency is positive at all samples.
+
+    Parameters
+    ----------
+    braking : ndarray, shape (n,)
+        Rotor accelerations of the samples [rad/s²], ascending to zero.
+    efficiency : ndarray, shape (n,)
+        Efficiency at the samples.
+    """
     below = np.flatnonzero(efficiency <= 0.0)
     if not below.size:
         return -np.inf

@@ -568,26 +568,26 @@ _WIND = LineStyle(color=INK, width=1.9)
 _FORECAST = LineStyle(color=MUTED, dashes=(4.5, 1.6))
 
 
-def draw_wind(told: StyledFlight, flown: StyledFlight | None = None) -> Figure:
+def draw_wind(planned: StyledFlight, flown: StyledFlight | None = None) -> Figure:
     """Draw the wind's components along x and y over time, with the forecast if there is one.
 
     Parameters
     ----------
-    told : StyledFlight
+    planned : StyledFlight
         The plan, whose table has the wind that it was planned for.
     flown : StyledFlight, optional
         A flight in the true wind, if the plan was made for a forecast.
     """
     figure, panels = panel_grid(1, 2, panel_height=1.5, legend_entries=0 if flown is None else 2)
-    forecast = [] if flown is None else [("forecast", told, _FORECAST)]
-    winds = [("wind", told if flown is None else flown, _WIND), *forecast]
+    forecast = [] if flown is None else [("forecast", planned, _FORECAST)]
+    winds = [("wind", planned if flown is None else flown, _WIND), *forecast]
     for axes, signal in zip(panels.flat, WIND, strict=True):
         for label, flight, style in winds:
             axes.plot(TIME.of(flight.frame), signal.of(flight.frame), label=label, **style.line)
         axes.axhline(0.0, color=MUTED, linewidth=0.6, zorder=1)
         axes.set_title(signal.title)
     keep_span(panels.flat, WIND[0].smallest_span)
-    label_time(panels.flat, told.duration_s)
+    label_time(panels.flat, planned.duration_s)
     if flown is not None:
         legend_below(figure, panels[0, 0])
     return figure

@@ -263,10 +263,12 @@ def _lock(final: Path, path: str | Path) -> Iterator[None]:
 
 
 def _finish_swap(final: Path, path: str | Path, aside: Path) -> None:
-    """Replace the final folder by a complete new folder ``ready``, if there is one.
+    """Replace the final folder by the finished new folder, if this package has written one.
 
-    The old folder is renamed to `aside` until it is removed. Between the two renames there is no
-    final folder: if a run is killed at this time, the next run puts the new folder in place.
+    The finished new folder is hidden beside the final folder, with a name that contains "ready".
+    First the old folder is renamed to `aside`, then the new folder is renamed to `final`. If a run
+    is killed between the two renames, no final folder exists, and the next run does the second
+    rename.
 
     Parameters
     ----------

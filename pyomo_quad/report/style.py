@@ -405,7 +405,7 @@ class StyledFlight:
     frame : DataFrame
         Table of the flight over time.
     duration_s : float
-        Duration.
+        Duration of the flight.
     energy_J : float
         Energy of the flight, including the estimated energy that it still needs to reach the exact
         goal state.

@@ -277,10 +277,11 @@ def _search(scenario: Scenario, plan: Plan | None, planner: Planner) -> tuple[Tr
 def _start_of_search(
     scenario: Scenario, planner: Planner
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the initial simplex of the search: first settings, and a factor on each setting.
+    """Return the initial simplex of Nelder and Mead's search: one vertex, and three factors.
 
-    The settings are speed, acceleration and jerk. Each other vertex of the simplex has one of them
-    multiplied by its factor.
+    The vertex is a triple of speed [m/s], acceleration [m/s^2] and jerk [m/s^3]. The simplex has
+    three further vertices; in each of these, one setting of the triple is multiplied by the factor
+    that belongs to this setting.
     """
     places = np.array(scenario.mission.positions)
     lengths = np.linalg.norm(np.diff(places, axis=0), axis=1)

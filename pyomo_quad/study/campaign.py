@@ -161,15 +161,15 @@ def fly_campaign(
         # scenario.
         left = {"battery.initial_state_of_charge": missions[0].battery.initial_state_of_charge}
         for number in range(1, MOST_FLIGHTS + 1):
-            told = missions[turn].with_values(left)
-            plan = _planned(told, known.get(turn), planners[turn])
+            present = missions[turn].with_values(left)
+            plan = _planned(present, known.get(turn), planners[turn])
             if isinstance(plan, str):
                 endings.append(plan)
                 break
             known[turn], turn = plan, next(turns)
             flights.append(_flight(charge, number, plan))
             left = {"battery.initial_state_of_charge": flights[-1].charge_at_end}
-            left |= fields_after(told, _ended(plan))
+            left |= fields_after(present, _ended(plan))
         else:
             endings.append(f"{MOST_FLIGHTS} flights, after which a campaign is not continued")
     return Campaign(
@@ -194,21 +194,21 @@ def _refuse_other_packs(missions: Sequence[Scenario]) -> None:
             )
 
 
-def _planned(told: Scenario, last: Plan | None, planner: Planner) -> Plan | str:
+def _planned(present: Scenario, last: Plan | None, planner: Planner) -> Plan | str:
     """Return the plan of the next flight, or the reason in words why the battery prevents it.
 
-    `told` is the mission with the present state of the battery. `last` is the previous plan of the
-    same mission, which gives the warm start.
+    `present` is the mission with the present state of the battery. `last` is the previous plan of
+    the same mission, which gives the warm start.
     """
     if last is not None:
         before = last.scenario.battery.initial_state_of_charge
         used = before - _flight(1, 1, last).charge_at_end
-        if told.battery.initial_state_of_charge - used < _FULL * told.limits.least_charge:
+        if present.battery.initial_state_of_charge - used < _FULL * present.limits.least_charge:
             return CHARGE_RESERVE
-    plan = planner.solve(told, warm_start=last)
+    plan = planner.solve(present, warm_start=last)
     if not plan.is_flyable:
-        return _obstacle(told, last, planner) or plan.message
-    if _flight(1, 1, plan).charge_at_end < _FULL * told.limits.least_charge:
+        return _obstacle(present, last, planner) or plan.message
+    if _flight(1, 1, plan).charge_at_end < _FULL * present.limits.least_charge:
         return CHARGE_RESERVE
     return plan
 
@@ -231,18 +231,18 @@ def _flight(charge: int, number: int, plan: Plan) -> CampaignFlight:
     )
 
 
-def _obstacle(told: Scenario, last: Plan | None, planner: Planner) -> str:
+def _obstacle(present: Scenario, last: Plan | None, planner: Planner) -> str:
     """Return the limits that a repetition of the previous plan would break on the remaining charge.
 
     The limits are in words, separated by commas. The text is empty if no limit is broken, or if
-    there is no previous plan (`last` is None). `told` is the mission with the present state of the
-    battery.
+    there is no previous plan (`last` is None). `present` is the mission with the present
+    state of the battery.
     """
-    return "" if last is None else ", ".join(_broken(told, last, planner))
+    return "" if last is None else ", ".join(_broken(present, last, planner))
 
 
-def _broken(told: Scenario, last: Plan, planner: Planner) -> Iterator[str]:
-    again = told.lasting(last.duration_s, last.passing_times_s)
+def _broken(present: Scenario, last: Plan, planner: Planner) -> Iterator[str]:
+    again = present.lasting(last.duration_s, last.passing_times_s)
     dynamics, held = planner.dynamics(again), last.trajectories
     start = start_state(again, dynamics, last)
     begun = declared_start(again, dynamics)

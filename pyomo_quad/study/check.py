@@ -47,9 +47,9 @@ def pack_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
     Yields
     ------
     Finding
-        The finding is only a caution if the battery is too small, because the battery's equations
-        stay finite when it is empty. It has the severity "impossible" if every flight must exceed a
-        limit.
+        A battery with too little charge or power gives a caution only, because the
+        battery's equations stay finite when it is empty. A limit that every flight
+        must exceed gives a finding of severity "impossible".
     """
     steady, limits = planner.steady_flight(scenario), scenario.limits
     for line in battery_shortfalls(scenario, steady):

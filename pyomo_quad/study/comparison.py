@@ -159,8 +159,8 @@ def compare_flights(
     -----
     Flights are compared at the same end state.  The energy needed to complete the manoeuvre from a
     flight's end state (the owed energy, `Plan.owed_energy`) is added to its energy; excess, gap and
-    savings refer to the sum.  Saving = (flight - optimum) / flight, in per cent.  It is given
-    twice: for the sum, and for the part of the sum that exceeds the energy of hovering.
+    savings refer to the sum.  Saving = (flight - optimum) / flight, in per cent.  The table has
+    two savings: of the sum, and of the part of the sum that exceeds the energy of hovering.
 
     A flight has no saving, bound or gap if it did not arrive, broke a limit, or if its owed energy
     is unknown, because the bound covers only flights that arrive within the limits.  If the

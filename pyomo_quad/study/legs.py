@@ -53,7 +53,7 @@ _CORNER = 1e-6
 _STIFFNESSES = np.geomspace(1e-3, 1e2, 26)
 _RESTARTS = 3  # a restarted L-BFGS discards the curvature that it has estimated across kinks
 _ROUNDING = 1e-9  # relative
-# Value that the search minimises where prices give no bound, J: above any energy.
+# Value of the minimised function where the prices give no bound, J: above any energy.
 _NONE = 1e12
 
 

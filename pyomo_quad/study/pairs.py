@@ -114,7 +114,7 @@ class Pairs:
     Parameters
     ----------
     scenario : Scenario
-        Its limits bound the pairs.
+        Scenario whose limits on rotor speed and speed bound the pairs.
     dynamics : Dynamics
         Dynamics of the vehicle in the actual steady wind.
     standing : ndarray, shape (3,)

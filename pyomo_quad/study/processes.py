@@ -144,7 +144,11 @@ _work: Callable[[], Any] | None = None
 
 
 def _begin(work: Callable[[], Any] | None) -> None:
-    """Initialise a process of a pool: its task, its signals, its termination with the parent."""
+    """Initialise a process of a pool.
+
+    The process keeps `work`, the function that it later calls (None for no function). SIGTERM ends
+    the process, and a thread ends it when its parent process ends.
+    """
     global _work  # noqa: PLW0603  a copy inherits its work, which cannot be pickled
     _work = work
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
@@ -157,7 +161,7 @@ def _at_work() -> Any:  # noqa: ANN401  the answer of any work
 
 
 def pool_of(count: int) -> Executor:
-    """Return a pool of spawned processes."""
+    """Return a pool of ``count`` spawned processes."""
     # Spawned, not forked: Ipopt and BLAS do not survive a fork with threads.
     return _pool(count, "spawn")
 

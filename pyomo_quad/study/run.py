@@ -365,10 +365,10 @@ def _often(
 def _priced(
     flights: tuple[Flight, ...], scenario: Scenario, planner: Planner, progress: Progress | None
 ) -> tuple[Flight, ...]:
-    """Return the flights with their energy to complete, priced in the actual wind.
+    """Return the flights with the energy that each still needs to reach the exact goal state.
 
-    The energy to complete a flight from its end state to the goal state is computed with the
-    costates of a plan. The first flight is the plan itself and keeps its own costates, which are
+    This energy is computed from the flight's end state with the costates of a plan. The first
+    flight is the plan itself and keeps its own costates, which are
     valid in the forecast wind. The other flights were simulated in the actual wind: if that
     differs from the forecast, another plan is solved for the actual wind, and its costates are
     used for them.  Without a forecast all flights keep the plan's costates.
