@@ -17,7 +17,7 @@ from time import process_time
 
 import numpy as np
 
-from pyomo_quad.flight import Planner
+from pyomo_quad.flight import Planner, PlanStatus
 from pyomo_quad.flight.corridors import WindMap
 from pyomo_quad.flight.mission_problem import MissionProblem
 from pyomo_quad.flight.route_flights import RouteFlights
@@ -80,6 +80,9 @@ class Outcome:
 
     @property
     def excess_percent(self):
+        """Excess of the plan over the best start; nan where there is no plan that can be flown."""
+        if self.ended not in {PlanStatus.VERIFIED.value, PlanStatus.USABLE.value}:
+            return nan
         return 100.0 * (self.plan_J / self.best_J - 1.0)
 
     @property
