@@ -101,6 +101,11 @@ class SteadyFlight:
         self._start = np.array([start[name] for name in names])
         self._rotors = [k for k, name in enumerate(names) if name.startswith(_ROTOR_SPEED)]
 
+    @property
+    def dynamics(self) -> Dynamics:
+        """The equations of the vehicle, in the wind of the steady flight."""
+        return self._dynamics
+
     def trim(self, velocity: ArrayLike = _STILL, near: Trim | None = None) -> Trim:
         """Return the steady flight at a velocity over ground.
 

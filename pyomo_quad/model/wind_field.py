@@ -32,6 +32,7 @@ from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.messages import shown
 from pyomo_quad.scenario.wind import Beyond, WindGrid
 
+_HORIZONTAL = ("x", "y")
 COMPONENTS = ("velocity_x", "velocity_y", "velocity_z")
 FIELD_UNIT = Parameter(
     name="field_unit",
@@ -40,6 +41,8 @@ FIELD_UNIT = Parameter(
     doc="s: factor on the wind of the field, as a speed",
 )
 _SPLINE_POINTS = 4
+# Sides of the horizontal polygon that contains all winds.
+_SIDES = 8
 # Width over which the clipping of a place to the grid is rounded, relative to the axis's smallest
 # step.
 _PASSING_STEPS = 0.02
@@ -142,6 +145,96 @@ def _filled(grid: WindGrid) -> tuple[list[FloatArray], FloatArray]:
             through = BarycentricInterpolator(axis, values, axis=number + 1)
             values = through(axes[number])
     return axes, values
+
+
+def wind_corners(scenario: Scenario) -> FloatArray:
+    """Return corners of a polyhedron that contains the wind of a field at every place and time.
+
+    Implements docs/theory/bound.md, eq. (21).
+    In each cell of the grid the spline is a polynomial of degree three along every axis, and lies
+    in the convex hull of its control points (Bernstein coefficients). Cells without wind at all
+    corners are left out unless `wind.beyond` is "hold", since no flight may enter them.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        A scenario with a wind field.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        Winds along x, y and z [m/s]. The polyhedron is a prism: the control points lie between the
+        least and the greatest vertical wind, and in a horizontal polygon whose sides have
+        `_SIDES` equally spaced directions.
+
+    Raises
+    ------
+    ValueError
+        If the scenario has no wind field.
+    """
+    grid = scenario.wind.grid
+    if grid is None:
+        raise ValueError(f"{scenario.name} has no wind.field")
+    axes, values = _filled(grid)
+    points = values
+    for number, axis in enumerate(axes):
+        points = np.moveaxis(
+            _control_points(axis, np.moveaxis(points, number + 1, 0)), 0, number + 1
+        )
+    is_held = scenario.wind.beyond is Beyond.HOLD
+    is_open = np.ones(points.shape[1:], dtype=bool) if is_held else _near_wind(grid, points.shape)
+    winds = scenario.wind.field_scale * points[:, is_open]
+    angles = 2 * np.pi * np.arange(_SIDES) / _SIDES
+    sides = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    reach = (sides @ winds[:2]).max(axis=1)
+    # Two neighbouring sides meet where both of their distances from the origin are reached.
+    corners = [
+        np.linalg.solve([side, after], [far, farther])
+        for side, after, far, farther in zip(
+            sides, np.roll(sides, -1, axis=0), reach, np.roll(reach, -1), strict=True
+        )
+    ]
+    rising = winds[2] if len(winds) > len(_HORIZONTAL) else np.zeros(1)
+    heights = sorted({float(rising.min()), float(rising.max())})
+    return np.array([[*c, scenario.wind.vertical + height] for height in heights for c in corners])
+
+
+def _control_points(axis: FloatArray, values: FloatArray) -> FloatArray:
+    """Return the control points of the cubic spline through values along their first array axis.
+
+    The four control points of a cell, or Bernstein coefficients, are the values at both ends, and
+    these plus and minus a third of the step times the slope. Cell follows cell.
+    """
+    from scipy.interpolate import make_interp_spline  # noqa: PLC0415  for fields alone
+
+    spline = make_interp_spline(axis, values, k=3)
+    held, slopes = spline(axis), spline(axis, 1)
+    thirds = np.diff(axis).reshape(-1, *[1] * (values.ndim - 1)) / 3
+    of_cells = (
+        held[:-1],
+        held[:-1] + thirds * slopes[:-1],
+        held[1:] - thirds * slopes[1:],
+        held[1:],
+    )
+    return np.asarray(np.stack(of_cells, axis=1).reshape(-1, *values.shape[1:]))
+
+
+def _near_wind(grid: WindGrid, shape: Sequence[int]) -> NDArray[np.bool_]:
+    """Return for each control point of a field whether its cell has wind at one corner or more.
+
+    ``shape`` is that of the control points: components, then four points for each cell along each
+    axis.
+    """
+    near: NDArray[np.bool_] = np.asarray(np.isfinite(grid.components).all(axis=0))
+    for number, count in enumerate(shape[1:]):
+        first = np.moveaxis(near, number, 0)
+        if len(first) < _SPLINE_POINTS:
+            # The axis is resampled, and has other cells.
+            cells = np.repeat(np.asarray(first.any(axis=0))[None], count, axis=0)
+        else:
+            cells = np.repeat(first[:-1] | first[1:], _SPLINE_POINTS, axis=0)
+        near = np.moveaxis(cells, 0, number)
+    return near
 
 
 def is_wind_known(

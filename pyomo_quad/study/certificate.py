@@ -17,8 +17,10 @@ from scipy.optimize import OptimizeResult, minimize
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.steady import MomentumDemand, SteadyFlight
 from pyomo_quad.model.aerodynamics import acts_in_body_axes
+from pyomo_quad.model.wind_field import wind_corners
 from pyomo_quad.scenario import PowerModel, Scenario
 from pyomo_quad.scenario.mission import Order
+from pyomo_quad.scenario.wind import WindCoupling
 from pyomo_quad.study.legs import Itinerary, legs_of
 from pyomo_quad.study.pairs import POWER_TOLERANCE, Pairs, bound_of_pairs, wind_of
 
@@ -300,7 +302,8 @@ def _bound(scenario: Scenario, planner: Planner) -> _Found:
     if reason:
         return None, reason
     demand = MomentumDemand(planner.dynamics(scenario))
-    if scenario.power.model is PowerModel.MOMENTUM or not demand.is_linear:
+    is_field = scenario.wind.grid is not None
+    if scenario.power.model is PowerModel.MOMENTUM or not demand.is_linear or is_field:
         return _bound_by_pairs(scenario, planner, demand)
     power = _SteadyPower(scenario, planner.steady_flight(scenario))
     if not power.is_polynomial:
@@ -439,6 +442,11 @@ def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand
             None,
             "power.model motor_with_friction has no bound here: it is not convex in thrust.",
         )
+    steady, winds = planner.steady_flight(scenario), None
+    if scenario.wind.grid is not None:
+        # Still air has no field: the equations of the vehicle depend on the airspeed alone.
+        dynamics, winds = steady.dynamics, wind_corners(scenario)
+        demand = MomentumDemand(dynamics)
     wind = wind_of(dynamics, np.linspace(0.0, scenario.nominal_duration, _STANDING_SAMPLES))
     if np.ptp(wind, axis=0).max() > _ROUNDING:
         return None, (
@@ -447,10 +455,9 @@ def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand
         )
     if mission.order is Order.BEST and mission.released > 0.0:
         return None, "no bound is known for a mass that changes where the order is open."
-    steady = planner.steady_flight(scenario)
     standing = demand.thrust(dynamics.start, wind[0])
     fastest = float(steady.thrust(scenario.limits.rotor_speed_max))
-    pairs = Pairs(scenario, dynamics, standing, fastest)
+    pairs = Pairs(scenario, dynamics, standing, fastest, winds)
     if pairs.fastest == inf:
         return None, "no bound is known where no drag limits the airspeed; give limits.speed_max."
     counted = scenario
@@ -465,10 +472,12 @@ def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand
     left_out = (
         "; waypoints are left out where their order is open" if counted is not scenario else ""
     )
+    of_field = "" if winds is None else ", and over all winds that occur anywhere in the field,"
     return found, (
         "the means of force, of its power and of velocity are fixed by rest at both ends and by "
         f"the displacement{of_legs}{left_out}, and the least power over all pairs of thrust and "
-        f"airspeed under power.model {scenario.power.model.value} is proven by branch and bound to "
+        f"airspeed{of_field} under power.model {scenario.power.model.value} is proven by branch "
+        "and bound to "
         f"{100 * POWER_TOLERANCE:g} % of that of hover; holds at all passing times and durations "
         "allowed, for every flight that meets the boundary conditions within the rotor speed limits"
         f"{_airspace_clause(scenario)}."
@@ -492,9 +501,13 @@ def _obstacles(scenario: Scenario) -> Iterator[str]:
             "power.model efficiency has no bound: its power is not convex in the rotor "
             "acceleration, so flights that accelerate and coast in turn can undercut it."
         )
-    if scenario.wind.varies_with_place:
-        what = "height" if scenario.wind.grid is None else "place"
-        yield f"no bound is known in a wind that varies with {what}: its mean depends on the path."
+    if scenario.wind.varies_with_place and scenario.wind.grid is None:
+        yield "no bound is known in a wind that varies with height: its mean depends on the path."
+    if scenario.wind.grid is not None and scenario.wind.coupling is not WindCoupling.DRAG:
+        yield (
+            "no bound is known in a wind field that acts as an acceleration; set wind.coupling = "
+            '"drag".'
+        )
     if acts_in_body_axes(scenario):
         yield (
             "no bound is known for aerodynamic forces in body axes, which depend on attitude and "

@@ -1,10 +1,11 @@
 """Lower bound on flights with airspeed-dependent power: least power over thrust and airspeed.
 
 A price is the multiplier (dual variable) of a quantity that the mission fixes.  Derivation: see
-docs/theory/bound.md, eqs. (14) to (19).
+docs/theory/bound.md, eqs. (14) to (22).
 
 symbol | meaning
-u, v, W | thrust, airspeed and the steady wind, world axes
+u, v, W | thrust, airspeed and wind, world axes
+U | the middle of all winds that occur, W itself where the wind is steady
 f(v) | force of the air, against the airspeed
 s | thrust that holds the mass still at zero airspeed, as a rule its weight
 p, w, eta | prices of momentum per mass, of displacement, and of kinetic energy
@@ -16,6 +17,11 @@ mean of v + W is the displacement divided by the duration.  With three prices th
 
 energy >= w . displacement + duration * H,
 H = least of P - p . (u + f - s) - w . (v + W) - eta v . (u + f - s) over all pairs u, v.
+
+That is for a steady wind.  Where the wind differs from place to place, eta prices the kinetic
+energy of the motion relative to air of velocity U, and H is the least over the winds too.  The
+price of momentum is p + eta (W - U) then, and H is concave in W: its least value over winds in a
+polyhedron is found at a corner.
 
 P depends on T, a and r alone, not on the orientation of the pair in space, and the orientation with
 the largest sum of the price terms is known: that sum is the sum of the singular values of
@@ -35,8 +41,8 @@ The mass may change at a passage: p and eta times the mass are the same on all l
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from math import inf
+from dataclasses import dataclass, replace
+from math import inf, sqrt
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -121,14 +127,25 @@ class Pairs:
         Thrust that holds the vehicle still at zero airspeed, N.
     most_thrust : float
         Largest thrust of all rotors together, N.
+    winds : ndarray, shape (n_winds, 3), optional
+        Corners of a polyhedron that contains every wind of the mission, m/s; by default the steady
+        wind of the dynamics.
     """
 
     def __init__(
-        self, scenario: Scenario, dynamics: Dynamics, standing: FloatArray, most_thrust: float
+        self,
+        scenario: Scenario,
+        dynamics: Dynamics,
+        standing: FloatArray,
+        most_thrust: float,
+        winds: FloatArray | None = None,
     ) -> None:
         self._dynamics, self.standing, self._most_thrust = dynamics, standing, most_thrust
         self._rotors = [n for n in dynamics.state_names if n.startswith(_ROTOR_SPEED)]
-        self.wind = wind_of(dynamics, np.array([dynamics.start]))[0]
+        # The wind in which the equations are read; they depend on the airspeed alone.
+        self._read_in = wind_of(dynamics, np.array([dynamics.start]))[0]
+        self._winds = self._read_in[None, :] if winds is None else winds
+        self._middle = (self._winds.min(axis=0) + self._winds.max(axis=0)) / 2
         self._has_induced = scenario.power.model is PowerModel.MOMENTUM
         first, along, across = variables = symbols("first", "along", "across")
         numbers = symbols("momentum", "with_momentum", "aside", "motion", "alike")
@@ -150,7 +167,7 @@ class Pairs:
     def _values(
         self, along: Symbol, across: Symbol, speed: Symbol, induced: Symbol
     ) -> dict[str, Any]:
-        x, y, z = self.wind.tolist()
+        x, y, z = self._read_in.tolist()
         moving = dict(zip(VELOCITY_STATES, (x + across, y, z + along), strict=True))
         return moving | {_INDUCED: induced} | dict.fromkeys(self._rotors, speed)
 
@@ -204,16 +221,21 @@ class Pairs:
         return found
 
     def _fastest(self, scenario: Scenario) -> float:
-        """Return an airspeed that no flight from rest can exceed [m/s]; infinite if unknown."""
-        wind = float(np.linalg.norm(self.wind))
-        allowed = inf if scenario.limits.speed_max is None else scenario.limits.speed_max + wind
+        """Return an airspeed that no flight from rest can exceed [m/s]; infinite if unknown.
+
+        Implements docs/theory/bound.md, eq. (22).
+        """
+        strongest = float(np.linalg.norm(self._winds, axis=1).max())
+        allowed = inf if scenario.limits.speed_max is None else scenario.limits.speed_max
         most = self._most_thrust + float(np.linalg.norm(self.standing))
+        apart = float(np.linalg.norm(self._winds - self._middle, axis=1).max())
 
-        def excess(airspeed: float) -> float:
-            return -float(self._at(np.array([[1.0], [0.0], [airspeed]]))[4, 0]) - most
+        def excess(speed: float) -> float:
+            drag = -float(self._at(np.array([[1.0], [0.0], [speed - apart]]))[4, 0])
+            return drag * sqrt(1.0 - (apart / speed) ** 2 if apart else 1.0) - most
 
-        terminal = brentq(excess, 0.0, _FASTER) if excess(_FASTER) > 0.0 else inf
-        return min(allowed, max(terminal, wind))
+        terminal = brentq(excess, apart, _FASTER) if excess(_FASTER) > 0.0 else inf
+        return min(allowed + strongest, max(terminal, float(np.linalg.norm(self._middle))) + apart)
 
     def _most_of_first(self) -> float:
         """Return the upper limit of a pair's first coordinate, rotor speed or induced velocity.
@@ -236,11 +258,18 @@ class Pairs:
         aside = float(np.linalg.norm(np.cross(prices.momentum, displacement)))
         return size, float(prices.momentum @ displacement) / size, aside / size, prices.motion
 
-    def _constant(self, prices: MotionPrices, mass: float) -> float:
-        return float(prices.momentum @ self.standing * mass - prices.displacement @ self.wind)
+    def _in_wind(self, prices: MotionPrices, wind: FloatArray) -> MotionPrices:
+        """Return the prices (multipliers) of a pair's own motion through the air in a wind.
+
+        Implements docs/theory/bound.md, eq. (20).
+        """
+        return replace(prices, momentum=prices.momentum + prices.motion * (wind - self._middle))
+
+    def _constant(self, prices: MotionPrices, mass: float, wind: FloatArray) -> float:
+        return float(prices.momentum @ self.standing * mass - prices.displacement @ wind)
 
     def cheapest(self, prices: MotionPrices, mass: float) -> tuple[float, list[FloatArray]]:
-        """Sample the function H over all pairs; return its least value and its local minima.
+        """Sample the function H over all pairs and winds; return its least value, and its minima.
 
         H is the power of a pair of thrust and airspeed minus the terms of the prices, multipliers
         of momentum, displacement and kinetic energy (docstring of this module).
@@ -257,8 +286,25 @@ class Pairs:
         float
             Least value found [W].
         list of ndarray, shape (8,)
-            For each pair at a local minimum its power [W], then the gradient of H by the prices of
-            momentum (3), displacement (3) and kinetic energy (1).
+            For each pair at one of the least local minima its power [W], then the gradient of H by
+            the prices of momentum (3), displacement (3) and kinetic energy (1). If power and
+            balance are symmetric about the vertical, copies rotated about it follow each.
+        """
+        minima = []
+        for wind in self._winds:
+            own = self._in_wind(prices, wind)
+            points, values = self._minima(own, mass)
+            values = values + self._constant(own, mass, wind)
+            minima += [(value, at, own, wind) for value, at in zip(values, points.T, strict=True)]
+        minima.sort(key=lambda found: found[0])
+        chosen = minima[:_CANDIDATES]
+        rows = [row for _, at, own, wind in chosen for row in self._rows(at, own, mass, wind)]
+        return float(minima[0][0]), rows
+
+    def _minima(self, prices: MotionPrices, mass: float) -> tuple[FloatArray, FloatArray]:
+        """Return the least local minima of H among samples, shape (3, n), and H without constant.
+
+        H is the power of a pair of thrust and airspeed minus the terms of the prices (multipliers).
         """
         from scipy.ndimage import minimum_filter  # noqa: PLC0415  not for every certificate
 
@@ -279,8 +325,7 @@ class Pairs:
             around = self._worth(near.reshape(3, -1), numbers).reshape(near.shape[1:])
             here = near[:, np.arange(here.shape[1]), np.argmin(around, axis=1)]
             reach = reach / 2
-        least = float(np.min(self._at(here, numbers)[0])) + self._constant(prices, mass)
-        return least, [self._pair(at, prices, mass) for at in here.T]
+        return here, self._at(here, numbers)[0]
 
     def _edges(self) -> FloatArray:
         return np.array([[0.0, self._corner], [-self.fastest, self.fastest], [0.0, self.fastest]])
@@ -289,12 +334,17 @@ class Pairs:
         found = self._at(points, numbers)
         return np.where(found[1] <= self._most_thrust, found[0], inf)
 
-    def _pair(self, at: FloatArray, prices: MotionPrices, mass: float) -> FloatArray:
+    def _rows(
+        self, at: FloatArray, prices: MotionPrices, mass: float, wind: FloatArray
+    ) -> list[FloatArray]:
         """Return power and gradient of H by the prices for a pair in its orientation of least H.
 
         H is the power of a pair of thrust and airspeed minus the terms of the prices, multipliers
-        of momentum, displacement and kinetic energy. `at` has the three coordinates of the pair;
-        the result has shape (8,).
+        of momentum, displacement and kinetic energy. `at` has the three coordinates of the pair,
+        `prices` are those of its own motion through the air (`_in_wind`). Each row has shape (8,);
+        copies rotated about the vertical follow the first row. They have the same power and balance
+        only if the thrust that holds the vehicle still (`standing`) is vertical; otherwise there is
+        only the first row.
         """
         momentum, displacement = (
             prices.momentum,
@@ -304,36 +354,39 @@ class Pairs:
         _, thrust, _, _, forward, upward, power, _ = self._at(at[:, None])[:, 0]
         force, air = np.array([forward, 0.0, thrust + upward]), np.array([across, 0.0, along])
         left, _, right = np.linalg.svd(np.outer(force, momentum) + np.outer(air, displacement))
-        turn = (left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right).T
-        pushed, moved = turn @ force - mass * self.standing, turn @ air
-        return np.array([power, *-pushed, *-(moved + self.wind), -float(moved @ pushed)])
-
-    def turned(self, pair: FloatArray) -> list[FloatArray]:
-        """Return copies of a pair rotated about the vertical, which have the same power.
-
-        A pair is a thrust and an airspeed, given as a result of `cheapest`. Power and balance are
-        symmetric about the vertical only if the thrust that holds the vehicle still (`standing`)
-        is vertical; otherwise only the pair itself is returned.
-        """
-        if np.any(self.standing[:2]):
-            return [pair]
+        best = (left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right).T
+        pushed, through_air = best @ force - mass * self.standing, best @ air
         found = []
         for angle in 2 * np.pi * np.arange(_HEADINGS) / _HEADINGS:
             c, s = np.cos(angle), np.sin(angle)
             turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-            moved = turn @ (pair[4:7] + self.wind) - self.wind
-            found.append(np.array([pair[0], *(turn @ pair[1:4]), *moved, pair[7]]))
-        return found
+            force, moved = turn @ pushed, turn @ through_air + wind
+            motion = float((moved - self._middle) @ force)
+            found.append(np.array([power, *-force, *-moved, -motion]))
+        return found[:1] if np.any(self.standing[:2]) else found
 
     def least(self, prices: MotionPrices, mass: float, tolerance: float) -> float:
-        """Return a proven lower bound on H over all pairs, by branch and bound [W].
+        """Return a proven lower bound on H over all pairs and winds, by branch and bound [W].
 
         H is the power of a pair of thrust and airspeed minus the terms of the prices, multipliers
         of momentum, displacement and kinetic energy (docstring of this module). The bound is within
-        ``tolerance`` [W] of the least value.
+        ``tolerance`` [W] of the least value. H is concave in the wind, so the corners of the
+        polyhedron of winds suffice: docs/theory/bound.md, eq. (20).
         """
-        numbers = self._numbers(prices, mass)
-        best = self.cheapest(prices, mass)[0] - self._constant(prices, mass)
+        sampled = self.cheapest(prices, mass)[0]
+        proven = sampled
+        for wind in self._winds:
+            own = self._in_wind(prices, wind)
+            constant = self._constant(own, mass, wind)
+            numbers = self._numbers(own, mass)
+            proven = min(proven, self._proven(numbers, sampled - constant, tolerance) + constant)
+        return proven
+
+    def _proven(self, numbers: Sequence[float], best: float, tolerance: float) -> float:
+        """Return a proven lower bound on the lesser of H without its constant and ``best`` [W].
+
+        H is the power of a pair of thrust and airspeed minus the terms of the prices (multipliers).
+        """
         cuts = [np.linspace(edge[0], edge[1], _FIRST_BOXES + 1) for edge in self._edges()]
         low = np.stack(np.meshgrid(*(c[:-1] for c in cuts), indexing="ij")).reshape(3, -1)
         high = np.stack(np.meshgrid(*(c[1:] for c in cuts), indexing="ij")).reshape(3, -1)
@@ -348,7 +401,7 @@ class Pairs:
                 break
             low, high, split = low[:, is_open], high[:, is_open], split[is_open]
             low, high = _halved(low, high, split)
-        return best - tolerance + self._constant(prices, mass)
+        return best - tolerance
 
     def _box(
         self, low: FloatArray, high: FloatArray, numbers: Sequence[float]
@@ -443,8 +496,7 @@ def bound_of_pairs(
         for k, leg in enumerate(legs):
             value, found = pairs.cheapest(prices[k], leg.mass)
             for pair in found:
-                for turned in pairs.turned(pair):
-                    program.add(k, turned)
+                program.add(k, pair)
             least.append(value)
         # Lowered by the largest amount that the proof may subtract.
         bound = program.bound(prices, np.array(least) - _SURE * tolerance)
