@@ -20,6 +20,7 @@ from pyomo_quad.collocation import (
     WarmStart,
     diagnose,
 )
+from pyomo_quad.flight.corridors import has_corridors
 from pyomo_quad.flight.failure import Failure
 from pyomo_quad.flight.least_time import shortest_flight
 from pyomo_quad.flight.long_flight import fine_mesh, guess_of, is_long, rough_mesh
@@ -387,19 +388,46 @@ class Candidate:
         return solution.status.value
 
     def judge(self) -> None:
-        """Record why the mission failed, and set its status to infeasible if that is proven."""
+        """Record why the mission failed, and set its status to infeasible if nothing contradicts.
+
+        The elastic problem has no feasible point near one last iterate only. That is no proof if
+        other routes may be possible.
+        """
         if self.diagnosis is None:
             return
-        is_infeasible = self.diagnosis.is_infeasible
+        is_infeasible, doubt = self.diagnosis.is_infeasible, self._doubt()
         self.failure = Failure(
             longest=self.mission.told.mission.longest,
             shortest_duration_s=None if self.shortest is None else self.shortest.objective,
             diagnosis=self.diagnosis,
-            remedies=self._remedies(self.diagnosis) if is_infeasible else (),
+            remedies=self._remedies(self.diagnosis) if is_infeasible and not doubt else (),
+            doubt=doubt,
         )
         is_proven = self.failure.is_too_short or (is_infeasible and not self.has_shorter())
-        status = Status.INFEASIBLE if is_proven else Status.NOT_CONVERGED
+        status = Status.INFEASIBLE if is_proven and not doubt else Status.NOT_CONVERGED
         self.solution = replace(self.found, status=status)
+
+    def _doubt(self) -> str:
+        """Return why the mission may be possible although all solves failed; "" if nothing says so.
+
+        A flight along a route that keeps all limits on a coarse mesh contradicts infeasibility. In
+        a wind field a flight may exist along a corridor that was not tried.
+        """
+        met = sum(route.energy_J is not None for route in self.routes)
+        if met:
+            flights = "flight keeps" if met == 1 else "flights keep"
+            return (
+                f"{met} {flights} all limits on a coarse mesh, of {len(self.routes)} routes tried, "
+                "but none on a finer one, so the mission may be possible; raise "
+                "solver.max_iterations or solver.elements, or leave more room between zones."
+            )
+        is_long_enough = self.shortest is None or self.has_shorter()
+        if has_corridors(self.mission.told) and is_long_enough:
+            return (
+                f"no flight was found (routes tried: {len(self.routes)}), but others may lead "
+                "through the wind field; add a waypoint on a way that should be possible."
+            )
+        return ""
 
     def _remedies(self, diagnosis: Diagnosis) -> tuple[Relaxation, ...]:
         """Return the single limits whose relaxation alone makes the mission feasible."""

@@ -27,12 +27,15 @@ class Failure:
         relaxed together.
     remedies : tuple of Relaxation
         Single limits whose relaxation alone would make the mission possible.
+    doubt : str
+        Why the mission may be possible although no flight was found; "" where nothing says so.
     """
 
     longest: NamedDuration
     shortest_duration_s: float | None
     diagnosis: Diagnosis
     remedies: tuple[Relaxation, ...]
+    doubt: str = ""
 
     @property
     def is_too_short(self) -> bool:
@@ -42,7 +45,14 @@ class Failure:
         )
 
     def causes(self) -> Iterator[str]:
-        """Yield one sentence for each cause of the failure and each remedy, the simplest first."""
+        """Yield one sentence for each cause of the failure and each remedy, the simplest first.
+
+        Where the mission may be possible, the only sentence says why, since the others would claim
+        that it is not.
+        """
+        if self.doubt:
+            yield self.doubt
+            return
         if self.shortest_duration_s is not None and self.is_too_short:
             missing = self.shortest_duration_s - self.longest.value
             limits = ", ".join(str(limit.name) for limit in self.diagnosis.active) or "its limits"

@@ -175,6 +175,8 @@ class PlanStatus(StrEnum):
         Ipopt converged, but the simulated flight does not confirm the plan.
     NOT_CONVERGED, INFEASIBLE, INTERRUPTED
         The solve did not converge, found the constraints infeasible, or was stopped, respectively.
+        A mission is called infeasible only if no flight along any route tried kept all limits, not
+        even on a coarse mesh.
     """
 
     VERIFIED = "verified"

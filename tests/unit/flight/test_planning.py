@@ -15,6 +15,7 @@ from pyomo_quad.flight import Planner, PlanStatus, candidate, deadline, planning
 from pyomo_quad.flight.candidate import Candidate
 from pyomo_quad.flight.mission_problem import MissionProblem
 from pyomo_quad.flight.planning import solve_scenario
+from pyomo_quad.flight.routes import TriedRoute
 from pyomo_quad.flight.search import Search, Stage
 from pyomo_quad.flight.strategies import MISSION, RETRIES, Strategy, carry_out
 from pyomo_quad.model import build_model
@@ -204,7 +205,8 @@ class Solves:
         longest = NamedDuration("mission.duration", DURATION)
         mission, solver = SimpleNamespace(longest=longest, is_free=False), SimpleNamespace()
         solver.tolerance = 1e-6
-        self.told = SimpleNamespace(mission=mission, solver=solver)
+        wind = SimpleNamespace(grid=None)
+        self.told = SimpleNamespace(mission=mission, solver=solver, wind=wind)
         self.problems = SimpleNamespace(builder=lambda _told: None)
         self.guesses, self.slow = [], []
 
@@ -225,10 +227,10 @@ def new_search():
     return Search(deadline.Deadline(load_scenario(PAPER_CALM)))
 
 
-def retried(mission):
+def retried(mission, routes=()):
     """The candidate and the record of all retries of a mission that failed."""
     search = new_search()
-    tried = Candidate(scenario=None, mission=mission, search=search, solution=FAILED)
+    tried = Candidate(scenario=None, mission=mission, search=search, solution=FAILED, routes=routes)
     carry_out(RETRIES, tried, search)
     return tried, search.record
 
@@ -298,6 +300,42 @@ def test_a_shorter_flight_contradicts_the_elastic_solve(diagnosed):
     tried, _ = retried(Solves(FAILED))
     assert tried.solution.status is Status.NOT_CONVERGED
     assert tried.failure is not None
+
+
+def along_route(energy):
+    return TriedRoute(
+        name="left", length_m=10.0, energy_J=energy, is_refined=False, is_kept=False, estimate_J=9.0
+    )
+
+
+@pytest.mark.parametrize("least_time", [None, shortest(12.5)])
+def test_a_flight_on_a_coarse_mesh_contradicts_the_elastic_solve(diagnosed, least_time):
+    diagnosed(is_infeasible=True, shortest=least_time)
+    tried, _ = retried(Solves(FAILED), (along_route(None), along_route(700.0)))
+    assert tried.solution.status is Status.NOT_CONVERGED
+    (only,) = tried.failure.causes()
+    assert only.startswith("1 flight keeps all limits on a coarse mesh, of 2 routes tried, but")
+
+
+def test_without_a_flight_on_any_mesh_the_elastic_solve_stands(diagnosed):
+    diagnosed(is_infeasible=True)
+    tried, _ = retried(Solves(FAILED), (along_route(None), along_route(None)))
+    assert tried.solution.status is Status.INFEASIBLE
+
+
+@pytest.mark.parametrize(
+    ("least_time", "status"),
+    [(None, Status.NOT_CONVERGED), (shortest(12.5), Status.INFEASIBLE)],
+)
+def test_among_the_corridors_of_a_field_one_elastic_solve_proves_nothing(
+    diagnosed, monkeypatch, least_time, status
+):
+    diagnosed(is_infeasible=True, shortest=least_time)
+    monkeypatch.setattr(candidate, "has_corridors", lambda _told: True)
+    tried, _ = retried(Solves(FAILED), (along_route(None),))
+    assert tried.solution.status is status
+    first = next(tried.failure.causes())
+    assert first.startswith("no flight was found (routes tried: 1)") is (least_time is None)
 
 
 def test_an_interruption_ends_the_retries(diagnosed):
