@@ -420,7 +420,7 @@ class _Search:
         while len(found) < _MOST_CORRIDORS:
             open_costs = np.where(is_near, inf, through)
             node = int(np.argmin(open_costs))
-            if not open_costs[node] <= most:
+            if not np.isfinite(open_costs[node]) or open_costs[node] > most:
                 break
             raw = self._places[self._through(node)]
             is_near |= _distance(self._places, raw) < separation

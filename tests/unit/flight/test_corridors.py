@@ -94,3 +94,12 @@ def test_corridors_keep_out_of_zones_and_of_places_without_wind(tmp_path):
 def test_only_a_field_that_changes_over_the_ground_is_searched(tmp_path):
     assert not has_corridors(mission_in(tmp_path, lambda _x, _y: (5.0, 1.0)))
     assert has_corridors(mission_in(tmp_path, lambda _x, y: (0.01 * y, 0.0)))
+
+
+def test_places_without_a_way_between_them_have_no_corridor(tmp_path):
+    def divided(x, y):
+        return np.where(np.abs(x - 100.0) < 21.0, np.nan, 4.0) + 0.0 * y, 0.0
+
+    found = corridors_in(tmp_path, divided)
+    assert found.routes() == []
+    assert found.energy_of(ENDS) is None
