@@ -54,21 +54,22 @@ def test_random_routes_differ_and_lead_from_start_to_goal_past_all_buildings(tol
 def test_plans_that_a_random_start_beats_are_counted():
     settings = next(missions(1, DIRECTIONS[0]))
 
-    def outcome(number, plan_J, best_J, energies_J, ended="verified"):
-        return Outcome(
-            DIRECTIONS[0], number, settings, ended, plan_J, best_J, energies_J, 2, 8.0, 40.0
-        )
+    def outcome(number, plan_J, best_J, energies_J, ended="verified", bound_J=None):
+        numbers = plan_J, best_J, energies_J, bound_J
+        return Outcome(DIRECTIONS[0], number, settings, ended, *numbers, 2, 8.0, 40.0)
 
     found = [
-        outcome(0, 1006.0, 1000.0, (1000.0, 1000.5, 1200.0)),
-        outcome(1, 990.0, 1000.0, (1000.0,)),
+        outcome(0, 1006.0, 1000.0, (1000.0, 1000.5, 1200.0), bound_J=503.0),
+        outcome(1, 990.0, 1000.0, (1000.0,), bound_J=1000.0),
         outcome(2, nan, 1000.0, ()),
         outcome(3, 700.0, 1000.0, (), "infeasible"),
     ]
     directions, each = tables(found)
     assert directions.rows[0][:6] == [DIRECTIONS[0], 4, 2, "0.60", 1, 1]
+    # One plan is half above its bound, one below it: what none may be.
+    assert directions.rows[0][6:8] == [1, "24"]
     assert directions.rows[-1][0] == "all"
-    assert [row[8:10] for row in each.rows] == [
+    assert [row[9:11] for row in each.rows] == [
         ["3 of 20", 2],
         ["1 of 20", 1],
         ["0 of 20", 0],
