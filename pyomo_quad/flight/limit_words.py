@@ -11,6 +11,7 @@ from pyomo_quad.collocation import Violation
 #: Name of a limit without its index -> words, with a placeholder for rotor, waypoint or zone.
 WORDS = {
     "airspace.ceiling_limit": "ceiling",
+    "airspace.field_edge": "{} edge of the wind field",
     "airspace.floor_limit": "floor",
     "airspace.keep_in": "edge {} of the fence",
     "airspace.keep_out": "keep-out {}",

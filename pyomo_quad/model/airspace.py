@@ -1,4 +1,4 @@
-"""The airspace: floor, ceiling, fence, edges of the terrain and keep-out zones.
+"""The airspace: floor, ceiling, fence, edges of the data, and keep-out zones.
 
 symbol | name | unit | meaning
 c_k | centre[zone, ball, axis] | m | centre of ball k of a zone, on the axes of the ball
@@ -24,7 +24,8 @@ The fence (`keep_in`) is a linear limit for each of its edges. The fence is exac
 corners included, and has no clearance.
 
 Over terrain, floor and ceiling limit the height above the ground (`model.ground`), and flights stay
-where the ground is known, within the edges of its grid.  Zones have their own heights z: terrain
+where the ground is known, within the edges of its grid.  In a wind field they stay within the edges
+of the field, unless `wind.beyond` is "hold".  Zones have their own heights z: terrain
 moves neither their bottom nor their top.
 
 A flight cannot start, end or pass a waypoint on the surface of a zone, because a part of every
@@ -32,12 +33,12 @@ neighbourhood of a place on the surface is forbidden. `declare_airspace` therefo
 for a mission with a start, goal or waypoint on a surface.
 """
 
-from collections.abc import Sequence
-from functools import reduce
+from collections.abc import Mapping, Sequence
+from functools import partial, reduce
 from typing import Any
 
 import numpy as np
-from pyomo.core import Block, ConcreteModel, sqrt
+from pyomo.core import Block, ConcreteModel, Constraint, sqrt
 from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression, RelationalExpression
 
@@ -53,6 +54,7 @@ from pyomo_quad.model.rigid_body import PLACE
 from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.airspace import Ball, KeepOut
 from pyomo_quad.scenario.messages import shown
+from pyomo_quad.scenario.wind import Beyond
 
 AXES = PLACE[:3]
 EDGE_WIDTH_M = 0.5
@@ -90,6 +92,11 @@ def _fence_ends(scenario: Scenario) -> dict[int, float]:
 def _edges(scenario: Scenario) -> dict[str, tuple[int, float, float]]:
     ground = scenario.airspace.ground
     return {} if ground is None else ground.edges
+
+
+def _field_edges(scenario: Scenario) -> dict[str, tuple[int, float, float]]:
+    wind = scenario.wind
+    return {} if wind.grid is None or wind.beyond is Beyond.HOLD else wind.grid.edges
 
 
 def _normals(scenario: Scenario) -> dict[tuple[str, int, str], float]:
@@ -150,6 +157,12 @@ _OF_ALL = (
         value=lambda s: {name: end for name, (_, _, end) in _edges(s).items()},
         doc="coordinate of an edge of the terrain",
     ),
+    Parameter(
+        name="field_end",
+        units=units.m,
+        value=lambda s: {name: end for name, (_, _, end) in _field_edges(s).items()},
+        doc="coordinate of an edge of the wind field",
+    ),
 )
 _OF_ZONES = (
     *fields_of("airspace", "clearance"),
@@ -184,7 +197,7 @@ _OF_ZONES = (
 
 
 def declare_airspace(m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare floor, ceiling, fence, terrain edges and keep-out zones as path constraints.
+    """Declare floor, ceiling, fence, edges of the data and keep-out zones as path constraints.
 
     The constraints are declared in block `airspace`. A limit that the scenario does not set is not
     declared.
@@ -216,14 +229,13 @@ def declare_airspace(m: ConcreteModel, scenario: Scenario) -> None:
         def ceiling_limit(b: Block, t: float) -> RelationalExpression:
             return height_above_ground(m, t, -1) <= b.ceiling
 
-    edges = _edges(scenario)
-    if edges:
-
-        @b.Constraint(list(edges), m.time, doc="inside of the terrain [m]")
-        def terrain_edge(b: Block, edge: str, t: float) -> RelationalExpression:
-            axis, side, _ = edges[edge]
-            out = b.parent_block().rigid_body.component(AXES[axis])[t] - b.terrain_end[edge]
-            return side * out <= 0.0 * units.m
+    for of_grid, limit, end, doc in (
+        (_edges(scenario), "terrain_edge", "terrain_end", "inside of the terrain [m]"),
+        (_field_edges(scenario), "field_edge", "field_end", "inside of the wind field [m]"),
+    ):
+        if of_grid:
+            inside = partial(_inside, of_grid, end)
+            b.add_component(limit, Constraint(list(of_grid), m.time, rule=inside, doc=doc))
 
     if scenario.airspace.keep_in is not None:
 
@@ -235,6 +247,18 @@ def declare_airspace(m: ConcreteModel, scenario: Scenario) -> None:
 
     if scenario.airspace.keep_out:
         _declare_keep_outs(b, m, scenario)
+
+
+def _inside(
+    edges: Mapping[str, tuple[int, float, float]], end: str, b: Block, edge: str, t: float
+) -> RelationalExpression:
+    """Return the limit that the vehicle is on the inner side of an edge of a grid.
+
+    `end` is the name of the parameter that holds the edges' coordinates.
+    """
+    axis, side, _ = edges[edge]
+    out = b.parent_block().rigid_body.component(AXES[axis])[t] - b.component(end)[edge]
+    return side * out <= 0.0 * units.m
 
 
 def _declare_keep_outs(b: Block, m: ConcreteModel, scenario: Scenario) -> None:

@@ -189,7 +189,7 @@ def _single_variable(constraint: ConstraintData) -> tuple[VarData, _Interval] | 
 
 
 # Limits that follow from the extent of a data file: no declaration that a user could remove.
-_OF_DATA = {"airspace.terrain_edge"}
+_OF_DATA = {"airspace.terrain_edge", "airspace.field_edge"}
 
 
 def _conflicts(intervals: dict[str, list[_Interval]]) -> Iterator[Finding]:

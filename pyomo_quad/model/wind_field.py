@@ -11,9 +11,12 @@ line or parabola through the values.  Grid points without wind, such as points i
 get the wind of the nearest point with wind, because a spline needs a value everywhere; a flight
 through them is refused (`unknown_wind`) unless `wind.beyond` is "hold".
 
-With `wind.beyond` "hold", the place is clipped smoothly to the grid, and outside of the grid the
-wind of the border blows. Inside of the grid, at more than a tenth of a step from the border, the
-clipped place equals the vehicle's place to 1e-10 of a step.
+Outside of the grid the spline has no meaning, and may promise a wind that would carry the vehicle
+there. Flights therefore stay within the edges of the grid (`model.airspace`).
+
+With `wind.beyond` "hold", there is no such limit: the place is clipped smoothly to the grid, and
+outside of the grid the wind of the border blows. Inside of the grid, at more than a tenth of a step
+from the border, the clipped place equals the vehicle's place to 1e-10 of a step.
 """
 
 from collections.abc import Sequence

@@ -188,7 +188,8 @@ class Turbulence(Part):
 class Beyond(StrEnum):
     """Treatment of places outside a wind field, and of cells without wind.
 
-    `REFUSE` forbids the plan to fly through these places; `HOLD` uses the nearest known wind.
+    `REFUSE` keeps the plan within the edges of the field, and refuses a plan through cells without
+    wind; `HOLD` uses the nearest known wind.
     """
 
     REFUSE = "refuse"
@@ -223,6 +224,21 @@ class WindGrid(Part):
         The first array axis is the direction (+x, +y and, if known, +z); the others follow `axes`.
         """
         return unpacked(self.speeds).reshape((-1, *map(len, self.axes)))
+
+    @property
+    def edges(self) -> dict[str, tuple[int, float, float]]:
+        """The edges of the grid in space, by name; bottom and top only if the field has heights.
+
+        Each value gives the axis (0 for x, 1 for y, 2 for z), the side (-1 for the lower end, 1 for
+        the upper) and the coordinate of the edge on that axis [m].
+        """
+        names = (("west", "east"), ("south", "north"), ("bottom", "top"))
+        return {
+            name: (axis, side, points[end])
+            for axis, points, ends in zip(range(3), (self.x, self.y, self.z), names, strict=True)
+            if points
+            for name, side, end in zip(ends, (-1.0, 1.0), (0, -1), strict=True)
+        }
 
     def is_known(self, places: "ArrayLike", times: "ArrayLike") -> "NDArray[bool_]":
         """Return whether the grid points nearest to places have a wind.

@@ -115,7 +115,8 @@ def test_a_field_of_heights_alone_makes_the_plan_of_the_same_profile(tmp_path):
     profile = Planner().solve(mission({"file": table(tmp_path / "h.csv", columns, rows)}))
     axes = {"x": [0.0, 50.0, 100.0], "y": [0.0, 90.0], "z": HEIGHTS}
     same = field(tmp_path / "f.csv", lambda _x, _y, z: speeds[HEIGHTS.index(z)], **axes)
-    of_field = Planner().solve(mission({"field": same}))
+    # A wind by height is held beyond its heights, and has no edges that a barrier keeps away from.
+    of_field = Planner().solve(mission({"field": same, "beyond": "hold"}))
     assert of_field.is_verified
     assert of_field.energy == pytest.approx(profile.energy, rel=1e-8)
     assert of_field.trajectories.states == pytest.approx(profile.trajectories.states, abs=1e-6)
@@ -190,3 +191,27 @@ def test_a_forecast_is_a_field_of_its_own(tmp_path):
         Planner().solve(steady).energy, rel=1e-9
     )
     assert mean_wind(scenario.as_forecast()) == pytest.approx((2.0, 0.0), abs=1e-12)
+
+
+def test_a_plan_stays_within_the_field_although_better_wind_seems_to_blow_beyond_its_edge(tmp_path):
+    def stronger_to_the_north(x, y):
+        return (8.0 * (y - 30.0) / 12.0, 0.0)
+
+    axes = {"x": np.linspace(0, 100, 11), "y": np.linspace(17, 41, 5)}
+    file = field(tmp_path / "w.csv", stronger_to_the_north, **axes)
+    ends = {
+        "start": {"position": [10.0, 40.0, 5.0]},
+        "goal": {"position": [90.0, 40.0, 5.0]},
+        "duration": 14.0,
+    }
+    chosen = {"mission": ends, "solver": {"accuracy": "standard"}}
+    inside = Planner().solve(mission({"field": file}, **chosen))
+    assert inside.is_verified, inside.message
+    way = inside.to_frame(50.0)["y_m"]
+    assert way.max() == pytest.approx(41.0, abs=0.01)
+    # The same field, known farther north, lets the plan go on; the edge can only cost energy.
+    axes["y"] = np.linspace(17, 65, 9)
+    wide = field(tmp_path / "wide.csv", stronger_to_the_north, **axes)
+    outside = Planner().solve(mission({"field": wide}, **chosen))
+    assert outside.to_frame(50.0)["y_m"].max() > 41.5
+    assert outside.energy < inside.energy * (1.0 - 1e-4)
