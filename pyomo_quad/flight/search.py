@@ -40,8 +40,8 @@ _ITERATIONS_OF_FLIGHT = 10
 # multiple of that work. If the time limit is short, it is sought after this fraction of the work
 # that a slow or loaded processor does within the time limit, at this work per second.
 _LONG, _SHARE_OF_LIMIT, _WORK_PER_S = 5.0, 0.3, 2.5e3
-# Largest error estimate of a mesh from which the search for a flyable trajectory has not failed so
-# far; at the end of such a mesh it is sought after this multiple of that work.
+# Largest error estimate of a mesh from which a flyable trajectory is likely to be found (measured:
+# docs/decisions/speed.md); at the end of such a mesh it is sought after this multiple of that work.
 _NEARLY, _SOONER = 0.3, 2.0
 # Number of coarse meshes from which a usable plan is sought.
 _MOST_SEARCHES = 2
