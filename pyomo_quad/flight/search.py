@@ -40,6 +40,9 @@ _ITERATIONS_OF_FLIGHT = 10
 # multiple of that work. If the time limit is short, it is sought after this fraction of the work
 # that a slow or loaded processor does within the time limit, at this work per second.
 _LONG, _SHARE_OF_LIMIT, _WORK_PER_S = 5.0, 0.3, 2.5e3
+# Largest error estimate of a mesh from which a flyable trajectory is likely to be found (measured:
+# docs/decisions/speed.md); at the end of such a mesh it is sought after this multiple of that work.
+_NEARLY, _SOONER = 0.3, 2.0
 # Number of coarse meshes from which a usable plan is sought.
 _MOST_SEARCHES = 2
 
@@ -162,7 +165,7 @@ class Search:
                     iteration=iteration,
                 )
             )
-        self._seek_usable()
+        self._seek_usable(self._patience)
         return self.deadline(iteration) and self.effort <= self._most_effort
 
     def finished(
@@ -194,7 +197,8 @@ class Search:
         self._note(energy_J)
         if solution.error_estimate > _PROMISING:
             self._coarse = partial(flyable, solution)
-            self._seek_usable()
+            is_nearly_flyable = solution.error_estimate <= _NEARLY
+            self._seek_usable(_SOONER * _PATIENCE if is_nearly_flyable else self._patience)
             return
         share = _SHARE if self.usable is None else _SHARE_FOR_BETTER
         if self._waited >= _PATIENCE and self._work_of_flights <= share * self.work:
@@ -202,12 +206,17 @@ class Search:
             self._work_of_flights += _ITERATIONS_OF_FLIGHT * solution.mesh.points
             self.stage = Stage.REFINING
 
-    def _seek_usable(self) -> None:
-        """In a long search without a usable plan, compute such a plan from a coarse solution.
+    @property
+    def _patience(self) -> float:
+        """Work before which no usable plan is computed from the solution on a very coarse mesh."""
+        return min(_LONG * _PATIENCE, _SHARE_OF_LIMIT * _WORK_PER_S * self.deadline.limit_s)
 
-        A usable plan is one that simulation confirms at lower accuracy than requested.
+    def _seek_usable(self, patience: float) -> None:
+        """In a search without a usable plan, compute such a plan from a coarse solution.
+
+        A usable plan is one that simulation confirms at lower accuracy than requested. Nothing is
+        done before the search has done the work `patience`.
         """
-        patience = min(_LONG * _PATIENCE, _SHARE_OF_LIMIT * _WORK_PER_S * self.deadline.limit_s)
         is_time = self._waited >= patience and not self.deadline.is_over
         is_wanted = self.usable is None and self.stage is not Stage.USABLE
         if self._coarse is None or not (is_time and is_wanted) or self._searches >= _MOST_SEARCHES:

@@ -123,6 +123,23 @@ def test_the_search_for_a_usable_plan_begins_after_work_whatever_the_clock_says(
     assert patience <= begun[0] <= patience + 1000
 
 
+@pytest.mark.parametrize(("error", "is_sought"), [(0.1, True), (10.0, False)])
+def test_a_usable_plan_is_sought_at_the_end_of_a_mesh_with_a_small_error(error, is_sought):
+    class Deadline:
+        limit_s, is_over = math.inf, False
+
+        def __call__(self, _iteration):
+            return True
+
+    begun = []
+    looking = search.Search(Deadline())
+    for _ in range(20):
+        looking(SimpleNamespace(mesh_points=1000))
+    coarse = SimpleNamespace(error_estimate=error)
+    looking.finished(coarse, 1.0, None, lambda _: begun.append(looking.work) or iter(()))
+    assert begun == ([20_000] if is_sought else [])
+
+
 def test_a_flyable_trajectory_keeps_a_high_floor_itself():
     """The violation allowed is 0.3 % of the floor, so that a stricter floor makes up for it."""
     heights = {"mission.start_z": 27.1, "mission.goal_z": 24.0}
