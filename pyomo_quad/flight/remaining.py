@@ -477,7 +477,7 @@ class Replanner:
             State at the time `end`.
         """
         planned, later = self._states(course.plan, start, end)
-        self._lean(later, course.path(end), unexplained)
+        self._balance_added_acceleration(later, course.path(end), unexplained)
         places = [self.dynamics.state_names.index(name) for name in POSITION_STATES]
         distance = float(np.linalg.norm((state - planned)[places]))
         if distance <= self.tube:
@@ -490,7 +490,9 @@ class Replanner:
         later[speeds] += faster
         return later
 
-    def _lean(self, state: FloatArray, setpoint: Setpoint, unexplained: FloatArray) -> None:
+    def _balance_added_acceleration(
+        self, state: FloatArray, setpoint: Setpoint, unexplained: FloatArray
+    ) -> None:
         """Change attitude and rotor speeds of a planned state to balance an added acceleration.
 
         `state` is changed in place. `unexplained` is the acceleration that the plan does not

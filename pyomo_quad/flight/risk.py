@@ -27,7 +27,7 @@ from pyomo_quad.flight.breaching import (
 from pyomo_quad.flight.candidate import Candidate
 from pyomo_quad.flight.covariance import Spread, spread_along
 from pyomo_quad.flight.deadline import Deadline
-from pyomo_quad.flight.ensemble import Squadron
+from pyomo_quad.flight.ensemble import EnsembleSimulation
 from pyomo_quad.flight.flight import HELD_BREACH, POSITION_STATES
 from pyomo_quad.flight.limit_words import limit_words
 from pyomo_quad.flight.margins import (
@@ -290,10 +290,10 @@ class _Search:
         self._least: Mapping[str, float] = {}
         # The last flyable plan, and its margins.
         self._last: tuple[Plan, Mapping[str, float]] = (paper, {})
-        self._told = paper.scenario
-        if self._told.wind.turbulence is None:
-            wind = self._told.wind.model_copy(update={"turbulence": _USUAL_TURBULENCE})
-            self._told = self._told.model_copy(update={"wind": wind})
+        self._in_turbulence = paper.scenario
+        if self._in_turbulence.wind.turbulence is None:
+            wind = self._in_turbulence.wind.model_copy(update={"turbulence": _USUAL_TURBULENCE})
+            self._in_turbulence = self._in_turbulence.model_copy(update={"wind": wind})
 
     def best(self) -> Plan:
         """Return the plan with margins that keeps the risk, or else the plan of least risk.
@@ -330,7 +330,7 @@ class _Search:
             predicted=1.0,
             failed=0,
             flown=0,
-            is_had=False,
+            is_satisfied=False,
             margins=dict(margins),
             paper_energy_J=self._paper.energy,
             stopped=why,
@@ -351,19 +351,19 @@ class _Search:
         failed : int
             Number of test flights that broke any limit.
         """
-        is_had = failed <= self._risk * _FLIGHTS
+        is_satisfied = failed <= self._risk * _FLIGHTS
         limiting = tuple(word for word, _ in counts.most_common(3))
         taken = RiskTaken(
             asked=self._risk,
             predicted=tried.predicted,
             failed=failed,
             flown=_FLIGHTS,
-            is_had=is_had,
+            is_satisfied=is_satisfied,
             margins=dict(tried.margins),
             paper_energy_J=self._paper.energy,
             limiting=limiting,
-            advice="" if is_had else self._advice(tried, limiting),
-            stopped=_STOPPED if self._is_stopped() and not is_had else "",
+            advice="" if is_satisfied else self._advice(tried, limiting),
+            stopped=_STOPPED if self._is_stopped() and not is_satisfied else "",
         )
         return replace(tried.plan, risk=taken)
 
@@ -379,12 +379,12 @@ class _Search:
         plan = _again(self._planner, tried.plan, held, self._progress, is_rough=False)
         if not plan.is_flyable:
             plan = self._planner.solve(held, progress=self._progress)
-        owned = self._owned(plan, tried.margins)
+        owned = self._for_original_scenario(plan, tried.margins)
         if owned.is_flyable:
             self._last = owned, tried.margins
         return self._tried(owned, tried.margins)
 
-    def _owned(self, plan: Plan, margins: Mapping[str, float]) -> Plan:
+    def _for_original_scenario(self, plan: Plan, margins: Mapping[str, float]) -> Plan:
         """Return a plan made with tightened limits as a plan of the original scenario.
 
         The returned plan has the scenario and the passing times of waypoints without margins.
@@ -393,7 +393,7 @@ class _Search:
         return replace(plan, scenario=self._scenario, passing_times_s=times)
 
     def _tried(self, plan: Plan, margins: Mapping[str, float]) -> _Tried:
-        flown = replace(plan, scenario=self._told).mission_flown
+        flown = replace(plan, scenario=self._in_turbulence).mission_flown
         spread = spread_along(flown, plan, self._planner)
         near = tuple(approaches(spread, *_planned_at(plan, spread)))
         return _Tried(
@@ -416,7 +416,7 @@ class _Search:
             plan = _again(self._planner, last.plan, held, self._progress, is_rough=True)
         if plan.solution is None or not plan.solution.status.is_solved:
             return None
-        return self._tried(self._owned(plan, margins), margins)
+        return self._tried(self._for_original_scenario(plan, margins), margins)
 
     def _followed(self, tried: _Tried) -> _Tried:
         """Return a plan that the controller can follow to its goal, with the least reserve needed.
@@ -578,11 +578,11 @@ class _Search:
         list of tuple of str
             The limits that each flight breaks, in words; empty for a flight that keeps all limits.
         """
-        expected = as_expected(replace(tried.plan, scenario=self._told).mission_flown)
+        expected = as_expected(replace(tried.plan, scenario=self._in_turbulence).mission_flown)
         dynamics, draws = draw(self._planner, expected, _FLIGHTS, seed)
         path = reference_path(expected, Reference.PLAN, tried.plan)
-        squadron = Squadron(expected, dynamics, path, (*draws.noise, *draws.numbers))
-        return [tuple(ending.broken) for ending in squadron.fly(draws.part(chosen)).endings]
+        simulation = EnsembleSimulation(expected, dynamics, path, (*draws.noise, *draws.numbers))
+        return [tuple(ending.broken) for ending in simulation.fly(draws.part(chosen)).endings]
 
     def _grown(self, tried: _Tried, counts: Mapping[str, int], flown: int) -> dict[str, float]:
         """Return larger margins for the limits that test flights break too often.
@@ -646,7 +646,7 @@ class _Search:
             middle = (low + high) / 2
             missed = sum(miss.shrunk(middle).probability for miss in places)
             low, high = (middle, high) if missed <= allowed else (low, middle)
-        turbulence = self._told.wind.turbulence
+        turbulence = self._in_turbulence.wind.turbulence
         strength = 0.0 if turbulence is None else turbulence.strength
         if high == 1.0:
             return "weaker turbulence"

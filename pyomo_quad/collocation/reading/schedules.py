@@ -76,7 +76,7 @@ class Statement:
     is_equality: bool = False
 
     @property
-    def is_silent(self) -> bool:
+    def is_skipped(self) -> bool:
         """Whether the rule skipped the constraint, so that it has no bound."""
         if len(self.parts) == 1:
             return False
@@ -120,8 +120,8 @@ class _Form:
 
     def meet(self, numbers: tuple[float, ...]) -> None:
         """Record the positions of numbers that differ from the numbers in the first result."""
-        for k, (held, met) in enumerate(zip(self.numbers, numbers, strict=True)):
-            if held != met and k not in self.varying:
+        for k, (first, number) in enumerate(zip(self.numbers, numbers, strict=True)):
+            if number != first and k not in self.varying:
                 self.varying.append(k)
 
 
@@ -238,8 +238,8 @@ class Schedule:
                 )
             return
         if form is None or any(
-            held != met and k not in form.varying
-            for k, (held, met) in enumerate(zip(form.numbers, found.numbers, strict=True))
+            number != first and k not in form.varying
+            for k, (first, number) in enumerate(zip(form.numbers, found.numbers, strict=True))
         ):
             raise TranscriptionError(
                 f"{self.name}: its rule returns an expression at time {time:g} that it returned at "
@@ -283,24 +283,24 @@ class Schedule:
                     for part, nothing in zip(form.statement.parts, absent, strict=False)
                 ]
             )
-        self._let_silent_ones_agree(forms)
+        self._share_body_with_skipped(forms)
         result = forms[-1]
         for k in reversed(range(len(forms) - 1)):
             holds = self._chosen[k].symbol
             result = [_either(holds, a, b) for a, b in zip(forms[k], result, strict=True)]
         return result
 
-    def _let_silent_ones_agree(self, forms: list[list[Any]]) -> None:
+    def _share_body_with_skipped(self, forms: list[list[Any]]) -> None:
         """Give forms whose constraint is skipped by the rule the linear body of another form.
 
         The skipped constraint has no limits, so that its body has no effect. With equal bodies in
         all forms, a constraint on a single variable remains a bound of that variable.
         """
-        is_silent = [f.statement.is_silent for f in self._forms.values()]
-        if any(is_silent) and not all(is_silent):
-            body = forms[is_silent.index(False)][1]
-            for parts, silent in zip(forms, is_silent, strict=True):
-                if silent and _is_linear(body):
+        is_skipped = [f.statement.is_skipped for f in self._forms.values()]
+        if any(is_skipped) and not all(is_skipped):
+            body = forms[is_skipped.index(False)][1]
+            for parts, is_without in zip(forms, is_skipped, strict=True):
+                if is_without and _is_linear(body):
                     parts[1] = body
 
 
