@@ -258,9 +258,10 @@ class Trajectory:
 
 @dataclass(frozen=True, kw_only=True)
 class Timeline:
-    """Mapping between fractions of the declared horizon and physical time, linear by phases.
+    """Mapping between fractions of the declared horizon and physical time, linear in each phase.
 
-    A time at which a phase ends and the next phase begins belongs to the phase that ends.
+    A phase ends at a free time (a time that the solve determines) or at the end of the horizon,
+    and begins where the previous phase ends. The time at which a phase ends belongs to that phase.
 
     Attributes
     ----------

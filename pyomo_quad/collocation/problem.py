@@ -389,7 +389,7 @@ class Problem(Summarised, Formulation):
             options = options.for_a_change(change * scaling.objective, kept.sides)
         if damping is not None and damping.gap and start.warm is not None:
             parameter = damping.gap * scaling.objective / kept.sides
-            options = options.on_the_path(parameter, damping.way)
+            options = options.on_central_path(parameter, damping.start_distance)
         solve = (
             partial(run_past_the_barrier, size=program.objective_size) if is_gap_reduced else run
         )

@@ -56,10 +56,10 @@ class Fact(Enum):
     ONE_HORIZON = auto()
     #: By Pontryagin's principle, other controls gain more than the tolerance.
     BETTER_CONTROLS = auto()
-    #: The next solve is kept near the last one: by damping of the controls, or by an initial
-    #: barrier parameter that corresponds to the last change of the objective.
+    #: The next solution is kept near the previous solution: by damping of the controls, or by an
+    #: initial barrier parameter that corresponds to the last change of the objective.
     KEPT_NEAR = auto()
-    #: Neither damping nor a small barrier parameter keeps the next solve near the last one.
+    #: Neither damping nor a small barrier parameter keeps the next solution near the previous one.
     FREE = auto()
 
 

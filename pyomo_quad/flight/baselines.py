@@ -207,7 +207,7 @@ class TumblingGuard:
 class Integrator(StrEnum):
     """Integration methods of SciPy for simulated flights; they share no code.
 
-    Each flight is simulated by both methods, so that the second confirms the result of the first.
+    Each flight is simulated by both methods, and is verified only if their results agree.
     """
 
     RUNGE_KUTTA = "DOP853"

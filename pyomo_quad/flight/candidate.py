@@ -70,7 +70,7 @@ class Candidate:
     start : Start or None
         Solution or plan of a similar problem, from which the search starts.
     solution : Solution or None
-        The first solution or, if that failed, the first success of a retry.
+        Solution of the first solve or, if that solve failed, of the first retry that succeeded.
     routes : tuple of TriedRoute
         Result for each route that was tried.
     is_closed : bool
@@ -166,13 +166,13 @@ class Candidate:
         """
         if not isinstance(self.start, Solution):
             return None
-        path = self._held_by(self.mission, self.start)
+        path = self._in_order_of_mission(self.mission, self.start)
         self.solution = self.mission.solve_from(path, path.mesh)
         return self._outcome()
 
     @staticmethod
-    def _held_by(mission: MissionProblem, similar: Solution) -> Trajectory:
-        """Return a similar problem's trajectory with static variables in the mission's order."""
+    def _in_order_of_mission(mission: MissionProblem, similar: Solution) -> Trajectory:
+        """Return a similar problem's trajectory, its static variables in the mission's order."""
         slots = similar.problem.compiled.declared.statics
         held = dict(zip((slot.name for slot in slots), similar.trajectory.statics, strict=True))
         statics = [held[slot.name] for slot in mission.problem.compiled.declared.statics]

@@ -1,4 +1,4 @@
-"""Margins of a plan: amounts by which its limits are tightened, to leave room for the controller.
+"""Margins of a plan: amounts by which limits are tightened, to let a controller correct errors.
 
 A margin applies to a field of the scenario, in the unit of that field.  The fields are parameters
 of the compiled problem, so that the problem can be solved with other margins without compiling it

@@ -19,9 +19,9 @@ from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import Progress, SolveError, SolverOptions
 from pyomo_quad.flight.baselines import reference_path
 from pyomo_quad.flight.breaching import (
-    Approach,
+    LimitDistance,
     Miss,
-    approaches,
+    limit_distances,
     missing,
 )
 from pyomo_quad.flight.candidate import Candidate
@@ -78,8 +78,8 @@ _ROUGHLY = SolverOptions(tolerance=1e-6, extra=(("mu_init", 1e-4),))
 # Fractions of the range from hover to the limits of rotors and tilt that a plan leaves as a
 # reserve, tried by bisection.
 _RESERVES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.58, 0.65, 0.72, 0.8)
-# Relative increase of a free duration per unit of such a reserve: weaker braking alone is not
-# enough where the rotors can lift many times the weight.
+# Relative increase of a free duration per unit of this reserve: weaker braking alone is not enough
+# where the rotors can lift many times the weight.
 _LONGER = 0.75
 # Factors by which margins grow after test flights; a reserve, and the free duration that belongs to
 # it, grow less, because they cost more.
@@ -96,8 +96,8 @@ def risk_asked(scenario: Scenario) -> float:
     """Return the largest allowed probability of a broken limit; 1 if any risk is allowed.
 
     It is the risk that the scenario states. An optimal plan of free duration uses the full thrust
-    of the rotors, so that no controller can follow it. If the scenario states no risk, such a plan
-    therefore gets the risk `_USUAL_RISK`, except for the paper's equations.
+    of the rotors, so that no controller can follow it. If the scenario states no risk, a plan of
+    free duration therefore gets the risk `_USUAL_RISK`, except with the paper's equations.
     """
     stated = scenario.mission.risk
     if stated is not None:
@@ -151,7 +151,7 @@ def plan_at_risk(
 def _again(
     planner: Planner, plan: Plan, held: Scenario, progress: Progress | None, *, is_rough: bool
 ) -> Plan:
-    """Solve a plan's scenario with other limits, with the plan's solution as warm start.
+    """Solve a plan's scenario with tightened limits, warm-started from the plan's solution.
 
     Parameters
     ----------
@@ -200,7 +200,7 @@ class _Tried:
         Scenario field -> amount by which the plan tightens it.
     spread : Spread
         Distribution of flights about the plan.
-    near : tuple of Approach
+    near : tuple of LimitDistance
         Distance of flights from each limit over time.
     missed : tuple of Miss
         Distance of flights from goal and waypoints.
@@ -209,13 +209,13 @@ class _Tried:
     plan: Plan
     margins: Mapping[str, float]
     spread: Spread
-    near: tuple[Approach, ...]
+    near: tuple[LimitDistance, ...]
     missed: tuple[Miss, ...]
 
     @property
     def predicted(self) -> float:
         """Upper bound on the probability that a flight breaks any limit (Boole's inequality)."""
-        by_limits = sum(approach.present for approach in self.near)
+        by_limits = sum(limit.present_probability for limit in self.near)
         return float(min(by_limits + sum(miss.probability for miss in self.missed), 1.0))
 
     @property
@@ -395,7 +395,7 @@ class _Search:
     def _tried(self, plan: Plan, margins: Mapping[str, float]) -> _Tried:
         flown = replace(plan, scenario=self._in_turbulence).mission_flown
         spread = spread_along(flown, plan, self._planner)
-        near = tuple(approaches(spread, *_planned_at(plan, spread)))
+        near = tuple(limit_distances(spread, *_planned_at(plan, spread)))
         return _Tried(
             plan=plan, margins=margins, spread=spread, near=near, missed=missing(flown, spread)
         )
@@ -511,11 +511,11 @@ class _Search:
         taken += sum(p for a, p in alone.items() if p <= least)
         share = max(self._risk - taken, 0.1 * self._risk) / max(len(pressed) + len(missed), 1)
         margins = dict(self._least)
-        for approach in pressed:
-            most = greatest_margin(self._scenario, approach.field)
-            needed = approach.margin_for(share, held.get(approach.field, 0.0), most)
+        for limit in pressed:
+            most = greatest_margin(self._scenario, limit.field)
+            needed = limit.margin_for(share, held.get(limit.field, 0.0), most)
             if needed > 0.0:
-                margins[approach.field] = max(margins.get(approach.field, 0.0), needed)
+                margins[limit.field] = max(margins.get(limit.field, 0.0), needed)
         for miss in missed:
             more = miss.excess(share)
             if miss.field == HOLD:

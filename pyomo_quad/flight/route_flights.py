@@ -32,16 +32,18 @@ _ROUTE_ELEMENTS = 20
 _GUESS_SAMPLES = 201
 
 
-# Relative error of an energy on the first mesh and on the next: flights within this of the least
-# energy are solved on the next mesh, or to the tolerance. Below, the largest numbers of these.
+# Relative error of an energy on the first mesh and on the next mesh. Flights whose energies exceed
+# the least energy by no more than this error are solved again: on the next mesh, or to the
+# tolerance.
 _NEAR_ON_FIRST, _NEAR_ON_NEXT = 1e-3, 1e-4
+# Largest numbers of flights that are solved again: on the next mesh, and to the tolerance.
 _MOST_ON_NEXT, _MOST_REFINED = 4, 3
-#: Ipopt's tolerance of flights on one mesh that are only compared: what the barrier then leaves is
-#: a tenth of `_NEAR_ON_FIRST`.
+#: Ipopt's tolerance for flights on one mesh that are only compared: the complementarity gap that
+#: the barrier leaves is then a tenth of `_NEAR_ON_FIRST`.
 ON_FIRST = 1e-7
 # Number of meshes of a solve to the next mesh, including the first.
 _TO_THE_NEXT = 2
-# Factor on the error above where accuracy `proof` is not requested: energies on one mesh have
+# Factor on `_NEAR_ON_FIRST` where accuracy `proof` is not requested: energies on one mesh have
 # similar errors, so that their differences are more accurate (measured).
 _ALIKE = 0.5
 
@@ -244,8 +246,8 @@ class RouteFlights:
 
         A journey is a route for each leg of the mission, from one waypoint to the next. If the
         solve fails, it is repeated from a solution that passes exactly through the waypoints. All
-        further journeys are then solved in this second way only, because the difficulty does not
-        depend on the journey.
+        further journeys are then solved from such a solution at once, because the difficulty does
+        not depend on the journey.
         """
         if self._known is not None:
             known, self._known = self._known, None

@@ -117,10 +117,11 @@ def flyable_from(
 
 
 def within_airspace(numbers: Mapping[str, float]) -> dict[str, float]:
-    """Return parameters with floor, ceiling and clearance stricter by the violation allowed here.
+    """Return parameters with stricter floor, ceiling and clearance, for flyable trajectories.
 
-    Flyable trajectories may violate each limit by a fraction of the limit. Of a floor at a height
-    of 20 m, that is 6 cm. With these parameters, such trajectories stay above the floor itself.
+    A flyable trajectory may violate each limit by a fraction of the limit: a floor at a height of
+    20 m by 6 cm. The returned limits are stricter by this allowance, so that such a trajectory
+    keeps the limits of the mission itself.
 
     Parameters
     ----------

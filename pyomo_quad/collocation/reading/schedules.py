@@ -118,7 +118,7 @@ class _Form:
     numbers: tuple[float, ...]
     varying: list[int] = field(default_factory=list)
 
-    def meet(self, numbers: tuple[float, ...]) -> None:
+    def compare(self, numbers: tuple[float, ...]) -> None:
         """Record the positions of numbers that differ from the numbers in the first result."""
         for k, (first, number) in enumerate(zip(self.numbers, numbers, strict=True)):
             if number != first and k not in self.varying:
@@ -229,7 +229,7 @@ class Schedule:
             if form is None:
                 self._forms[found.key] = _Form(statement=statement, numbers=found.numbers)
             else:
-                form.meet(found.numbers)
+                form.compare(found.numbers)
             if len(self._forms) > _MOST_FORMS:
                 raise TranscriptionError(
                     f"{self.name}: its rule returns a different expression at every time, more "
@@ -307,7 +307,9 @@ class Schedule:
 class Phases:
     """Indicators of the phases of a horizon with free times, with the interface of a `Schedule`.
 
-    The indicator of a phase is 1 at times of the phase and 0 elsewhere.
+    A phase ends at a free time (a time that the solve determines) or at the end of the horizon, and
+    begins where the previous phase ends. The indicator of a phase is 1 at times of the
+    phase and 0 elsewhere.
     """
 
     def __init__(self, clock: PhaseTimes) -> None:

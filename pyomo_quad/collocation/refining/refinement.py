@@ -38,12 +38,12 @@ if TYPE_CHECKING:
 
 # Change of the objective, in units of the tolerance, below which it counts as settled.
 _SETTLED = 0.5
-# Controls that enter linearly count as undetermined if a warm start takes more iterations than the
-# first number, or if the objective has been settled for the second number of meshes. Their damping
-# is then increased by a factor, up to a limit; after the third number of meshes without a limit.
+# Controls that enter linearly count as undetermined if a warm start takes more than
+# `_MANY_ITERATIONS`, or if the objective has been settled for `_MANY_SETTLED` meshes. Their damping
+# is then increased by a factor, up to a limit; after `_TOO_MANY_SETTLED` meshes without a limit.
 _MANY_ITERATIONS, _MANY_SETTLED, _TOO_MANY_SETTLED = 30, 4, 8
-# Factor by which the damping is increased at once; its limit before the second number of meshes;
-# and its limit from then to the third number of meshes.
+# Factor by which the damping is increased at once; limit of the damping before `_MANY_SETTLED`
+# meshes; and its limit from then to `_TOO_MANY_SETTLED` meshes.
 _FIRMER, _FIRM, _FIRMEST = 5.0, 25.0, 125.0
 # Complementarity gap that the barrier then leaves: in units of the tolerance, and at most this
 # fraction of the objective.

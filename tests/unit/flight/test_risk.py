@@ -14,7 +14,7 @@ from scipy.special import ndtri
 from pyomo_quad.cli.endings import ExitCode
 from pyomo_quad.cli.solving import complain_about, exit_code_of
 from pyomo_quad.flight import Plan, PlanStatus, risk
-from pyomo_quad.flight.breaching import Approach, Miss, _crossing
+from pyomo_quad.flight.breaching import LimitDistance, Miss, _crossing
 from pyomo_quad.flight.deadline import TimeIsUpError
 from pyomo_quad.flight.limit_words import limit_words
 from pyomo_quad.flight.margins import (
@@ -90,10 +90,10 @@ def test_the_probability_of_passing_a_limit_once_bounds_that_of_simulated_flight
 
 def test_a_margin_is_the_least_that_keeps_its_share():
     n = 200
-    near = Approach(
+    near = LimitDistance(
         name="airspace.ceiling_limit",
         field="airspace.ceiling",
-        room=np.linspace(1.0, -0.01, n),
+        distance=np.linspace(1.0, -0.01, n),
         planned=np.linspace(1.0, 0.0, n),
         deviation=np.full(n, 0.05),
         correlation=np.full(n - 1, 0.999),
