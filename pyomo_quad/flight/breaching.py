@@ -248,17 +248,17 @@ class Miss:
         return replace(self, off=share * self.off)
 
     def excess(self, share: float) -> float:
-        """Return the reduction of distance [m] or speed [m/s] that makes breaking the limit rare.
+        """Return the reduction of distances [m] or speeds [m/s] with which flights keep the limit.
 
-        It is at least zero. `share` is the largest probability allowed that a flight breaks the
-        limit.
+        With this reduction, a flight breaks the limit with at most the probability `share`. The
+        result is at least zero.
         """
         most = np.quantile(self.off, 1.0 - share / len(self.off), axis=1).max()
         return max(float(most) - self.within, 0.0)
 
 
 def missing(scenario: Scenario, spread: Spread) -> tuple[Miss, ...]:
-    """Return samples of the distances from goal and waypoints, and of the speeds there, in flights.
+    """Return samples of the distances from goal and waypoints and of the speeds there, in gusts.
 
     Parameters
     ----------

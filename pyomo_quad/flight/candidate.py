@@ -223,10 +223,12 @@ class Candidate:
         return self._outcome()
 
     def is_long(self) -> bool:
-        """Return whether the flight is long compared with the time to change attitude.
+        """Return whether to solve with steady flight as initial guess, because the flight is long.
 
-        That is the case for straight flights of the package's own model that no strategy has solved
-        yet.
+        A flight is long compared with the time in which the vehicle changes its attitude. The
+        result is False if the mission is solved already, if its route is not straight, and for
+        models that need another start: a user's model, and a power with a corner at zero (no
+        regeneration).
         """
         mission = self.mission
         is_simple = self.solution is None and mission.problems.is_declared and not mission.easier

@@ -161,7 +161,7 @@ def tightened(scenario: Scenario, margins: Mapping[str, float]) -> Scenario:
 
 
 def used_up(planned: LimitValues, flown: LimitValues) -> Iterator[tuple[str, float]]:
-    """Yield by how much a flight comes nearer to a limit than its plan, for both ends of the limit.
+    """Yield by how much a flight comes nearer to a limit than its plan, for lower and upper end.
 
     Parameters
     ----------

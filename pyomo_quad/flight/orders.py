@@ -286,9 +286,10 @@ def _made_symmetric(costs: FloatArray, finite: FloatArray) -> FloatArray:
 def _tree_bound(costs: FloatArray, reached: float) -> float:
     """Return a lower bound on the cost of all orders, by minimum spanning trees.
 
-    See docs/theory/orders.md, eq. (5). Multipliers (prices) of the places penalise a number of tree
-    legs at a place that no order has; subgradient steps maximise the bound over them. `costs` are
-    symmetric leg costs, `reached` is the cost of a known order.
+    In an order, each place between start and goal has two legs; in a spanning tree it may have
+    another number of legs. Multipliers penalise the difference, and subgradient steps maximise the
+    bound over the multipliers: see docs/theory/orders.md, eq. (5). `costs` are symmetric leg costs,
+    `reached` is the cost of a known order.
     """
     degrees = np.full(len(costs), 2.0)
     degrees[[0, -1]] = 1.0

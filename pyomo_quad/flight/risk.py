@@ -149,7 +149,7 @@ def plan_at_risk(
 
 
 def _again(
-    planner: Planner, plan: Plan, held: Scenario, progress: Progress | None, *, is_rough: bool
+    planner: Planner, plan: Plan, tight: Scenario, progress: Progress | None, *, is_rough: bool
 ) -> Plan:
     """Solve a plan's scenario with tightened limits, warm-started from the plan's solution.
 
@@ -159,7 +159,7 @@ def _again(
         Planner that has compiled the problem.
     plan : Plan
         Plan from which the solve starts.
-    held : Scenario
+    tight : Scenario
         The plan's scenario with tightened limits.
     progress : callable or None
         Called at each Ipopt iteration.
@@ -171,19 +171,19 @@ def _again(
     Plan
         Plan of the tightened scenario.
     """
-    told, start = held.as_forecast(), plan.warm_start
+    told, start = tight.as_forecast(), plan.warm_start
     with Deadline(told, progress) as deadline:
         search = Search(deadline)
         mission = MissionProblem(planner, plan.scenario.as_forecast(), search)
         if start is None or not start.fits(mission.problem.compiled):
-            return planner.solve(held, progress=progress)
+            return planner.solve(tight, progress=progress)
         mission.told = told
         if is_rough:
             solution = mission.solve(
                 mesh=plan.mesh, tolerance=None, options=_ROUGHLY, warm_start=start
             )
-            return plan_of(held, solution, {}, mission.hover_energy(solution))
-        candidate = Candidate(scenario=held, mission=mission, search=search, start=plan)
+            return plan_of(tight, solution, {}, mission.hover_energy(solution))
+        candidate = Candidate(scenario=tight, mission=mission, search=search, start=plan)
         carry_out((*FIRST, *PROOF), candidate, search)
         return replace(candidate.plan, routes=plan.routes, order_search=plan.order_search)
 
@@ -524,14 +524,14 @@ class _Search:
             margins[miss.field] = max(margins.get(miss.field, 0.0), wanted)
         return margins
 
-    def _agree(self, held: Mapping[str, float], wanted: Mapping[str, float]) -> bool:
+    def _agree(self, kept: Mapping[str, float], wanted: Mapping[str, float]) -> bool:
         """Return whether the margins of a plan are close to the margins that its flights need.
 
-        `held` has the margins of the plan, `wanted` the margins that its flights need. Both map a
+        `kept` has the margins of the plan, `wanted` the margins that its flights need. Both map a
         scenario field to the amount by which the plan stays inside the limit.
         """
-        for name in {*held, *wanted}:
-            one, other = held.get(name, 0.0), wanted.get(name, 0.0)
+        for name in {*kept, *wanted}:
+            one, other = kept.get(name, 0.0), wanted.get(name, 0.0)
             table, _, key = name.partition(".")
             size = 0.0
             if table != "mission":

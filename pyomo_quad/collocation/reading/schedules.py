@@ -217,7 +217,8 @@ class Schedule:
     def _sort(self, found: Reading, statement: Statement, time: float) -> None:
         """Assign the result of a rule to its form, and register a new form.
 
-        After compilation, a form that is not known is refused.
+        A form is an expression with its numbers as parameters. After compilation, an unknown form
+        raises an error.
 
         Raises
         ------
@@ -321,7 +322,7 @@ class Phases:
         self._clock = clock
 
     def reading(self, time: float) -> Reading:
-        """Return a `Reading` whose key is the position of the phase at a declared time."""
+        """Return the phase at a declared time as a `Reading`: its key is the phase's position."""
         return Reading(self._clock.phase_of(time), ())
 
     def row(self, time: float) -> list[float]:

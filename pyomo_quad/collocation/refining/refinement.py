@@ -491,11 +491,12 @@ class _Reached(Generic[S]):
     solution : Outcome
         The solution before the restart.
     shown : float, optional
-        Gain of the restart that is certain, relative to the objective: the largest value, over the
-        solutions found since the restart, of gain minus estimated error. None before the first of
+        Lower bound on the gain of the restart, relative to the objective: the largest value of gain
+        minus estimated error over the solutions found since the restart. None before the first of
         these solutions.
     earned : float
-        Gain of `solution` over the solution before the previous restart, relative to the objective.
+        Improvement of `solution` over the solution before the previous restart, relative to the
+        objective; 0 if there was none.
     """
 
     solution: S
