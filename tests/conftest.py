@@ -21,4 +21,4 @@ def _compiled_once():
     """Keep every problem that a test process compiles, where a program keeps the last few."""
     from pyomo_quad.flight.caches import PROBLEMS
 
-    PROBLEMS.most = 1000
+    PROBLEMS.capacity = 1000

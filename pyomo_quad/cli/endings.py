@@ -30,7 +30,7 @@ _LINE = b"pyomo-quad: interrupted; no report was written.\n"
 _CLEAR = b"\r\x1b[K\x1b[?25h"
 
 _last_acts: list[Callable[[], object]] = []
-_is_told = False
+_has_last_message = False
 
 
 class Stopped(Exception):  # noqa: N818  a stop by the user is not an error
@@ -80,11 +80,11 @@ class Interruption:
 
 def end_on_signals() -> None:
     """Make Ctrl-C, SIGTERM and SIGHUP end this process at once, from now on."""
-    for number in (*_heeded(), signal.SIGALRM):
+    for number in (*_ending_signals(), signal.SIGALRM):
         signal.signal(number, _end)
 
 
-def _heeded() -> list[signal.Signals]:
+def _ending_signals() -> list[signal.Signals]:
     """Return the signals that end a command; under nohup, SIGHUP is not among them."""
     is_deaf = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
     return [number for number in _SIGNALS if number != signal.SIGHUP or not is_deaf]
@@ -102,13 +102,13 @@ def leave(status: int) -> int:
     return status
 
 
-def has_told() -> None:
+def record_last_message() -> None:
     """Record that the command has printed its last message.
 
     If a timer ends the process later, it prints no second message.
     """
-    global _is_told  # noqa: PLW0603  a fact about the process
-    _is_told = True
+    global _has_last_message  # noqa: PLW0603  a fact about the process
+    _has_last_message = True
 
 
 def before_the_end(act: Callable[[], object]) -> None:
@@ -171,7 +171,7 @@ def raise_on_interrupt() -> Iterator[None]:
 
 @contextmanager
 def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    previous = {number: signal.signal(number, handler) for number in _heeded()}
+    previous = {number: signal.signal(number, handler) for number in _ending_signals()}
     try:
         yield
     finally:
@@ -204,7 +204,7 @@ def _end(_signal: int, _frame: FrameType | None) -> None:
         signal.signal(number, signal.SIG_IGN)
     for act in _last_acts:
         act()
-    if not _is_told:
+    if not _has_last_message:
         with suppress(OSError):
             os.write(2, (_CLEAR if os.isatty(2) else b"") + _LINE)
     os._exit(ExitCode.INTERRUPTED)

@@ -49,7 +49,9 @@ def fly_many(
     folder = options.out or Path("reports") / f"{mission.name}-{flights}-flights"
     refuse_output_folder(folder)
     watch = Stopwatch()
-    often = partial(fly_plan_often, mission, plan.held, planner=planner, flights=flights, seed=seed)
+    often = partial(
+        fly_plan_often, mission, plan.trajectories, planner=planner, flights=flights, seed=seed
+    )
     asked = [mission.baseline.cruise_settings(speed) for speed in cruises]
     cruising = partial(fly_cruise_often, mission, planner=planner, flights=flights, seed=seed)
     with report_folder(folder) as aside:
@@ -66,12 +68,14 @@ def _plan_of(path: Path, options: Options) -> tuple[ProvenPlan, Planner]:
     if path.suffix != _SCENARIO:
         read = read_proven(path, is_code_allowed=options.allow_code)
         mission = with_overrides(read.mission, options.overrides or ())
-        return ProvenPlan(mission=mission, held=read.held), planner_for(mission, options)
+        return ProvenPlan(mission=mission, trajectories=read.trajectories), planner_for(
+            mission, options
+        )
     scenario = options.load(path)
     planner = planner_for(scenario, options)
     with Deadline(scenario):
         plan = make_plan(planner, scenario)
-    return ProvenPlan(mission=plan.mission_flown, held=plan.trajectories), planner
+    return ProvenPlan(mission=plan.mission_flown, trajectories=plan.trajectories), planner
 
 
 def _refuse_equal_flights(mission: Scenario, flights: int) -> None:
@@ -92,7 +96,7 @@ def _lines(flown: Ensemble, savings: Sequence[Saving]) -> Iterator[str]:
     """Yield the printed lines on an ensemble of flights and on the plan's energy savings."""
     name, told = flown.scenario.name, flown.summary
     low, middle, high = flown.band("energy_J")
-    yield f"{name}: {flown.held} of {flown.count} flights arrived and kept every limit."
+    yield f"{name}: {flown.succeeded} of {flown.count} flights arrived and kept every limit."
     yield f"Median energy {middle:.1f} J; 90 % of the flights take {low:.1f} to {high:.1f} J."
     if flown.broken:
         yield f"Limit broken most often: {told['limit broken most']}."
@@ -100,6 +104,6 @@ def _lines(flown: Ensemble, savings: Sequence[Saving]) -> Iterator[str]:
         low, middle, high = saving.percent
         yield (
             f"Saving against {saving.rival.name} in the same winds: median {middle:.1f} %, "
-            f"{low:.1f} to {high:.1f} % in 90 % of the winds; {saving.rival.held} of its flights "
-            "arrived and kept every limit."
+            f"{low:.1f} to {high:.1f} % in 90 % of the winds; {saving.rival.succeeded} of its "
+            "flights arrived and kept every limit."
         )

@@ -15,7 +15,13 @@ from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
 
-from pyomo_quad.cli.endings import ExitCode, Interruption, SolveStopped, has_told, stop_on_interrupt
+from pyomo_quad.cli.endings import (
+    ExitCode,
+    Interruption,
+    SolveStopped,
+    record_last_message,
+    stop_on_interrupt,
+)
 from pyomo_quad.cli.terminal import Options, complain, live_line, result_console
 from pyomo_quad.collocation import Iteration, Problem, Progress, TranscriptionError, WarmStart
 from pyomo_quad.flight import Plan, Planner, PlanStatus
@@ -165,7 +171,7 @@ def report_folder(folder: Path) -> Iterator[Path]:
             yield aside
     except SolveStopped as stopped:
         complain(f"{stopped.plan.scenario.name}: interrupted; {_kept(stopped.plan, folder)}.")
-        has_told()
+        record_last_message()
         raise typer.Exit(ExitCode.INTERRUPTED) from None
 
 
@@ -239,7 +245,7 @@ def _lacks_risk(plan: Plan) -> bool:
     The scenario's risk states the permitted probability.
     """
     is_stated = plan.scenario.mission.risk is not None
-    return is_stated and plan.is_flyable and plan.risk is not None and not plan.risk.is_had
+    return is_stated and plan.is_flyable and plan.risk is not None and not plan.risk.is_satisfied
 
 
 def exit_code_of(plan: Plan) -> ExitCode:

@@ -122,7 +122,7 @@ class Enclosure:
     Raises
     ------
     TranscriptionError
-        If the expressions contain an operation that interval arithmetic does not implement here.
+        If the expressions contain an operation that this interval arithmetic does not implement.
     """
 
     def __init__(

@@ -106,7 +106,7 @@ def first_point(
     guess: Guess | None,
     seed: int = 0,
 ) -> FloatArray:
-    """Return an initial point where all equations are defined and equations among states hold.
+    """Return an initial point at which all equations are finite and those among states hold.
 
     Parameters
     ----------
@@ -218,7 +218,7 @@ class _Known:
         return np.clip(moved, bounds.lower, bounds.upper) if np.all(np.isfinite(moved)) else z
 
     def order_times(self, z: FloatArray) -> None:
-        """Set initial values of the free times, and make all times increase.
+        """Set initial values of the free times, and correct them so that all times increase.
 
         A free time is a static variable whose value replaces a declared time, a member of the
         continuous set. If neither model nor guess has a value, the free time begins at the declared

@@ -416,7 +416,7 @@ class JointProblem(Summarised):
         progress: Progress | None,
         is_scaled: bool = True,
         change: float | None = None,
-        most: float = inf,
+        iteration_limit: float = inf,
     ) -> JointSolution:
         """Solve the joint nonlinear program once, with a given mesh per horizon.
 
@@ -429,7 +429,7 @@ class JointProblem(Summarised):
             found on the previous mesh; None for no penalty.
         instances : list of Instance
             Parameter values, for each horizon and the coupling of the horizons.
-        options, progress, is_scaled, change, most
+        options, progress, is_scaled, change, iteration_limit
             As in `Problem.solve_on_mesh`.
         """
         parts = self._parts
@@ -460,7 +460,7 @@ class JointProblem(Summarised):
             bounds,
             scaling if is_scaled else scaling.none,
             z,
-            options=options.at_most(most).for_phases(),
+            options=options.at_most(iteration_limit).for_phases(),
             multipliers=multipliers,
             progress=progress,
         )

@@ -147,13 +147,13 @@ def radau_rule(degree: int) -> RadauRule:
 
 
 def real_array(
-    held: Mapping[str, NDArray[Any]], name: str, shape: tuple[int | None, ...]
+    arrays: Mapping[str, NDArray[Any]], name: str, shape: tuple[int | None, ...]
 ) -> FloatArray:
     """Return a checked copy of one array from a mapping of untrusted arrays.
 
     Parameters
     ----------
-    held : mapping
+    arrays : mapping
         Name to array, for example as read from a file.
     name : str
         Name of the wanted array.
@@ -176,9 +176,9 @@ def real_array(
     >>> real_array({"energy": np.array([1.0, 2.0])}, "energy", (None,))
     array([1., 2.])
     """
-    if name not in held:
+    if name not in arrays:
         raise TranscriptionError(f"{name}: is missing.")
-    array = held[name]
+    array = arrays[name]
     wanted = " x ".join("n" if size is None else str(size) for size in shape)
     if array.dtype != np.float64:
         raise TranscriptionError(f"{name}: holds {array.dtype}; must be real numbers (float64).")
@@ -258,9 +258,10 @@ class Trajectory:
 
 @dataclass(frozen=True, kw_only=True)
 class Timeline:
-    """Mapping between fractions of the declared horizon and physical time, linear by phases.
+    """Mapping between fractions of the declared horizon and physical time, linear in each phase.
 
-    A time at which a phase ends and the next phase begins belongs to the phase that ends.
+    A phase ends at a free time (a time that the solve determines) or at the end of the horizon,
+    and begins where the previous phase ends. The time at which a phase ends belongs to that phase.
 
     Attributes
     ----------
@@ -599,12 +600,12 @@ class Mesh(Summarised):
         return cls(breakpoints=breakpoints, degrees=(degree,) * elements)
 
     @classmethod
-    def from_arrays(cls, held: Mapping[str, NDArray[Any]]) -> Mesh:
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Mesh:
         """Read a mesh from untrusted arrays.
 
         Parameters
         ----------
-        held : mapping
+        arrays : mapping
             Arrays by name: "breakpoints", real numbers, and "degrees", whole numbers.
 
         Raises
@@ -612,8 +613,8 @@ class Mesh(Summarised):
         TranscriptionError
             If an array is missing or of the wrong type, or the two do not define a mesh.
         """
-        breakpoints = real_array(held, "breakpoints", (None,))
-        degrees = held.get("degrees")
+        breakpoints = real_array(arrays, "breakpoints", (None,))
+        degrees = arrays.get("degrees")
         if degrees is None or degrees.dtype.kind != "i" or degrees.ndim != 1:
             raise TranscriptionError("degrees: must be a row of whole numbers.")
         if degrees.size and not 1 <= int(degrees.min()) <= int(degrees.max()) <= _HIGHEST_DEGREE:

@@ -223,7 +223,7 @@ class Problem(Summarised, Formulation):
 
         def finish(own: Callable[..., Solution], mesh: Mesh | None, start: Start) -> Solution:
             if mesh is None or tolerance is None:
-                return own(mesh, start, to_the_gap=True)
+                return own(mesh, start, is_gap_reduced=True)
             return _refined(own, mesh, start, tolerance, refinement)
 
         cut = first and first.with_breakpoints(self.required_breakpoints(instance))
@@ -309,9 +309,9 @@ class Problem(Summarised, Formulation):
         instance: Instance,
         options: SolverOptions,
         is_scaled: bool = True,
-        to_the_gap: bool = False,
+        is_gap_reduced: bool = False,
         change: float | None = None,
-        most: float = inf,
+        iteration_limit: float = inf,
         breach: float = inf,
         progress: Progress | None = None,
     ) -> Solution:
@@ -332,13 +332,13 @@ class Problem(Summarised, Formulation):
             Settings of Ipopt.
         is_scaled : bool, default True
             Whether Ipopt solves the scaled program; otherwise the program as declared.
-        to_the_gap : bool, default False
+        is_gap_reduced : bool, default False
             Whether to continue until the complementarity gap (the sum of multipliers times slacks)
             is negligible relative to the objective.
         change : float, optional
             Expected difference between the objective and its value at the warm start, in the unit
             of the objective. The expected difference determines the initial barrier parameter.
-        most : float, optional
+        iteration_limit : float, optional
             Limit of Ipopt's iterations; the limit in `options` holds too.
         breach : float, optional
             Allowed violation of bounds between collocation points, relative to max(1, abs(bound)).
@@ -370,7 +370,7 @@ class Problem(Summarised, Formulation):
         bounds = without_settled_rows(program, bounds, z)
         refuse_unsolvable(program, bounds, z)
         scaling = scaling_of(program, bounds, z)
-        options = options.at_most(most)
+        options = options.at_most(iteration_limit)
         if self.compiled.declared.clock.phases:
             options = options.for_phases()
         if start.is_elastic:
@@ -389,8 +389,10 @@ class Problem(Summarised, Formulation):
             options = options.for_a_change(change * scaling.objective, kept.sides)
         if damping is not None and damping.gap and start.warm is not None:
             parameter = damping.gap * scaling.objective / kept.sides
-            options = options.on_the_path(parameter, damping.way)
-        solve = partial(run_past_the_barrier, size=program.objective_size) if to_the_gap else run
+            options = options.on_central_path(parameter, damping.start_distance)
+        solve = (
+            partial(run_past_the_barrier, size=program.objective_size) if is_gap_reduced else run
+        )
         result = solve(
             changed, kept, scales, z, options=options, multipliers=multipliers, progress=progress
         )
@@ -409,7 +411,7 @@ class Problem(Summarised, Formulation):
         parameters: Overrides | None = None,
         horizon: tuple[float, float] | None = None,
         breach: float = 0.0,
-        met: float = 1e-7,
+        feasibility_tolerance: float = 1e-7,
         progress: Progress | None = None,
     ) -> Solution:
         """Find a trajectory near a solution that satisfies all equations on another mesh.
@@ -427,7 +429,7 @@ class Problem(Summarised, Formulation):
             As in `solve`.
         breach : float, default 0
             Allowed violation of bounds, relative to max(1, abs(bound)).
-        met : float, default 1e-7
+        feasibility_tolerance : float, default 1e-7
             Largest violation of the scaled equations that is accepted.
         progress : callable, optional
             Called at each iteration; returning False stops the search.
@@ -445,7 +447,13 @@ class Problem(Summarised, Formulation):
         bounds = without_settled_rows(program, bounds, z)
         scaling = scaling_of(program, bounds, z)
         found = feasible_point(
-            program, bounds, scaling, z, breach=breach, met=met, progress=progress
+            program,
+            bounds,
+            scaling,
+            z,
+            breach=breach,
+            feasibility_tolerance=feasibility_tolerance,
+            progress=progress,
         )
         return solution_from(self, program, instance, found, bounds=bounds, scaling=scaling)
 
@@ -530,14 +538,14 @@ def _refined(
         start: Start,
         dampings: tuple[Damping | None, ...],
         change: float | None = None,
-        most: float = inf,
+        iteration_limit: float = inf,
     ) -> Solution:
-        return own(meshes[0], start, dampings[0], change=change, most=most)
+        return own(meshes[0], start, dampings[0], change=change, iteration_limit=iteration_limit)
 
     def sharpen(dampings: tuple[Damping | None, ...], found: Solution) -> Solution:
         change = 0.0 if dampings[0] and dampings[0].gap else None
         at_found = replace(start, warm=found.warm_start)
-        return own(found.mesh, at_found, dampings[0], to_the_gap=True, change=change)
+        return own(found.mesh, at_found, dampings[0], is_gap_reduced=True, change=change)
 
     return refine(
         on_meshes,

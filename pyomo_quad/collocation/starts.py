@@ -49,7 +49,7 @@ class ColdStart:
         return np.array([float(self.first), float(self.iterations), self.tolerance])
 
     @classmethod
-    def from_arrays(cls, held: Mapping[str, NDArray[Any]]) -> ColdStart | None:
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> ColdStart | None:
         """Read the record from a mapping of array names to untrusted arrays.
 
         The result is None if the mapping has no array named "cold_start".
@@ -59,9 +59,9 @@ class ColdStart:
         TranscriptionError
             If that array does not hold three finite real numbers.
         """
-        if "cold_start" not in held:
+        if "cold_start" not in arrays:
             return None
-        first, iterations, tolerance = real_array(held, "cold_start", (3,)).tolist()
+        first, iterations, tolerance = real_array(arrays, "cold_start", (3,)).tolist()
         return cls(first=int(first), iterations=int(iterations), tolerance=tolerance)
 
 
@@ -191,13 +191,13 @@ class WarmStart:
         return about | self._numbers()
 
     @classmethod
-    def from_arrays(cls, held: Mapping[str, NDArray[Any]]) -> WarmStart:
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> WarmStart:
         """Read a warm start from untrusted arrays.
 
         Parameters
         ----------
-        held : mapping
-            Arrays by name, as `arrays` returns them.
+        arrays : mapping
+            Arrays by name, as `WarmStart.arrays` returns them.
 
         Raises
         ------
@@ -205,21 +205,21 @@ class WarmStart:
             If an array is missing or has another type, shape or content; the message names the
             array.
         """
-        mesh = Mesh.from_arrays(held)
-        model = held.get("model")
+        mesh = Mesh.from_arrays(arrays)
+        model = arrays.get("model")
         if model is None or model.dtype != np.uint8 or model.ndim != 1 or np.any(model > 127):
             raise TranscriptionError("model: must be the ASCII codes of a fingerprint.")
-        first = real_array(held, "states", (None, None))
+        first = real_array(arrays, "states", (None, None))
         has_time = first.size > 0 or len(first) > 0
         points = mesh.points if has_time else 0
         nodes = points + 1 if has_time else 0
-        widths = (first.shape[1], real_array(held, "algebraics", (points, None)).shape[1])
-        statics = real_array(held, "statics", (None,)).size
+        widths = (first.shape[1], real_array(arrays, "algebraics", (points, None)).shape[1])
+        statics = real_array(arrays, "statics", (None,)).size
         shapes = ((nodes, widths[0]), (points, widths[1]), (statics,))
         sides = []
         for side in ("", "lower_", "upper_"):
             states, algebraics, values = (
-                real_array(held, f"{side}{part}", shape)
+                real_array(arrays, f"{side}{part}", shape)
                 for part, shape in zip(_PARTS, shapes, strict=True)
             )
             sides.append(
@@ -230,9 +230,9 @@ class WarmStart:
             trajectory=sides[0],
             lower=sides[1],
             upper=sides[2],
-            equations=real_array(held, "equations", (points, None)),
-            conditions=real_array(held, "conditions", (None,)),
-            cold_start=ColdStart.from_arrays(held),
+            equations=real_array(arrays, "equations", (points, None)),
+            conditions=real_array(arrays, "conditions", (None,)),
+            cold_start=ColdStart.from_arrays(arrays),
         )
 
 

@@ -56,10 +56,10 @@ class Fact(Enum):
     ONE_HORIZON = auto()
     #: By Pontryagin's principle, other controls gain more than the tolerance.
     BETTER_CONTROLS = auto()
-    #: The next solve is kept near the last one: by damping of the controls, or by an initial
-    #: barrier parameter that corresponds to the last change of the objective.
-    HELD = auto()
-    #: Neither damping nor a small barrier parameter keeps the next solve near the last one.
+    #: The next solution is kept near the previous solution: by damping of the controls, or by an
+    #: initial barrier parameter that corresponds to the last change of the objective.
+    KEPT_NEAR = auto()
+    #: Neither damping nor a small barrier parameter keeps the next solution near the previous one.
     FREE = auto()
 
 
@@ -145,7 +145,7 @@ class Strategy:
 PATIENCE = 200
 #: Iterations of a solve from the last mesh while the strategies with other settings are still to be
 #: tried: such solves take 5 to 50, and a solve that has not ended after these seldom ends at all.
-_HELD_PATIENCE = 150
+_NEAR_PATIENCE = 150
 #: Number of restarts of a refinement from controls that minimise the Hamiltonian: each gains more
 #: than the tolerance, and hardly any problem has more than two.
 MOST_RESTARTS = 8
@@ -187,9 +187,9 @@ STRATEGIES = (
     Strategy(_F, "mesh twice as fine", _FREE, finer=2),
     Strategy(_F, "from a coarse mesh", _FREE, First.COARSE),
     Strategy(_F, "from penalised equations", _FREE, First.PRICED),
-    Strategy(_M, "from the last mesh", {Fact.HELD}, iterations=_HELD_PATIENCE),
+    Strategy(_M, "from the last mesh", {Fact.KEPT_NEAR}, iterations=_NEAR_PATIENCE),
     Strategy(_M, "from the last mesh", {Fact.FREE}),
-    Strategy(_M, "larger barrier, stronger damping", {Fact.HELD}, is_firm=True),
+    Strategy(_M, "larger barrier, stronger damping", {Fact.KEPT_NEAR}, is_firm=True),
     Strategy(_M, "from the guess", {Fact.WARM_START}, First.GUESS),
     Strategy(_R, RESTART, {Fact.BETTER_CONTROLS}, First.IMPROVED, times=MOST_RESTARTS),
 )

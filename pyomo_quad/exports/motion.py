@@ -45,7 +45,7 @@ class ProvenPlan:
     ----------
     mission : Scenario
         The mission, with the plan's duration and passing times of waypoints.
-    held : Trajectories
+    trajectories : Trajectories
         States and controls of the plan. A report's table does not say which of its columns are
         states. For a plan read from a report, every column is therefore listed as a state and as a
         control.
@@ -55,7 +55,7 @@ class ProvenPlan:
     """
 
     mission: Scenario
-    held: Trajectories
+    trajectories: Trajectories
     is_paper_plan: bool = True
 
 
@@ -92,7 +92,9 @@ def _proven(plan: Plan, *, is_code_allowed: bool) -> ProvenPlan:
         None if plan.solution is None else plan.dynamics,
         is_code_allowed=is_code_allowed,
     )
-    return ProvenPlan(mission=plan.mission_flown, held=held, is_paper_plan=plan.risk is None)
+    return ProvenPlan(
+        mission=plan.mission_flown, trajectories=held, is_paper_plan=plan.risk is None
+    )
 
 
 def _proven_report(folder: Path, *, is_code_allowed: bool) -> ProvenPlan:
@@ -122,7 +124,7 @@ def _proven_report(folder: Path, *, is_code_allowed: bool) -> ProvenPlan:
     refuse_unproven(scenario, held, energy, passing_times, TABLE, is_code_allowed=is_code_allowed)
     return ProvenPlan(
         mission=scenario.lasting(held.horizon[1], passing_times),
-        held=held,
+        trajectories=held,
         is_paper_plan=summary.get("risk") is None,
     )
 
@@ -197,7 +199,7 @@ class Motion:
 
     @classmethod
     def _along(cls, plan: ProvenPlan) -> Self:
-        held = plan.held
+        held = plan.trajectories
         return cls(
             name=plan.mission.name,
             mission=plan.mission,

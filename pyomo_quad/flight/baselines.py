@@ -207,7 +207,7 @@ class TumblingGuard:
 class Integrator(StrEnum):
     """Integration methods of SciPy for simulated flights; they share no code.
 
-    Each flight is simulated by both methods, so that the second confirms the result of the first.
+    Each flight is simulated by both methods, and is verified only if their results agree.
     """
 
     RUNGE_KUTTA = "DOP853"
@@ -669,7 +669,7 @@ def _missed_waypoints(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> I
             )
 
 
-def path_of(held: Trajectories, dynamics: Dynamics, scenario: Scenario) -> PlannedPath:
+def path_of(planned: Trajectories, dynamics: Dynamics, scenario: Scenario) -> PlannedPath:
     """Return a plan as a reference path for the controller, sampled at 20 Hz.
 
     Velocities, accelerations and the forces of the air, which the controller feeds forward, follow
@@ -677,7 +677,7 @@ def path_of(held: Trajectories, dynamics: Dynamics, scenario: Scenario) -> Plann
 
     Parameters
     ----------
-    held : Trajectories
+    planned : Trajectories
         The plan's states and controls.
     dynamics : Dynamics
         The plan's equations.
@@ -689,9 +689,9 @@ def path_of(held: Trajectories, dynamics: Dynamics, scenario: Scenario) -> Plann
     PlannedPath
         Time [s] -> Setpoint.
     """
-    vehicle, times = scenario.vehicle, even_times(*held.horizon, _PLAN_RATE_HZ)
-    controls = held.controls_at(times, dynamics.control_limits(HELD_BREACH))
-    flown = times, held.states_at(times), controls
+    vehicle, times = scenario.vehicle, even_times(*planned.horizon, _PLAN_RATE_HZ)
+    controls = planned.controls_at(times, dynamics.control_limits(HELD_BREACH))
+    flown = times, planned.states_at(times), controls
     keys = tuple((name, None) for name in (*_PLACE, *_RATE, *_ACCELERATION))
     rows = dynamics.table(keys, *flown)
     air = np.zeros((len(times), len(_PLACE)))
@@ -727,8 +727,8 @@ def _doubts(
 ) -> Iterator[str]:
     """Yield the reasons why a simulated flight is not verified, in words.
 
-    The two integrators differ in final position or energy, or the battery cannot give the power or
-    the voltage.
+    Possible reasons are that the two integrators differ in final position or energy, and that the
+    battery cannot give the power or the voltage.
     """
     columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
     ends = np.array([[flown.states[-1, columns] for flown in pair] for pair in flown_twice])

@@ -38,7 +38,7 @@ THERE, AT_REST = "distance from the goal at the end", "speed at the end"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Approach:
+class LimitDistance:
     """Statistics over time of the distance of flights in turbulence from one bound of a constraint.
 
     The constraint is a path constraint ("limit") with a lower or an upper bound, or with both, such
@@ -50,7 +50,7 @@ class Approach:
         Name of the path constraint in the declared model.
     field : str
         Scenario field that sets this bound.
-    room : ndarray, shape (n,)
+    distance : ndarray, shape (n,)
         Distance of the mean flight (without gusts) from the bound, in the unit of the bound. The
         bound is the scenario's; the margin that a plan keeps from the bound is not subtracted.
     planned : ndarray, shape (n,)
@@ -63,17 +63,17 @@ class Approach:
 
     name: str
     field: str
-    room: FloatArray
+    distance: FloatArray
     planned: FloatArray
     deviation: FloatArray
     correlation: FloatArray
 
     @property
-    def present(self) -> float:
+    def present_probability(self) -> float:
         """Probability that a flight which follows the present plan breaks the limit at any time."""
-        return _crossing(self.room, self.deviation, self.correlation)
+        return _crossing(self.distance, self.deviation, self.correlation)
 
-    def probability(self, held: float = 0.0, margin: float = 0.0) -> float:
+    def probability(self, present: float = 0.0, changed: float = 0.0) -> float:
         """Predict the probability that a flight breaks the limit if the plan had another margin.
 
         A margin is the amount by which a plan stays inside the limit. The prediction assumes that
@@ -83,28 +83,30 @@ class Approach:
 
         Parameters
         ----------
-        held : float
+        present : float
             Margin of the present plan, in the unit of the limit.
-        margin : float
+        changed : float
             Margin of the changed plan, in the unit of the limit.
         """
-        is_held = self.planned <= held + _ACTIVE * max(held, self.deviation.max())
-        to_come = np.where(is_held, margin, np.maximum(self.planned, margin))
-        return _crossing(self.room + (to_come - self.planned), self.deviation, self.correlation)
+        is_active = self.planned <= present + _ACTIVE * max(present, self.deviation.max())
+        to_come = np.where(is_active, changed, np.maximum(self.planned, changed))
+        return _crossing(self.distance + (to_come - self.planned), self.deviation, self.correlation)
 
-    def margin_for(self, share: float, held: float, most: float) -> float:
+    def margin_for(self, share: float, present: float, largest: float) -> float:
         """Return the smallest margin at which the probability of a violation is at most ``share``.
 
         A margin is the amount by which a plan stays inside the limit, in the unit of the limit.
-        `held` is the margin of the present plan, and ``most`` the largest margin considered: it is
-        returned if no smaller margin suffices.
+        `present` is the margin of the present plan, and `largest` the largest margin considered,
+        which is returned if no smaller margin suffices.
         """
-        if self.probability(held, 0.0) <= share:
+        if self.probability(present, 0.0) <= share:
             return 0.0
-        low, high = 0.0, most
+        low, high = 0.0, largest
         for _ in range(_HALVINGS):
             middle = (low + high) / 2
-            low, high = (low, middle) if self.probability(held, middle) <= share else (middle, high)
+            low, high = (
+                (low, middle) if self.probability(present, middle) <= share else (middle, high)
+            )
         return high
 
 
@@ -115,17 +117,17 @@ _ACTIVE = 0.25
 _HALVINGS = 30
 
 
-def _crossing(room: FloatArray, deviation: FloatArray, correlation: FloatArray) -> float:
+def _crossing(distance: FloatArray, deviation: FloatArray, correlation: FloatArray) -> float:
     """Return the probability that a flight starts beyond a limit or crosses it later.
 
     Parameters
     ----------
-    room, deviation : ndarray, shape (n,)
+    distance, deviation : ndarray, shape (n,)
         Mean and standard deviation of the distance from the limit at n times.
     correlation : ndarray, shape (n - 1,)
         Correlation of the distances at one time and at the next.
     """
-    beyond = room / np.maximum(deviation, _ROUNDING)
+    beyond = distance / np.maximum(deviation, _ROUNDING)
     # If the mean approaches the limit during a step, more flights are beyond it after the step.
     outside = ndtr(-beyond)
     carried = np.maximum(np.diff(outside), 0.0)
@@ -135,7 +137,9 @@ def _crossing(room: FloatArray, deviation: FloatArray, correlation: FloatArray) 
     return float(min(outside[0] + carried.sum() + crossings.sum(), 1.0))
 
 
-def approaches(spread: Spread, states: FloatArray, controls: FloatArray) -> Iterator[Approach]:
+def limit_distances(
+    spread: Spread, states: FloatArray, controls: FloatArray
+) -> Iterator[LimitDistance]:
     """Yield the distance of flights from each bound of a path constraint set by a scenario field.
 
     Parameters
@@ -147,7 +151,7 @@ def approaches(spread: Spread, states: FloatArray, controls: FloatArray) -> Iter
 
     Yields
     ------
-    Approach
+    LimitDistance
         Statistics of the distance, for each finite lower or upper bound.
     """
     dynamics = spread.dynamics
@@ -165,10 +169,10 @@ def approaches(spread: Spread, states: FloatArray, controls: FloatArray) -> Iter
             deviation = np.sqrt(np.maximum(variance, 0.0))
             shared = np.einsum("ki,kij,kj->k", slope[:-1], spread.onward, slope[1:])
             scale = np.maximum(deviation[:-1] * deviation[1:], _ROUNDING**2)
-            yield Approach(
+            yield LimitDistance(
                 name=mean.name,
                 field=name,
-                room=side * (bound - mean.values),
+                distance=side * (bound - mean.values),
                 planned=side * (bound - plan.values),
                 deviation=deviation,
                 correlation=np.clip(shared / scale, -1.0, 1.0),
@@ -244,17 +248,17 @@ class Miss:
         return replace(self, off=share * self.off)
 
     def excess(self, share: float) -> float:
-        """Return the reduction of distance [m] or speed [m/s] that makes breaking the limit rare.
+        """Return the reduction of distances [m] or speeds [m/s] with which flights keep the limit.
 
-        It is at least zero. `share` is the largest probability allowed that a flight breaks the
-        limit.
+        With this reduction, a flight breaks the limit with at most the probability `share`. The
+        result is at least zero.
         """
         most = np.quantile(self.off, 1.0 - share / len(self.off), axis=1).max()
         return max(float(most) - self.within, 0.0)
 
 
 def missing(scenario: Scenario, spread: Spread) -> tuple[Miss, ...]:
-    """Return samples of the distances from goal and waypoints, and of the speeds there, in flights.
+    """Return samples of the distances from goal and waypoints and of the speeds there, in gusts.
 
     Parameters
     ----------

@@ -18,24 +18,24 @@ class Recent(Generic[Value]):
 
     Parameters
     ----------
-    most : int
+    capacity : int
         Largest number of values kept; it may be changed at any time.
     """
 
-    def __init__(self, most: int) -> None:
-        self.most = most
-        self._held: dict[Hashable, Value] = {}
+    def __init__(self, capacity: int) -> None:
+        self.capacity = capacity
+        self._values: dict[Hashable, Value] = {}
 
     def get(self, key: Hashable) -> Value | None:
         """Return the value stored in the cache under a key, or None."""
-        return self._held.get(key)
+        return self._values.get(key)
 
     def store(self, key: Hashable, value: Value) -> Value:
         """Store a value in the cache under a key and return the value."""
-        self._held.pop(key, None)
-        self._held[key] = value
-        while len(self._held) > self.most:
-            del self._held[next(iter(self._held))]
+        self._values.pop(key, None)
+        self._values[key] = value
+        while len(self._values) > self.capacity:
+            del self._values[next(iter(self._values))]
         return value
 
 

@@ -71,7 +71,7 @@ class Candidate:
     start : Start or None
         Solution or plan of a similar problem, from which the search starts.
     solution : Solution or None
-        The first solution or, if that failed, the first success of a retry.
+        Solution of the first solve or, if that solve failed, of the first retry that succeeded.
     routes : tuple of TriedRoute
         Result for each route that was tried.
     is_closed : bool
@@ -167,13 +167,13 @@ class Candidate:
         """
         if not isinstance(self.start, Solution):
             return None
-        path = self._held_by(self.mission, self.start)
+        path = self._in_order_of_mission(self.mission, self.start)
         self.solution = self.mission.solve_from(path, path.mesh)
         return self._outcome()
 
     @staticmethod
-    def _held_by(mission: MissionProblem, similar: Solution) -> Trajectory:
-        """Return a similar problem's trajectory with static variables in the mission's order."""
+    def _in_order_of_mission(mission: MissionProblem, similar: Solution) -> Trajectory:
+        """Return a similar problem's trajectory, its static variables in the mission's order."""
         slots = similar.problem.compiled.declared.statics
         held = dict(zip((slot.name for slot in slots), similar.trajectory.statics, strict=True))
         statics = [held[slot.name] for slot in mission.problem.compiled.declared.statics]
@@ -224,10 +224,12 @@ class Candidate:
         return self._outcome()
 
     def is_long(self) -> bool:
-        """Return whether the flight is long compared with the time to change attitude.
+        """Return whether to solve with steady flight as initial guess, because the flight is long.
 
-        That is the case for straight flights of the package's own model that no strategy has solved
-        yet.
+        A flight is long compared with the time in which the vehicle changes its attitude. The
+        result is False if the mission is solved already, if its route is not straight, and for
+        models that need another start: a user's model, and a power with a corner at zero (no
+        regeneration).
         """
         mission = self.mission
         is_simple = self.solution is None and mission.problems.is_declared and not mission.easier

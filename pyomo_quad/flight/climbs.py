@@ -16,7 +16,7 @@ from pyomo_quad.scenario.airspace import Airspace
 
 # Samples of a leg per cell of the terrain's grid.
 _LOOKS_PER_CELL = 4
-# Height of a raised leg above the floor [m], which leaves room for deviations from the leg.
+# Height of a raised leg above the floor [m], which allows for deviations from the leg.
 _ABOVE_FLOOR_M = 0.5
 # Largest height of a single corner above the level part that it replaces, relative to the height
 # which the leg climbs.

@@ -593,8 +593,8 @@ class ThrustEnvelope:
     ) -> tuple[float, float, float]:
         """Shorten the correction that a command adds to a plan, to keep the limits.
 
-        The acceleration of the plan itself stays as it is: a plan keeps the limits of the vehicle.
-        If it uses more thrust or tilt than the set allows, the set grows to include it.
+        The acceleration of the plan is not shortened, because a plan keeps the limits of the
+        vehicle. If it uses more thrust or tilt than the set allows, the set grows to include it.
 
         Parameters
         ----------

@@ -424,7 +424,7 @@ class _Search:
                 break
             raw = self._places[self._through(node)]
             is_near |= _distance(self._places, raw) < separation
-            drawn = self._drawn_tight(raw)
+            drawn = self._without_needless_corners(raw)
             if all(_distance(drawn, other).max() >= separation for _, other in found):
                 found.append((self._cost(drawn), drawn))
                 is_near |= _distance(self._places, drawn) < separation
@@ -445,7 +445,7 @@ class _Search:
     def _cost(self, places: FloatArray) -> float:
         return float(self._costs.of(places[:-1], places[1:], self._price)[0].sum())
 
-    def _drawn_tight(self, places: FloatArray) -> FloatArray:
+    def _without_needless_corners(self, places: FloatArray) -> FloatArray:
         """Return a route without the corners that a straight line avoids at no extra cost."""
         kept = [0]
         while kept[-1] < len(places) - 1:

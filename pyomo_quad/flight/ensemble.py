@@ -124,7 +124,7 @@ class Ending:
     broken: Mapping[str, float]
 
     @property
-    def has_held(self) -> bool:
+    def has_succeeded(self) -> bool:
         """Whether the simulated flight reached its goal and broke no limit of the mission."""
         return not self.broken
 
@@ -153,7 +153,7 @@ TRACKS = ("x_m", "y_m", "z_m", SPEED, TILT, ENERGY, OFF)
 """Names of the quantities stored over time for each flight."""
 
 
-class Squadron:
+class EnsembleSimulation:
     """Simulation of many vehicles of one scenario that follow one reference under feedback.
 
     Parameters

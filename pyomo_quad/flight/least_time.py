@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 # First mesh of a solve for the least time (elements, degree), and its largest number of iterations.
 _MESH = (10, 4)
 _OPTIONS = SolverOptions(max_iterations=300)
-# Number of meshes of a first estimate of the least time, which suffices unless the mission's
-# duration differs from the estimate by less than the second number (relative).
+# Number of meshes of a first estimate of the least time. The estimate suffices unless the mission's
+# duration differs from it by less than the fraction `_CLOSE`.
 _FEW_MESHES = 3
 _CLOSE = 2e-3
 # Range of the least time, as multiples of the mission's duration, and multiple at which the search
@@ -36,8 +36,9 @@ _SLOW = 4.0
 _TIME_TOLERANCE = 1e-4
 _TIMED = RefinementOptions(damping=1.0, allowance=Allowance(limit_breach=inf))
 # Durations of the flights that approach the least time, relative to it: the flight of least time is
-# bang-bang and hard to verify.  Below, the largest effort of a solve relative to the first.
+# bang-bang and hard to verify.
 _ABOVE_LEAST = (1e-2, 3e-3, 1e-3, 3e-4)
+# Largest effort of a solve for one of these durations, relative to the solve for the first.
 _MOST_EFFORT = 3.0
 
 

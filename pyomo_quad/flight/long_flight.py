@@ -34,7 +34,7 @@ _LONGEST_S = 3.0
 # Coarse and fine mesh: length of the first and last element [s], ratio of neighbouring elements
 # towards the middle, and degree of the coarse elements.
 _ROUGH, _FINE = (0.1, 1.25, 4), (0.04, 1.15)
-# Elements longer than the first number [s] have a degree higher by the second, because changes of
+# Elements longer than `_BENDING_S` [s] have a degree that is higher by `_MORE`, because changes of
 # attitude within them affect position and velocity.
 _BENDING_S, _MORE = 1.0, 2
 # Acceleration and jerk of an initial guess, m/s^2 and m/s^3, and the range of its speeds, m/s.

@@ -1,4 +1,4 @@
-"""Margins of a plan: amounts by which its limits are tightened, to leave room for the controller.
+"""Margins of a plan: amounts by which limits are tightened, to let a controller correct errors.
 
 A margin applies to a field of the scenario, in the unit of that field.  The fields are parameters
 of the compiled problem, so that the problem can be solved with other margins without compiling it
@@ -76,7 +76,7 @@ class RiskTaken:
     failed, flown : int
         Number of test flights that broke a limit, and number of all test flights. The margins were
         found without these flights.
-    is_had : bool
+    is_satisfied : bool
         Whether the share of failed test flights is small enough for the allowed risk.
     margins : mapping
         Field of the scenario -> amount by which the plan tightened it, in the field's unit.
@@ -94,7 +94,7 @@ class RiskTaken:
     predicted: float
     failed: int
     flown: int
-    is_had: bool
+    is_satisfied: bool
     margins: Mapping[str, float] = field(default_factory=dict)
     paper_energy_J: float
     limiting: tuple[str, ...] = ()
@@ -122,7 +122,7 @@ class RiskTaken:
             f"{self.failed} of {self.flown} test flights, which planning did not use, broke a limit"
         )
         most = f", most often {self.limiting[0]}" if self.limiting else ""
-        if self.is_had:
+        if self.is_satisfied:
             return f"Risk at most {self.asked:g}: {seen}; {price}."
         if not self.flown:
             return f"No flight confirms a risk of {self.asked:g}: {self.stopped}; {price}."
@@ -161,7 +161,7 @@ def tightened(scenario: Scenario, margins: Mapping[str, float]) -> Scenario:
 
 
 def used_up(planned: LimitValues, flown: LimitValues) -> Iterator[tuple[str, float]]:
-    """Yield by how much a flight comes nearer to a limit than its plan, for both ends of the limit.
+    """Yield by how much a flight comes nearer to a limit than its plan, for lower and upper end.
 
     Parameters
     ----------

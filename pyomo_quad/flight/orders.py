@@ -1,8 +1,9 @@
 """Cheapest orders of places from a table of leg costs, and a lower bound for all orders.
 
-A leg is the flight from one place to another. Row 0 of the table belongs to the start, the last
-column to the goal, and the rows and columns between to the other places. The cost of a leg may
-depend on its direction. Derivation of the bound: docs/theory/orders.md, eqs. (2) to (5).
+A leg is the flight from one place to another. Row 0 of the table has the legs from the start, the
+last column the legs to the goal, and the other rows and columns the legs from and to the other
+places. The cost of a leg may depend on its direction. Derivation of the bound:
+docs/theory/orders.md, eqs. (2) to (5).
 """
 
 from dataclasses import dataclass
@@ -24,9 +25,9 @@ MOST_EXACT = 12
 _KICKS = 30
 # Number of block exchanges in a perturbation.
 _EXCHANGES = 3
-# Number of steps of the subgradient ascent to the bound; factor by which the step is reduced if the
-# bound has not increased for the last number of steps.
+# Number of steps of the subgradient ascent to the bound.
 _ASCENT_STEPS = 400
+# Factor by which the step is reduced if the bound has not increased for `_PATIENCE` steps.
 _SHRINK, _PATIENCE = 0.7, 10
 # Relative gain below which two orders count as equal.
 _ROUNDING = 1e-12
@@ -285,9 +286,10 @@ def _made_symmetric(costs: FloatArray, finite: FloatArray) -> FloatArray:
 def _tree_bound(costs: FloatArray, reached: float) -> float:
     """Return a lower bound on the cost of all orders, by minimum spanning trees.
 
-    See docs/theory/orders.md, eq. (5). Multipliers (prices) of the places penalise a number of tree
-    legs at a place that no order has; subgradient steps maximise the bound over them. `costs` are
-    symmetric leg costs, `reached` is the cost of a known order.
+    In an order, each place between start and goal has two legs; in a spanning tree it may have
+    another number of legs. Multipliers penalise the difference, and subgradient steps maximise the
+    bound over the multipliers: see docs/theory/orders.md, eq. (5). `costs` are symmetric leg costs,
+    `reached` is the cost of a known order.
     """
     degrees = np.full(len(costs), 2.0)
     degrees[[0, -1]] = 1.0

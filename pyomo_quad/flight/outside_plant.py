@@ -1,18 +1,19 @@
 """Flights in the simulator RotorPy [1]_, under the package's controller and RotorPy's own.
 
-here | RotorPy
+The table shows which parameters of RotorPy (right) follow from the declared vehicle (left):
+
+declared vehicle | RotorPy
 mass, inertias, thrust and drag torque over rotor speed squared | mass, Ixx.., k_eta, k_m
 places and spins of the rotors, derived from the declared mixer | rotor_pos, rotor_directions
 drag of rotors, translational lift, parasitic drag by axis | k_d, k_z, k_h, c_Dx..
 quadratic drag | added to c_Dx = c_Dy = c_Dz, on body axes
 linear drag | added to k_d = k_z, times four rotors at the speed of hover, at the rotors
 
-The table shows which parameters of RotorPy (right) follow from the declared vehicle (left).
 RotorPy's rotors have no inertia, so the gyroscopic moment and the reaction of the body to
 accelerating rotors are added to RotorPy's own moments. RotorPy's motors follow a command with a
 lag; at every time the command is chosen that produces the desired rotor acceleration. Energy is the
-integral of the declared power at RotorPy's rotor speeds. `Habits` switches features of RotorPy's
-own simulation on again, one at a time.
+integral of the declared power at RotorPy's rotor speeds. Features of RotorPy's own simulation that
+differ from the declared equations are off by default; `Habits` switches them on one at a time.
 
 .. [1] Folk, Paulos and Kumar, "RotorPy: A Python-based Multirotor Simulator with Aerodynamics for
    Education and Research", arXiv 2306.04485.
@@ -392,7 +393,7 @@ class OutsidePlant:
         rows, applied = [], []
         for first, last in pairwise(borders):
             inside = first + _INSIDE * (last - first)
-            now = law if rate is None else self._held(law, inside, joint)
+            now = law if rate is None else self._with_constant_command(law, inside, joint)
             flown = solve_ivp(
                 self._slope(now, inside, last),
                 (first, last),
@@ -435,7 +436,7 @@ class OutsidePlant:
 
         return slope
 
-    def _held(self, law: OutsideLaw, t: float, joint: FloatArray) -> OutsideLaw:
+    def _with_constant_command(self, law: OutsideLaw, t: float, joint: FloatArray) -> OutsideLaw:
         """Return a law whose rotor command is constant: the command that ``law`` gives at time t.
 
         The motors follow the command with a lag. RotorPy simulates each period of its controller in
@@ -444,11 +445,11 @@ class OutsidePlant:
         x, lag = self.read(joint), self.parameters["tau_m"]
         command = x[self._rotors] + lag * np.asarray(law(t, x, self.own(joint))[0], dtype=float)
 
-        def held(t: float, x: FloatArray, own: Sequence[float]) -> Answer:
+        def constant(t: float, x: FloatArray, own: Sequence[float]) -> Answer:
             own_rates = law(t, x, own)[1] if own else ()
             return ((command - x[self._rotors]) / lag).tolist(), own_rates
 
-        return held
+        return constant
 
 
 _WIND_VELOCITY = ("wind.velocity_x", "wind.velocity_y", "wind.velocity_z")

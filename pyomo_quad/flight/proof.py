@@ -42,7 +42,7 @@ TABLE = replace(USABLE, miss=ARRIVAL_DISTANCE_M, breach=1e-2)
 
 def refuse_unproven(
     scenario: Scenario,
-    held: Trajectories,
+    planned: Trajectories,
     energy: float,
     passing_times_s: tuple[float, ...],
     allowed: Figures,
@@ -56,7 +56,7 @@ def refuse_unproven(
     ----------
     scenario : Scenario
         Scenario of the plan.
-    held : Trajectories
+    planned : Trajectories
         The plan. Columns of unknown names are ignored; a state that is missing starts as the
         mission prescribes.
     energy : float
@@ -77,27 +77,27 @@ def refuse_unproven(
         If simulation does not confirm the plan; the message names the quantity, its deviation and
         the tolerance.
     """
-    _refuse_other_times(scenario, held, passing_times_s)
+    _refuse_other_times(scenario, planned, passing_times_s)
     builder: Builder = build_model
     if dynamics is None:
         builder = model_builder(scenario, is_code_allowed=is_code_allowed)
-        told = scenario.lasting(held.horizon[1], passing_times_s).as_forecast()
+        told = scenario.lasting(planned.horizon[1], passing_times_s).as_forecast()
         try:
             dynamics = Planner(builder).dynamics(told)
         except TranscriptionError as error:
             raise ScenarioError(f"{scenario.name}: {error}") from None
-    ordered = in_order(scenario, held, dynamics)
+    ordered = in_order(scenario, planned, dynamics)
     states, controls = ordered.states, ordered.controls
     if builder is build_model and scenario.model is None:
         _refuse_other_ends(scenario, dynamics, states, allowed)
     waypoints = zip(scenario.mission.waypoints, passing_times_s, strict=True)
     passages = [Passage(time_s=t, position=w.position, radius=w.radius) for w, t in waypoints]
-    plan = dynamics, held.mesh, states, controls, held.horizon, energy
+    plan = dynamics, planned.mesh, states, controls, planned.horizon, energy
     try:
         verification, flown = verify_controls(*plan, scenario.airspace, passages)
     except SolveError as error:
         raise ScenarioError(f"{scenario.name}: {error}") from None
-    _refuse_astray(scenario, held, dynamics, flown, allowed)
+    _refuse_astray(scenario, planned, dynamics, flown, allowed)
     lost = wind_lacking(scenario, dynamics, flown)
     if lost:
         raise ScenarioError(f"{scenario.name}: flown again, {lost}")
@@ -161,7 +161,7 @@ def _refuse_other_times(
             )
 
 
-def in_order(scenario: Scenario, held: Trajectories, dynamics: Dynamics) -> Trajectories:
+def in_order(scenario: Scenario, planned: Trajectories, dynamics: Dynamics) -> Trajectories:
     """Return a plan with states and controls in the order of given dynamics.
 
     A state that the plan does not have is NaN after its initial value.
@@ -170,7 +170,7 @@ def in_order(scenario: Scenario, held: Trajectories, dynamics: Dynamics) -> Traj
     ----------
     scenario : Scenario
         Mission, which prescribes missing initial values.
-    held : Trajectories
+    planned : Trajectories
         The plan.
     dynamics : Dynamics
         Equations whose order of states and controls is required.
@@ -180,17 +180,17 @@ def in_order(scenario: Scenario, held: Trajectories, dynamics: Dynamics) -> Traj
     ScenarioError
         If a control is missing, or the initial value of a state.
     """
-    missing = set(dynamics.control_names) - set(held.control_names)
+    missing = set(dynamics.control_names) - set(planned.control_names)
     if missing:
         raise ScenarioError(
             f"{scenario.name}: the plan has no {shown(min(missing))[1:-1]}, without which it "
             "cannot be flown again; export the file of Plan.save."
         )
     start = declared_start(scenario, dynamics)
-    states = np.full((len(held.states), len(dynamics.state_names)), np.nan)
+    states = np.full((len(planned.states), len(dynamics.state_names)), np.nan)
     for k, name in enumerate(dynamics.state_names):
-        if name in held.state_names:
-            states[:, k] = held.states[:, held.state_names.index(name)]
+        if name in planned.state_names:
+            states[:, k] = planned.states[:, planned.state_names.index(name)]
         elif name in start:
             states[0, k] = start[name]
         else:
@@ -199,11 +199,13 @@ def in_order(scenario: Scenario, held: Trajectories, dynamics: Dynamics) -> Traj
                 "of Plan.save."
             )
     return replace(
-        held,
+        planned,
         state_names=dynamics.state_names,
         control_names=dynamics.control_names,
         states=states,
-        controls=held.controls[:, [held.control_names.index(n) for n in dynamics.control_names]],
+        controls=planned.controls[
+            :, [planned.control_names.index(n) for n in dynamics.control_names]
+        ],
     )
 
 
@@ -231,15 +233,15 @@ def _refuse_other_ends(
 
 
 def _refuse_astray(
-    scenario: Scenario, held: Trajectories, dynamics: Dynamics, flown: Flown, allowed: Figures
+    scenario: Scenario, planned: Trajectories, dynamics: Dynamics, flown: Flown, allowed: Figures
 ) -> None:
     """Raise a ScenarioError if simulating the controls does not reproduce a plan's states."""
-    planned = held.states_at(flown.t)
+    expected = planned.states_at(flown.t)
     worst, when, which = 0.0, 0.0, ""
-    for k, name in enumerate(held.state_names):
+    for k, name in enumerate(planned.state_names):
         if name in dynamics.state_names:
             column = flown.states[:, dynamics.state_names.index(name)]
-            off = np.abs(column - planned[:, k]) / np.maximum(1.0, np.abs(planned[:, k]))
+            off = np.abs(column - expected[:, k]) / np.maximum(1.0, np.abs(expected[:, k]))
             if not off.max() <= worst:
                 worst, when, which = float(off.max()), float(flown.t[int(off.argmax())]), name
     if not worst <= allowed.miss:

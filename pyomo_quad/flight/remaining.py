@@ -72,8 +72,9 @@ _ROUGHLY, _FIRST_MESHES = 1e-2, 6
 # before a stop is flown for seconds: with 0.4 s as the shortest element, re-plans of `delivery`
 # without turbulence cost 2.5 J of 15 kJ more, with a ratio of 2 they cost 5 J more.
 _SHORT_S, _LONG_S, _GROWTH, _DEGREE = 0.2, 2.5, 1.5, 3
-# First element of a hold [s]: limits are kept at the points of a mesh, and before the first point
-# of an element of 0.4 s a plan that braked with 4 m/s^2 was faster than it may hover by 0.3 m/s.
+# Length of the first element of a hover [s]: limits are imposed at the collocation points only, and
+# before the first point of an element of 0.4 s, a plan that braked with 4 m/s^2 exceeded the speed
+# allowed in hover by 0.3 m/s.
 _AT_ONCE_S = 0.05
 # Factor on the remaining time after which a re-plan gets a new, shorter mesh.
 _KEPT = 0.8
@@ -93,15 +94,15 @@ _BARRIER = (("mu_init", 3e-6), ("mu_target", 3e-6))
 _HASTE = (("fast_step_computation", "yes"), ("mumps_pivtol", 1e-6), ("mumps_scaling", 0))
 # Ipopt's tolerance and largest number of iterations of a re-solve: a plan that is late is useless.
 _OPTIONS = SolverOptions(tolerance=1e-5, max_iterations=40, extra=(*_BARRIER, *_HASTE))
-# Solves before take-off have no time limit.
+# Settings of the solves before take-off, which have no time limit.
 _AT_LEISURE = SolverOptions(tolerance=1e-6, max_iterations=300)
 # Last part of the mission that is not planned again [s], and its largest fraction of a short
 # mission.  In five perturbed flights of ten seconds, re-planning until 0.6 s before the end cost 3
 # to 30 J more, and the final distance from the goal was 1.2 to 1.7 times as large.
 _LAST, _LAST_SHARE = 3.0, 0.3
-# The same before a waypoint, of which only the position is required; and the fraction before a
-# hover at a waypoint, where the vehicle must be at rest: with a fraction below three tenths, limits
-# were broken in gusts.
+# Part before a waypoint that is not planned again [s], shorter because only the position is
+# required there; and the largest fraction before a hover at a waypoint, where the vehicle must be
+# at rest: with a fraction below three tenths, limits were broken in gusts.
 _NEAR, _HOLD_SHARE = 1.0, 0.5
 # Name of the parameter that holds the distance kept from zones.
 _CLEARANCE = "airspace.clearance"
@@ -477,7 +478,7 @@ class Replanner:
             State at the time `end`.
         """
         planned, later = self._states(course.plan, start, end)
-        self._lean(later, course.path(end), unexplained)
+        self._balance_added_acceleration(later, course.path(end), unexplained)
         places = [self.dynamics.state_names.index(name) for name in POSITION_STATES]
         distance = float(np.linalg.norm((state - planned)[places]))
         if distance <= self.tube:
@@ -490,7 +491,9 @@ class Replanner:
         later[speeds] += faster
         return later
 
-    def _lean(self, state: FloatArray, setpoint: Setpoint, unexplained: FloatArray) -> None:
+    def _balance_added_acceleration(
+        self, state: FloatArray, setpoint: Setpoint, unexplained: FloatArray
+    ) -> None:
         """Change attitude and rotor speeds of a planned state to balance an added acceleration.
 
         `state` is changed in place. `unexplained` is the acceleration that the plan does not
@@ -498,11 +501,11 @@ class Replanner:
         """
         weight = np.array([0.0, 0.0, self._scenario.gravity])
         given = np.array(setpoint.acceleration[:3]) + weight
-        leaning, yaw = given - unexplained, setpoint.place[3]
+        balancing, yaw = given - unexplained, setpoint.place[3]
         angles = [self.dynamics.state_names.index(name) for name in TILT_STATES]
-        before, after = (tilt_toward(force.tolist(), yaw) for force in (given, leaning))
+        before, after = (tilt_toward(force.tolist(), yaw) for force in (given, balancing))
         state[angles] += np.subtract(after, before)
-        state[rotor_columns(self.dynamics)] *= sqrt(norm(leaning) / norm(given))
+        state[rotor_columns(self.dynamics)] *= sqrt(norm(balancing) / norm(given))
 
     def _states(self, plan: Trajectories, *times: float) -> FloatArray:
         """Return a plan's states at given times [s], in the order of the dynamics."""

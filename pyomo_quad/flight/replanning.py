@@ -314,9 +314,10 @@ class _ReplannedFlight:
     def flown_twice(self) -> list[tuple[Flown, Flown]]:
         """Simulate each part again with the other integrator, from the same initial state.
 
-        The whole flight cannot be simulated a second time for comparison. Each plan made in flight
-        depends on the rounding errors of the measured state. A second flight that followed the
-        plans of the first would have no feedback, and would deviate within seconds.
+        The whole flight cannot be simulated a second time for comparison, because each plan made in
+        flight depends on the rounding errors of the measured state. A second flight that followed
+        the recorded plans would have no feedback from its own state to the plans, and would deviate
+        from the recorded flight within seconds.
 
         Returns
         -------

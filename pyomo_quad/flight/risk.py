@@ -19,15 +19,15 @@ from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import Progress, SolveError, SolverOptions
 from pyomo_quad.flight.baselines import reference_path
 from pyomo_quad.flight.breaching import (
-    Approach,
+    LimitDistance,
     Miss,
-    approaches,
+    limit_distances,
     missing,
 )
 from pyomo_quad.flight.candidate import Candidate
 from pyomo_quad.flight.covariance import Spread, spread_along
 from pyomo_quad.flight.deadline import Deadline
-from pyomo_quad.flight.ensemble import Squadron
+from pyomo_quad.flight.ensemble import EnsembleSimulation
 from pyomo_quad.flight.flight import HELD_BREACH, POSITION_STATES
 from pyomo_quad.flight.limit_words import limit_words
 from pyomo_quad.flight.margins import (
@@ -78,8 +78,8 @@ _ROUGHLY = SolverOptions(tolerance=1e-6, extra=(("mu_init", 1e-4),))
 # Fractions of the range from hover to the limits of rotors and tilt that a plan leaves as a
 # reserve, tried by bisection.
 _RESERVES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.58, 0.65, 0.72, 0.8)
-# Relative increase of a free duration per unit of such a reserve: weaker braking alone is not
-# enough where the rotors can lift many times the weight.
+# Relative increase of a free duration per unit of this reserve: weaker braking alone is not enough
+# where the rotors can lift many times the weight.
 _LONGER = 0.75
 # Factors by which margins grow after test flights; a reserve, and the free duration that belongs to
 # it, grow less, because they cost more.
@@ -96,8 +96,8 @@ def risk_asked(scenario: Scenario) -> float:
     """Return the largest allowed probability of a broken limit; 1 if any risk is allowed.
 
     It is the risk that the scenario states. An optimal plan of free duration uses the full thrust
-    of the rotors, so that no controller can follow it. If the scenario states no risk, such a plan
-    therefore gets the risk `_USUAL_RISK`, except for the paper's equations.
+    of the rotors, so that no controller can follow it. If the scenario states no risk, a plan of
+    free duration therefore gets the risk `_USUAL_RISK`, except with the paper's equations.
     """
     stated = scenario.mission.risk
     if stated is not None:
@@ -149,9 +149,9 @@ def plan_at_risk(
 
 
 def _again(
-    planner: Planner, plan: Plan, held: Scenario, progress: Progress | None, *, is_rough: bool
+    planner: Planner, plan: Plan, tight: Scenario, progress: Progress | None, *, is_rough: bool
 ) -> Plan:
-    """Solve a plan's scenario with other limits, with the plan's solution as warm start.
+    """Solve a plan's scenario with tightened limits, warm-started from the plan's solution.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def _again(
         Planner that has compiled the problem.
     plan : Plan
         Plan from which the solve starts.
-    held : Scenario
+    tight : Scenario
         The plan's scenario with tightened limits.
     progress : callable or None
         Called at each Ipopt iteration.
@@ -171,19 +171,19 @@ def _again(
     Plan
         Plan of the tightened scenario.
     """
-    told, start = held.as_forecast(), plan.warm_start
+    told, start = tight.as_forecast(), plan.warm_start
     with Deadline(told, progress) as deadline:
         search = Search(deadline)
         mission = MissionProblem(planner, plan.scenario.as_forecast(), search)
         if start is None or not start.fits(mission.problem.compiled):
-            return planner.solve(held, progress=progress)
+            return planner.solve(tight, progress=progress)
         mission.told = told
         if is_rough:
             solution = mission.solve(
                 mesh=plan.mesh, tolerance=None, options=_ROUGHLY, warm_start=start
             )
-            return plan_of(held, solution, {}, mission.hover_energy(solution))
-        candidate = Candidate(scenario=held, mission=mission, search=search, start=plan)
+            return plan_of(tight, solution, {}, mission.hover_energy(solution))
+        candidate = Candidate(scenario=tight, mission=mission, search=search, start=plan)
         carry_out((*FIRST, *PROOF), candidate, search)
         return replace(candidate.plan, routes=plan.routes, order_search=plan.order_search)
 
@@ -200,7 +200,7 @@ class _Tried:
         Scenario field -> amount by which the plan tightens it.
     spread : Spread
         Distribution of flights about the plan.
-    near : tuple of Approach
+    near : tuple of LimitDistance
         Distance of flights from each limit over time.
     missed : tuple of Miss
         Distance of flights from goal and waypoints.
@@ -209,13 +209,13 @@ class _Tried:
     plan: Plan
     margins: Mapping[str, float]
     spread: Spread
-    near: tuple[Approach, ...]
+    near: tuple[LimitDistance, ...]
     missed: tuple[Miss, ...]
 
     @property
     def predicted(self) -> float:
         """Upper bound on the probability that a flight breaks any limit (Boole's inequality)."""
-        by_limits = sum(approach.present for approach in self.near)
+        by_limits = sum(limit.present_probability for limit in self.near)
         return float(min(by_limits + sum(miss.probability for miss in self.missed), 1.0))
 
     @property
@@ -290,10 +290,10 @@ class _Search:
         self._least: Mapping[str, float] = {}
         # The last flyable plan, and its margins.
         self._last: tuple[Plan, Mapping[str, float]] = (paper, {})
-        self._told = paper.scenario
-        if self._told.wind.turbulence is None:
-            wind = self._told.wind.model_copy(update={"turbulence": _USUAL_TURBULENCE})
-            self._told = self._told.model_copy(update={"wind": wind})
+        self._in_turbulence = paper.scenario
+        if self._in_turbulence.wind.turbulence is None:
+            wind = self._in_turbulence.wind.model_copy(update={"turbulence": _USUAL_TURBULENCE})
+            self._in_turbulence = self._in_turbulence.model_copy(update={"wind": wind})
 
     def best(self) -> Plan:
         """Return the plan with margins that keeps the risk, or else the plan of least risk.
@@ -330,7 +330,7 @@ class _Search:
             predicted=1.0,
             failed=0,
             flown=0,
-            is_had=False,
+            is_satisfied=False,
             margins=dict(margins),
             paper_energy_J=self._paper.energy,
             stopped=why,
@@ -351,19 +351,19 @@ class _Search:
         failed : int
             Number of test flights that broke any limit.
         """
-        is_had = failed <= self._risk * _FLIGHTS
+        is_satisfied = failed <= self._risk * _FLIGHTS
         limiting = tuple(word for word, _ in counts.most_common(3))
         taken = RiskTaken(
             asked=self._risk,
             predicted=tried.predicted,
             failed=failed,
             flown=_FLIGHTS,
-            is_had=is_had,
+            is_satisfied=is_satisfied,
             margins=dict(tried.margins),
             paper_energy_J=self._paper.energy,
             limiting=limiting,
-            advice="" if is_had else self._advice(tried, limiting),
-            stopped=_STOPPED if self._is_stopped() and not is_had else "",
+            advice="" if is_satisfied else self._advice(tried, limiting),
+            stopped=_STOPPED if self._is_stopped() and not is_satisfied else "",
         )
         return replace(tried.plan, risk=taken)
 
@@ -379,12 +379,12 @@ class _Search:
         plan = _again(self._planner, tried.plan, held, self._progress, is_rough=False)
         if not plan.is_flyable:
             plan = self._planner.solve(held, progress=self._progress)
-        owned = self._owned(plan, tried.margins)
+        owned = self._for_original_scenario(plan, tried.margins)
         if owned.is_flyable:
             self._last = owned, tried.margins
         return self._tried(owned, tried.margins)
 
-    def _owned(self, plan: Plan, margins: Mapping[str, float]) -> Plan:
+    def _for_original_scenario(self, plan: Plan, margins: Mapping[str, float]) -> Plan:
         """Return a plan made with tightened limits as a plan of the original scenario.
 
         The returned plan has the scenario and the passing times of waypoints without margins.
@@ -393,9 +393,9 @@ class _Search:
         return replace(plan, scenario=self._scenario, passing_times_s=times)
 
     def _tried(self, plan: Plan, margins: Mapping[str, float]) -> _Tried:
-        flown = replace(plan, scenario=self._told).mission_flown
+        flown = replace(plan, scenario=self._in_turbulence).mission_flown
         spread = spread_along(flown, plan, self._planner)
-        near = tuple(approaches(spread, *_planned_at(plan, spread)))
+        near = tuple(limit_distances(spread, *_planned_at(plan, spread)))
         return _Tried(
             plan=plan, margins=margins, spread=spread, near=near, missed=missing(flown, spread)
         )
@@ -416,7 +416,7 @@ class _Search:
             plan = _again(self._planner, last.plan, held, self._progress, is_rough=True)
         if plan.solution is None or not plan.solution.status.is_solved:
             return None
-        return self._tried(self._owned(plan, margins), margins)
+        return self._tried(self._for_original_scenario(plan, margins), margins)
 
     def _followed(self, tried: _Tried) -> _Tried:
         """Return a plan that the controller can follow to its goal, with the least reserve needed.
@@ -511,11 +511,11 @@ class _Search:
         taken += sum(p for a, p in alone.items() if p <= least)
         share = max(self._risk - taken, 0.1 * self._risk) / max(len(pressed) + len(missed), 1)
         margins = dict(self._least)
-        for approach in pressed:
-            most = greatest_margin(self._scenario, approach.field)
-            needed = approach.margin_for(share, held.get(approach.field, 0.0), most)
+        for limit in pressed:
+            most = greatest_margin(self._scenario, limit.field)
+            needed = limit.margin_for(share, held.get(limit.field, 0.0), most)
             if needed > 0.0:
-                margins[approach.field] = max(margins.get(approach.field, 0.0), needed)
+                margins[limit.field] = max(margins.get(limit.field, 0.0), needed)
         for miss in missed:
             more = miss.excess(share)
             if miss.field == HOLD:
@@ -524,14 +524,14 @@ class _Search:
             margins[miss.field] = max(margins.get(miss.field, 0.0), wanted)
         return margins
 
-    def _agree(self, held: Mapping[str, float], wanted: Mapping[str, float]) -> bool:
+    def _agree(self, kept: Mapping[str, float], wanted: Mapping[str, float]) -> bool:
         """Return whether the margins of a plan are close to the margins that its flights need.
 
-        `held` has the margins of the plan, `wanted` the margins that its flights need. Both map a
+        `kept` has the margins of the plan, `wanted` the margins that its flights need. Both map a
         scenario field to the amount by which the plan stays inside the limit.
         """
-        for name in {*held, *wanted}:
-            one, other = held.get(name, 0.0), wanted.get(name, 0.0)
+        for name in {*kept, *wanted}:
+            one, other = kept.get(name, 0.0), wanted.get(name, 0.0)
             table, _, key = name.partition(".")
             size = 0.0
             if table != "mission":
@@ -578,11 +578,11 @@ class _Search:
         list of tuple of str
             The limits that each flight breaks, in words; empty for a flight that keeps all limits.
         """
-        expected = as_expected(replace(tried.plan, scenario=self._told).mission_flown)
+        expected = as_expected(replace(tried.plan, scenario=self._in_turbulence).mission_flown)
         dynamics, draws = draw(self._planner, expected, _FLIGHTS, seed)
         path = reference_path(expected, Reference.PLAN, tried.plan)
-        squadron = Squadron(expected, dynamics, path, (*draws.noise, *draws.numbers))
-        return [tuple(ending.broken) for ending in squadron.fly(draws.part(chosen)).endings]
+        simulation = EnsembleSimulation(expected, dynamics, path, (*draws.noise, *draws.numbers))
+        return [tuple(ending.broken) for ending in simulation.fly(draws.part(chosen)).endings]
 
     def _grown(self, tried: _Tried, counts: Mapping[str, int], flown: int) -> dict[str, float]:
         """Return larger margins for the limits that test flights break too often.
@@ -646,7 +646,7 @@ class _Search:
             middle = (low + high) / 2
             missed = sum(miss.shrunk(middle).probability for miss in places)
             low, high = (middle, high) if missed <= allowed else (low, middle)
-        turbulence = self._told.wind.turbulence
+        turbulence = self._in_turbulence.wind.turbulence
         strength = 0.0 if turbulence is None else turbulence.strength
         if high == 1.0:
             return "weaker turbulence"

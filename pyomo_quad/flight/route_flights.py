@@ -32,16 +32,18 @@ _ROUTE_ELEMENTS = 20
 _GUESS_SAMPLES = 201
 
 
-# Relative error of an energy on the first mesh and on the next: flights within this of the least
-# energy are solved on the next mesh, or to the tolerance. Below, the largest numbers of these.
+# Relative error of an energy on the first mesh and on the next mesh. Flights whose energies exceed
+# the least energy by no more than this error are solved again: on the next mesh, or to the
+# tolerance.
 _NEAR_ON_FIRST, _NEAR_ON_NEXT = 1e-3, 1e-4
+# Largest numbers of flights that are solved again: on the next mesh, and to the tolerance.
 _MOST_ON_NEXT, _MOST_REFINED = 4, 3
-#: Ipopt's tolerance of flights on one mesh that are only compared: what the barrier then leaves is
-#: a tenth of `_NEAR_ON_FIRST`.
+#: Ipopt's tolerance for flights on one mesh that are only compared: the complementarity gap that
+#: the barrier leaves is then a tenth of `_NEAR_ON_FIRST`.
 ON_FIRST = 1e-7
 # Number of meshes of a solve to the next mesh, including the first.
 _TO_THE_NEXT = 2
-# Factor on the error above where accuracy `proof` is not requested: energies on one mesh have
+# Factor on `_NEAR_ON_FIRST` where accuracy `proof` is not requested: energies on one mesh have
 # similar errors, so that their differences are more accurate (measured).
 _ALIKE = 0.5
 
@@ -62,11 +64,11 @@ class RouteFlights:
     _tolerance = 0.0
 
     def __init__(self, mission: MissionProblem, known: Solution | None = None) -> None:
-        self._mission, self._told, self._known = mission, mission.told, known
-        solver = self._told.solver
+        self._mission, self._scenario, self._known = mission, mission.told, known
+        solver = self._scenario.solver
         self._mesh = Mesh.uniform(max(solver.elements, _ROUTE_ELEMENTS), solver.degree)
         self._is_plain, self._tolerance = False, solver.tolerance
-        if self._told.solver.accuracy is not Accuracy.PROOF:
+        if self._scenario.solver.accuracy is not Accuracy.PROOF:
             self._near_on_first *= _ALIKE
 
     def best(self, most: int | None = None) -> tuple[Solution, tuple[TriedRoute, ...]]:
@@ -186,7 +188,7 @@ class RouteFlights:
 
         The objective of the solve may contain both in addition to the energy.
         """
-        return energy_of(self._told, solution)
+        return energy_of(self._scenario, solution)
 
     def as_flown(self, journey: Journey, solution: Solution) -> Journey:
         """Return a journey, corrected for the sides on which its solution passes the zones.
@@ -196,7 +198,7 @@ class RouteFlights:
         returned unchanged.
         """
         is_flown = solution.status.is_solved
-        return journey_as_flown(self._told, journey, solution) if is_flown else journey
+        return journey_as_flown(self._scenario, journey, solution) if is_flown else journey
 
     def _journeys(self, most: int | None) -> tuple[Journey, ...]:
         """Return the candidate journeys of the mission, at most ``most``.
@@ -205,7 +207,7 @@ class RouteFlights:
         first; in a wind field, the journeys of least cost in steady flight come first. Journeys of
         high estimated cost are left out, except for accuracy `proof`.
         """
-        told = self._told
+        told = self._scenario
         journeys = find_journeys(told.airspace, told.mission.positions)[:most]
         if has_corridors(told) and most is None:
             steady = self._mission.problems.steady_flight(told)
@@ -221,7 +223,7 @@ class RouteFlights:
         the length of the shortest journey divided by the duration or, if the duration is free, the
         speed of least cost.
         """
-        told, steady = self._told, self._mission.steady
+        told, steady = self._scenario, self._mission.steady
         mission = told.mission
         speed = length_of(shortest) / told.nominal_duration
         if mission.is_free:
@@ -244,13 +246,13 @@ class RouteFlights:
 
         A journey is a route for each leg of the mission, from one waypoint to the next. If the
         solve fails, it is repeated from a solution that passes exactly through the waypoints. All
-        further journeys are then solved in this second way only, because the difficulty does not
-        depend on the journey.
+        further journeys are then solved from such a solution at once, because the difficulty does
+        not depend on the journey.
         """
         if self._known is not None:
             known, self._known = self._known, None
             return known
-        told, mission = self._told, self._mission
+        told, mission = self._scenario, self._mission
         guess: Any = guess_along(journey, told.nominal_times, is_open=told.mission.is_free)
         if self._is_plain and mission.past_waypoints is not None:
             begun = mission.past_waypoints.solve_roughly(mesh=self._mesh, guess=guess)
@@ -268,7 +270,7 @@ class RouteFlights:
     def refine(self, flown: Solution, meshes: int | None) -> Solution:
         """Refine a solution on at most ``meshes`` meshes; if None, to the mission's tolerance."""
         mission = self._mission
-        if self._told.solver.max_refinements == 0 and not mission.easier:
+        if self._scenario.solver.max_refinements == 0 and not mission.easier:
             return flown
         if mission.search is not None:
             mission.keep_usable(flown)

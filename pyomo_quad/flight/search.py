@@ -29,16 +29,16 @@ USABLE_ENERGY = 0.1
 # Error estimate of a mesh above which, by experience, no simulated flight of its controls arrives.
 # The estimate includes violations of limits, of which a usable plan may have as much.
 _PROMISING = FIGURES[Accuracy.QUICK].breach
-# Work is the sum over Ipopt's iterations of the number of mesh points. Below: the work before which
-# a search looks for no usable plan (about two seconds of a processor); and largest fractions of its
-# work that it spends on simulating the controls of finished meshes: before it has a usable plan,
-# and to find a better one.
+# Work of a search (the sum over Ipopt's iterations of the number of mesh points) before it computes
+# usable plans, about two seconds of a processor; and the largest fractions of its work that it
+# spends on simulating the controls of finished meshes: before it has a usable plan, and afterwards,
+# to find a better usable plan.
 _PATIENCE, _SHARE, _SHARE_FOR_BETTER = 9e3, 0.2, 0.05
 # Simulating the controls of a mesh counts as the work of this number of iterations on the mesh.
 _ITERATIONS_OF_FLIGHT = 10
-# A flyable trajectory near a coarse solution, which takes seconds to compute, is sought after this
-# multiple of that work. If the time limit is short, it is sought after this fraction of the work
-# that a slow or loaded processor does within the time limit, at this work per second.
+# A flyable trajectory near a coarse solution takes seconds to compute. It is computed after `_LONG`
+# times the work `_PATIENCE`. If the time limit is short, it is computed after `_SHARE_OF_LIMIT` of
+# the work that a slow or loaded processor does within the time limit, at `_WORK_PER_S`.
 _LONG, _SHARE_OF_LIMIT, _WORK_PER_S = 5.0, 0.3, 2.5e3
 # Largest error estimate of a mesh from which a flyable trajectory is likely to be found (measured:
 # docs/decisions/speed.md); at the end of such a mesh it is sought after this multiple of that work.
@@ -138,18 +138,19 @@ class Search:
         return self.work - self._patient_from
 
     def restart_patience(self) -> None:
-        """Restart the count of work before which the search looks for no usable plan.
+        """Set the work counted towards the first usable plan back to zero.
 
-        A usable plan is one that simulation confirms at lower accuracy than requested.
+        A usable plan is one that simulation confirms at lower accuracy than requested. To save
+        time, a search computes usable plans only after it has done a certain amount of work.
         """
         self._patient_from = self.work
 
-    def begin_effort(self, most: float) -> None:
-        """Reset the effort counter, and set the effort ``most`` at which solves are stopped.
+    def begin_effort(self, limit: float) -> None:
+        """Reset the effort counter, and set the effort `limit` at which solves are stopped.
 
         The effort is the sum over Ipopt's iterations of the number of mesh points.
         """
-        self._effort_from, self._most_effort = self.work, most
+        self._effort_from, self._most_effort = self.work, limit
 
     def __call__(self, iteration: Iteration) -> bool:
         """Count an iteration of Ipopt; return False beyond a limit, so that Ipopt stops."""

@@ -319,10 +319,10 @@ class SteadyFlight:
         return self._over_speeds("power.total", speed)
 
     def uncredited_power(self, speed: ArrayLike) -> FloatArray:
-        """Return the total power [W] for equal, constant rotor speeds, which may be negative.
+        """Return the total power [W] for equal, constant rotor speeds, negative values included.
 
-        If braking returns no energy, the model sets negative power to zero; here it is not set to
-        zero. See `model.power`.
+        If braking returns no energy, the model replaces a negative power by zero (see
+        `model.power`). This method returns the power before the replacement.
         """
         rotors = range(_FIRST_ROTOR, _FIRST_ROTOR + len(self._rotors))
         if not self._dynamics.has(_UNCREDITED):

@@ -38,7 +38,7 @@ class Strategy(NamedTuple, Generic[Subject]):
         strategy applies.
     act : callable
         Takes the subject and improves it; returns the outcome for the record, or None.
-    most : int
+    repeats : int
         Largest number of times that the strategy is carried out in a row.
     """
 
@@ -46,7 +46,7 @@ class Strategy(NamedTuple, Generic[Subject]):
     stage: Stage
     applies: Callable[[Subject], bool]
     act: Callable[[Subject], str | None]
-    most: int = 1
+    repeats: int = 1
 
 
 def carry_out(table: Sequence[Strategy[Subject]], subject: Subject, search: Search) -> None:
@@ -62,7 +62,7 @@ def carry_out(table: Sequence[Strategy[Subject]], subject: Subject, search: Sear
         Holds the record and the stage.
     """
     for strategy in table:
-        for _ in range(strategy.most):
+        for _ in range(strategy.repeats):
             if not strategy.applies(subject):
                 break
             search.stage = strategy.stage
@@ -104,7 +104,7 @@ RETRIES = (
 PROOF = (
     Strategy("flight", REFINING, _C.is_solved, _C.fly),
     Strategy(
-        "smaller tolerance after a failed simulation", REFINING, _C.is_astray, _C.tighten, most=3
+        "smaller tolerance after a failed simulation", REFINING, _C.is_astray, _C.tighten, repeats=3
     ),
 )
 _WITHIN_PACK = f"power limited to {100.0 * GIVEN_SHARE:.0f} % of the pack's greatest"

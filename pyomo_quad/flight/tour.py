@@ -337,15 +337,15 @@ class BestOrder:
         plan = solve(ordered, start, self._search)
         return replace(plan, order_search=best if best.legs else None)
 
-    def _leg(self, alone: Scenario, mesh: Mesh, way: Route | None) -> Solution:
+    def _leg(self, alone: Scenario, mesh: Mesh, route: Route | None) -> Solution:
         """Solve the flight between two places on one mesh, with an initial guess along the route.
 
-        ``way`` is the route round the zones; None for a straight flight, which starts from the
-        model's guess. A guess from the solution of another leg would take as many iterations.
+        `route` leads round the zones; None for a straight flight, which starts from the model's
+        guess. A guess from the solution of another leg would take as many iterations.
         """
         mission, guess = MissionProblem(self._problems, alone, self._search), None
-        if way is not None:
-            guess = guess_along((way,), alone.nominal_times, is_open=alone.mission.is_free)
+        if route is not None:
+            guess = guess_along((route,), alone.nominal_times, is_open=alone.mission.is_free)
         options = replace(mission.arguments["options"], tolerance=ON_FIRST)
         return mission.solve(mesh=mesh, tolerance=None, guess=guess, options=options)
 

@@ -97,14 +97,14 @@ def flyable_from(
     finer = partial(mesh_for_states, options=arguments["refinement"], least_degree=_DEGREE)
     found, (mesh, error) = coarse, finer(coarse, _MESHES[0][0])
     begun = _record(coarse, error)
-    for k, (_, met) in enumerate(_MESHES):
+    for k, (_, feasibility_tolerance) in enumerate(_MESHES):
         found = problem.flyable(
             found,
             mesh,
             parameters=numbers,
             horizon=arguments["horizon"],
             breach=_AT_POINTS * _QUICK.breach,
-            met=met,
+            feasibility_tolerance=feasibility_tolerance,
             progress=arguments["progress"],
         )
         if found.status is not Status.CONVERGED:
@@ -117,10 +117,11 @@ def flyable_from(
 
 
 def within_airspace(numbers: Mapping[str, float]) -> dict[str, float]:
-    """Return parameters with floor, ceiling and clearance stricter by the violation allowed here.
+    """Return parameters with stricter floor, ceiling and clearance, for flyable trajectories.
 
-    Flyable trajectories may violate each limit by a fraction of the limit. Of a floor at a height
-    of 20 m, that is 6 cm. With these parameters, such trajectories stay above the floor itself.
+    A flyable trajectory may violate each limit by a fraction of the limit: a floor at a height of
+    20 m by 6 cm. The returned limits are stricter by this allowance, so that such a trajectory
+    keeps the limits of the mission itself.
 
     Parameters
     ----------
@@ -213,14 +214,14 @@ def led_inside(
         numbers[name] += change if numbers[name] <= 0.0 else max(change, -0.5 * numbers[name])
     numbers = _with_open_ends(numbers)
     finer = partial(mesh_for_states, options=arguments["refinement"], least_degree=_DEGREE)
-    error, met = _MESHES[-1]
+    error, feasibility_tolerance = _MESHES[-1]
     found = problem.flyable(
         near,
         finer(near, error)[0],
         parameters=numbers,
         horizon=arguments["horizon"],
         breach=_AT_POINTS * _QUICK.breach,
-        met=met,
+        feasibility_tolerance=feasibility_tolerance,
         progress=arguments["progress"],
     )
     if found.status is not Status.CONVERGED:

@@ -42,8 +42,8 @@ _REACH = 2.0
 # Decimals of a sample's place in its element beyond which two samples count as one.
 _DIGITS = 9
 # Without feedback, an error of a rotor's speed grows into an error of position with the fourth
-# power of time [s]. Flights longer than the first number are integrated with a correspondingly
-# smaller tolerance, bounded by rounding.
+# power of time. Flights longer than `_LONG_S` [s] are integrated with a correspondingly smaller
+# tolerance, which rounding bounds from below by `_SHARPEST`.
 _LONG_S, _POWER, _SHARPEST = 30.0, 4, 3e-14
 # Least number of steps per element of these flights, because DOP853 underestimates small errors: it
 # steps across ripples of 1e-6 in a control, which change a rotor speed by 1e-7 rad/s.

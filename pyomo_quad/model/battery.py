@@ -255,7 +255,7 @@ def _declare_voltage(b: Block, m: ConcreteModel) -> None:
 
 
 def _charge_of_new_cell(b: Block, t: float) -> NumericExpression:
-    """Return the charge drawn from an unaged cell at the same state of charge as this cell [A h].
+    """Return the charge drawn from an unaged cell at the battery's present state of charge [A h].
 
     The constants of eq. (5) apply to an unaged cell, which has a larger capacity.
     """

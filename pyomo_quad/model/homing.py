@@ -88,7 +88,7 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 
 
 def terrain_key(scenario: Scenario) -> Hashable:
-    """Return the homes if the model has tables of the terrain on the ways home, else None.
+    """Return the homes if the model has tables of the terrain below the returns, else None.
 
     The key is part of `structure_key`: the tables differ from home to home, so that a model cannot
     be used again for another home by changing parameter values only.

@@ -1,9 +1,9 @@
 """Limits on attitude, rotors, thrust and moments, and on the battery.
 
 The module declares the limits of eq. (10) of the paper (Yacef et al.), with two changes. The paper
-limits the moments as |u_k| <= u_max for k = 1, 2, 3, but u_1 is the thrust, which has a limit of
-its own; here k = 2, 3, 4. A limit on the rotor accelerations is added, because with the paper's
-efficiency function the problem has no minimum otherwise.
+limits the moments as |u_k| <= u_max for k = 1, 2, 3, but u_1 is the thrust, which has a separate
+limit; this module therefore limits the moments, k = 2, 3, 4. A limit on the rotor accelerations is
+added, because with the paper's efficiency function the problem has no minimum otherwise.
 
 A plan uses only a part of the largest rotor speed and thrust; the fraction `reserve` is left to the
 controller that follows the plan. A motor with lag accelerates its rotor by at most (rotor_speed_max

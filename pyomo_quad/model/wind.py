@@ -465,8 +465,8 @@ class _OverTime:
     def _table(self) -> Table:
         """Spline over the rows of the wind table that a flight of variable duration may reach.
 
-        The cost of an evaluation grows with the number of rows. The rows that are left out are too
-        far away in time to have an effect.
+        All other rows are left out, because the cost of an evaluation grows with the number of
+        rows; the omitted rows are too far away in time to affect the flight.
         """
         times = self._spline.x[self._rows]
         return Table(times, self._spline(times), name="measured wind")

@@ -17,7 +17,7 @@ from pyomo_quad.report.style import (
     PALE,
     StyledFlight,
     flight_styles,
-    take_one_time,
+    have_equal_durations,
 )
 from pyomo_quad.study.certificate import SAME_TIME
 from pyomo_quad.study.comparison import ComparisonColumn
@@ -59,7 +59,7 @@ def draw_energy_split(flights: Sequence[StyledFlight], hover_energy_J: float) ->
     _make_room(whole, longest)
     whole.set(title="Total energy; grey: hovering", xlabel="Energy (J)")
     least, title = hover_energy_J, "Above hovering"
-    if not take_one_time(flights):
+    if not have_equal_durations(flights):
         least, title = flights[0].energy_J, f"More than {flights[0].name}"
     differences = [flight.energy_J - least for flight in flights]
     for row, (flight, difference) in enumerate(zip(flights, differences, strict=True)):
@@ -83,7 +83,7 @@ def draw_energy_by_scenario(comparison: pd.DataFrame) -> Figure:
     comparison : DataFrame
         One row for each flight of each scenario, with the columns of `ComparisonColumn`.
     """
-    is_above = takes_one_time_each(comparison)
+    is_above = has_equal_durations(comparison)
     energies = comparison[ComparisonColumn.EXCESS_ENERGY].astype(float)
     if not is_above:
         energies = energies + comparison[ComparisonColumn.HOVER_ENERGY]
@@ -111,7 +111,7 @@ def draw_energy_by_scenario(comparison: pd.DataFrame) -> Figure:
     return figure
 
 
-def takes_one_time_each(comparison: pd.DataFrame) -> bool:
+def has_equal_durations(comparison: pd.DataFrame) -> bool:
     """Return whether the flights of each scenario in a comparison table have equal durations."""
     times = comparison.groupby(ComparisonColumn.SCENARIO)[ComparisonColumn.DURATION]
     return bool((times.max() <= times.min() * (1.0 + SAME_TIME)).all())

@@ -45,12 +45,12 @@ from pyomo_quad.report.style import (
     draw_panels,
     flight_styles,
     full_width,
+    have_equal_durations,
     keep_span,
     label_time,
     last_end,
     legend_below,
     panel_grid,
-    take_one_time,
 )
 from pyomo_quad.study.comparison import (
     ERROR_WITH,
@@ -313,7 +313,7 @@ def coinciding_flights(
     return tuple(
         flight
         for flight, curve in zip(others, curves[1:], strict=True)
-        if take_one_time((first, flight)) and np.abs(curve - curves[0]).max() <= allowed
+        if have_equal_durations((first, flight)) and np.abs(curve - curves[0]).max() <= allowed
     )
 
 

@@ -17,7 +17,7 @@ from pyomo_quad.report.document import Drawing
 from pyomo_quad.report.energy_bars import (
     draw_energy_by_scenario,
     draw_energy_split,
-    takes_one_time_each,
+    has_equal_durations,
 )
 from pyomo_quad.report.ensemble import ensemble_drawings
 from pyomo_quad.report.flight_figures import (
@@ -64,9 +64,9 @@ from pyomo_quad.report.signals import (
 from pyomo_quad.report.style import (
     StyledFlight,
     fair_pair,
+    have_equal_durations,
     plan_flight,
     styled_flights,
-    take_one_time,
 )
 from pyomo_quad.study.comparison import ComparisonColumn
 from pyomo_quad.study.headline import rival_of
@@ -196,7 +196,7 @@ def comparison_drawings(
     names = set(comparison.loc[good.astype(bool), ComparisonColumn.FLIGHT]) | {flights[0].name}
     compared = [flight for flight in flights if flight.name in names]
     beyond = f"energy more than {flights[0].name}"
-    if take_one_time(compared):
+    if have_equal_durations(compared):
         beyond = "the part above hovering, enlarged"
     course = f"Seen from above, from start (dot) to goal (star).{_course(mission)}"
     split = (
@@ -297,7 +297,7 @@ def drawings_of_comparison(comparison: pd.DataFrame) -> tuple[Drawing]:
         One row for each flight of each scenario, with the columns of `ComparisonColumn`.
     """
     energy = "Energy above hovering for the same time"
-    if not takes_one_time_each(comparison):
+    if not has_equal_durations(comparison):
         energy = "Total energy"
     caption = (
         f"{energy}, with the energy to complete each flight; one panel per scenario. Flights that "
@@ -481,7 +481,7 @@ def _own_floors(flights: Sequence[StyledFlight]) -> str:
 
     Energies above hovering cannot be compared between flights of different durations.
     """
-    if take_one_time(flights):
+    if have_equal_durations(flights):
         return ""
     return (
         " The durations differ, so only total energies can be compared, not energies above "

@@ -477,7 +477,7 @@ def last_end(flights: Sequence[StyledFlight]) -> float:
     return max(flight.duration_s for flight in flights)
 
 
-def take_one_time(flights: Sequence[StyledFlight]) -> bool:
+def have_equal_durations(flights: Sequence[StyledFlight]) -> bool:
     """Return whether flights have equal durations, so that one hover energy applies to all."""
     return all(isclose(f.duration_s, flights[0].duration_s, rel_tol=SAME_TIME) for f in flights)
 

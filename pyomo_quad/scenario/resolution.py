@@ -51,7 +51,7 @@ from pyomo_quad.scenario.tables import (
 )
 from pyomo_quad.scenario.unit_keys import in_declared_units
 from pyomo_quad.scenario.vehicle import Vehicle
-from pyomo_quad.scenario.wind import Wind, in_the_air, with_coupling
+from pyomo_quad.scenario.wind import Wind, with_air_density, with_coupling
 from pyomo_quad.scenario.wind_file import read_wind_file
 
 LARGEST_FILE_BYTES = 1_000_000
@@ -497,7 +497,9 @@ def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
         filled.add_wind_fields()
     except ScenarioError as error:
         filled.complain(str(error), ("wind",))
-    tables = in_the_air(filled.tables, origin.document if origin.is_resolved else None, provenance)
+    tables = with_air_density(
+        filled.tables, origin.document if origin.is_resolved else None, provenance
+    )
     filled.tables = with_coupling(tables, own, provenance)
     filled.add_motor_constants()
     return Resolution(

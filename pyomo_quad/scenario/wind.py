@@ -476,7 +476,7 @@ class Air(Part):
         return float(pressure / (_GAS_CONSTANT * temperature))
 
 
-def in_the_air(
+def with_air_density(
     tables: dict[str, Any], before: Mapping[str, Any] | None, provenance: dict[str, str]
 ) -> dict[str, Any]:
     """Scale the vehicle's aerodynamic coefficients to the air density of the scenario.

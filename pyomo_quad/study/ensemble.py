@@ -17,7 +17,7 @@ from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import Summarised
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.baselines import baseline_name, path_of, reference_path
-from pyomo_quad.flight.ensemble import TRACKS, Ending, FlownOften, Squadron
+from pyomo_quad.flight.ensemble import TRACKS, Ending, EnsembleSimulation, FlownOften
 from pyomo_quad.flight.plan import Plan, Trajectories
 from pyomo_quad.flight.proof import in_order
 from pyomo_quad.flight.references import ReferencePath
@@ -111,9 +111,9 @@ class Ensemble(Summarised):
         return len(self.flown.endings)
 
     @property
-    def held(self) -> Share:
+    def succeeded(self) -> Share:
         """Share of flights that reached the goal and broke no limit."""
-        return Share(sum(ending.has_held for ending in self.flown.endings), self.count)
+        return Share(sum(ending.has_succeeded for ending in self.flown.endings), self.count)
 
     @property
     def broken(self) -> dict[str, Share]:
@@ -152,7 +152,7 @@ class Ensemble(Summarised):
         return {
             "scenario": self.scenario.name,
             "flights": f"{self.count} of {self.name}, seed {self.seed}",
-            "arrived and kept every limit": str(self.held),
+            "arrived and kept every limit": str(self.succeeded),
             "energy": f"{middle:.1f} J ({low:.1f} to {high:.1f} J in 90 % of flights)",
             "limit broken most": "none" if most is None else f"{most[0]}, in {most[1]}",
         }
@@ -167,7 +167,7 @@ class Ensemble(Summarised):
             {
                 "flight": range(1, self.count + 1),
                 **{name: self.of_flights(name) for name in quantities},
-                "held": [ending.has_held for ending in endings],
+                "held": [ending.has_succeeded for ending in endings],
                 "broken_limits": ["; ".join(ending.broken) or "none" for ending in endings],
             }
         )
@@ -255,7 +255,7 @@ def fly_cruise_often(
         told = cruise_at(scenario.cruising(settings), settling_s=settling_s, least_s=least_s)
         path = reference_path(told, Reference.CRUISE)
         flown = _flown(named, told, path, planner=planner, flights=flights, seed=seed)
-        if 2 * flown.held.count >= flights:
+        if 2 * flown.succeeded.count >= flights:
             break
     return flown
 
@@ -271,9 +271,9 @@ def _flown(
 ) -> Ensemble:
     began = perf_counter()
     dynamics, draws = draw(planner, scenario, flights, seed)
-    squadron = Squadron(scenario, dynamics, path, (*draws.numbers, *draws.noise))
+    simulation = EnsembleSimulation(scenario, dynamics, path, (*draws.numbers, *draws.noise))
     pieces = [draws.part(slice(k, k + _PIECE)) for k in range(0, flights, _PIECE)]
-    with side_by_side([partial(squadron.fly, piece) for piece in pieces]) as finish:
+    with side_by_side([partial(simulation.fly, piece) for piece in pieces]) as finish:
         flown = finish()
     together = FlownOften(
         t=flown[0].t,
@@ -303,14 +303,14 @@ class Saving:
     percent : (float, float, float)
         `BAND` quantiles over the winds of (rival - plan) / rival in per cent, of the energies in
         the same wind.
-    both_held : int
+    both_succeeded : int
         Number of winds in which both flights arrived and kept every limit. The percentages cover
         all winds.
     """
 
     rival: Ensemble
     percent: tuple[float, float, float]
-    both_held: int
+    both_succeeded: int
 
     @classmethod
     def of(cls, planned: Ensemble, rival: Ensemble) -> "Saving":
@@ -318,8 +318,8 @@ class Saving:
         mine, other = (flown.of_flights("energy_J") for flown in (planned, rival))
         low, middle, high = np.quantile(100.0 * (other - mine) / other, BAND).tolist()
         pairs = zip(planned.flown.endings, rival.flown.endings, strict=True)
-        both = sum(one.has_held and two.has_held for one, two in pairs)
-        return cls(rival=rival, percent=(low, middle, high), both_held=both)
+        both = sum(one.has_succeeded and two.has_succeeded for one, two in pairs)
+        return cls(rival=rival, percent=(low, middle, high), both_succeeded=both)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -348,7 +348,7 @@ class InTurbulence:
     @property
     def words(self) -> str:
         """Share of flights that arrive and keep every limit, and the saving in the same winds."""
-        held, most = self.flown.held, next(iter(self.flown.broken.items()), None)
+        held, most = self.flown.succeeded, next(iter(self.flown.broken.items()), None)
         broken = "" if most is None else f"; the limit broken most often: {most[0]}"
         found = (
             f"In turbulence, {held.count} of {held.of} simulated flights arrive and keep every "
@@ -360,7 +360,7 @@ class InTurbulence:
             found += (
                 f" They take {rate} than {self.autopilot} in the same turbulence (median; "
                 f"{low:.1f} to {high:.1f} % saved in 90 % of the winds), of whose flights "
-                f"{100.0 * self.saving.rival.held.value:.1f} % keep every limit."
+                f"{100.0 * self.saving.rival.succeeded.value:.1f} % keep every limit."
             )
         return found
 
@@ -433,7 +433,7 @@ def ensemble_summary(flown: Ensemble, savings: Sequence[Saving] = ()) -> dict[st
                 "flight": saving.rival.name,
                 **_facts(saving.rival),
                 "saving_percent": dict(zip(_QUANTILES, saving.percent, strict=True)),
-                "both_held": saving.both_held,
+                "both_held": saving.both_succeeded,
             }
             for saving in savings
         ],
@@ -461,8 +461,8 @@ def _facts(flown: Ensemble) -> dict[str, Any]:
         "flights": flown.count,
         "seed": flown.seed,
         "duration_s": flown.scenario.mission.fixed_duration,
-        "held": flown.held.count,
-        "held_share": flown.held.value,
-        "held_interval": flown.held.interval,
+        "held": flown.succeeded.count,
+        "held_share": flown.succeeded.value,
+        "held_interval": flown.succeeded.interval,
         **{name: dict(zip(_QUANTILES, flown.band(name), strict=True)) for name in _QUANTITIES},
     }

@@ -126,7 +126,7 @@ class Headline:
         joules, percent = risk.price(self.energy_J)
         cost = f"{joules:.3g} J ({percent:.2g} %)"
         asked = f"{100.0 * risk.asked:g} %"
-        if not risk.is_had:
+        if not risk.is_satisfied:
             return f"A risk of {asked} was not reached; the margins cost {cost}."
         return f"Margins that keep the risk of a broken limit at or below {asked} cost {cost}."
 

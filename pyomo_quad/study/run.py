@@ -99,7 +99,7 @@ class RunResult(Summarised):
             "status": self.plan.status.value,
             **{flight.name: f"{flight.energy_J:.2f} J" for flight in self.flights},
             "no flight below": "unknown" if bound is None else f"{bound:.2f} J",
-            **({} if self.often is None else {"held": str(self.often.flown.held)}),
+            **({} if self.often is None else {"held": str(self.often.flown.succeeded)}),
         }
 
     @property

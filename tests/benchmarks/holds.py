@@ -235,13 +235,13 @@ def fly(mission):
     except PyomoQuadError as error:
         return ended(NO_PLAN, str(error))
     return ended(
-        HAD if plan.risk.is_had else NOT_HAD,
+        HAD if plan.risk.is_satisfied else NOT_HAD,
         ", ".join(f"{name} {margin:.3g}" for name, margin in plan.risk.margins.items()),
         duration_s=plan.duration_s,
         energy_J=plan.energy,
         paper_energy_J=plan.risk.paper_energy_J,
         judged_failed=plan.risk.failed,
-        held=flown.held.count,
+        held=flown.succeeded.count,
         flown=flown.count,
         broken={name: share.count for name, share in flown.broken.items()},
         replanned_held=sum(not broken for broken in replanned),

@@ -134,7 +134,7 @@ def test_a_signal_at_work_keeps_the_old_report(folder, number):
     assert set(leftovers(folder)) <= {"report-interrupted"}
 
 
-@pytest.mark.parametrize(("told", "lines"), [("", 1), ("endings.has_told()", 0)])
+@pytest.mark.parametrize(("told", "lines"), [("", 1), ("endings.record_last_message()", 0)])
 def test_a_timer_that_ends_a_command_repeats_no_line(told, lines):
     program = f"""
 import signal

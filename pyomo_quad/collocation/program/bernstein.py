@@ -39,8 +39,8 @@ _NEAR = 0.45
 class BernsteinRule:
     """Linear maps from a variable's values in an element to its Bernstein coefficients.
 
-    Coefficients that equal a value at a node are left out, because that value is an unknown of the
-    program, which has bounds already. These are the first and the last coefficient of a state, and
+    A coefficient that equals a value at a node is left out, because the value is an unknown of the
+    program and has bounds already. Left out are the first and the last coefficient of a state, and
     the last coefficient of an algebraic variable.
 
     Attributes

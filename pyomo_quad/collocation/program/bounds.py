@@ -355,7 +355,7 @@ def counted(bounds: Bounds) -> str:
 
 
 def refuse_overdetermined(
-    program: NonlinearProgram, bounds: Bounds, z: FloatArray, held: Iterable[str]
+    program: NonlinearProgram, bounds: Bounds, z: FloatArray, fixed: Iterable[str]
 ) -> None:
     """Raise an error for linear equations that contradict each other.
 
@@ -368,11 +368,11 @@ def refuse_overdetermined(
     bounds : Bounds
     z : ndarray
         Point at which the equations are linearised.
-    held : iterable of str
+    fixed : iterable of str
         Names of the variables with fixed values, which the message lists.
     """
     if bounds.surplus > 0 and _is_contradictory(program, bounds, z):
-        names = sorted(set(held))
+        names = sorted(set(fixed))
         raise TranscriptionError(
             f"model: {counted(bounds)}; it is over-determined. "
             f"Release a fixed value or boundary condition of {', '.join(names[:8]) or 'the model'}"

@@ -50,7 +50,7 @@ def feasible_point(
     z: FloatArray,
     *,
     breach: float,
-    met: float,
+    feasibility_tolerance: float,
     progress: Progress | None,
 ) -> IpoptResult:
     """Return the first iterate of Ipopt, from a given point, that satisfies all equations.
@@ -63,7 +63,7 @@ def feasible_point(
         Initial point, from which the result is to deviate little.
     breach : float
         Allowed violation of bounds, relative to max(1, abs(bound)).
-    met : float
+    feasibility_tolerance : float
         Violation of the scaled equations below which they count as satisfied.
     progress : callable or None
         Called at each iteration; returning False stops the search.
@@ -77,7 +77,7 @@ def feasible_point(
 
     def follow(now: Iteration) -> bool:
         nonlocal has_met
-        has_met = now.infeasibility <= met and now.iteration >= _LEAST_ITERATIONS
+        has_met = now.infeasibility <= feasibility_tolerance and now.iteration >= _LEAST_ITERATIONS
         return not has_met and (progress is None or progress(now) is not False)
 
     near = ExtendedProgram(

@@ -87,7 +87,7 @@ _PUSHES = (
 )
 
 
-class Way(Enum):
+class StartDistance(Enum):
     """Expected distance of a warm start from the point to which it converges on the central path.
 
     The central path is the curve of optima for positive barrier parameters. `NONE`: the start is
@@ -159,7 +159,7 @@ class SolverOptions:
         relaxed = (("bound_relax_factor", _RELAXED), ("honor_original_bounds", "yes"))
         return replace(self, extra=(*relaxed, *self.extra))
 
-    def on_the_path(self, parameter: float, way: Way) -> SolverOptions:
+    def on_central_path(self, parameter: float, distance: StartDistance) -> SolverOptions:
         """Return the settings for a warm start that converges to a point of the central path.
 
         Many trajectories have nearly the same cost, and the controls of the optimum may differ
@@ -173,13 +173,13 @@ class SolverOptions:
         ----------
         parameter : float
             Final barrier parameter (Ipopt's `mu_target`), for the scaled objective.
-        way : Way
+        distance : StartDistance
             Expected distance of the start from the selected point.
         """
         begun, pushes = dict(self.extra).get("mu_init", _BEGUN), dict[str, float]()
-        if way is Way.NONE:
+        if distance is StartDistance.NONE:
             begun, pushes = 0.0, dict.fromkeys(_PUSHES, _NEAR)
-        elif way is Way.FAR:
+        elif distance is StartDistance.FAR:
             begun, pushes = _BEGUN_FAR, dict.fromkeys(_PUSHES, _FAR_INSIDE)
             pushes["warm_start_mult_bound_push"] = _BEGUN_FAR
         chosen = ("mu_init", max(parameter, begun)), *pushes.items()

@@ -84,6 +84,7 @@ class Scaling:
     Attributes
     ----------
     objective : float
+        Factor of the objective.
     unknowns : ndarray, shape (n_unknowns,)
         Inverse magnitudes of the unknowns.
     rows : ndarray, shape (n_rows,)

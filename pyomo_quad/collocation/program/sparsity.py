@@ -339,6 +339,9 @@ class Scatter:
 class JacobianScatter:
     """Assembly of the constraints' Jacobian and the objective's gradient from point derivatives.
 
+    The inputs of the assembly are called sources: a source is a number that a CasADi function
+    returns at each evaluation, such as the derivative of a path equation at a collocation point.
+
     Attributes
     ----------
     rows : Scatter

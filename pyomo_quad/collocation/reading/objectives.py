@@ -22,7 +22,8 @@ def objective_of(copy: WorkingCopy) -> Any:
     Raises
     ------
     TranscriptionError
-        If there are several, or the objective sums a control over the declared times.
+        If the model has several active objectives, or its objective sums a control over the
+        declared times.
     """
     objectives = list(copy.model.component_data_objects(Objective, active=True, descend_into=True))
     if len(objectives) > 1:

@@ -76,7 +76,7 @@ class Statement:
     is_equality: bool = False
 
     @property
-    def is_silent(self) -> bool:
+    def is_skipped(self) -> bool:
         """Whether the rule skipped the constraint, so that it has no bound."""
         if len(self.parts) == 1:
             return False
@@ -118,10 +118,10 @@ class _Form:
     numbers: tuple[float, ...]
     varying: list[int] = field(default_factory=list)
 
-    def meet(self, numbers: tuple[float, ...]) -> None:
+    def compare(self, numbers: tuple[float, ...]) -> None:
         """Record the positions of numbers that differ from the numbers in the first result."""
-        for k, (held, met) in enumerate(zip(self.numbers, numbers, strict=True)):
-            if held != met and k not in self.varying:
+        for k, (first, number) in enumerate(zip(self.numbers, numbers, strict=True)):
+            if number != first and k not in self.varying:
                 self.varying.append(k)
 
 
@@ -217,7 +217,8 @@ class Schedule:
     def _sort(self, found: Reading, statement: Statement, time: float) -> None:
         """Assign the result of a rule to its form, and register a new form.
 
-        After compilation, a form that is not known is refused.
+        A form is an expression with its numbers as parameters. After compilation, an unknown form
+        raises an error.
 
         Raises
         ------
@@ -229,7 +230,7 @@ class Schedule:
             if form is None:
                 self._forms[found.key] = _Form(statement=statement, numbers=found.numbers)
             else:
-                form.meet(found.numbers)
+                form.compare(found.numbers)
             if len(self._forms) > _MOST_FORMS:
                 raise TranscriptionError(
                     f"{self.name}: its rule returns a different expression at every time, more "
@@ -238,8 +239,8 @@ class Schedule:
                 )
             return
         if form is None or any(
-            held != met and k not in form.varying
-            for k, (held, met) in enumerate(zip(form.numbers, found.numbers, strict=True))
+            number != first and k not in form.varying
+            for k, (first, number) in enumerate(zip(form.numbers, found.numbers, strict=True))
         ):
             raise TranscriptionError(
                 f"{self.name}: its rule returns an expression at time {time:g} that it returned at "
@@ -283,31 +284,33 @@ class Schedule:
                     for part, nothing in zip(form.statement.parts, absent, strict=False)
                 ]
             )
-        self._let_silent_ones_agree(forms)
+        self._share_body_with_skipped(forms)
         result = forms[-1]
         for k in reversed(range(len(forms) - 1)):
             holds = self._chosen[k].symbol
             result = [_either(holds, a, b) for a, b in zip(forms[k], result, strict=True)]
         return result
 
-    def _let_silent_ones_agree(self, forms: list[list[Any]]) -> None:
+    def _share_body_with_skipped(self, forms: list[list[Any]]) -> None:
         """Give forms whose constraint is skipped by the rule the linear body of another form.
 
         The skipped constraint has no limits, so that its body has no effect. With equal bodies in
         all forms, a constraint on a single variable remains a bound of that variable.
         """
-        is_silent = [f.statement.is_silent for f in self._forms.values()]
-        if any(is_silent) and not all(is_silent):
-            body = forms[is_silent.index(False)][1]
-            for parts, silent in zip(forms, is_silent, strict=True):
-                if silent and _is_linear(body):
+        is_skipped = [f.statement.is_skipped for f in self._forms.values()]
+        if any(is_skipped) and not all(is_skipped):
+            body = forms[is_skipped.index(False)][1]
+            for parts, is_without in zip(forms, is_skipped, strict=True):
+                if is_without and _is_linear(body):
                     parts[1] = body
 
 
 class Phases:
     """Indicators of the phases of a horizon with free times, with the interface of a `Schedule`.
 
-    The indicator of a phase is 1 at times of the phase and 0 elsewhere.
+    A phase ends at a free time (a time that the solve determines) or at the end of the horizon, and
+    begins where the previous phase ends. The indicator of a phase is 1 at times of the
+    phase and 0 elsewhere.
     """
 
     def __init__(self, clock: PhaseTimes) -> None:
@@ -319,7 +322,7 @@ class Phases:
         self._clock = clock
 
     def reading(self, time: float) -> Reading:
-        """Return a `Reading` whose key is the position of the phase at a declared time."""
+        """Return the phase at a declared time as a `Reading`: its key is the phase's position."""
         return Reading(self._clock.phase_of(time), ())
 
     def row(self, time: float) -> list[float]:

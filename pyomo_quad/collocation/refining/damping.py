@@ -13,7 +13,7 @@ import numpy as np
 from numpy.polynomial.legendre import legvander
 
 from pyomo_quad.collocation.mesh import radau_rule
-from pyomo_quad.collocation.program.ipopt import Way
+from pyomo_quad.collocation.program.ipopt import StartDistance
 from pyomo_quad.collocation.program.nonlinear import ExtendedProgram
 
 if TYPE_CHECKING:
@@ -57,11 +57,11 @@ class Damping:
     is_still: bool
 
     @property
-    def way(self) -> Way:
-        """Expected distance between the solutions on the previous and on the next mesh."""
+    def start_distance(self) -> StartDistance:
+        """Expected distance between warm start and solution of the solve on the next mesh."""
         if self.is_still:
-            return Way.NONE
-        return Way.FAR if self.solution.error_estimate >= _FAR else Way.SHORT
+            return StartDistance.NONE
+        return StartDistance.FAR if self.solution.error_estimate >= _FAR else StartDistance.SHORT
 
     def firmer(self, factor: float, gap: float) -> Damping:
         """Return the damping with penalties that are larger by `factor`.

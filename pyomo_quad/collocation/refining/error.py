@@ -154,7 +154,7 @@ class ErrorEstimate:
     gap : float
         Complementarity gap that the barrier leaves, relative to the objective; a finer mesh does
         not reduce the gap.
-    is_held : ndarray of bool, shape (n_elements,)
+    is_clipped : ndarray of bool, shape (n_elements,)
         Whether a control is clipped to its limit within the element. The clipped control has a
         corner, which no polynomial degree resolves.
     """
@@ -168,7 +168,7 @@ class ErrorEstimate:
     integrals: FloatArray
     miss: FloatArray
     gap: float
-    is_held: NDArray[np.bool_]
+    is_clipped: NDArray[np.bool_]
 
     @property
     def per_element(self) -> FloatArray:
@@ -227,13 +227,13 @@ def estimate_error(
     dense = free
     if np.isfinite(allowance.control_breach):
         limits = control_limits(solution.problem, solution.instance, allowance.control_breach)
-        dense, panels = (_held(solution.program, samples, limits) for samples in (free, panels))
-    is_held = np.logical_or.reduceat(
+        dense, panels = (_clipped(solution.program, samples, limits) for samples in (free, panels))
+    is_clipped = np.logical_or.reduceat(
         np.any(dense.variables != free.variables, axis=1), free.first_of_element
     )
     slopes = rate_corrections(solution.program, finer.variables, finer.data, finer.rows)
     moved = _state_corrections(solution, slopes)
-    for e, change in _held_corrections(solution, free, dense, is_held).items():
+    for e, change in _clipping_corrections(solution, free, dense, is_clipped).items():
         moved[e][-1] += change
     none = np.zeros(solution.mesh.elements)
     found = ErrorEstimate(
@@ -246,7 +246,7 @@ def estimate_error(
         integrals=_quadrature_errors(solution, panels),
         miss=_missed(solution, moved, tolerance / allowance.final_miss),
         gap=_gap(solution),
-        is_held=is_held,
+        is_clipped=is_clipped,
     )
     if found.per_element.max(initial=0.0) > tolerance:
         return found
@@ -418,7 +418,7 @@ def _sampled(
     return samples
 
 
-def _held(
+def _clipped(
     program: Transcription, samples: _Samples, limits: tuple[FloatArray, FloatArray]
 ) -> _Samples:
     """Return samples of the path equations with the controls clipped to their limits.
@@ -448,8 +448,8 @@ def _state_corrections(solution: Solution, slopes: FloatArray) -> list[FloatArra
     return moved
 
 
-def _held_corrections(
-    solution: Solution, free: _Samples, held: _Samples, is_held: NDArray[np.bool_]
+def _clipping_corrections(
+    solution: Solution, free: _Samples, clipped: _Samples, is_clipped: NDArray[np.bool_]
 ) -> dict[int, FloatArray]:
     """Return, by element, the change of states caused by clipping a control to its limit.
 
@@ -459,17 +459,19 @@ def _held_corrections(
     Parameters
     ----------
     solution : Solution
-    free, held : _Samples
+    free, clipped : _Samples
         Dense samples with the polynomials, and with the clipped controls.
-    is_held : ndarray of bool, shape (n_elements,)
+    is_clipped : ndarray of bool, shape (n_elements,)
         Whether a control is clipped in the element.
     """
-    if not np.any(is_held):
+    if not np.any(is_clipped):
         return {}
     mesh, found = solution.mesh, {}
-    cut = rate_corrections(solution.program, held.variables, held.data, held.rows - free.rows)
-    for e in np.flatnonzero(is_held).tolist():
-        places, first = _dense_places(mesh.degrees[e]), held.first_of_element[e]
+    cut = rate_corrections(
+        solution.program, clipped.variables, clipped.data, clipped.rows - free.rows
+    )
+    for e in np.flatnonzero(is_clipped).tolist():
+        places, first = _dense_places(mesh.degrees[e]), clipped.first_of_element[e]
         found[e] = mesh.widths[e] * np.trapezoid(cut[first : first + places.size], places, axis=0)
     return found
 

@@ -4,9 +4,9 @@ Derivations: see docs/theory/refinement.md, eqs. (10) and (11).
 
 At the solution of a nonlinear program, small changes of a control gain nothing. Large changes may
 gain nevertheless if the Hamiltonian has two local minima: a switch of the control between the
-minima stays where the first mesh put it. A finer mesh does not reveal the error, but Pontryagin's
-principle does. Small changes also do not show how well the optimum determines the states: on a
-singular arc the objective hardly depends on them.
+minima then stays at the time at which the solve on the first mesh placed it. A finer mesh does not
+reveal the error, but Pontryagin's principle does. Small changes also do not show how well the
+optimum determines the states: on a singular arc the objective hardly depends on them.
 """
 
 from __future__ import annotations
@@ -213,16 +213,18 @@ def state_error(
 ) -> float:
     """Estimate the distance of the states from the optimal states, relative to their magnitudes.
 
-    The errors of all elements are added. Two further errors are added. First, the mesh restricts
-    the times at which a limit can become active or inactive. The estimate therefore includes the
-    change of the states since the previous mesh, the violation of limits, and the effect of a
-    control that jumps at another place within the one-point element that was cut around the jump.
-    Second, on a singular arc only the objective determines the control. The objective is flat about
-    its optimum, so that a small error of the objective allows a large error of the states.
+    The estimate is the largest of three numbers. The first is the sum of the errors of all
+    elements. The second applies to a singular arc, where only the objective determines the control:
+    the objective is flat about its optimum, so that a small error of the objective allows a large
+    error of the states. The third applies if limits become active or inactive inside elements,
+    because the mesh then restricts the times at which they can: it is the largest of the violation
+    of limits, the effect of a control that jumps elsewhere within the one-point element cut around
+    the jump and, without a singular arc, the change of the states since the previous mesh.
 
     Parameters
     ----------
-    solution : Solution error : ErrorEstimate
+    solution : Solution
+    error : ErrorEstimate
     before : Solution, optional
         Solution on the previous mesh; given if limits become active or inactive inside elements.
     change : float

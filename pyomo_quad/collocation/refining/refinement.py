@@ -38,12 +38,12 @@ if TYPE_CHECKING:
 
 # Change of the objective, in units of the tolerance, below which it counts as settled.
 _SETTLED = 0.5
-# Controls that enter linearly count as undetermined if a warm start takes more iterations than the
-# first number, or if the objective has been settled for the second number of meshes. Their damping
-# is then increased by a factor, up to a limit; after the third number of meshes without a limit.
+# Controls that enter linearly count as undetermined if a warm start takes more than
+# `_MANY_ITERATIONS`, or if the objective has been settled for `_MANY_SETTLED` meshes. Their damping
+# is then increased by a factor, up to a limit; after `_TOO_MANY_SETTLED` meshes without a limit.
 _MANY_ITERATIONS, _MANY_SETTLED, _TOO_MANY_SETTLED = 30, 4, 8
-# Factor by which the damping is increased at once; its limit before the second number of meshes;
-# and its limit from then to the third number of meshes.
+# Factor by which the damping is increased at once; limit of the damping before `_MANY_SETTLED`
+# meshes; and its limit from then to `_TOO_MANY_SETTLED` meshes.
 _FIRMER, _FIRM, _FIRMEST = 5.0, 25.0, 125.0
 # Complementarity gap that the barrier then leaves: in units of the tolerance, and at most this
 # fraction of the objective.
@@ -200,25 +200,27 @@ class _Refinement(Generic[S]):
         solution = solved.updated(error_estimate=error, **done)
         return self._shown(solution), errors, solved.status.has_failed
 
-    def _restarted(self, met: S) -> S | None:
+    def _restarted(self, accepted: S) -> S | None:
         """Restart the refinement if Pontryagin's principle shows better controls.
 
-        `met` is the solution within tolerance on the present meshes. The result is None if the
-        refinement was restarted. Otherwise it is the final solution: `met`, or the solution before
-        the previous restart if that is better. After a restart whose gain was below the tolerance,
-        no further restart is tried: the Hamiltonian of a singular control is so flat that rounding
-        alone would produce lower values again and again.
+        `accepted` is the solution within tolerance on the present meshes. The result is None if the
+        refinement was restarted. Otherwise it is the final solution: `accepted`, or the solution
+        before the previous restart if that is better. After a restart whose gain was below the
+        tolerance, no further restart is tried: the Hamiltonian of a singular control is so flat
+        that rounding alone would produce lower values again and again.
         """
-        if self.reached is not None and self.reached.gain(met) <= self.tolerance:
-            return self.reached.better(met)
-        parts = met.parts
+        if self.reached is not None and self.reached.gain(accepted) <= self.tolerance:
+            return self.reached.better(accepted)
+        parts = accepted.parts
         better = improved_controls(parts[0], self.tolerance) if len(parts) == 1 else None
         if better is None or self.restarts == MOST_RESTARTS:
-            return met if better is None else _doubted(met)
-        self.reached = _Reached(met, earned=0.0 if self.reached is None else self.reached.gain(met))
+            return accepted if better is None else _doubted(accepted)
+        self.reached = _Reached(
+            accepted, earned=0.0 if self.reached is None else self.reached.gain(accepted)
+        )
         self.restarts += 1
         self.tried.append(RESTART)
-        self._begin_at(better.warm_start, _meshes(met), (None,))
+        self._begin_at(better.warm_start, _meshes(accepted), (None,))
         self.dampings = self._damped((better,))
         return None
 
@@ -276,7 +278,7 @@ class _Refinement(Generic[S]):
         errors = self._errors(solved)
         is_left = any(d is not None and d.gap > 0.0 for d in self.dampings)
         fine = self.tolerance if is_left else max(self.tolerance, errors[0].gap)
-        if self.sharpen and _is_held_by_the_barrier(solved, errors, self.tolerance, fine):
+        if self.sharpen and _is_limited_by_the_barrier(solved, errors, self.tolerance, fine):
             solved = self.sharpen(_sharper(self.dampings, self.tolerance), solved)
             errors = self._errors(solved)
         return solved, errors
@@ -423,9 +425,13 @@ class _MeshSolve(Search[S], Generic[S]):
 
     def holds(self, fact: Fact) -> bool:
         """Return whether a condition that a strategy requires (`Fact`) is true at this stage."""
-        is_held = self.change is not None or _are_damped(self.dampings)
+        is_kept_near = self.change is not None or _are_damped(self.dampings)
         has_warm = self.start.warm is not None
-        return {Fact.WARM_START: has_warm, Fact.HELD: is_held, Fact.FREE: not is_held}[fact]
+        return {
+            Fact.WARM_START: has_warm,
+            Fact.KEPT_NEAR: is_kept_near,
+            Fact.FREE: not is_kept_near,
+        }[fact]
 
     def attempt(self, strategy: Strategy) -> S:
         """Solve on the next meshes as a strategy of the table prescribes.
@@ -438,7 +444,7 @@ class _MeshSolve(Search[S], Generic[S]):
             self.change = None
         start = self.start.cold if strategy.first is First.GUESS else self.start
         change = None if strategy.first is First.GUESS else self.change
-        budget = {"most": strategy.iterations} if strategy.iterations != math.inf else {}
+        budget = {"iteration_limit": strategy.iterations} if strategy.iterations != math.inf else {}
         return self.solve(self.meshes, start, self.dampings, change=change, **budget)
 
 
@@ -458,7 +464,7 @@ def _are_damped(dampings: tuple[Damping | None, ...]) -> bool:
     return any(damping is not None and damping.controls.size > 0 for damping in dampings)
 
 
-def _is_held_by_the_barrier(
+def _is_limited_by_the_barrier(
     solution: Outcome, errors: tuple[ErrorEstimate, ...], tolerance: float, fine: float
 ) -> bool:
     """Return whether Ipopt's barrier, not the mesh, limits the accuracy of a solution.
@@ -485,11 +491,12 @@ class _Reached(Generic[S]):
     solution : Outcome
         The solution before the restart.
     shown : float, optional
-        Gain of the restart that is certain, relative to the objective: the largest value, over the
-        solutions found since the restart, of gain minus estimated error. None before the first of
+        Lower bound on the gain of the restart, relative to the objective: the largest value of gain
+        minus estimated error over the solutions found since the restart. None before the first of
         these solutions.
     earned : float
-        Gain of `solution` over the solution before the previous restart, relative to the objective.
+        Improvement of `solution` over the solution before the previous restart, relative to the
+        objective; 0 if there was none.
     """
 
     solution: S
@@ -563,8 +570,8 @@ def _objective_change(solution: Solution, tolerance: float) -> float:
     another objective. Infinite on the first mesh.
     """
     *before, now = solution.history
-    met = [record for record in before[:-1] if record.error <= tolerance]
-    moved = [abs(now.objective - record.objective) for record in (*met, *before[-1:])]
+    accepted = [record for record in before[:-1] if record.error <= tolerance]
+    moved = [abs(now.objective - record.objective) for record in (*accepted, *before[-1:])]
     return min(moved, default=math.inf) / solution.nominal_objective
 
 

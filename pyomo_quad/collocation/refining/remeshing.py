@@ -332,9 +332,9 @@ def _finer(
     degree, size = mesh.degrees[e], float(error.per_element[e])
     if mesh.widths[e] < 2.0 * options.smallest_width:
         return [_Piece(mesh.breakpoints[e + 1], degree, size)]
-    is_corner = error.is_held[e] or size in (error.restraint[e], error.switches[e])
+    is_corner = error.is_clipped[e] or size in (error.restraint[e], error.switches[e])
     if size <= tolerance or is_corner:
-        is_chased = error.is_held[e] and len(solution.history) > _CHASING_MESHES
+        is_chased = error.is_clipped[e] and len(solution.history) > _CHASING_MESHES
         parts = (_CONSTANT_PARTS, 1) if is_chased else (_CORNER_PARTS, min(degree, _CORNER_DEGREE))
         return _parts(mesh, e, *parts, size)
     sizes = _legendre_sizes(solution, e)

@@ -7,7 +7,7 @@ from pyomo.dae import ContinuousSet, DerivativeVar, Integral
 from pyomo.environ import ConcreteModel, Constraint, Objective, RangeSet, Var
 
 from pyomo_quad.collocation import Mesh, SolverOptions, compile, solve
-from pyomo_quad.collocation.program.ipopt import Way
+from pyomo_quad.collocation.program.ipopt import StartDistance
 from pyomo_quad.collocation.refining.damping import damping_of
 from pyomo_quad.collocation.refining.error import estimate_error
 from tests.problems import bang_bang, double_integrator
@@ -68,13 +68,16 @@ def test_the_gap_is_part_of_the_error():
 def test_the_farther_the_next_solution_the_larger_is_the_barrier_that_a_warm_start_begins_with():
     coarse = solve(double_integrator.build(), mesh=Mesh.uniform(2, 3))
     ways = {
-        damping_of(replace(coarse, error_estimate=error), 0.0, gap=1e-6).way: error
+        damping_of(replace(coarse, error_estimate=error), 0.0, gap=1e-6).start_distance: error
         for error in (1.0, 1e-4)
     }
-    assert ways == {Way.FAR: 1.0, Way.SHORT: 1e-4}
-    assert damping_of(coarse, 0.0, gap=1e-6, is_still=True).way is Way.NONE
+    assert ways == {StartDistance.FAR: 1.0, StartDistance.SHORT: 1e-4}
+    assert damping_of(coarse, 0.0, gap=1e-6, is_still=True).start_distance is StartDistance.NONE
     told = SolverOptions().for_moving_limits()
-    chosen = [dict(told.on_the_path(1e-9, way).extra) for way in (Way.NONE, Way.SHORT, Way.FAR)]
+    chosen = [
+        dict(told.on_central_path(1e-9, far).extra)
+        for far in (StartDistance.NONE, StartDistance.SHORT, StartDistance.FAR)
+    ]
     for name in ("mu_init", "warm_start_bound_push", "warm_start_slack_bound_push"):
         numbers = [options[name] for options in chosen]
         assert numbers == sorted(set(numbers))

@@ -16,7 +16,7 @@ def test_the_oldest_value_is_discarded_and_one_stored_anew_is_the_newest():
     for key, value in (("a", 1), ("b", 2), ("a", 3), ("c", 4)):
         assert held.store(key, value) == value
     assert [held.get(key) for key in "abc"] == [3, None, 4]
-    held.most = 1
+    held.capacity = 1
     held.store("d", 5)
     assert [held.get(key) for key in "acd"] == [None, None, 5]
 

@@ -20,7 +20,7 @@ from pyomo_quad.flight.controller import (
     thrust_direction,
     tilt_toward,
 )
-from pyomo_quad.flight.ensemble import Draws, Squadron
+from pyomo_quad.flight.ensemble import Draws, EnsembleSimulation
 from pyomo_quad.scenario import Reference
 from tests import flights
 
@@ -225,7 +225,8 @@ def test_a_flight_follows_what_tilts_further_than_half_a_radian_and_keeps_both_a
     path = reference_path(mission, Reference.QUINTIC)
     timid = mission.with_values({"baseline.gains.tilt_max": 0.5})
     (follows,), (lags,) = (
-        Squadron(told, vehicle, path).fly(Draws(count=1)).endings for told in (mission, timid)
+        EnsembleSimulation(told, vehicle, path).fly(Draws(count=1)).endings
+        for told in (mission, timid)
     )
     assert follows.peak_tilt_rad > 0.55
     assert not {"roll angle", "pitch angle"} & set(follows.broken)

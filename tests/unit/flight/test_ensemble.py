@@ -11,7 +11,7 @@ from pyomo_quad.flight.baselines import (
 )
 from pyomo_quad.flight.baselines import fly as fly_once
 from pyomo_quad.flight.controller import AdaptiveController, mixer_matrix
-from pyomo_quad.flight.ensemble import NOT_AT_REST, NOT_THERE, Draws, Squadron
+from pyomo_quad.flight.ensemble import NOT_AT_REST, NOT_THERE, Draws, EnsembleSimulation
 from pyomo_quad.scenario import Reference
 from tests import flights
 from tests.command import QUICK
@@ -26,7 +26,7 @@ def hop(*more):
 
 
 def squadron(mission, vehicle, *varied):
-    return Squadron(mission, vehicle, reference_path(mission, Reference.QUINTIC), varied)
+    return EnsembleSimulation(mission, vehicle, reference_path(mission, Reference.QUINTIC), varied)
 
 
 def alone(mission, vehicle):
@@ -87,7 +87,7 @@ def test_a_flight_started_elsewhere_ends_elsewhere():
     assert NOT_THERE not in near.broken
     assert far.miss_m > near.miss_m
     assert NOT_THERE in far.broken
-    assert not far.has_held
+    assert not far.has_succeeded
 
 
 def test_a_part_of_the_draws_has_the_numbers_of_its_flights():

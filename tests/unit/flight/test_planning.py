@@ -355,9 +355,9 @@ def test_strategies_are_carried_out_while_they_apply_and_their_outcomes_recorded
         return None if name == "silent" else f"{counts[name]}"
 
     table = [
-        Strategy("twice", Stage.ROUTES, lambda _: True, partial(act, name="twice"), most=2),
+        Strategy("twice", Stage.ROUTES, lambda _: True, partial(act, name="twice"), repeats=2),
         Strategy("never", Stage.COARSE, lambda _: False, partial(act, name="never")),
-        Strategy("silent", Stage.COARSE, lambda _: True, partial(act, name="silent"), most=3),
+        Strategy("silent", Stage.COARSE, lambda _: True, partial(act, name="silent"), repeats=3),
         Strategy("once", Stage.REFINING, lambda n: "once" not in n, partial(act, name="once"), 9),
     ]
     counts = {}

@@ -14,7 +14,7 @@ from scipy.special import ndtri
 from pyomo_quad.cli.endings import ExitCode
 from pyomo_quad.cli.solving import complain_about, exit_code_of
 from pyomo_quad.flight import Plan, PlanStatus, risk
-from pyomo_quad.flight.breaching import Approach, Miss, _crossing
+from pyomo_quad.flight.breaching import LimitDistance, Miss, _crossing
 from pyomo_quad.flight.deadline import TimeIsUpError
 from pyomo_quad.flight.limit_words import limit_words
 from pyomo_quad.flight.margins import (
@@ -90,10 +90,10 @@ def test_the_probability_of_passing_a_limit_once_bounds_that_of_simulated_flight
 
 def test_a_margin_is_the_least_that_keeps_its_share():
     n = 200
-    near = Approach(
+    near = LimitDistance(
         name="airspace.ceiling_limit",
         field="airspace.ceiling",
-        room=np.linspace(1.0, -0.01, n),
+        distance=np.linspace(1.0, -0.01, n),
         planned=np.linspace(1.0, 0.0, n),
         deviation=np.full(n, 0.05),
         correlation=np.full(n - 1, 0.999),
@@ -160,7 +160,7 @@ def test_the_excess_of_a_miss_is_what_must_be_nearer_for_its_probability():
 
 
 def taken(**found):
-    known = {"asked": 0.01, "predicted": 0.2, "failed": 31, "flown": 200, "is_had": False}
+    known = {"asked": 0.01, "predicted": 0.2, "failed": 31, "flown": 200, "is_satisfied": False}
     return RiskTaken(**known | {"paper_energy_J": 400.0} | found)
 
 
@@ -198,7 +198,7 @@ def test_a_plan_without_the_risk_asked_for_has_a_status_of_its_own(status, capsy
     # Nobody asked for the risk of a free duration.
     plan.scenario = mission(duration="free")
     assert exit_code_of(plan) == ExitCode.VERIFIED
-    plan.scenario, plan.risk = mission(risk=0.01), taken(is_had=True)
+    plan.scenario, plan.risk = mission(risk=0.01), taken(is_satisfied=True)
     assert exit_code_of(plan) == ExitCode.VERIFIED
 
 
@@ -224,7 +224,7 @@ def test_a_usable_plan_without_time_for_margins_says_so(monkeypatch):
     monkeypatch.setattr(risk, "spread_along", give_up)
     plan = plan_at_risk(mission(risk=0.01), planner_of())
     assert plan.status is PlanStatus.USABLE
-    assert not plan.risk.is_had
+    assert not plan.risk.is_satisfied
     assert "No flight confirms a risk of 0.01: given up after" in plan.risk_words
 
 
@@ -261,7 +261,7 @@ def test_a_free_duration_takes_the_reserve_that_its_flights_need_to_arrive():
     assert sum(1 for words in search._flown(search._tried(paper, {}), 7) if words) > 30
     plan = plan_at_risk(told, PLANNER)
     assert plan.is_verified
-    assert plan.risk.is_had
+    assert plan.risk.is_satisfied
     assert plan.duration_s > paper.duration_s
     assert plan.risk.margins["limits.rotor_speed_max"] > 0.0
 
@@ -285,7 +285,7 @@ def test_a_plan_with_a_risk_leaves_the_margin_that_its_flights_need(tmp_path):
     assert "No margins" in paper.risk_words
     assert held.is_verified
     taken = held.risk
-    assert taken.is_had
+    assert taken.is_satisfied
     assert taken.predicted <= 0.06
     margin = taken.margins["airspace.clearance"]
     nearest = []
@@ -358,7 +358,7 @@ def test_a_free_duration_asks_for_a_risk_unless_it_is_the_papers():
 def test_a_risk_that_cannot_be_had_is_answered_by_what_limits_it():
     told = mission(risk=0.001).with_values({"wind.turbulence.intensity": "severe"})
     plan = plan_at_risk(told, PLANNER)
-    assert not plan.risk.is_had
+    assert not plan.risk.is_satisfied
     assert plan.risk.limiting
     assert "cannot be reached" in plan.risk_words
     assert plan.risk.advice in plan.risk_words

@@ -205,7 +205,7 @@ def test_the_share_of_flights_that_hold_stands_in_the_headline():
     run = synthetic_run("scenarios/paper_calm.toml")
     paper = run.plan.energy / 1.02
     run.plan.risk = RiskTaken(
-        asked=0.05, predicted=0.03, failed=10, flown=400, is_had=True, paper_energy_J=paper
+        asked=0.05, predicted=0.03, failed=10, flown=400, is_satisfied=True, paper_energy_J=paper
     )
     said = headline_of(run).words
     assert (
@@ -213,7 +213,7 @@ def test_the_share_of_flights_that_hold_stands_in_the_headline():
     )
     more = run.plan.energy - paper
     assert said.endswith(f"a broken limit at or below 5 % cost {more:.3g} J (2 %).")
-    run.plan.risk = replace(run.plan.risk, failed=90, is_had=False)
+    run.plan.risk = replace(run.plan.risk, failed=90, is_satisfied=False)
     lacking = f"A risk of 5 % was not reached; the margins cost {more:.3g} J (2 %)."
     assert headline_of(run).words.endswith(lacking)
 

@@ -76,14 +76,14 @@ def test_errors_of_the_mass_are_drawn_with_their_deviation():
 
 def test_a_saving_compares_flights_of_one_wind():
     def flown(energies, held):
-        ends = [SimpleNamespace(has_held=kept) for kept in held]
+        ends = [SimpleNamespace(has_succeeded=kept) for kept in held]
         return SimpleNamespace(
             flown=SimpleNamespace(endings=ends), of_flights=lambda _name: np.array(energies)
         )
 
     saving = Saving.of(flown([80.0, 90.0], [True, True]), flown([100.0, 100.0], [True, False]))
     assert saving.percent == pytest.approx((10.5, 15.0, 19.5))
-    assert saving.both_held == 1
+    assert saving.both_succeeded == 1
 
 
 def test_an_autopilot_waits_until_it_has_arrived():
@@ -95,13 +95,13 @@ def test_an_autopilot_waits_until_it_has_arrived():
         flights=4,
         seed=0,
     )
-    assert 2 * cruise.held.count >= 4
+    assert 2 * cruise.succeeded.count >= 4
     assert cruise.name == "adaptive/cruise 2 m/s"
 
 
 def test_the_words_of_many_flights_give_share_interval_limit_and_saving():
-    flown = SimpleNamespace(held=Share(98, 100), broken={"floor": Share(2, 100)})
-    rival = SimpleNamespace(held=Share(90, 100))
+    flown = SimpleNamespace(succeeded=Share(98, 100), broken={"floor": Share(2, 100)})
+    rival = SimpleNamespace(succeeded=Share(90, 100))
     saving = SimpleNamespace(rival=rival, percent=(1.0, 4.5, 8.0))
     words = InTurbulence(flown=flown, saving=saving, autopilot="an autopilot").words
     assert "In turbulence, 98 of 100 simulated flights arrive" in words
@@ -129,9 +129,9 @@ def test_a_run_in_turbulence_tells_the_share_of_flights_that_held(monkeypatch):
     result = run_scenario(told, planner=flights.PLANNER, baselines=())
     flown = result.often.flown
     assert flown.count == 40
-    assert 0.9 < flown.held.value <= 1.0
-    assert result.summary["held"] == str(flown.held)
-    assert run_summary(result, wall_s={})["turbulence"]["held"] == flown.held.count
+    assert 0.9 < flown.succeeded.value <= 1.0
+    assert result.summary["held"] == str(flown.succeeded)
+    assert run_summary(result, wall_s={})["turbulence"]["held"] == flown.succeeded.count
     assert headline_of(result).words.endswith(result.often.words)
     names = [drawing.name for drawing in drawings_of_run(result)]
     assert {"turbulence_paths", "turbulence_energy", "turbulence_bands"} <= set(names)

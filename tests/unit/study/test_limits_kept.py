@@ -12,7 +12,7 @@ RISK = RiskTaken(
     predicted=0.009,
     failed=2,
     flown=200,
-    is_had=True,
+    is_satisfied=True,
     paper_energy_J=1.0,
     limiting=("speed at hover waypoint 1",),
 )
