@@ -27,9 +27,15 @@ from pyomo_quad.flight.long_flight import fine_mesh, guess_of, is_long, rough_me
 from pyomo_quad.flight.mission_problem import MissionProblem
 from pyomo_quad.flight.plan import Plan
 from pyomo_quad.flight.route_flights import RouteFlights
-from pyomo_quad.flight.verdict import plan_of, verified
+from pyomo_quad.flight.stricter_limits import (
+    elements_with_breaches,
+    split_elements,
+    within_limits,
+)
+from pyomo_quad.flight.verdict import energy_of, plan_of, verified
 from pyomo_quad.flight.verification import BALANCE_TOLERANCE, shares_lacking
 from pyomo_quad.model.battery import GIVEN_SHARE
+from pyomo_quad.scenario.accuracy import Accuracy
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -44,6 +50,8 @@ _MOST_REMEDIES = 3
 _LIMITS = "limits."
 # Factor by which the tolerance is tightened if a simulated flight does not confirm the solution.
 _TIGHTER = 0.1
+# Largest number of solves with limits that become stricter and stricter.
+_MOST_STRICTER = 4
 
 
 @dataclass(frozen=True)
@@ -127,11 +135,13 @@ class Candidate:
         """Plan of the present solution, verified or not."""
         if self.flown is not None:
             return self.flown
-        found = self.found
+        return replace(self.plan_of(self.found), routes=self.routes, failure=self.failure)
+
+    def plan_of(self, solution: Solution) -> Plan:
+        """Return an unverified plan of the mission made from a solution."""
         seconds = time.perf_counter() - self._began
         timings = self.mission.timings | {"solve": seconds}
-        plan = plan_of(self.scenario, found, timings, self.mission.hover_energy(found))
-        return replace(plan, routes=self.routes, failure=self.failure)
+        return plan_of(self.scenario, solution, timings, self.mission.hover_energy(solution))
 
     # First solutions
 
@@ -220,7 +230,9 @@ class Candidate:
             The solver's status if the solve failed.
         """
         if isinstance(self.start, Plan):
-            self.solution = self.mission.solve_from(self.start.guess(), self.start.mesh)
+            start = self.start.warm_start
+            mesh = self.start.mesh if start is None else start.mesh
+            self.solution = self.mission.solve_from(self.start.guess(), mesh)
         return self._outcome()
 
     def is_long(self) -> bool:
@@ -456,6 +468,34 @@ class Candidate:
         # The time of the solve does not include that of the simulation.
         self._began += self.flown.timings.get("verify", 0.0)
 
+    def breaks_limits(self) -> bool:
+        """Return whether the simulated flight of a converged solution is not verified.
+
+        For accuracy `proof`, limits are not made stricter, because that costs energy.
+        """
+        return self.is_astray() and self.scenario.solver.accuracy is not Accuracy.PROOF
+
+    def keep_limits(self) -> str | None:
+        """Make the limits that the simulated flight breaks stricter, and solve again.
+
+        Returns
+        -------
+        str or None
+            Number of solves; None if no stricter limit is known.
+        """
+        relaxed, asked = self.found, self.scenario.solver.accuracy
+        least, solves = energy_of(self.mission.told, relaxed), 0
+
+        def fly(solution: Solution) -> Plan:
+            plan = replace(self.plan_of(solution), routes=self.routes)
+            return verified(plan, solution, asked, least)
+
+        for plan in within_limits(self.mission, relaxed, self.plan, asked, fly):
+            self.flown, solves = plan, solves + 1
+            if plan.is_verified or solves == _MOST_STRICTER:
+                break
+        return f"{solves} solves" if solves else None
+
     def is_astray(self) -> bool:
         """Return whether simulation contradicts a converged solution, other than by battery limits.
 
@@ -479,8 +519,16 @@ class Candidate:
             The new tolerance, as text; None if the solve does not converge.
         """
         self.tolerance *= _TIGHTER
-        mesh = self.plan.mesh_where_broken
-        tighter = self.mission.solve(tolerance=self.tolerance, mesh=mesh, warm_start=self.found)
+        found, asked = self.found, self.scenario.solver.accuracy
+        mesh = split_elements(
+            found.mesh, elements_with_breaches(self.plan, found.mesh_in_time, asked)
+        )
+        tighter = self.mission.solve(
+            tolerance=self.tolerance,
+            mesh=mesh,
+            warm_start=found,
+            refinement=self.mission.stricter_refinement(self.tolerance),
+        )
         if tighter.status is not Status.CONVERGED:
             return None
         self.solution, self.flown = tighter, None

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from math import ceil
 
 import numpy as np
-from scipy.linalg import expm
 
 from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import ClosedLoop, Dynamics
@@ -21,6 +20,7 @@ from pyomo_quad.flight.controller import (
     feedback_law,
     mixer_matrix,
 )
+from pyomo_quad.flight.integration import discrete
 from pyomo_quad.flight.plan import Plan
 from pyomo_quad.flight.planning import Planner
 from pyomo_quad.flight.weather import as_expected, problem_in_turbulence, unknowns
@@ -122,32 +122,6 @@ def spread_along(scenario: Scenario, plan: Plan, planner: Planner) -> Spread:
         onward=onward[:, own, own],
         dynamics=mean.dynamics,
     )
-
-
-def discrete(A: FloatArray, B: FloatArray, step: float) -> tuple[FloatArray, FloatArray]:
-    """Discretise a linear system over steps with constant input: transition and input matrices.
-
-    Van Loan (1978): both are blocks of the exponential of one matrix.
-
-    Parameters
-    ----------
-    A, B : ndarray, shapes (n, n_x, n_x), (n, n_x, n_u)
-        Matrices of dx/dt = A x + B u, constant over each of the n steps.
-    step : float
-        Length of a step [s].
-
-    Returns
-    -------
-    ndarray, shape (n, n_x, n_x)
-        Transition matrices.
-    ndarray, shape (n, n_x, n_u)
-        Input matrices.
-    """
-    n, n_x, n_u = B.shape
-    joined = np.zeros((n, n_x + n_u, n_x + n_u))
-    joined[:, :n_x, :n_x], joined[:, :n_x, n_x:] = step * A, step * B
-    exponential = expm(joined)
-    return exponential[:, :n_x, :n_x], exponential[:, :n_x, n_x:]
 
 
 def propagated(

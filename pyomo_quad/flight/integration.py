@@ -1,4 +1,4 @@
-"""Integration of ordinary differential equations by SciPy, restarted at each jump of the rates."""
+"""Integration of ordinary differential equations by SciPy, and of linear ones by exponentials."""
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 
 from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import SolveError
@@ -96,3 +97,32 @@ def _within(rates: Rates, first: float, last: float) -> Rates:
         return rates(min(max(t, first + margin), last - margin), y)
 
     return inside
+
+
+def discrete(
+    A: FloatArray, B: FloatArray, step: float | FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Discretise a linear system over steps with constant input: transition and input matrices.
+
+    Van Loan (1978): both are blocks of the exponential of one matrix.
+
+    Parameters
+    ----------
+    A, B : ndarray, shapes (n, n_x, n_x), (n, n_x, n_u)
+        Matrices of dx/dt = A x + B u, constant over each of the n steps.
+    step : float or ndarray, shape (n,)
+        Length of each step [s].
+
+    Returns
+    -------
+    ndarray, shape (n, n_x, n_x)
+        Transition matrices.
+    ndarray, shape (n, n_x, n_u)
+        Input matrices.
+    """
+    n, n_x, n_u = B.shape
+    length = np.reshape(step, (-1, 1, 1))
+    joined = np.zeros((n, n_x + n_u, n_x + n_u))
+    joined[:, :n_x, :n_x], joined[:, :n_x, n_x:] = length * A, length * B
+    exponential = expm(joined)
+    return exponential[:, :n_x, :n_x], exponential[:, :n_x, n_x:]

@@ -23,7 +23,7 @@ from pyomo_quad.flight.flight import HELD_BREACH
 from pyomo_quad.flight.plan import PlanStatus, trajectories_of
 from pyomo_quad.flight.routes import with_plain_passages
 from pyomo_quad.flight.steady import SteadyFlight
-from pyomo_quad.flight.usable import flyable_from, led_inside, stricter_limits
+from pyomo_quad.flight.stricter_limits import within_limits
 from pyomo_quad.flight.verdict import energy_of, horizon_of, plan_of, verified
 from pyomo_quad.model.power import wider_smoothings
 from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
@@ -44,6 +44,9 @@ _ROUGHLY = {"tolerance": 1e-2, "refinement": RefinementOptions(max_meshes=5)}
 _MOST_RETURNS = 6
 # Error estimate of a mesh relative to the tolerances on the simulated flight.
 _ESTIMATED = 0.5
+# Error of states, and violation of a limit between points, both relative, up to which feedback and
+# stricter limits make a solution flyable (measured: docs/decisions/speed.md).
+_FOLLOWED, _CUT = 1e-2, 0.1
 
 
 class MissionProblem:
@@ -82,7 +85,6 @@ class MissionProblem:
     def arguments(self) -> dict[str, Any]:
         """Arguments of `Problem.solve` for the mission: parameters, mesh and accuracy."""
         told, settings = self.told, self.told.solver
-        figures = FIGURES[settings.accuracy]
         options = SolverOptions(max_iterations=settings.max_iterations)
         is_crowded = bool(told.mission.waypoints or told.airspace.keep_out)
         limits_move = told.mission.is_free or is_crowded
@@ -98,16 +100,44 @@ class MissionProblem:
                 first_elements=settings.elements,
                 first_degree=settings.degree,
                 max_meshes=settings.max_refinements + 1,
-                allowance=Allowance(
-                    control_breach=HELD_BREACH,
-                    limit_breach=_ESTIMATED * figures.breach,
-                    final_miss=_ESTIMATED * figures.miss,
-                ),
+                allowance=self.allowance,
                 limits_move=limits_move,
                 on_mesh=None if self.search is None else self.keep_usable,
             ),
             "progress": self.search,
         }
+
+    @property
+    def allowance(self) -> Allowance:
+        """Tolerances for flying the controls of a solution.
+
+        Below the accuracy `proof`, feedback corrects the controls, and limits that the flight
+        breaks are made stricter. A coarse mesh then suffices.
+        """
+        figures = FIGURES[self.told.solver.accuracy]
+        if self.told.solver.accuracy is not Accuracy.PROOF and self.problems.is_declared:
+            return Allowance(control_breach=HELD_BREACH, limit_breach=_CUT, state_error=_FOLLOWED)
+        return Allowance(
+            control_breach=HELD_BREACH,
+            limit_breach=_ESTIMATED * figures.breach,
+            final_miss=_ESTIMATED * figures.miss,
+        )
+
+    def stricter_refinement(self, tolerance: float) -> RefinementOptions:
+        """Return the options of a refinement to a smaller tolerance.
+
+        The tolerances for flying the controls decrease in proportion to the tolerance.
+        """
+        refinement: RefinementOptions = self.arguments["refinement"]
+        share, allowed = tolerance / self.told.solver.tolerance, refinement.allowance
+        if allowed.state_error is None:
+            return refinement
+        stricter = replace(
+            allowed,
+            limit_breach=share * allowed.limit_breach,
+            state_error=share * allowed.state_error,
+        )
+        return replace(refinement, allowance=stricter)
 
     def solve(self, numbers: dict[str, float] | None = None, **chosen: Any) -> Solution:
         """Solve the mission's problem once, with refinement of the mesh.
@@ -284,20 +314,15 @@ class MissionProblem:
         if search is None:
             return
 
-        def flown(solution: Solution) -> Plan:
+        def fly(solution: Solution) -> Plan:
             timings = {"build": 0.0, "compile": 0.0, "solve": search.spent_s}
             plan = plan_of(self.told, solution, timings, self.hover_energy(solution))
-            return replace(verified(plan, solution, Accuracy.QUICK), status=PlanStatus.SOLVED)
+            found = verified(plan, solution, Accuracy.QUICK, energy_of(self.told, finished))
+            return replace(found, status=PlanStatus.SOLVED)
 
-        def flyable(solution: Solution) -> Iterator[Plan]:
-            near, plan = None, None
-            for near in flyable_from(self.problem, self.arguments, solution, self.told.airspace):
-                plan = flown(near)
-                yield plan
-            if near is not None and plan is not None:
-                changes = stricter_limits(plan)
-                inside = led_inside(self.problem, self.arguments, near, changes)
-                if inside is not None:
-                    yield flown(inside)
+        def flown() -> Iterator[Plan]:
+            plan = fly(finished)
+            yield plan
+            yield from within_limits(self, finished, plan, Accuracy.QUICK, fly)
 
-        search.finished(finished, energy_of(self.told, finished), flown, flyable)
+        search.finished(finished, energy_of(self.told, finished), flown)

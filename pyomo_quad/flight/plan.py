@@ -29,7 +29,7 @@ from pyomo_quad.flight.flight import HELD_BREACH, Flight, Flown
 from pyomo_quad.flight.margins import PAPER_PLAN, RiskTaken
 from pyomo_quad.flight.orders import OrderSearch  # noqa: TC001  read by pydantic
 from pyomo_quad.flight.routes import TriedRoute  # noqa: TC001  read by pydantic
-from pyomo_quad.flight.verification import Passage, Verification, split_at_breaches
+from pyomo_quad.flight.verification import Passage, Verification
 from pyomo_quad.presentation import presenter
 from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.accuracy import FIGURES, USABLE, Accuracy, Figures
@@ -718,15 +718,6 @@ class Plan(Summarised):
         """Waypoints of the mission with position, radius and the plan's passing time."""
         pairs = zip(self.scenario.mission.waypoints, self.passing_times_s, strict=True)
         return [Passage(time_s=at, position=w.position, radius=w.radius) for w, at in pairs]
-
-    @property
-    def mesh_where_broken(self) -> Mesh:
-        """Mesh of the plan after splitting the elements in which its simulation broke a limit."""
-        held = self.trajectories
-        if self.flown is None:
-            return held.mesh
-        accuracy = self.scenario.solver.accuracy
-        return split_at_breaches(self.dynamics, self.flown, held.mesh, held.horizon, accuracy)
 
     def _sampled(
         self, times: FloatArray

@@ -9,12 +9,10 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from functools import partial
 from math import inf, isfinite
 from typing import TYPE_CHECKING
 
 from pyomo_quad.flight.plan import LEAST_ENERGY_J, PlanStatus
-from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -26,25 +24,15 @@ if TYPE_CHECKING:
 #: Largest relative uncertainty of a usable plan's energy: a flyable trajectory near a coarse
 #: optimum spends a few per cent more than the optimum.
 USABLE_ENERGY = 0.1
-# Error estimate of a mesh above which, by experience, no simulated flight of its controls arrives.
-# The estimate includes violations of limits, of which a usable plan may have as much.
-_PROMISING = FIGURES[Accuracy.QUICK].breach
 # Work of a search (the sum over Ipopt's iterations of the number of mesh points) before it computes
 # usable plans, about two seconds of a processor; and the largest fractions of its work that it
 # spends on simulating the controls of finished meshes: before it has a usable plan, and afterwards,
 # to find a better usable plan.
-_PATIENCE, _SHARE, _SHARE_FOR_BETTER = 9e3, 0.2, 0.05
+_PATIENCE, _SHARE, _SHARE_FOR_BETTER = 9e3, 0.3, 0.05
 # Simulating the controls of a mesh counts as the work of this number of iterations on the mesh.
 _ITERATIONS_OF_FLIGHT = 10
-# A flyable trajectory near a coarse solution takes seconds to compute. It is computed after `_LONG`
-# times the work `_PATIENCE`. If the time limit is short, it is computed after `_SHARE_OF_LIMIT` of
-# the work that a slow or loaded processor does within the time limit, at `_WORK_PER_S`.
-_LONG, _SHARE_OF_LIMIT, _WORK_PER_S = 5.0, 0.3, 2.5e3
-# Largest error estimate of a mesh from which a flyable trajectory is likely to be found (measured:
-# docs/decisions/speed.md); at the end of such a mesh it is sought after this multiple of that work.
-_NEARLY, _SOONER = 0.3, 2.0
-# Number of coarse meshes from which a usable plan is sought.
-_MOST_SEARCHES = 2
+# Largest number of plans that are made from one finished mesh, with stricter and stricter limits.
+_MOST_PLANS = 3
 
 
 class Stage(StrEnum):
@@ -116,11 +104,10 @@ class Search:
         self.stage = Stage.COARSE
         self.record: list[str] = []
         self.usable: Plan | None = None
-        self.work = self._patient_from = self._work_of_flights = self._searches = 0
+        self.work = self._patient_from = self._work_of_flights = 0
         self.begin_effort(inf)
         self._show = show
         self._began = time.thread_time()
-        self._coarse: Callable[[], Iterator[Plan]] | None = None
         self._energy, self._uncertainty = inf, inf
 
     @property
@@ -166,23 +153,15 @@ class Search:
                     iteration=iteration,
                 )
             )
-        self._seek_usable(self._patience)
         return self.deadline(iteration) and self.effort <= self._most_effort
 
     def finished(
-        self,
-        solution: Solution,
-        energy_J: float,
-        flown: Callable[[Solution], Plan],
-        flyable: Callable[[Solution], Iterator[Plan]],
+        self, solution: Solution, energy_J: float, flown: Callable[[], Iterator[Plan]]
     ) -> None:
-        """Test by simulation whether the solution on a finished mesh gives a usable plan.
+        """Try to make a usable plan from the solution on a finished mesh.
 
         A usable plan is one that simulation confirms at lower accuracy than requested; a search
-        that is stopped returns it. Short searches make none, to save time. In a longer search, a
-        solution with a small error estimate is simulated. From a solution with a larger error, a
-        flyable trajectory must first be computed; this is done only in a long search that has no
-        usable plan yet, and it may interrupt a later solve.
+        that is stopped returns it. Short searches make none, to save time.
 
         Parameters
         ----------
@@ -191,45 +170,23 @@ class Search:
         energy_J : float
             Energy of the solution [J].
         flown : callable
-            Takes a solution; returns its plan with the result of the simulation.
-        flyable : callable
-            Takes a coarse solution that is not flyable; yields flyable plans near it.
+            Yields plans made from the solution, with the results of their simulations; each breaks
+            fewer limits than the one before.
         """
         self._note(energy_J)
-        if solution.error_estimate > _PROMISING:
-            self._coarse = partial(flyable, solution)
-            is_nearly_flyable = solution.error_estimate <= _NEARLY
-            self._seek_usable(_SOONER * _PATIENCE if is_nearly_flyable else self._patience)
-            return
         share = _SHARE if self.usable is None else _SHARE_FOR_BETTER
-        if self._waited >= _PATIENCE and self._work_of_flights <= share * self.work:
-            self.keep(flown(solution))
-            self._work_of_flights += _ITERATIONS_OF_FLIGHT * solution.mesh.points
-            self.stage = Stage.REFINING
-
-    @property
-    def _patience(self) -> float:
-        """Work before which no usable plan is computed from the solution on a very coarse mesh."""
-        return min(_LONG * _PATIENCE, _SHARE_OF_LIMIT * _WORK_PER_S * self.deadline.limit_s)
-
-    def _seek_usable(self, patience: float) -> None:
-        """In a search without a usable plan, compute such a plan from a coarse solution.
-
-        A usable plan is one that simulation confirms at lower accuracy than requested. Nothing is
-        done before the search has done the work `patience`.
-        """
-        is_time = self._waited >= patience and not self.deadline.is_over
-        is_wanted = self.usable is None and self.stage is not Stage.USABLE
-        if self._coarse is None or not (is_time and is_wanted) or self._searches >= _MOST_SEARCHES:
+        if self._waited < _PATIENCE or self._work_of_flights > share * self.work:
             return
-        coarse, self._coarse = self._coarse, None
-        self._searches += 1
+        if self.deadline.is_over:
+            return
+        before, stage = self.usable, self.stage
         self.stage = Stage.USABLE
-        for plan in coarse():
+        for plan, _ in zip(flown(), range(_MOST_PLANS), strict=False):
             self.keep(plan)
-            if self.usable is not None:
+            self._work_of_flights += _ITERATIONS_OF_FLIGHT * solution.mesh.points
+            if before is not None or self.usable is not None:
                 break
-        self.stage = Stage.REFINING
+        self.stage = stage
 
     def _note(self, energy_J: float) -> None:
         if isfinite(self._energy):

@@ -6,15 +6,24 @@ import time
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from pyomo_quad.collocation import SolveError, Status
-from pyomo_quad.flight.plan import Plan, PlanStatus, trajectories_of
-from pyomo_quad.flight.verification import verify_controls, wind_lacking
+from pyomo_quad.flight.flight import HELD_BREACH, Flown
+from pyomo_quad.flight.plan import LEAST_ENERGY_J, Plan, PlanStatus, trajectories_of
+from pyomo_quad.flight.tracking import can_be_tracked, tracked
+from pyomo_quad.flight.verification import (
+    compared,
+    samples_of_path,
+    verify_controls,
+    wind_lacking,
+)
+from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 from pyomo_quad.scenario.mission import Aim
 
 if TYPE_CHECKING:
     from pyomo_quad.collocation import Solution
     from pyomo_quad.scenario import Scenario
-    from pyomo_quad.scenario.accuracy import Accuracy
 
 _STATUS = {
     Status.NOT_CONVERGED: PlanStatus.NOT_CONVERGED,
@@ -83,8 +92,16 @@ def energy_of(scenario: Scenario, solution: Solution) -> float:
     return float(solution.running_objective[-1])
 
 
-def verified(plan: Plan, solution: Solution, accuracy: Accuracy | None = None) -> Plan:
+def verified(
+    plan: Plan,
+    solution: Solution,
+    accuracy: Accuracy | None = None,
+    least_energy: float | None = None,
+) -> Plan:
     """Return a plan with the result of its verification, by simulation of its controls.
+
+    Below the accuracy `proof`, the controls are first corrected by feedback, so that they also fly
+    the path of a coarse solution (`flight.tracking`).
 
     Parameters
     ----------
@@ -94,6 +111,9 @@ def verified(plan: Plan, solution: Solution, accuracy: Accuracy | None = None) -
         The solution from which the plan was made.
     accuracy : Accuracy, optional
         Accuracy to confirm; by default the scenario's accuracy.
+    least_energy : float, optional
+        Energy of the optimum [J], if the solution has stricter limits than the mission; by default
+        the energy of the solution.
 
     Returns
     -------
@@ -101,19 +121,27 @@ def verified(plan: Plan, solution: Solution, accuracy: Accuracy | None = None) -
         The plan with `verification`, the simulated flight, and status `VERIFIED` or `SOLVED`.
     """
     started = time.perf_counter()
-    held = plan.trajectories
+    asked = accuracy or plan.scenario.solver.accuracy
+    wanted = trajectories_of(solution).states[-1]
     try:
-        verification, flown = verify_controls(
-            plan.dynamics,
-            held.mesh,
-            held.states,
-            held.controls,
-            held.horizon,
-            plan.energy,
-            plan.scenario.airspace,
-            plan.passages,
-            accuracy or plan.scenario.solver.accuracy,
-        )
+        plan = _followed(plan, asked, plan.energy if least_energy is None else least_energy)
+        held = plan.trajectories
+        flown = _path_of(plan, asked)
+        verification = compared(plan.dynamics, flown, plan.energy, wanted, plan.passages, asked)
+        # A path that leaves its limits need not be flown.
+        if asked is Accuracy.PROOF or verification.reached:
+            verification, flown = verify_controls(
+                plan.dynamics,
+                held.mesh,
+                held.states,
+                held.controls,
+                held.horizon,
+                plan.energy,
+                plan.scenario.airspace,
+                plan.passages,
+                asked,
+                wanted,
+            )
     except SolveError as error:
         return replace(plan, status=PlanStatus.SOLVED, message=str(error))
     timings = dict(plan.timings) | {"verify": time.perf_counter() - started}
@@ -121,11 +149,49 @@ def verified(plan: Plan, solution: Solution, accuracy: Accuracy | None = None) -
     if lost:
         verification = replace(verification, is_verified=False, is_usable=False, reached=None)
     is_proven = verification.is_verified and solution.status is Status.CONVERGED
+    is_optimal = asked is Accuracy.PROOF or plan.error_estimate <= FIGURES[asked].energy
     return replace(
         plan,
-        status=PlanStatus.VERIFIED if is_proven else PlanStatus.SOLVED,
+        status=PlanStatus.VERIFIED if is_proven and is_optimal else PlanStatus.SOLVED,
         message=verification.shortfall or lost or plan.message,
         verification=verification,
         flown=flown,
         timings=timings,
+    )
+
+
+def _followed(plan: Plan, accuracy: Accuracy, least_energy: float) -> Plan:
+    """Return a plan whose controls are corrected by feedback, for accuracies below `proof`.
+
+    The energy of the plan is then that of the corrected flight. Its excess over the energy of the
+    optimum counts as error. A plan that feedback does not help is returned unchanged.
+    """
+    if accuracy is Accuracy.PROOF or not can_be_tracked(plan.dynamics):
+        return plan
+    followed = tracked(plan.dynamics, plan.trajectories)
+    if followed is None:
+        return plan
+    energy = float(followed.energy[-1])
+    excess = abs(energy - least_energy) / max(abs(least_energy), LEAST_ENERGY_J)
+    return replace(
+        plan,
+        trajectories=followed,
+        energy=energy,
+        error_estimate=max(plan.error_estimate, excess),
+    )
+
+
+def _path_of(plan: Plan, accuracy: Accuracy) -> Flown:
+    """Return samples of the planned path itself, as if it had been flown exactly."""
+    held, spacing = plan.trajectories, FIGURES[accuracy].spacing
+    shares = samples_of_path(plan.dynamics, held.mesh, held.states, plan.scenario.airspace, spacing)
+    borders, widths = held.mesh.breakpoints, held.mesh.widths
+    starts = zip(borders, widths, shares, strict=False)
+    fractions = np.concatenate([[0.0], *(a + width * share for a, width, share in starts)])
+    t = held.horizon[0] + (held.horizon[1] - held.horizon[0]) * fractions
+    return Flown(
+        t=t,
+        states=held.states_at(t),
+        controls=held.controls_at(t, plan.dynamics.control_limits(HELD_BREACH)),
+        energy=held.energy_at(t),
     )

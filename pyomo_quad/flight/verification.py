@@ -113,7 +113,7 @@ def fly_controls(
         samples = first + (last - first) * shares[element]
         samples[-1] = last
         flown = integrate(
-            _rates(flow, polynomial, dynamics.just_after(first)),
+            rates_in_element(flow, polynomial, dynamics.just_after(first)),
             (first, last),
             state,
             samples,
@@ -140,7 +140,9 @@ def fly_controls(
     )
 
 
-def _rates(flow: ClosedLoop, control: Callable[[float], FloatArray], inside: float) -> Rates:
+def rates_in_element(
+    flow: ClosedLoop, control: Callable[[float], FloatArray], inside: float
+) -> Rates:
     """Return the right-hand side for one mesh element, in which the controls are smooth.
 
     Before the time `inside` [s] the right-hand side uses the time `inside`, because the controls
@@ -311,8 +313,12 @@ def _equal_shares(count: int) -> FloatArray:
 _PART_OF_CELL = 1 / 20
 
 
-def _samples_near_zones(
-    airspace: Airspace, dynamics: Dynamics, mesh: Mesh, states: FloatArray, spacing: float
+def samples_of_path(
+    dynamics: Dynamics,
+    mesh: Mesh,
+    states: FloatArray,
+    airspace: Airspace | None,
+    spacing: float,
 ) -> list[FloatArray]:
     """Return times of samples in each element, dense where zones or ground are near.
 
@@ -323,8 +329,13 @@ def _samples_near_zones(
 
     Parameters
     ----------
+    dynamics : Dynamics
+        Equations of the plan; without positions among their states, samples are equally spaced.
+    mesh : Mesh
     states : ndarray, shape (n_points + 1, n_states)
         Planned states at the nodes.
+    airspace : Airspace or None
+        Zones and ground.
     spacing : float
         Distance between samples near a zone [m].
 
@@ -333,6 +344,8 @@ def _samples_near_zones(
     list of ndarray
         For each element, increasing fractions of the element, ending with 1.
     """
+    if airspace is None or not set(POSITION_STATES) <= set(dynamics.state_names):
+        return [_equal_shares(SAMPLES_PER_ELEMENT)] * mesh.elements
     places = states[:, [dynamics.state_names.index(name) for name in POSITION_STATES]]
     gaps = np.linalg.norm(np.diff(places, axis=0), axis=1)
     depths = [np.full(len(places), -np.inf), *(zone.depth(places) for zone in airspace.keep_out)]
@@ -356,43 +369,6 @@ def _samples_near_zones(
         every = np.concatenate([_equal_shares(SAMPLES_PER_ELEMENT), *inner])
         samples.append(np.unique(np.round(every, _DIGITS)))
     return samples
-
-
-# Number of parts into which an element is split if the flight violated a limit in it.
-_PARTS = 4
-
-
-def split_at_breaches(
-    dynamics: Dynamics,
-    flown: Flown,
-    mesh: Mesh,
-    horizon: tuple[float, float],
-    accuracy: Accuracy = Accuracy.PROOF,
-) -> Mesh:
-    """Return a mesh in which the elements where a simulated flight violates limits are split.
-
-    Parameters
-    ----------
-    dynamics : Dynamics
-        Evaluates the limits.
-    flown : Flown
-        The simulated flight.
-    mesh : Mesh
-        Mesh to split.
-    horizon : (float, float)
-        Start and end time of the mesh [s].
-    accuracy : Accuracy, optional
-        Sets the tolerated violation.
-    """
-    breaches = dynamics.violations(flown.t, flown.states, flown.controls)
-    times = [breach.time for breach in breaches if breach.relative > FIGURES[accuracy].breach]
-    start, end = horizon
-    elements = set(mesh.locate((np.array(times) - start) / (end - start)).tolist())
-    return mesh.with_breakpoints(
-        mesh.breakpoints[e] + mesh.widths[e] * part / _PARTS
-        for e in elements
-        for part in range(1, _PARTS)
-    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -422,6 +398,7 @@ def verify_controls(
     airspace: Airspace | None = None,
     passages: Sequence[Passage] = (),
     accuracy: Accuracy = Accuracy.PROOF,
+    goal: FloatArray | None = None,
 ) -> tuple[Verification, Flown]:
     """Simulate a plan's controls and compare the flight with the plan.
 
@@ -446,6 +423,8 @@ def verify_controls(
     accuracy : Accuracy, optional
         The required accuracy, which sets the tolerances of the verification and of the simulation,
         and the sampling of the flight.
+    goal : ndarray, shape (n_states,), optional
+        Final states that the flight should reach; by default the last planned states.
 
     Returns
     -------
@@ -460,19 +439,46 @@ def verify_controls(
         If the integrator fails.
     """
     figures = FIGURES[accuracy]
-    samples: int | list[FloatArray] = SAMPLES_PER_ELEMENT
-    if airspace is not None and set(POSITION_STATES) <= set(dynamics.state_names):
-        samples = _samples_near_zones(airspace, dynamics, mesh, states, figures.spacing)
     flown = fly_controls(
         dynamics,
         mesh,
         controls,
         states[0],
         horizon,
-        samples_per_element=samples,
+        samples_per_element=samples_of_path(dynamics, mesh, states, airspace, figures.spacing),
         integration=figures.integration,
     )
-    planned = dict(zip(dynamics.state_names, states[-1], strict=True))
+    wanted = states[-1] if goal is None else goal
+    return compared(dynamics, flown, energy, wanted, passages, accuracy), flown
+
+
+def compared(
+    dynamics: Dynamics,
+    flown: Flown,
+    energy: float,
+    wanted: FloatArray,
+    passages: Sequence[Passage],
+    accuracy: Accuracy,
+) -> Verification:
+    """Compare a flight with the plan: final states, energy, limits and battery.
+
+    Parameters
+    ----------
+    dynamics : Dynamics
+        Equations of the plan.
+    flown : Flown
+        Samples of the flight.
+    energy : float
+        Planned energy [J].
+    wanted : ndarray, shape (n_states,)
+        Final states that the flight should reach.
+    passages : sequence of Passage
+        Waypoints that the flight should pass, with times.
+    accuracy : Accuracy
+        The required accuracy, which sets the tolerances.
+    """
+    figures = FIGURES[accuracy]
+    planned = dict(zip(dynamics.state_names, wanted, strict=True))
     miss = terminal_miss_of(dynamics, flown.states[-1], planned)
     relative = {name: abs(m) / max(1.0, abs(planned[name])) for name, m in miss.items()}
     worst_miss = max(relative, key=lambda name: relative[name])
@@ -491,7 +497,7 @@ def verify_controls(
         lacking=max(imbalance, lacking),
     )
     reached = found.reached(accuracy)
-    verification = Verification(
+    return Verification(
         terminal_miss=miss,
         terminal_miss_m=position_miss(miss),
         worst_miss=worst_miss,
@@ -507,7 +513,6 @@ def verify_controls(
         reached=reached,
         is_usable=found.meets(USABLE),
     )
-    return verification, flown
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,11 +10,11 @@ from pyomo_quad.collocation.program.compiled import MappedFunction
 from pyomo_quad.flight.baselines import fly_reference
 from pyomo_quad.flight.covariance import (
     _MeanFlight,
-    discrete,
     propagated,
     spread_along,
     without_overflow,
 )
+from pyomo_quad.flight.integration import discrete
 from pyomo_quad.flight.weather import problem_in_turbulence
 from pyomo_quad.model import parameter_values
 from pyomo_quad.model.turbulence import FILTER_STATES, NOISE, NOISE_STEP, Gusts

@@ -109,11 +109,17 @@ class Allowance:
         the objective counts as error.
     final_miss : float
         Tolerance on the final states, relative to max(1, abs(final state)).
+    state_error : float, optional
+        Tolerance on the error of the states between the points, relative to their magnitudes, and
+        on the residuals of algebraic equations there; by default the tolerance of the refinement. A
+        larger value suffices if the controls are corrected by feedback in a simulation: the
+        objective then depends on the square of this error.
     """
 
     control_breach: float = np.inf
     limit_breach: float = 0.0
     final_miss: float = np.inf
+    state_error: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,7 +135,8 @@ class ErrorEstimate:
     ----------
     states : ndarray, shape (n_elements, n_states)
         Largest error between the points, relative to the larger of the state's largest magnitude
-        and its nominal magnitude (1 unless declared).
+        and its nominal magnitude (1 unless declared), scaled so that the allowed error equals the
+        tolerance.
     violation : ndarray, shape (n_elements,)
         Violation of path equations and bounds between the points, relative to max(1, abs(bound)).
     objective : ndarray, shape (n_elements,)
@@ -211,10 +218,10 @@ def estimate_error(
     ----------
     solution : Solution
     tolerance : float, optional
-        Tolerance with which the errors will be compared. Errors in the final states are scaled so
-        that their limit (`Allowance.final_miss`) becomes this tolerance. The costs of misplaced
-        control switches count only if all other errors are below the tolerance, so that coarse
-        elements are refined first.
+        Tolerance with which the errors will be compared. Errors of states are scaled so that their
+        limits (`Allowance.state_error` and `Allowance.final_miss`) become this tolerance. The costs
+        of misplaced control switches count only if all other errors are below the tolerance, so
+        that coarse elements are refined first.
     allowance : Allowance, optional
         Tolerances for flying the controls in open loop.
 
@@ -236,13 +243,14 @@ def estimate_error(
     for e, change in _clipping_corrections(solution, free, dense, is_clipped).items():
         moved[e][-1] += change
     none = np.zeros(solution.mesh.elements)
+    weight = 1.0 if allowance.state_error is None else tolerance / allowance.state_error
     found = ErrorEstimate(
-        states=_relative(solution, moved),
+        states=weight * _relative(solution, moved),
         objective=_objective_errors(solution, moved),
         switches=none,
         costs=none,
         restraint=_restraints(solution),
-        violation=_breaches(solution, dense, allowance),
+        violation=_breaches(solution, dense, allowance, weight),
         integrals=_quadrature_errors(solution, panels),
         miss=_missed(solution, moved, tolerance / allowance.final_miss),
         gap=_gap(solution),
@@ -580,10 +588,13 @@ def _missed(solution: Solution, moved: list[FloatArray], weight: float) -> Float
     return np.asarray(weight * worst.sum() * worst / worst.max(initial=1e-300))
 
 
-def _breaches(solution: Solution, samples: _Samples, allowance: Allowance) -> FloatArray:
+def _breaches(
+    solution: Solution, samples: _Samples, allowance: Allowance, weight: float
+) -> FloatArray:
     """Return the worst violation of equations and limits in each element, shape (n_elements,).
 
-    The measure of a violation depends on its kind. For an equation, it is the relative residual.
+    The measure of a violation depends on its kind. For an equation, it is the relative residual, times
+    a given weight.
     For a bound or limit on controls alone, it is the change of states that the violation causes
     within the element. For any other limit, it is the effect on the objective, estimated from the
     limit's multipliers. If a violation exceeds its tolerance in `Allowance`, the violation itself
@@ -598,7 +609,7 @@ def _breaches(solution: Solution, samples: _Samples, allowance: Allowance) -> Fl
     moved = np.where(controls > most, controls, controls * mesh.widths)
     earned = limits * _prices(solution) / solution.nominal_objective
     large = np.where(limits > allowance.limit_breach, limits, 0.0)
-    return np.maximum.reduce([residuals, large, moved, earned])
+    return np.maximum.reduce([weight * residuals, large, moved, earned])
 
 
 def _prices(solution: Solution) -> FloatArray:
