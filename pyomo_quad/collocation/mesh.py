@@ -260,8 +260,8 @@ class Trajectory:
 class Timeline:
     """Mapping between fractions of the declared horizon and physical time, linear in each phase.
 
-    A phase ends at a free time (a time that the solve determines) or at the end of the horizon,
-    and begins where the previous phase ends. The time at which a phase ends belongs to that phase.
+    A phase ends at a free time (a time that the solve determines) or at the end of the horizon, and
+    begins where the previous phase ends. The time at which a phase ends belongs to that phase.
 
     Attributes
     ----------

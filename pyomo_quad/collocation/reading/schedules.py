@@ -309,8 +309,8 @@ class Phases:
     """Indicators of the phases of a horizon with free times, with the interface of a `Schedule`.
 
     A phase ends at a free time (a time that the solve determines) or at the end of the horizon, and
-    begins where the previous phase ends. The indicator of a phase is 1 at times of the
-    phase and 0 elsewhere.
+    begins where the previous phase ends. The indicator of a phase is 1 at times of the phase and 0
+    elsewhere.
     """
 
     def __init__(self, clock: PhaseTimes) -> None:
