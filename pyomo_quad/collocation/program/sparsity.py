@@ -315,7 +315,7 @@ class Contributions:
         self.add(np.maximum(a, b), np.minimum(a, b), sources[pair], weights)
 
     def scatter(self, n_columns: int, n_sources: int) -> Scatter:
-        """Return the sparsity pattern of the matrix, and the map from CasADi's values to its nonzeros.
+        """Return the sparsity pattern, and the map from CasADi's values to the matrix's nonzeros.
 
         `n_columns` is the number of columns of the matrix, and `n_sources` the number of values
         (sources) that CasADi returns. Contributions to the same entry are added.

@@ -35,7 +35,7 @@ class Place:
     name : str
         Full name of the equation or variable.
     time : float, optional
-        Time in the unit of the horizon; None for a component without time.
+        Time, as `Transcription.time_of` returns it; None for a component without time.
     element, point : int, optional
         Index of the element, from 0, and number of the collocation point in it, from 1.
     """
@@ -411,7 +411,7 @@ class Transcription:
         return weights
 
     def path_curvatures(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
-        """Return the second derivatives of the Lagrangian with respect to each variable of each point.
+        """Return the second derivatives of the Lagrangian with respect to each variable of a point.
 
         They are the diagonals of the Hessians that `path_hessians` returns.
 

@@ -121,7 +121,8 @@ def continuous_sets(model: Any) -> tuple[Any, ...]:
     """Return the model's continuous sets that are not discretised: its horizons.
 
     If the model has several such sets, two kinds are left out: sets that index no variable, and
-    sets in deactivated blocks of which no active constraint or objective makes use.
+    sets in deactivated blocks if no active constraint or objective contains a variable that they
+    index.
 
     Raises
     ------

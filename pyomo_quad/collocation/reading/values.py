@@ -1,4 +1,4 @@
-"""Numbers for the compiled equations, from the Pyomo model or from the caller."""
+"""Numerical values for the compiled equations, from the Pyomo model or from the caller."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Instance:
     parameters : ndarray, shape (n_parameters,)
         Values of the parameters without time.
     horizon : (float, float)
-        Start and end.
+        Start and end of the horizon, as physical times.
     fixed : dict
         Values of variables fixed at declared times, by (name, fraction of the horizon).
     overrides : mapping
@@ -72,7 +72,11 @@ class Instance:
     def _picklable(
         self, name: str, given: float | Callable[[float], float]
     ) -> float | Interpolant | Steps:
-        """Return a parameter's value for a pickle; a function becomes piecewise polynomials."""
+        """Return a parameter's value in a form that can be pickled.
+
+        A function of time becomes piecewise polynomials over the horizon; a number is returned
+        unchanged.
+        """
         if not callable(given) or isinstance(given, Interpolant | Steps):
             return given
         start, end = self.horizon
@@ -126,7 +130,7 @@ class ModelValues:
         return np.array([self._parameter(slot, named, ends) for slot in self._declared.parameters])
 
     def by_name(self, overrides: Overrides | None) -> dict[str, Any]:
-        """Return the caller's parameter values by full name instead of component.
+        """Return the parameter values that the caller gives, by full name instead of component.
 
         Raises
         ------
@@ -155,7 +159,11 @@ class ModelValues:
         return named
 
     def _parameter(self, slot: Slot, named: dict[str, Any], ends: dict[str, float]) -> float:
-        """Return the value of one parameter without time."""
+        """Return the value of one parameter without time.
+
+        The value comes from `ends` (start and end of the horizon, by parameter name), from `named`
+        (values given by the caller, by full name), or from the model, in this order.
+        """
         if slot.name in ends:
             return ends[slot.name]
         if slot.name in named:
@@ -226,7 +234,8 @@ class ModelValues:
     def _signal(self, slot: Slot, named: dict[str, Any]) -> Callable[[float], float]:
         """Return a parameter over time as a function of time.
 
-        The caller's value or function takes precedence over the rule in the model.
+        `named` has the values and functions given by the caller, by full name, which take
+        precedence over the rules in the model.
         """
         if slot.name in named:
             given = named[slot.name]
@@ -304,16 +313,20 @@ class ModelValues:
     def load_rates(self, fraction: float, rate: Callable[..., float]) -> None:
         """Set the model's derivatives at a declared time to their solved values.
 
-        `rate` maps (component name, index=) to the derivative's value.
+        `fraction` is the declared time as a fraction of the horizon. `rate(name, index=...)`
+        returns the value of the derivative with this name and this index without time.
         """
         self._source.load_rates(self._declared_time(*self.declared_horizon, fraction), rate)
 
     def load_integrals(self, totals: Mapping[str, float]) -> None:
-        """Set the model's integrals, by full name, to their solved values."""
+        """Set the model's integrals to their solved values.
+
+        `totals` maps full names to values.
+        """
         self._source.load_integrals(totals)
 
     def snapshot(self) -> ModelSnapshot:
-        """Return the model's present values for a pickle.
+        """Return the model's current values, for a pickle.
 
         Functions of time are stored for the widest horizon that any solve has requested.
         """
