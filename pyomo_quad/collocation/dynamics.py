@@ -519,7 +519,9 @@ class Dynamics:
 
     @property
     def states_used_up(self) -> tuple[str, ...]:
-        """Names of states with a given initial and a free final value, such as a battery's charge.
+        """Names of states with a given initial value and a free final value.
+
+        An example is the charge of a battery.
         """
         declared = self._formulation.compiled.declared
         # A state at the end remains free if only the objective depends on it.

@@ -112,7 +112,11 @@ class BernsteinRows:
     elements: NDArray[np.intp]
 
     def added_to(self, program: NonlinearProgram) -> ExtendedProgram:
-        """Return a copy of a nonlinear program to which these constraints are appended."""
+        """Return a copy of a nonlinear program with further constraints.
+
+        The further constraints are the bounds on Bernstein coefficients. They follow the
+        constraints of the program.
+        """
         rows = self.coefficients
         starts = np.append(np.zeros(program.n_rows, dtype=rows.indptr.dtype), rows.indptr)
         shape = (starts.size - 1, rows.shape[1])
@@ -120,10 +124,11 @@ class BernsteinRows:
         return ExtendedProgram(program=program, terms=terms)
 
     def scales(self, own: Scaling) -> FloatArray:
-        """Return the scaling factors of these constraints, shape (n_coefficients,).
+        """Return scaling factors of the bounds on coefficients, shape (n_coefficients,).
 
-        `own` is the scaling of the program. If the unknowns are scaled by its factors, and the
-        constraints by the result, the largest matrix entry of each constraint is 1.
+        `own` is the scaling of the program. If the unknowns are scaled by its factors, and each
+        bound on a coefficient by the result, the largest entry of each row of the scaled constraint
+        matrix is 1.
         """
         rows = self.coefficients
         entries = np.abs(rows.data) / own.unknowns[rows.indices]

@@ -156,9 +156,9 @@ def _over_time(program: Transcription, start_data: FloatArray) -> Iterator[Limit
 def _after_jumps(program: Transcription, data: FloatArray) -> Iterator[Limit]:
     """Yield the bounds of states just after a jump of a parameter, at the node of the jump.
 
-    A bound may jump together with the parameter. The node at the jump is the end of an element, so
-    that the bounds at collocation points give only the value before the jump; these bounds add the
-    value after it.
+    A bound may jump together with the parameter. The node at the jump is the end of an element,
+    where the bounds at collocation points are evaluated just before the jump. This function
+    evaluates the bounds just after the jump, so that the state must satisfy both.
 
     `data` has one row per jump: the fraction of the horizon, the time-dependent parameters just
     after the jump, and the constant parameters.
@@ -189,9 +189,9 @@ def _fixed(program: Transcription, fixed: dict[tuple[str, float], float]) -> Ite
 def limits_at_points(program: Transcription) -> Iterator[Limit]:
     """Yield the bounds of static variables, and of single states at declared times.
 
-    A static variable is a variable without time. Besides the declared bounds of static variables,
-    these are the conditions (constraints at declared times) on a single state or a single static
-    variable.
+    A static variable is a variable without time. The bounds come from the declarations of static
+    variables, and from conditions (constraints at declared times) on a single state or a single
+    static variable.
     """
     compiled, layout = program.compiled, program.layout
     declared = compiled.declared
@@ -233,7 +233,7 @@ def _refuse_crossed_times(program: Transcription) -> None:
 
     A free time is a static variable that gives the physical time of a declared time. The order is
     contradicted if the least value of one declared time is not below the greatest value of a later
-    one.
+    declared time.
     """
     compiled, clock = program.compiled, program.compiled.declared.clock
     parameters = program.data.parameters

@@ -384,7 +384,7 @@ class CompiledModel:
     points: DerivedFunctions
     path_bounds: Any
     limits: tuple[SimpleBound, ...]
-    """Limits over time of one variable each: those of each variable, then simple bounds."""
+    """Bounds that variables declare, then constraints over time on a single variable."""
     limits_over_time: Any
     simple_point_bounds: tuple[SimpleBound, ...]
     simple_point_limits: Any
@@ -410,8 +410,9 @@ class CompiledModel:
     def scaled(self, magnitudes: Mapping[str, float]) -> CompiledModel:
         """Return a copy of the model with given magnitudes of its variables, for the scaling.
 
-        `magnitudes` maps names of variables or components to magnitudes. A variable in neither form
-        has no declared magnitude in the copy.
+        `magnitudes` maps names of variables or components to magnitudes. A variable has no declared
+        magnitude in the copy if the mapping contains neither its name nor the name of its
+        component.
         """
         d = self.declared
         kinds = (d.states, d.algebraics, d.statics)
@@ -521,8 +522,8 @@ def with_moving_limits(declared: Declarations) -> Declarations:
 
     If times are free, the time t in a rule such as `m.x[t] <= t` depends on static variables. The
     bounds of a constraint or variable, however, may depend only on data: the fraction of the
-    horizon and the parameters. Such a limit is therefore rewritten as a constraint such as `m.x[t]
-    - t <= 0`.
+    horizon and the parameters. The limit is therefore subtracted from the body of the constraint,
+    whose bound becomes zero.
     """
     statics = symbol_names(_symbols(declared.statics))
 

@@ -100,7 +100,11 @@ class CouplingWriter(TemplateWriter):
         super().__init__(WorkingCopy(model=readers[0].copy.model, others=times), {}, statics)
 
     def write_objective(self, objective: Any) -> Any:
-        """Return the objective as a CasADi expression; it may use values at any declared time."""
+        """Return the objective as a CasADi expression.
+
+        Unlike a constraint on several horizons, the objective may contain values at any declared
+        time.
+        """
         self._in_objective = True
         return casadi.SX(self.write(objective.expr, objective.name))
 
@@ -158,7 +162,7 @@ class CouplingWriter(TemplateWriter):
             )
 
     def named(self, expression: Any) -> Any:
-        """Return the symbol that replaces a named Pyomo expression, or None if none replaces it.
+        """Return the symbol that replaces a named Pyomo expression, None if it is not replaced.
 
         Only the integrals over the horizons are replaced. Any other named expression is translated
         like an unnamed expression.
@@ -178,15 +182,16 @@ class CoupledDeclarations:
     Attributes
     ----------
     horizons : dict
-        Declarations and their reader, by the name of the continuous set.
+        Declarations of each horizon and their reader, by the name of the continuous set.
     coupling : Declarations, ModelReader
-        The objective, and the conditions on values of several horizons or of none.
+        The objective, and the conditions on values of several horizons or of no horizon, with their
+        reader.
     states : dict
         Static variables of the coupling that equal a state of a horizon. The key is the variable's
         name; the value is the name of the horizon, and the state with its declared time.
     links : tuple of str
-        Names of the static variables that equal any other value of a horizon. A condition on the
-        horizon imposes each equality, and has the same name as the variable.
+        Names of the static variables that equal a value of a horizon other than a state. A
+        condition on the horizon imposes each equality, and has the same name as the variable.
     """
 
     horizons: dict[str, tuple[Declarations, ModelReader]]
@@ -343,7 +348,7 @@ class StateValue:
     state : str
         Name of the state.
     fraction : float
-        Fraction of the horizon at which the mesh has the node.
+        Position of the node, as a fraction of the horizon.
     """
 
     program: int

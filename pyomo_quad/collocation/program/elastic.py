@@ -134,8 +134,8 @@ def elastic_point(
 ) -> FloatArray:
     """Return the unknowns at the optimum of an elastic program, as an initial point of a solve.
 
-    The equations over time may be violated at a penalty; the result lies within the bounds. Shape
-    (n_unknowns,).
+    In the elastic program, the equations over time may be violated at a penalty. The result lies
+    within the bounds, and has the shape (n_unknowns,).
 
     Parameters
     ----------

@@ -410,7 +410,10 @@ class _Callbacks:
 
     @property
     def is_bottomless(self) -> bool:
-        """Whether the objective has stayed below its floor, which suggests an unbounded problem."""
+        """Whether the problem appears to be unbounded.
+
+        This is the case if the objective is below `floor` in several consecutive iterations.
+        """
         return self.below >= _PATIENCE_BELOW
 
     # Cached, because a program may rebuild its structure at each call.

@@ -3,8 +3,8 @@
 A condition is a constraint at a declared time, such as an end condition. If a quantity is
 conserved, an end condition on this quantity follows from the initial conditions and the equations
 over time. On a mesh, the end condition follows only up to the discretisation error. A program that
-imposes the redundant end condition may have no solution. It may also have a single solution where
-the problem without the condition has many, and unbounded multipliers.
+imposes the redundant end condition may have no solution. Or its solution is unique although the
+problem without the condition has many solutions, and its multipliers are unbounded.
 """
 
 from __future__ import annotations

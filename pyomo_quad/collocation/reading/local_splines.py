@@ -36,10 +36,10 @@ if TYPE_CHECKING:
 
 # Numbers in the largest table of coefficients of powers: CasADi writes it out with each function.
 _MOST_LOOKED_UP = 3_000_000
-# Rounding of the place of a call, as a fraction of the smallest step of an axis.
+# Rounding of the arguments of a call, as a fraction of the smallest grid step of an axis.
 _ROUNDING = 2.0**-38
-# Offset of the place of a call within a rounding, and within a step at either end, as a fraction of
-# each: CasADi's look-up fails at the end of a cell itself.
+# Offset of the rounded arguments within the rounding step, and within the first and the last grid
+# step, as a fraction of each step: CasADi's look-up fails at the end of a cell itself.
 _ASIDE = 0.3819660112501051
 # Number of derivatives in the result of a call: value, first and second derivative.
 _VALUE_SLOPE_BEND = 3

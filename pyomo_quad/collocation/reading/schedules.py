@@ -334,7 +334,10 @@ class Phases:
         return Reading(self._clock.phase_of(time), ())
 
     def row(self, time: float) -> list[float]:
-        """Return 1 for the phase that contains a declared time, and 0 for every other phase."""
+        """Return a list of the phases' indicators at a declared time.
+
+        The indicator is 1 for the phase that contains the time, and 0 for every other phase.
+        """
         return [float(k == self._clock.phase_of(time)) for k in range(len(self.slots))]
 
 

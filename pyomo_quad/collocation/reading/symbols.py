@@ -76,7 +76,8 @@ class TimeSymbol:
     def _compare(self, relation: Callable[[Any, Any], Any], other: Any) -> bool:
         """Compare the symbol's number with another number, as a rule of the model requests.
 
-        A comparison with a number that is no declared time counts as reading the symbol's number.
+        A comparison with a number that is no declared time counts as reading the symbol's number,
+        which `is_read` records.
 
         `relation` is the comparison, a function of two numbers.
         """
@@ -708,7 +709,8 @@ class SymbolTable:
     def _varying(self, data: Any, address: Any) -> Any:
         """Return the symbol of a variable over time or of its derivative with respect to time.
 
-        A variable that is fixed at all declared times is a parameter.
+        A variable that is fixed at all declared times becomes a parameter. `data` is the Pyomo data
+        object, `address` its component, index and time.
         """
         component = data.parent_component()
         is_rate = component.ctype is DerivativeVar

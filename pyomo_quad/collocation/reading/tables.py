@@ -185,7 +185,10 @@ class Table(PythonCallbackFunction):
         return super().__call__(*arguments)
 
     def _at(self, arguments: Any, _order: int, _fixed: Any) -> tuple[float, list[float], Any]:
-        """Return value, gradient and upper triangle of the Hessian in the form Pyomo expects."""
+        """Return the table's value, gradient and Hessian at numbers, in the form Pyomo expects.
+
+        The Hessian is given by its upper triangle.
+        """
         value, gradient, hessian = self.spline.function(arguments)
         upper = [float(hessian[i, j]) for j in range(len(arguments)) for i in range(j + 1)]
         return float(value), [float(gradient[k]) for k in range(len(arguments))], upper
@@ -403,8 +406,8 @@ def _on_grid(call: Callable[..., float], points: Sequence[FloatArray]) -> FloatA
 def _largest_difference(call: Callable[..., float], spline: Spline, size: float) -> float:
     """Return the largest relative difference between a function and its spline.
 
-    The two are compared at random points between the samples. The difference is relative to `size`,
-    the magnitude of the function.
+    The function `call` and the spline are compared at random points between the samples. The
+    difference is relative to `size`, the magnitude of the function.
     """
     generator = np.random.default_rng(seed=0)
     lower, upper = np.transpose(spline.ranges)

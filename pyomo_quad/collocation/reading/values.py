@@ -117,7 +117,8 @@ class ModelValues:
         overrides : mapping, optional
             Values that replace the values in the model, by component or full name.
         horizon : (float, float), optional
-            Start and end of the horizon, which may be parameters; by default as declared.
+            Start and end of the horizon, which are parameters unless static variables replace them;
+            by default the ends of the continuous set.
 
         Raises
         ------
@@ -135,8 +136,8 @@ class ModelValues:
         Raises
         ------
         TranscriptionError
-            If a name is no component of the model, or a function of time is given where times are
-            free.
+            If a name is no component of the model, or a function of time is given although the
+            model has free times.
         """
         named = {
             key.name
@@ -197,7 +198,8 @@ class ModelValues:
     ) -> tuple[float, ...]:
         """Return the fractions of the horizon at which time-dependent parameters may jump.
 
-        These are the declared times and the times at which a rule or parameter is found to jump.
+        These are the declared times, and the times at which the search finds a jump of a rule's
+        result or of a parameter. Parameters given as `Steps` are not searched.
         """
         if not self._declared.has_signals:
             return ()
@@ -214,7 +216,7 @@ class ModelValues:
         return tuple(f for k, f in enumerate(fractions) if k == 0 or f - fractions[k - 1] > BESIDE)
 
     def _rule_horizon(self, horizon: tuple[float, float]) -> tuple[float, float]:
-        """Return the horizon at which rules are called.
+        """Return the start and end of the times with which rules are called.
 
         If any time is free, this is the declared horizon, because a rule is written in declared
         times. Otherwise it is the horizon of the solve. The widest horizon that was requested is
@@ -258,15 +260,18 @@ class ModelValues:
         return found
 
     def _declared_time(self, first: float, last: float, fraction: float) -> float:
-        """Return the member of the continuous set nearest to a fraction of its range.
+        """Return the declared time (member of the continuous set) nearest to a fraction of the horizon.
 
-        `first` and `last` are the ends of that range.
+        `first` and `last` are the start and the end of the declared horizon.
         """
         wanted = first + (last - first) * fraction
         return min(self._source.times, key=lambda t: abs(t - wanted))
 
     def initial_values(self, slot: Slot) -> list[tuple[float, float]]:
-        """Return a variable's values in the model, as pairs (fraction of the horizon, value)."""
+        """Return a variable's values in the model, as pairs (fraction of the horizon, value).
+
+        The pairs belong to the declared times at which the variable has a value.
+        """
         first, last = self.declared_horizon
         pairs = []
         for time in self._source.times:

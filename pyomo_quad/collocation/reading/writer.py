@@ -287,8 +287,8 @@ class TemplateWriter:
         owner : str
             Name of the component that contains the expression, for messages.
         over_time : bool, default False
-            Whether the expression belongs to an equation over time, in which values at single times
-            are refused.
+            Whether the expression belongs to an equation over time, in which the value of a
+            variable at a single declared time is an error.
         """
         before, self._in_path = self._in_path, over_time
         try:
@@ -364,8 +364,8 @@ class TemplateWriter:
         """Return the bounds for all times that a user assigned after a variable's declaration.
 
         A user may assign bounds to a variable's members at the declared times. If the assigned
-        bounds are equal at every declared time, they apply at all times, and are returned. For a
-        state without fixed values, this is not clear, as described below.
+        bounds are equal at every declared time, they apply at all times, and are returned. States
+        without fixed values are treated differently, as described below.
 
         Returns
         -------
