@@ -596,8 +596,8 @@ class JointProblem(Summarised):
     def _refuse_unsolvable(self, union: Union, bounds: Bounds, z: FloatArray) -> None:
         """Raise an error if the joint program is not finite at the point `z`, or over-determined.
 
-        A program is over-determined if it has more equations than free unknowns, and its linear
-        equations contradict each other.
+        A program is over-determined if it has more equations than free unknowns, and if these
+        equations are linear and contradict each other.
         """
         held = set()
         for k, program in enumerate(union.programs):

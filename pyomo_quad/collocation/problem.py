@@ -251,9 +251,9 @@ class Problem(Summarised, Formulation):
         Returns
         -------
         Trajectory or None
-            Simulated trajectory on `mesh`, with states clipped to 1e12 in magnitude; None if the
-            model has controls, a free initial state or output states (states that nothing else
-            depends on), or if the simulated states are not finite.
+            Simulated trajectory, with states clipped to 1e12 in magnitude; None if the model has
+            controls, a free initial state or output states (states that nothing else depends on),
+            or if the simulated states are not finite.
         """
         mesh = mesh.with_breakpoints(self.required_breakpoints(instance))
         program, declared = self.program(mesh, instance), self.compiled.declared
@@ -599,8 +599,9 @@ def march(
 def load_values(*solutions: Solution) -> None:
     """Load the values of solutions into the Pyomo model to which they belong.
 
-    Each solution covers one horizon (continuous set) of the model. Static variables, variables and
-    derivatives at the declared times, integrals and imported suffixes receive their values.
+    Each solution covers one horizon (continuous set) of the model, or the variables of no horizon.
+    Static variables, variables and derivatives at the declared times, integrals and imported
+    suffixes receive their values.
     """
     for solution in solutions:
         declared, values = solution.problem.compiled.declared, solution.problem.values

@@ -260,7 +260,7 @@ class ModelValues:
         return found
 
     def _declared_time(self, first: float, last: float, fraction: float) -> float:
-        """Return the declared time (member of the continuous set) nearest to a fraction of the horizon.
+        """Return the member of the continuous set nearest to a fraction of the horizon.
 
         `first` and `last` are the start and the end of the declared horizon.
         """

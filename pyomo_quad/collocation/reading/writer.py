@@ -449,7 +449,7 @@ class TemplateWriter:
         Raises
         ------
         TranscriptionError
-            If the rule fails, or reads a free time as a number.
+            If the rule fails, or uses a free time (a time that the solve determines) as a number.
         """
         template = self.copy.template_time
         if self.symbols.clock.is_free:
@@ -600,7 +600,7 @@ class TemplateWriter:
         """Return the replacement of a named Pyomo expression; None keeps the expression itself.
 
         Integrals are replaced by their symbols, and expressions over time by the result of their
-        rules.
+        rules in CasADi symbols.
         """
         component = expression.parent_component()
         if component is None:
@@ -614,9 +614,9 @@ class TemplateWriter:
         return self._expression(component, address.index, rule)
 
     def _expression(self, component: Any, index: tuple[Any, ...], rule: Any) -> Any:
-        """Return a named expression over time as a CasADi expression, as its rule states it.
+        """Return the CasADi expression of a named Pyomo expression over time, from its rule.
 
-        The rule is read once, and the expression is cached by name.
+        The rule is called when the expression is needed first. The result is cached by name.
         """
         name, block = indexed_name(component.name, index), component.parent_block()
         if name in self._by_rule:
@@ -629,7 +629,11 @@ class TemplateWriter:
         return self._by_rule[name]
 
     def _parameter_over_time(self, data: Any, address: Address) -> Any:
-        """Return a parameter over time as a differentiable CasADi expression of time."""
+        """Return a parameter over time as a differentiable CasADi expression of time.
+
+        If times are free, the value of the parameter depends on them, so that its derivative with
+        respect to time is required.
+        """
         component = data.parent_component()
         rule = rule_of(component)
         if rule is None or address.time is None:
@@ -644,7 +648,10 @@ class TemplateWriter:
         return casadi.substitute(over_time, old, casadi.SX(new))
 
     def _integral(self, component: Any, index: Any) -> Any:
-        """Return the symbol of an integral, and register the integral at first use."""
+        """Return the symbol of an integral, and register the integral at first use.
+
+        `component` and `index` identify the integral in the Pyomo model.
+        """
         if self._in_path:
             raise TranscriptionError(
                 f"{component.name}: an integral inside an equation over time is not supported; "
