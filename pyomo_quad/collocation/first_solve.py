@@ -95,7 +95,10 @@ class FirstSolve(Search[S], Generic[S]):
         return self.first
 
     def holds(self, fact: Fact) -> bool:
-        """Return whether a condition that a strategy requires (`Fact`) is true at this stage."""
+        """Return whether a condition that a strategy requires is true at this stage of the search.
+
+        A condition that only `FirstSolveOfOne` can evaluate is false.
+        """
         is_judged = self.first is not None and self.judged.status is not Status.INTERRUPTED
         if fact is Fact.POSSIBLE:
             return is_judged and self.judged.status is not Status.INFEASIBLE
@@ -191,7 +194,11 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     is_mesh_free: bool
 
     def holds(self, fact: Fact) -> bool:
-        """Return whether a condition that a strategy requires (`Fact`) is true at this stage."""
+        """Return whether a condition that a strategy requires is true at this stage of the search.
+
+        The conditions of this class concern the numbers of equations and unknowns, and whether the
+        caller gave a mesh or a guess. Other conditions are evaluated by the base class.
+        """
         known = {
             Fact.ONE_HORIZON: True,
             Fact.OVERDETERMINED: self.is_overdetermined and self.first is None,
