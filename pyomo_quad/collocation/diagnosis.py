@@ -37,7 +37,7 @@ _SoftRow = tuple[str, int, int, float, float, float]
 
 @dataclass(frozen=True, kw_only=True)
 class SoftRows:
-    """One-sided limits that a diagnosis may relax by a slack: sign * (value - limit) <= slack * size.
+    """One-sided limits that a diagnosis may relax: sign * (value - limit) <= slack * size.
 
     The slack is a non-negative unknown of the elastic program. All limits that one component of the
     model declares (a family) share a slack.

@@ -514,8 +514,8 @@ class Formulation:
         """Return the values of all parameters at the start of the horizon and just after each jump.
 
         A jump is a discontinuity of a time-dependent parameter; no collocation point lies just
-        after a jump. The result has shape (1 + n_jumps, n_data). Its columns are the fraction of the
-        horizon, the time-dependent parameters and the constant parameters.
+        after a jump. The result has shape (1 + n_jumps, n_data). Its columns are the fraction of
+        the horizon, the time-dependent parameters and the constant parameters.
         """
         after = np.array(instance.jumps) + 2.0 * BESIDE
         return self.data_of(instance, np.concatenate([np.zeros(1), after])).at_points()

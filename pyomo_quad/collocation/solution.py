@@ -156,8 +156,8 @@ class Outcome(Summarised):
     history : tuple of MeshRecord
         One record per mesh.
     cold_start : ColdStart or None
-        Numbers of iterations that a solve from the guess, without a warm start, takes. If this solve
-        began from a warm start, the record is taken from that warm start.
+        Numbers of iterations that a solve from the guess, without a warm start, takes. If this
+        solve began from a warm start, the record is taken from that warm start.
     tried : tuple of str
         Solution strategies that were tried, with the status of each result, if more than one
         strategy was needed.

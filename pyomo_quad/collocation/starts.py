@@ -108,7 +108,7 @@ class WarmStart:
 
     @property
     def is_finite(self) -> bool:
-        """Whether all values and multipliers are finite, which a failed solve does not guarantee."""
+        """Whether all values and multipliers are finite; after a failed solve they may not be."""
         return all(bool(np.all(np.isfinite(array))) for array in self._numbers().values())
 
     def fits(self, compiled: CompiledModel) -> bool:
@@ -175,7 +175,7 @@ class WarmStart:
         return replace(self, trajectory=moved, lower=lower, upper=upper, equations=equations)
 
     def _numbers(self) -> dict[str, FloatArray]:
-        """Return trajectory and multipliers as arrays, by the names under which files store them."""
+        """Return trajectory and multipliers as arrays, by the names that files use for them."""
         sides = {"": self.trajectory, "lower_": self.lower, "upper_": self.upper}
         named = {f"{side}{part}": getattr(t, part) for side, t in sides.items() for part in _PARTS}
         return named | {"equations": self.equations, "conditions": self.conditions}

@@ -1,10 +1,10 @@
 """Simulation of many closed loops, each with its own parameters, by fixed Runge-Kutta steps.
 
 A closed loop is a vehicle with the control law that steers it. All vehicles have the same control
-law. A step is a step of the classical Runge-Kutta method of order 4, see docs/theory/flights.md, eq.
-(1); its four stages form one CasADi function, which is mapped over the vehicles. The parameters that
-differ between vehicles may change from step to step, and may thus represent noise that is constant
-during a step.
+law. Each step uses the classical Runge-Kutta method of order 4, see docs/theory/flights.md, eq. (1).
+The four stages of the step form one CasADi function, which is mapped over the vehicles. The
+parameters that differ between vehicles may change from step to step, and may thus represent noise
+that is constant during a step.
 """
 
 from __future__ import annotations

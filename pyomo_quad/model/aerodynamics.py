@@ -2,9 +2,9 @@
 
 There are two couplings of the wind to the vehicle:
 
-`acceleration` is eq. (9) of the paper (Yacef et al.) as printed: the wind velocity, times an implied
-coefficient of 1 1/s, is added to the acceleration of the vehicle. The vehicle's own velocity does
-not enter.
+`acceleration` is eq. (9) of the paper (Yacef et al.) as printed: the wind velocity, times an
+implied coefficient of 1 1/s, is added to the acceleration of the vehicle. The vehicle's own
+velocity does not enter.
 
 `drag` is the force opposite to the airspeed, the velocity relative to the wind: linear (rotor drag)
 plus quadratic (parasitic drag), isotropic, and valid at the few m/s of these missions. This

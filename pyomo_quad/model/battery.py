@@ -19,10 +19,10 @@ the pack. Declared units convert the ampere-seconds of eq. (4) to ampere-hours.
 Assumptions: no self-discharge, no entropic heat, an open-circuit voltage that does not depend on
 the temperature; without `battery.relaxation` and `battery.thermal` no recovery and no temperature
 either. Two guards (smooth lower limits) keep the equations finite where the paper's equations are
-undefined: eq. (5) has a pole at an empty cell, and no current delivers more than the pack's greatest
-power, U^2/4R. Above a fifth of the charge and below nine tenths of the greatest power, the guards
-change no result by more than rounding. A negative `power_reserve` or state of charge shows that the
-pack cannot fly the mission.
+undefined: eq. (5) has a pole at an empty cell, and no current delivers more than the pack's
+greatest power, U^2/4R. Above a fifth of the charge and below nine tenths of the greatest power, the
+guards change no result by more than rounding. A negative `power_reserve` or state of charge shows
+that the pack cannot fly the mission.
 
 If the polarisation voltage k / SoC can exceed the other terms of e_m, the voltage vanishes before
 the pack is empty. The greatest power is then negative, and the flights are limited to e_m >= 0.
