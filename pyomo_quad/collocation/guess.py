@@ -284,7 +284,7 @@ def with_consistent_algebraics(program: Transcription, bounds: Bounds, z: FloatA
 
 
 # Largest number of Gauss-Newton steps that project states onto equations among states, and largest
-# final residual relative to the initial one.
+# final residual relative to the initial residual.
 _PROJECTIONS, _LEFT = 30, 1e-9
 
 

@@ -1,8 +1,8 @@
 """Simulation of many closed loops, each with its own parameters, by fixed Runge-Kutta steps.
 
 A closed loop is a vehicle with the control law that steers it. All vehicles have the same control
-law. Each step uses the classical Runge-Kutta method of order 4, see docs/theory/flights.md, eq. (1).
-The four stages of the step form one CasADi function, which is mapped over the vehicles. The
+law. Each step uses the classical Runge-Kutta method of order 4; see docs/theory/flights.md, eq.
+(1). The four stages of the step form one CasADi function, which is mapped over the vehicles. The
 parameters that differ between vehicles may change from step to step, and may thus represent noise
 that is constant during a step.
 """

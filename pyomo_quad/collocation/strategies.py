@@ -64,7 +64,7 @@ class Fact(Enum):
     #: The next solution is kept near the previous solution: by damping of the controls, or by an
     #: initial barrier parameter that corresponds to the last change of the objective.
     KEPT_NEAR = auto()
-    #: Neither damping nor a small barrier parameter keeps the next solution near the previous one.
+    #: Neither damping nor a small barrier parameter keeps the next solution near the previous.
     FREE = auto()
 
 

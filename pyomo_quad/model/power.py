@@ -85,7 +85,7 @@ _COLUMNS = ("a", "b", "c")
 # hover, 0.0187 N m and 0.14.
 TORQUE_FLOOR_WIDTH = 1e-4 * _TORQUE
 EFFICIENCY_FLOOR_WIDTH = 1e-3
-# Widths [W] of the smoothed corner at zero power with which solves start before the requested one.
+# Widths [W] of the smoothed corner at zero power for the first solves, before the requested width.
 _WIDER_SMOOTHINGS_W = (10.0, 3.0, 1.0, 0.3)
 
 

@@ -248,8 +248,7 @@ def _declare_height(b: Block, m: ConcreteModel) -> None:
 def _declare_profile(b: Block, m: ConcreteModel, law: WindLaw) -> None:
     """Declare the ratio of the wind at the vehicle's height to the wind at the reference height.
 
-    `law` selects the law of the wind profile, power or logarithmic; see the docstring of this
-    module.
+    `law` selects the power law or the logarithmic law, which the docstring of this module gives.
     """
 
     def power(b: Block, t: float) -> NumericExpression:

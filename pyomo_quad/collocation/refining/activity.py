@@ -45,7 +45,10 @@ def switch_elements(solution: Solution) -> frozenset[int]:
 
 
 def _limits_on_algebraics(solution: Solution) -> NDArray[np.bool_]:
-    """Return which limits over time are on algebraic variables alone, shape (n_limits,)."""
+    """Return for each limit over time whether it limits algebraic variables alone.
+
+    The result has shape (n_limits,), in the order of `active_limits`.
+    """
     program, layout = solution.program, solution.program.layout
     path, n = program.compiled.path, layout.n_states
     of_states = np.isin(

@@ -1,8 +1,9 @@
 """Damping of controls that enter linearly, towards the smoothed controls of the previous mesh.
 
-Damping is a penalty on the distance between these controls and the smoothed controls. The objective
-hardly depends on controls that enter linearly; without damping they oscillate from point to point
-(chatter), and change from mesh to mesh. See docs/theory/refinement.md, eq. (9).
+Damping is a penalty on the distance between the controls and the smoothed controls. A control
+enters linearly if the equations and the objective depend linearly on it. The objective then hardly
+depends on the control at a single point. Without damping, such controls oscillate from point to
+point (chatter), and change from mesh to mesh. See docs/theory/refinement.md, eq. (9).
 """
 
 from __future__ import annotations

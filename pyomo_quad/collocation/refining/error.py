@@ -318,7 +318,7 @@ class _Samples:
     rows : ndarray, shape (n, n_expressions)
         Values of the path equations, then of the integrands.
     first_of_element : ndarray of int, shape (n_elements,)
-        Position of each element's first sample.
+        Position of each element's first sample among the n samples.
     """
 
     variables: FloatArray
@@ -451,8 +451,9 @@ def _sampled(
 def _clipped(
     program: Transcription, samples: _Samples, limits: tuple[FloatArray, FloatArray]
 ) -> _Samples:
-    """Return samples of the path equations with the controls clipped to their limits.
+    """Return samples in which each control outside its limits is set to the limit.
 
+    The path equations are evaluated again with the clipped controls.
     `limits` are lower and upper limits of the algebraic variables, shape (n_algebraics,) each.
     """
     layout, variables = program.layout, samples.variables.copy()

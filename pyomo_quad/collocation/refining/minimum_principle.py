@@ -161,7 +161,8 @@ def _free_controls(
 ) -> NDArray[np.intp]:
     """Return the positions of bounded algebraic variables that appear in no algebraic equation.
 
-    Such a variable can be changed alone.
+    A change of such a variable requires no change of another algebraic variable. `lower` and
+    `upper` are the bounds of the algebraic variables, shape (n_points, n_algebraics).
     """
     compiled, n = program.compiled, program.layout.n_states
     path = compiled.path
