@@ -187,7 +187,8 @@ def outside_tables(solution: Solution) -> str:
     """Return a message on a table that the solution evaluates outside the range of its data.
 
     A table interpolates data over a range of its argument, and has no meaning outside that range.
-    The message names the argument that lies farthest outside; it is empty if there is none.
+    The message names the table whose argument lies farthest outside, with the value of the
+    argument. It is empty if all arguments are inside.
     """
     program, z = solution.program, solution.unknowns
     tables = program.compiled.tables

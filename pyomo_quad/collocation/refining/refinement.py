@@ -70,7 +70,7 @@ def refine(
     """Solve on finer and finer meshes until the error estimate meets the tolerance.
 
     If limits become active or inactive inside an element, or controls are damped, the change of the
-    objective since the previous mesh must also be less than half the tolerance.
+    objective since the previous mesh must also be at most half the tolerance.
 
     Parameters
     ----------
@@ -91,8 +91,9 @@ def refine(
     Returns
     -------
     Solution or JointSolution
-        The last solution. Its status is `converged`; or `tolerance_not_met`, with the error that
-        was reached in the message; or the status of the solve that failed.
+        The last solution, or an earlier solution that a restart did not improve. Its status is
+        `converged`; or `tolerance_not_met`, with the reason in the message; or the status of the
+        solve that failed.
     """
     going = _Refinement(
         solve, meshes, tolerance, refinement, start, past_the_barrier, before=(None,) * len(meshes)
@@ -209,7 +210,7 @@ class _Refinement(Generic[S]):
         return self._shown(solution), errors, solved.status.has_failed
 
     def _restarted(self, accepted: S) -> S | None:
-        """Restart the refinement from other controls if Pontryagin's principle shows better ones.
+        """Restart the refinement if controls exist that are better by Pontryagin's principle.
 
         `accepted` is the solution within tolerance on the present meshes. The result is None if the
         refinement was restarted. Otherwise it is the final solution: `accepted`, or the solution
