@@ -8,8 +8,8 @@ declared vehicle | RotorPy
 mass, inertias, thrust and drag torque over rotor speed squared | mass, Ixx.., k_eta, k_m
 places and spins of the rotors, derived from the declared mixer | rotor_pos, rotor_directions
 drag of rotors, translational lift, parasitic drag by axis | k_d, k_z, k_h, c_Dx..
-quadratic drag | added to c_Dx = c_Dy = c_Dz, on body axes
-linear drag | added to k_d = k_z, times four rotors at the speed of hover, at the rotors
+quadratic drag | added to c_Dx, c_Dy and c_Dz; acts along the body axes
+linear drag / (4 x rotor speed in hover) | added to k_d and k_z; acts at the rotors
 
 RotorPy's rotors have no inertia, so the gyroscopic moment and the reaction of the body to
 accelerating rotors are added to RotorPy's own moments. RotorPy's motors follow a command with a
