@@ -233,8 +233,8 @@ class SampledPath:
         """Return the setpoint at time t [s].
 
         Before the first and after the last sample, the setpoint has the position and acceleration
-        of this sample and zero velocity. A controller that looks ahead needs a setpoint that does not
-        change after the end.
+        of this sample and zero velocity. A controller that looks ahead needs a setpoint that does
+        not change after the end.
         """
         row, is_inside = self._row(t)
         return Setpoint(row[:4], row[4:8] if is_inside else _AT_REST, row[8:])
