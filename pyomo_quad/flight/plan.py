@@ -510,10 +510,11 @@ class Plan(Summarised):
 
     @property
     def risk_words(self) -> str:
-        """Sentence on the risk of the plan and the cost of its margins, or a warning of no margins.
+        """Sentence on the risk of the plan and the energy that its margins cost.
 
-        The risk is the probability that a flight in turbulence breaks a limit. Margins are the
-        amounts by which limits were tightened for the plan.
+        For a plan without margins, it is a warning. The risk is the probability that a flight in
+        turbulence breaks a limit. Margins are the amounts by which limits were tightened for the
+        plan.
         """
         return PAPER_PLAN if self.risk is None else self.risk.words(self.energy)
 
