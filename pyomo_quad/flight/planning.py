@@ -62,7 +62,7 @@ class Planner(Problems):
         progress : callable, optional
             Called at each Ipopt iteration; returning False stops the solve.
         show : callable, optional
-            Called at each iteration with the stage of the search and the best energy so far.
+            Called at each iteration with the `State` of the search, for a progress display.
 
         Returns
         -------
