@@ -192,7 +192,7 @@ class TumblingGuard:
         self._most = _MOST_EVALUATIONS_PER_SECOND * max(1.0, duration)
 
     def evaluated(self, t: float) -> None:
-        """Count an evaluation of the right-hand side at time t [s]; raise an error at the limit.
+        """Count an evaluation of the right-hand side at time t [s], and check the limits.
 
         Raises
         ------

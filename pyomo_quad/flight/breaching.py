@@ -78,10 +78,10 @@ class LimitDistance:
     def probability(self, present: float = 0.0, changed: float = 0.0) -> float:
         """Predict the probability that a flight breaks the limit, for a plan with another margin.
 
-        A margin is the amount by which a plan stays inside the limit. The prediction assumes that
-        the plan moves to the new margin in two places: where the present margin is active, and
-        where the plan is nearer to the limit than the new margin. Elsewhere the plan is assumed
-        unchanged.
+        A margin is the amount by which a plan must stay inside the limit. The prediction assumes
+        that the plan moves to the new margin at two kinds of times: where it is close to the
+        present margin (the tightened limit is active), and where it is nearer to the limit than the
+        new margin. At other times the plan is assumed unchanged.
 
         Parameters
         ----------

@@ -346,9 +346,7 @@ def bend(magnitude: float, limit: float) -> float:
 
 
 def braking_rate(error: float, gain: float, acceleration_max: float) -> float:
-    """Return the rate at which to reduce a tracking error, so that it can stop at zero error.
-
-    The deceleration that stops it is limited.
+    """Return the rate at which to reduce a tracking error to zero with limited deceleration.
 
     Parameters
     ----------
@@ -444,6 +442,8 @@ class BacksteppingLoop:
         learnt: Sequence[float] = (0.0,) * _AXES,
     ) -> list[float]:
         """Return the initial states of the loop, for which the compensated errors are zero.
+
+        Compensated errors are the tracking errors minus the effects of the actuators' lag.
 
         Parameters
         ----------
@@ -601,7 +601,10 @@ def followed_tilt(believed: Scenario) -> float:
 
 
 class ThrustEnvelope:
-    """Set of accelerations, gravity excluded, that the limits of thrust and tilt allow.
+    """Set of accelerations of the vehicle that the limits of thrust and tilt allow.
+
+    The acceleration is zero in hover: the thrust divided by the mass is the acceleration plus the
+    gravitational acceleration upwards.
 
     Parameters
     ----------
@@ -630,10 +633,10 @@ class ThrustEnvelope:
         Parameters
         ----------
         acceleration : sequence of three floats
-            Commanded acceleration, without gravity, m/s^2.
+            Commanded acceleration of the vehicle, zero in hover [m/s^2].
         planned : sequence of three floats, optional
-            Acceleration of the plan, without gravity, m/s^2. It is zero without a plan; the result
-            is then parallel to the command.
+            Acceleration of the plan, zero in hover [m/s^2]. It is also zero without a plan; the
+            result is then parallel to the command.
 
         Returns
         -------
@@ -768,7 +771,7 @@ class AdaptiveController:
         setpoint : Setpoint
             First setpoint of the reference.
         body : sequence of twelve floats
-            The `MEASURED_STATES`.
+            The `MEASURED_STATES`: position, velocity, attitude and body rates.
         last : sequence of 22 floats, optional
             The controller's states at the end of the previous reference, if there was one. The
             attitude command continues from them without a jump; only the position loop is reset.
@@ -834,7 +837,7 @@ class AdaptiveController:
         command : sequence of 22 floats
             Command from the reference, as `command` returns it.
         body : sequence of twelve floats
-            The `MEASURED_STATES`.
+            The `MEASURED_STATES`: position, velocity, attitude and body rates.
         omega : sequence of four floats
             Rotor speeds, rad/s.
         states : sequence of 22 floats

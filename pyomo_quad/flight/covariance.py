@@ -77,7 +77,7 @@ class Spread:
         return self.covariance[:, chosen][:, :, chosen]
 
     def deviation(self, name: str) -> FloatArray:
-        """Return the standard deviation of a state at each of the n times, shape (n,)."""
+        """Return the standard deviation of the named state at the n times, shape (n,)."""
         return np.sqrt(self.of(name)[:, 0, 0])
 
 
@@ -297,10 +297,9 @@ class _MeanFlight:
     def _by_unknowns(self, t: FloatArray, joint: FloatArray, commands: FloatArray) -> FloatArray:
         """Return the derivatives of the joint rates with respect to the uncertain parameters.
 
-        The joint rates are the time derivatives of the joint state.
-
-        They are central differences over one standard deviation of each parameter. The result has
-        shape (n, n_joint, n_parameters).
+        The joint rates are the time derivatives of the joint state. Their derivatives are central
+        differences over one standard deviation of each parameter. The result has shape (n, n_joint,
+        n_parameters).
         """
         n_states = len(self.dynamics.state_names)
         states, controls = joint[:, :n_states], self.loop.controls(t, joint, commands)

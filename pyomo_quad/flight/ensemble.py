@@ -112,7 +112,7 @@ class Ending:
     miss_m, end_speed_m_per_s : float
         Distance from the goal and speed at the end.
     largest_deviation_m, peak_tilt_rad : float
-        Largest distance from the reference at any time, and largest tilt.
+        Largest distance from the reference position at the same time, and largest tilt.
     broken : mapping
         Name of the limit in words -> largest violation, relative to the larger of 1 and the limit.
         For the arrival it is the distance [m] or the speed [m/s] at the end, for the battery the

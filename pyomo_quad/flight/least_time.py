@@ -157,7 +157,10 @@ class Approach:
         return tuple(dict.fromkeys(min(max(time, least), greatest) for time in above))
 
     def goes_on(self) -> bool:
-        """Return whether to solve for the next duration: only if the last plan is verified."""
+        """Return whether to solve for the next duration.
+
+        This is the case if there is no plan yet, or if the last plan is verified.
+        """
         return not self.plans or self.plans[-1].is_verified
 
     def fly(self, lasting: float) -> str:

@@ -856,7 +856,8 @@ class Plan(Summarised):
         Returns
         -------
         Picture
-            A notebook shows it; `Picture.save` writes it, `Picture.figure` is matplotlib's.
+            The figure. A notebook displays it; `Picture.save` writes it to a file, and
+            `Picture.figure` is the figure of matplotlib.
 
         Raises
         ------
@@ -883,7 +884,7 @@ class Plan(Summarised):
         Returns
         -------
         Path
-            The text, `report.md`.
+            Path of the report's text, `report.md`.
 
         Raises
         ------

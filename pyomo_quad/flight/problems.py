@@ -161,7 +161,7 @@ class Problems:
         return _start_key(built_for) == _start_key(scenario)
 
     def winds_at(self, scenario: Scenario, places: ArrayLike) -> FloatArray:
-        """Return the wind along world x and y at places at the start of the mission [m/s].
+        """Return the wind along world x and y at given places when the mission starts [m/s].
 
         `places` has shape (n, 3), m; the result has shape (n, 2).
         """

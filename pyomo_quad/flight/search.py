@@ -142,7 +142,7 @@ class Search:
         return self.work - self._patient_from
 
     def restart_patience(self) -> None:
-        """Start to count again the work after which usable plans are computed.
+        """Reset the count of the work that a search does before it computes usable plans.
 
         A usable plan is a plan that simulation confirms at lower accuracy than requested. To save
         time, a search computes usable plans only after it has done a certain amount of work.

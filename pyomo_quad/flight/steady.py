@@ -476,8 +476,8 @@ class SteadyFlight:
 class MomentumDemand:
     """Calculator of the thrust vector that a motion of the vehicle requires (momentum balance).
 
-    Weight and air forces are the accelerations that the compiled equations give with the rotors
-    stopped. The thrust must supply the rest of the motion's acceleration. The balance does not
+    The acceleration by weight and air follows from the compiled equations with the rotors stopped.
+    The thrust must supply the rest of the motion's acceleration. The balance does not
     depend on the attitude. If it is linear in the velocity, the thrust along each world axis is
     mass * acceleration + drag * velocity + standing(t), where `standing` is the thrust that weight
     and wind require at zero velocity.

@@ -269,7 +269,7 @@ def voltage_lacking(dynamics: Dynamics, flown: Flown) -> float:
 
 
 def wind_lacking(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> str:
-    """Return a message if a flight leaves the wind field in which it was planned, or else "".
+    """Return a message if a flight leaves the wind field of its plan; empty otherwise.
 
     The field is limited in space and time. A model without positions cannot leave it.
     """

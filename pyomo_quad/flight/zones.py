@@ -168,7 +168,7 @@ class _Section(NamedTuple):
 
 
 def _section(zone: KeepOut, ends: FloatArray, clearance: float) -> _Section | None:
-    """Return the cross-section of a keep-out zone in the plane across a leg that passes it.
+    """Return the cross-section of a keep-out zone in the vertical plane across a passing leg.
 
     A leg is the line between two waypoints, `ends`, shape (2, 3). The plane is at the place where
     the leg is inside the zone or nearest to it. The result is None if this place is an end of the
