@@ -1,9 +1,10 @@
 """Flyable trajectories near a coarse solution, for a search that runs out of time.
 
-Simulating the controls of a coarse solution may miss the goal. Here the equations are solved on
-finer meshes, without optimising again, until the simulated flight reaches the goal. If that flight
-breaks a limit slightly, for example the floor by a few centimetres between two points of the mesh,
-the equations are solved once more with a limit that is stricter by the violation.
+A trajectory is flyable if a simulation of its controls, without feedback, reaches the goal. The
+controls of a coarse solution may miss the goal. Starting from this solution, the equations are
+solved on finer meshes, without optimising again. If the simulated flight then breaks a limit
+slightly, for example the floor by a few centimetres between two points of the mesh, the equations
+are solved once more with a limit that is stricter by more than the violation.
 """
 
 from __future__ import annotations
@@ -70,16 +71,17 @@ def flyable_from(
 ) -> Iterator[Solution]:
     """Yield flyable trajectories near a coarse optimum, on ever finer meshes.
 
-    The equations are satisfied on the finer meshes, but the energy is not minimised again. Between
-    the points of coarse elements, a path may cut the corners of zones; therefore the clearance is
-    increased by the deepest intrusion of the coarse path.
+    A trajectory is flyable if a simulation of its controls, without feedback, reaches the goal. The
+    equations are satisfied on the finer meshes, but the energy is not minimised again. Between the
+    points of coarse elements, a path may cut the corners of keep-out zones; therefore the clearance
+    is increased by the deepest intrusion of the coarse path.
 
     Parameters
     ----------
     problem : Problem
         Compiled problem of the mission.
     arguments : dict
-        Arguments of `Problem.solve` for the mission.
+        Keyword arguments with which `Problem.solve` solves the mission.
     coarse : Solution
         Solution on a coarse mesh.
     airspace : Airspace
@@ -117,11 +119,11 @@ def flyable_from(
 
 
 def within_airspace(numbers: Mapping[str, float]) -> dict[str, float]:
-    """Return parameters with stricter floor, ceiling and clearance, for flyable trajectories.
+    """Return the mission's parameters with stricter floor, ceiling and clearance from zones.
 
-    A flyable trajectory may violate each limit by a fraction of the limit: a floor at a height of
-    20 m by 6 cm. The returned limits are stricter by this allowance, so that such a trajectory
-    keeps the limits of the mission itself.
+    The solve for a flyable trajectory may violate each limit by a small fraction, for example a
+    floor at a height of 20 m by 6 cm. The returned limits are stricter by this allowance, so that
+    the trajectory keeps the limits of the mission itself.
 
     Parameters
     ----------
@@ -143,7 +145,11 @@ def within_airspace(numbers: Mapping[str, float]) -> dict[str, float]:
 
 
 def _with_open_ends(numbers: dict[str, float]) -> dict[str, float]:
-    """Return parameters whose floor and ceiling exclude neither the start nor the goal."""
+    """Return parameters whose floor and ceiling allow the heights of start and goal.
+
+    `numbers` maps full names of parameters to values; a floor or a ceiling that was made too strict
+    is relaxed in place.
+    """
     ends = [numbers[name] for name in _ENDS if name in numbers]
     for name, choose in ((_FLOOR, min), (_CEILING, max)):
         if name in numbers and ends:
@@ -152,9 +158,10 @@ def _with_open_ends(numbers: dict[str, float]) -> dict[str, float]:
 
 
 def stricter_limits(plan: Plan) -> dict[str, float]:
-    """Return the changes of parameters that make the limits broken by a plan's flight stricter.
+    """Return changes of parameters that make stricter the limits which a simulated flight broke.
 
-    Each limit becomes stricter by somewhat more than its violation in the simulated flight.
+    Each limit becomes stricter by somewhat more than its violation in the simulated flight of a
+    plan.
 
     Parameters
     ----------
@@ -187,14 +194,16 @@ def stricter_limits(plan: Plan) -> dict[str, float]:
 def led_inside(
     problem: Problem, arguments: dict[str, Any], near: Solution, changes: Mapping[str, float]
 ) -> Solution | None:
-    """Return a flyable trajectory within stricter limits near a trajectory that breaks limits.
+    """Return a flyable trajectory within stricter limits, near a trajectory that breaks limits.
+
+    A trajectory is flyable if a simulation of its controls, without feedback, reaches the goal.
 
     Parameters
     ----------
     problem : Problem
         Compiled problem of the mission.
     arguments : dict
-        Arguments of `Problem.solve` for the mission.
+        Keyword arguments with which `Problem.solve` solves the mission.
     near : Solution
         Last trajectory of `flyable_from`.
     changes : mapping
@@ -232,7 +241,7 @@ def led_inside(
 
 
 def _deepest_cut(solution: Solution, airspace: Airspace) -> float:
-    """Return the deepest intrusion of a path into the clearance of a zone [m], or 0."""
+    """Return the deepest intrusion of a solution's path into a zone or its clearance [m], or 0."""
     if not airspace.keep_out:
         return 0.0
     names = [slot.name for slot in solution.problem.compiled.declared.states]
