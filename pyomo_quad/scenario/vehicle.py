@@ -76,7 +76,7 @@ _SLOW = positive(1e-2, 1e3, "rotorcraft fly below 340 m/s, the speed of sound")
 
 
 class Validated(Part):
-    """Range of airspeed, climb, descent and payload in which measurements confirm the model."""
+    """Limits of airspeed, climb, descent and payload up to which flight tests confirm the model."""
 
     airspeed: Number | None = quantity(
         "m/s", "largest airspeed of the flights that confirm the vehicle", None, sound=_SLOW
@@ -111,7 +111,7 @@ class Attitude(StrEnum):
 
 
 class MotorConstants(NamedTuple):
-    """Torque constant [N m/A], voltage constant [rad/s/V], winding resistance [ohm] of a motor."""
+    """Motor constants: torque constant [N m/A], speed per voltage [rad/s/V], resistance [ohm]."""
 
     torque_constant: float
     voltage_constant: float
