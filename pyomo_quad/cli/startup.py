@@ -19,7 +19,7 @@ _is_own = False
 def own_process() -> None:
     """Make a process that runs a single command faster: one BLAS thread, rare garbage collection.
 
-    A number of threads that the user has set in the environment is kept.
+    If the environment variable for the number of BLAS threads is set, it is not changed.
     """
     global _is_own  # noqa: PLW0603  a fact about the process
     _is_own = True
