@@ -463,7 +463,7 @@ def _before_any_command(
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Version.")
     ] = False,
 ) -> None:
-    """Handle the option `--version`, which stands in place of the name of a command."""
+    """Handle the option `--version`, which is given without the name of a command."""
 
 
 def _end_other_processes() -> None:

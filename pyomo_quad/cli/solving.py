@@ -358,8 +358,8 @@ def complain_about(plan: Plan, folder: Path, cautions: Sequence[str]) -> None:
 def run_lines(result: "RunResult") -> Iterator[str | Table]:
     """Yield the lines and the table to print on a run: headline, plan, flights and lower bound.
 
-    A run is a plan together with the baseline flights with which it is compared. The lower bound is
-    that of the energy of any flight of the mission.
+    A run is a plan together with the baseline flights with which it is compared. Every
+    flight of the mission needs at least the energy of the lower bound.
     """
     headline = headline_of(result)
     if headline is not None:

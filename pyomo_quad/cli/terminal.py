@@ -193,7 +193,7 @@ AllowCode = Annotated[
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """Values of the command-line options that all commands which solve have in common."""
+    """Values of the command-line options that are common to all commands which solve."""
 
     out: Output = None
     overrides: Overrides = None

@@ -533,7 +533,7 @@ def _as_json(held: dict[str, Any]) -> str:
 
 
 def _deviation(legs: Legs, motion: Motion) -> float:
-    """Return the largest distance [m] between a plan and straight legs at the same time."""
+    """Return the largest distance [m], at any time, between the positions on plan and legs."""
     t = motion.samples(len(legs.times) / motion.duration * 100)
     return float(np.linalg.norm(legs.at(t) - motion.position(t), axis=1).max())
 

@@ -98,7 +98,7 @@ class Legs:
     is_of_mission: NDArray[np.bool_] = field(default_factory=lambda: np.array([], dtype=bool))
 
     def at(self, t: FloatArray) -> FloatArray:
-        """Return the positions on the legs at times [s], shape (n, 3) [m]."""
+        """Return the positions x, y, z [m] on the legs at times t [s], shape (n, 3)."""
         return np.column_stack([np.interp(t, self.times, axis) for axis in self.places.T])
 
     def shapes_path(self, number: int) -> bool:

@@ -281,30 +281,30 @@ class Motion:
         return slopes / self.duration
 
     def position(self, t: FloatArray) -> FloatArray:
-        """Return the positions x, y, z at times after the start [m], shape (n, 3)."""
+        """Return the positions x, y, z [m] at times t [s] after the start, shape (n, 3)."""
         return self.values(t, POSITION_STATES)
 
     def velocity(self, t: FloatArray) -> FloatArray:
-        """Return the velocities along x, y, z at times after the start [m/s], shape (n, 3)."""
+        """Return the velocities along x, y, z [m/s] at times t [s], shape (n, 3)."""
         return self.values(t, VELOCITY_STATES)
 
     def acceleration(self, t: FloatArray) -> FloatArray:
-        """Return the accelerations along x, y, z at times after the start [m/s²], shape (n, 3)."""
+        """Return the accelerations along x, y, z [m/s²] at times t [s], shape (n, 3)."""
         return self.slopes(t, VELOCITY_STATES)
 
     def yaw(self, t: FloatArray) -> FloatArray:
-        """Return the yaw angles at times after the start [rad], shape (n,).
+        """Return the yaw angles [rad] at times t [s] after the start, shape (n,).
 
         The angles count counter-clockwise from x and are not wrapped to one turn.
         """
         return self.values(t, ATTITUDE_STATES[2:])[:, 0]
 
     def yaw_rate(self, t: FloatArray) -> FloatArray:
-        """Return the time derivatives of the yaw angle [rad/s], shape (n,)."""
+        """Return the time derivative of the yaw angle [rad/s] at times t [s], shape (n,)."""
         return self.slopes(t, ATTITUDE_STATES[2:])[:, 0]
 
     def quaternions(self, t: FloatArray) -> FloatArray:
-        """Return the body's attitudes at times after the start as unit quaternions, shape (n, 4).
+        """Return the body's attitudes at times t [s] after the start, as unit quaternions (n, 4).
 
         The components are x, y, z, w. A quaternion rotates vectors from body axes to world axes.
         """

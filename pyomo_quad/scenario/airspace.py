@@ -601,6 +601,9 @@ class Airspace(Part):
                 yield f"is inside keep-out {near} by {depth:.3g} m; move one of them"
 
     def with_clearance(self, zone: KeepOut) -> str:
-        """Return a zone's name for messages, followed by the clearance (distance kept) if any."""
+        """Return a zone's name for messages, followed by the clearance unless it is zero.
+
+        The clearance is the distance that the flight must keep from every keep-out zone.
+        """
         near = f" with its clearance of {self.clearance:g} m" if self.clearance else ""
         return f"{zone.name}{near}"

@@ -79,7 +79,7 @@ class Thermal(Part):
 
     @property
     def start(self) -> float:
-        """Cell temperature at the start of the flight [K], by default that of the ambient air."""
+        """Cell temperature at the start of the flight [K], by default the ambient temperature."""
         return (
             self.ambient_temperature
             if self.initial_temperature is None

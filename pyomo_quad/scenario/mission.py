@@ -252,7 +252,7 @@ class Mission(Part):
 
     @property
     def named_positions(self) -> tuple[tuple[str, tuple[float, float, float]], ...]:
-        """Positions of start, waypoints and goal [m], each after the dotted path of its field."""
+        """Dotted field path and position x, y, z [m] of start, each waypoint and goal, in order."""
         waypoints = (f"waypoints[{k}]" for k in range(len(self.waypoints)))
         names = ("start", *waypoints, "goal")
         fields = (f"mission.{name}.position" for name in names)

@@ -516,7 +516,7 @@ def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
 
 
 def _initial_values(model: type[BaseModel]) -> dict[str, Any]:
-    """Return nested tables of the initial values of fields; see `initial` of `fields.quantity`.
+    """Return nested tables of the initial values of fields; see `fields.quantity`.
 
     A few fields have an initial value in addition to their default. A scenario gets the initial
     value if its file leaves the field out. A record (a complete scenario that was stored earlier,

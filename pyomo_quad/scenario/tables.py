@@ -463,7 +463,7 @@ class Limits(Part):
 
     @property
     def least_charge(self) -> float:
-        """Least state of charge of the battery, as a fraction of 1; one fifth by default."""
+        """Least allowed state of charge of the battery, as a fraction; one fifth by default."""
         least = self.state_of_charge_min
         return _LEAST_CHARGE if least is None else least / 100.0
 

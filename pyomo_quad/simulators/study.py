@@ -386,7 +386,7 @@ def run_outside_study(planner: Planner | None = None) -> OutsideStudy:
 
 
 def _track(flight: Flight, plan: Plan) -> Track:
-    """Return the distance of a flight from its plan over time, at no more than 500 samples."""
+    """Return times [s] and distances [m] of a flight from its plan, at fewer than 500 samples."""
     step = max(1, len(flight.frame) // _MOST_SAMPLES)
     shown = flight.frame.iloc[::step]
     t = shown[TIME].to_numpy()

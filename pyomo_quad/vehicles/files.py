@@ -13,7 +13,7 @@ _DIGITS = 6
 
 
 def pack_name(name: str) -> str:
-    """Return the name of the battery file that belongs to the vehicle file NAME.toml."""
+    """Return the battery file's name, `NAME_pack.toml`, for the vehicle file `NAME.toml`."""
     return f"{name}_pack.toml"
 
 
