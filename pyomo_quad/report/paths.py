@@ -84,7 +84,7 @@ _SAME_PLACE = 0.01
 def distinct_paths(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
     """Return the plan and the flights whose paths differ visibly from the plan's path.
 
-    The first of the given flights is the plan.
+    Figures draw only these paths. The first of the given flights is the plan.
     """
     return (flights[0], *_further(flights, COINCIDENT))
 
@@ -264,7 +264,10 @@ def draw_space(
 
 
 def leaving_paths(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
-    """Return the flights whose paths are so far from the plan's path that they leave the figure."""
+    """Return the flights whose paths are so far from the plan's path that they leave the figure.
+
+    The first of the given flights is the plan.
+    """
     return _further(flights, ASTRAY)
 
 
@@ -320,7 +323,11 @@ def _inside(points: np.ndarray, limits: np.ndarray) -> np.ndarray:
 
 
 def _with_airspace(limits: np.ndarray, airspace: Airspace) -> np.ndarray:
-    """Extend the axis limits of a figure to show near zones, the floor and the ceiling."""
+    """Extend the axis limits of a figure of paths towards keep-out zones, floor and ceiling.
+
+    The extension is limited, so that distant zones do not make the paths small. `limits` and the
+    result hold the least and the greatest x, y and z in m, shape (3, 2).
+    """
     room = _AROUND * float(np.ptp(limits, axis=1).max())
     furthest = limits + room * np.array([-1.0, 1.0])
     wanted = limits.copy()

@@ -82,7 +82,7 @@ class DrawnFigure:
 
 
 def refuse_other_endings(file: Path, name: str) -> None:
-    """Raise an error if a file name does not end in .png, .svg or .pdf.
+    """Raise an error if the file name of a figure does not end in .png, .svg or .pdf.
 
     Parameters
     ----------

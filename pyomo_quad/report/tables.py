@@ -309,7 +309,9 @@ _LARGEST_FILE = 256 * 1024 * 1024
 
 
 def read_report(folder: Path, table: str = PLAN_NAME) -> tuple[dict[str, Any], "pd.DataFrame"]:
-    """Read summary and trajectory table of a report folder, which may come from a stranger.
+    """Read summary and trajectory table of a report folder, and check the table.
+
+    The table is checked because the folder may come from an unknown source.
 
     Parameters
     ----------
@@ -347,16 +349,19 @@ AIMS_NAME = "energy_and_charge.csv"
 def read_front(folder: Path) -> "pd.DataFrame | None":
     """Read the energy-time front (least energy against duration) of a report folder.
 
+    Each point of the front is the optimal flight for one price of time: the energy that one second
+    is worth.
+
     Parameters
     ----------
     folder : Path
-        Folder of the report, which may come from a stranger.
+        Folder of the report, which may come from an unknown source.
 
     Returns
     -------
     DataFrame or None
-        One row for each flight, optimal for one price of time (value of a second), with the columns
-        of `FrontColumn`; None if the report has no front.
+        One row for each price of time, with the columns of `FrontColumn`; None if the report has no
+        front.
 
     Raises
     ------
