@@ -560,10 +560,10 @@ def _columns(*groups: Iterable[Column]) -> tuple[str, ...]:
 
 
 def _naming(words: str, flights: Sequence[StyledFlight], sign: str = ":") -> str:
-    """Return a caption's sentence that ends with names of flights, such as "Not drawn: A and B."
+    """Return a sentence for a caption that ends with the names of flights.
 
-    `words` is the beginning of the sentence, and `sign` the punctuation before the names. The
-    result is empty if there are no flights.
+    An example is " Not drawn: A and B.". `words` is the beginning of the sentence, and `sign` the
+    punctuation before the names. The result is empty if there are no flights.
     """
     return f" {words}{sign} {_listed(flights)}." if flights else ""
 

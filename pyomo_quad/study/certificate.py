@@ -82,7 +82,11 @@ class ThrustMoments:
         self.mean_thrust = total / duration
 
     def price(self, multipliers: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the multiplier of the thrust vector (its price) at each node of the quadrature.
+        """Return the price of thrust: the thrust vector's multiplier at each quadrature node.
+
+        A price is a Lagrange multiplier of the dual problem (docs/theory/bound.md, eq. (8)). The
+        price of thrust at a node is the sum of the two integrals' multipliers, each times its
+        weight at the node.
 
         Parameters
         ----------
@@ -103,7 +107,8 @@ class ThrustMoments:
     def supplied(self, thrust: FloatArray) -> FloatArray:
         """Return the two weighted integrals of a given thrust over the flight.
 
-        A flight of the mission has the integrals `demanded`.
+        For the thrust of any flight of the mission, the integrals are equal to the attribute
+        `demanded`.
 
         Parameters
         ----------
@@ -123,12 +128,12 @@ class ThrustMoments:
         Parameters
         ----------
         axes : tuple of int, default (0, 1, 2)
-            Axes whose thrust counts; (0, 1) is the horizontal thrust.
+            Axes of the thrust components that the bound includes; (0, 1) is the horizontal thrust.
 
         Returns
         -------
         float
-            Lower bound on the largest thrust along these axes together, N.
+            Lower bound on the largest length of the thrust vector along these axes, N.
 
         Notes
         -----
@@ -249,7 +254,7 @@ class Certificate:
     durations_s: tuple[float, float] = (0.0, inf)
 
     def is_of(self, duration_s: float) -> bool:
-        """Return whether the lower bound covers flights of a duration [s]."""
+        """Return whether the lower bound is valid for flights of the duration `duration_s`."""
         least, greatest = self.durations_s
         return least * (1 - SAME_TIME) <= duration_s <= greatest * (1 + SAME_TIME)
 
@@ -294,9 +299,10 @@ def certify(scenario: Scenario, *, planner: Planner | None = None) -> Certificat
 
 
 def _bound(scenario: Scenario, planner: Planner) -> _Found:
-    """Return the best lower bound that one of the methods gives [J], and its basis in words.
+    """Return the best lower bound on the energy of a mission [J], and its basis in words.
 
-    The bound is None if no method applies; the text is then the reason.
+    The methods differ in the missions to which they apply. If no method applies, the bound is None
+    and the text is the reason.
     """
     reason = next(_obstacles(scenario), "")
     if reason:
@@ -319,9 +325,10 @@ def _bound(scenario: Scenario, planner: Planner) -> _Found:
 
 
 def _uncounted(scenario: Scenario, demand: MomentumDemand) -> str:
-    """Return why waypoints and a free duration cannot enter the lower bound; "" if they can.
+    """Return why the lower bound cannot include waypoints or a free duration; "" if it can.
 
-    The text completes the sentence "no bound is known that counts waypoints ...".
+    The reason completes the sentence "no bound is known that counts waypoints ...". `demand` is the
+    thrust that the momentum balance requires.
     """
     times = np.linspace(0.0, scenario.nominal_duration, _STANDING_SAMPLES)
     standing = np.array([demand.thrust(float(t)) for t in times])
@@ -338,6 +345,17 @@ def _bound_as_a_whole(
     scenario: Scenario, demand: MomentumDemand, power: _SteadyPower, uncounted: str
 ) -> _Found:
     """Bound the energy of flights of fixed duration from below, ignoring waypoints.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission.
+    demand : MomentumDemand
+        Thrust that the momentum balance requires.
+    power : _SteadyPower
+        Total power over total thrust at constant rotor speeds.
+    uncounted : str
+        Reason from `_uncounted` why waypoints and a free duration are not covered, for the texts.
 
     Returns
     -------
@@ -412,7 +430,8 @@ def _energy_returned(scenario: Scenario, planner: Planner) -> float:
     """Return the energy that slowing rotors can give back at the goal after a payload release [J].
 
     The vehicle is lighter at the goal than at the start, so that its rotors turn more slowly in the
-    hover at the goal.
+    hover at the goal. The energy is subtracted from the lower bound (docs/theory/bound.md, eq.
+    (7)).
     """
     if not scenario.mission.released:
         return 0.0
@@ -485,7 +504,11 @@ def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand
 
 
 def _airspace_clause(scenario: Scenario) -> str:
-    """Return the clause that extends the statement of a bound to flights in an airspace, or ""."""
+    """Return the end of the sentence that states a lower bound, for a mission with an airspace.
+
+    The clause says that the bound also holds for the flights that stay within the airspace. It is
+    empty if the scenario has no keep-out zones, floor or ceiling.
+    """
     airspace = scenario.airspace
     if not airspace.keep_out and airspace.floor is None and airspace.ceiling is None:
         return ""
@@ -493,7 +516,10 @@ def _airspace_clause(scenario: Scenario) -> str:
 
 
 def _obstacles(scenario: Scenario) -> Iterator[str]:
-    """Yield the reasons why no lower bound on the energy is known, the simplest first."""
+    """Yield the reasons why no lower bound on a scenario's energy is known, the simplest first.
+
+    It yields nothing if a bound may be known.
+    """
     if scenario.model is not None:
         yield f"no bound is known for a user's own model ({scenario.model})."
     if scenario.power.model is PowerModel.EFFICIENCY:
@@ -518,10 +544,12 @@ def _obstacles(scenario: Scenario) -> Iterator[str]:
 
 
 def _best_bound(moments: ThrustMoments, power: _SteadyPower, ceiling: float) -> float:
-    """Return the largest lower bound that maximising the dual function finds [J].
+    """Maximise the dual function over its multipliers; return the best lower bound found [J].
 
-    It is at least the bound of Jensen's inequality, from which the search starts. The search stops
-    above ``ceiling`` [J], the energy of full power throughout, since no flight exists then.
+    The dual function is the right-hand side of docs/theory/bound.md, eq. (8). The search starts
+    from the bound of Jensen's inequality, eq. (9), and the result is never below this bound. The
+    search stops above ``ceiling`` [J], the energy of full power during the whole flight, because a
+    larger bound proves that no flight exists.
     """
 
     def negative(multipliers: FloatArray) -> tuple[float, FloatArray]:
@@ -551,10 +579,11 @@ def _best_bound(moments: ThrustMoments, power: _SteadyPower, ceiling: float) -> 
 
 
 class _SteadyPower:
-    """Total thrust and power at equal, constant rotor speeds over their allowed range.
+    """Total thrust and total power of the vehicle while all rotors turn at one constant speed.
 
-    Power here may be negative. The declared power has a smooth lower limit of zero, which can only
-    increase the power, so that a lower bound on the energy stays valid.
+    The values cover the allowed range of the rotor speed. The power may be negative: the lower
+    limit of zero that the power model has is not applied here. That limit can only increase the
+    power, so that a lower bound on the energy computed without it is valid.
 
     Attributes
     ----------
@@ -614,7 +643,16 @@ class _SteadyPower:
 def _fit(
     readings: FloatArray, speeds: FloatArray, samples: FloatArray
 ) -> tuple[Chebyshev, FloatArray, bool]:
-    """Fit a polynomial of the rotor speed to values of the declared model.
+    """Fit a polynomial of the rotor speed to computed values of the model's thrust or power.
+
+    Parameters
+    ----------
+    readings : ndarray
+        Values of the model at the rotor speeds ``speeds``.
+    speeds : ndarray
+        Rotor speeds of the fit, rad/s.
+    samples : ndarray
+        Rotor speeds at which the fit is evaluated, rad/s.
 
     Returns
     -------
@@ -623,7 +661,7 @@ def _fit(
     values : ndarray
         The fit at the speeds ``samples``.
     is_exact : bool
-        Whether the fit meets the ``readings`` (values at ``speeds``) to rounding.
+        Whether the fit equals the ``readings`` to rounding.
     """
     domain = [speeds[0], speeds[-1]]
     polynomial = Chebyshev.fit(speeds, readings, _DEGREE, domain=domain)
@@ -632,9 +670,10 @@ def _fit(
 
 
 def _below(thrust: FloatArray, power: FloatArray) -> FloatArray:
-    """Lower samples of the power so that the polygon through them is nowhere above the power.
+    """Lower samples of the power so that the polygon through them is nowhere above the curve.
 
-    A lower bound on the energy that the samples give is thus valid for the whole curve.
+    A lower bound on the energy that is computed from the lowered samples is thus valid for the
+    whole curve. `thrust` [N] and `power` [W] are the samples, in the order of increasing thrust.
     """
     chords = np.diff(power) / np.diff(thrust)
     # The power rises with thrust, so the first step extends a level line.
@@ -643,7 +682,10 @@ def _below(thrust: FloatArray, power: FloatArray) -> FloatArray:
 
 
 def _corners(thrust: FloatArray, power: FloatArray) -> FloatArray:
-    """Return the vertices of the lower convex hull of power over thrust, shape (2, n)."""
+    """Return the vertices of the lower convex hull of power over thrust, shape (2, n).
+
+    The first row holds the thrusts [N], the second the powers [W].
+    """
     kept: list[tuple[float, float]] = []
     for x, y in zip(thrust.tolist(), power.tolist(), strict=True):
         while len(kept) > 1:

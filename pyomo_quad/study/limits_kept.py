@@ -23,7 +23,11 @@ _WITHOUT_RISK = "planned without mission.risk, so without margins for the contro
 
 
 def limit_lines(plan: Plan, flights: Sequence[Flight]) -> Iterator[str]:
-    """Yield a sentence on each flight that breaks limits, with the risk of breaking them.
+    """Yield a sentence on each flight that breaks limits, for the report of a run.
+
+    The sentence also says whether the plan's risk covers the violation. The risk is the share of
+    the plan's flights in turbulence that may break a limit. If no flight breaks a limit, one
+    sentence says so.
 
     Parameters
     ----------
@@ -47,7 +51,11 @@ def limit_lines(plan: Plan, flights: Sequence[Flight]) -> Iterator[str]:
 
 
 def _risk_words(risk: RiskTaken | None, flight: Flight) -> str:
-    """Return in words whether the plan's risk covers the limits that a flight breaks."""
+    """Return in words whether the plan's risk covers the limits that a flight breaks.
+
+    The risk is the share of the plan's flights in turbulence that may break a limit. It covers the
+    limits that the planner's test flights break most often.
+    """
     if flight.name == OPTIMAL:
         return "the plan itself, beyond the error that its accuracy allows"
     if risk is None:
