@@ -94,7 +94,7 @@ class BaselineFlight:
 
 
 def baseline_cases(*, is_quick: bool = False) -> tuple[BaselineCase, ...]:
-    """List the settings of the report's flights under the adaptive controller.
+    """List the settings of the flights under the adaptive controller in the report on Yacef et al.
 
     Parameters
     ----------
@@ -110,7 +110,10 @@ def baseline_cases(*, is_quick: bool = False) -> tuple[BaselineCase, ...]:
 
 
 def fly_baseline_case(case: BaselineCase) -> BaselineFlight:
-    """Simulate a flight of an experiment of Yacef et al. under the adaptive controller."""
+    """Simulate a flight of an experiment of Yacef et al. under the adaptive controller.
+
+    `case` gives the experiment, the power model and the reference trajectory.
+    """
     scenario = paper_scenario(case.experiment, {"power.model": case.power_model})
     dynamics = Planner().dynamics(scenario)
     return BaselineFlight(
@@ -122,8 +125,8 @@ def fly_baseline_case(case: BaselineCase) -> BaselineFlight:
 def full_speed_energy(experiment: Experiment) -> float:
     """Return the energy of an experiment with all rotors at full speed throughout [J].
 
-    The power is computed with the efficiency f_r of Yacef et al. To use more energy, the rotors
-    would have to accelerate and brake all the time.
+    The power is computed with the efficiency f_r of motor and rotor of Yacef et al. To use more
+    energy, the rotors would have to accelerate and brake all the time.
 
     Parameters
     ----------
@@ -192,8 +195,8 @@ class PaperFlight:
     flight : Flight
         The planned flight.
     status : PlanStatus
-        Status of the solve. With the efficiency f_r a flight may be verified although the solve
-        does not prove that it is optimal.
+        Status of the solve. Under the efficiency f_r of Yacef et al., a flight may be verified
+        although the solve does not prove that it is optimal.
     hover_energy_J : float
         Energy of hovering for the same time under the same power model.
     end_prices : mapping
@@ -208,7 +211,7 @@ class PaperFlight:
 
 
 def flight_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
-    """List the settings of both experiments under every power model.
+    """List the settings of both experiments of Yacef et al. under every power model.
 
     Parameters
     ----------

@@ -68,7 +68,8 @@ TIMES_NAME = "timings.json"
 def write_paper_report(folder: Path, study: PaperStudy, figures: Figures = Figures.SVG) -> None:
     """Write the report on the paper of Yacef et al.: `report.md`, tables and figures.
 
-    Equal results give files with the same bytes, apart from the wall times in a file of their own.
+    Equal results give files with the same bytes. Only the wall times differ; they are in a separate
+    file.
 
     Parameters
     ----------
@@ -102,7 +103,11 @@ def write_paper_report(folder: Path, study: PaperStudy, figures: Figures = Figur
 
 
 def _equations() -> Iterator[dict[str, Any]]:
-    """Yield the model's equations for the flight in wind in groups, each equation once."""
+    """Yield the model's equations for the flight in wind, in groups, for the report.
+
+    Each group holds the equations of one variant of the model (power model, effect of the wind)
+    that no earlier group contains.
+    """
     seen: set[str] = set()
     groups: tuple[tuple[str | None, PowerModel | None, dict[str, Any]], ...] = (
         ("The second experiment, under the electrical power of the motors", None, {}),
@@ -169,7 +174,11 @@ def _bound_of_printed_optimum(study: PaperStudy) -> float:
 
 
 def _adaptive(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
-    """Return numbers to compare with the energy that Yacef et al. print for adaptive control."""
+    """Return numbers to compare with the energy that Yacef et al. print for adaptive control.
+
+    They are energies of an experiment: of hovering, of simulated flights under the adaptive
+    controller, and with all rotors at full speed.
+    """
     has_jump = any(flown.case.reference is Reference.STEP for flown in study.baselines)
     references = Reference.QUINTIC, Reference.STEP if has_jump else Reference.QUINTIC
     smooth, jump = (

@@ -66,7 +66,7 @@ def _used(values: dict[str, object], field: str) -> float:
 
 
 def corrections(study: PaperStudy) -> dict[str, Any]:
-    """Return the numbers that show errors and gaps in the paper of Yacef et al.
+    """Return the numbers with which the report shows errors and gaps in the paper of Yacef et al.
 
     Returns
     -------

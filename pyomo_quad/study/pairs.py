@@ -237,7 +237,9 @@ class Pairs:
     def _fastest(self, scenario: Scenario) -> float:
         """Return an airspeed that no flight from rest can exceed [m/s]; infinite if unknown.
 
-        Implements docs/theory/bound.md, eq. (22).
+        The airspeed is limited by the scenario's speed limit plus the strongest wind, and by the
+        speed at which the drag equals the largest thrust plus `standing`. Implements
+        docs/theory/bound.md, eq. (22).
         """
         strongest = float(np.linalg.norm(self._winds, axis=1).max())
         allowed = inf if scenario.limits.speed_max is None else scenario.limits.speed_max
