@@ -29,8 +29,8 @@ from pyomo_quad.identification.columns import (
 from pyomo_quad.scenario import ScenarioError
 from pyomo_quad.scenario.wind import SEA_LEVEL_DENSITY
 
-# Logs of the PX4 autopilot: unit of time, topics, and fields; where a name has changed, that of the
-# newest firmware comes first.
+# Logs of the PX4 autopilot: unit of time, topics, and fields. Where a name has changed, the name in
+# the newest firmware comes first.
 Topic = dict[str, FloatArray]
 _MICROSECONDS = 1e-6
 _POSITION, _BATTERY, _LANDED = "vehicle_local_position", "battery_status", "vehicle_land_detected"

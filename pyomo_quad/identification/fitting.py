@@ -333,7 +333,7 @@ class Fit:
         return np.array(found)
 
     def applied(self, values: FloatArray) -> Scenario:
-        """Return the scenario whose vehicle has the fitted values `values`, in the order `names`."""
+        """Return the scenario whose vehicle has the given values of the fitted fields `names`."""
         named = zip(self.names, values.tolist(), strict=True)
         return self._scenario.with_values({f"vehicle.{name}": value for name, value in named})
 

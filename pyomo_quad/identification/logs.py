@@ -375,7 +375,11 @@ def _complaints(frame: pd.DataFrame) -> Iterator[str]:
 
 
 def _unit_complaints(frame: pd.DataFrame) -> Iterator[str]:
-    """Yield a message for each quantity of a flight that seems to be in thousandths of its unit."""
+    """Yield a message for each quantity that seems to be logged in thousandths of its unit.
+
+    An example is a power in milliwatts. The median of the quantity over a flight is then larger
+    than any plausible value in the expected unit.
+    """
     for flight, rows in frame.groupby(FLIGHT, sort=False):
         for name, (most, thousandths) in _MOST.items():
             usual = float(rows[name].median()) if name in frame else 0.0

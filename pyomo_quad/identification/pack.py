@@ -569,7 +569,9 @@ def _with_fitted(scenario: Scenario, fitted: dict[str, float]) -> Scenario:
 
 
 def _error_per_cell(record: Record, computed: FloatArray, axis: int | None = None) -> Any:  # noqa: ANN401
-    """Return the root mean square error of voltages in flight, after the first load [mV per cell].
+    """Return the root mean square error of computed voltages in flight [mV per cell].
+
+    The first seconds under load are excluded, because they determine the resistance of the pack.
 
     Parameters
     ----------

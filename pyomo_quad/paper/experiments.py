@@ -70,9 +70,10 @@ def paper_scenario(experiment: Experiment, values: Mapping[str, Any] | None = No
 
 @dataclass(frozen=True, kw_only=True)
 class BaselineCase:
-    """Settings of a flight under the adaptive controller.
+    """Settings of a flight of an experiment of Yacef et al. under the adaptive controller.
 
-    These are the experiment (calm air or wind), the power model and the reference trajectory.
+    The settings are the experiment (calm air or wind), the power model and the reference
+    trajectory.
     """
 
     experiment: Experiment
@@ -154,10 +155,10 @@ _COARSE: dict[str, Any] = {"solver.elements": 20, "solver.max_refinements": 0}
 
 @dataclass(frozen=True, kw_only=True)
 class FlightCase:
-    """Settings of an optimal flight: experiment, power model, wind and battery.
+    """Settings of an optimal flight of Yacef et al.: experiment, power model, wind and battery.
 
-    The paper of Yacef et al. leaves open how the wind acts, in which unit its frequencies are, and
-    which battery is meant; each combination is a case.
+    Their paper leaves open how the wind acts, in which unit its frequencies are, and which battery
+    is meant. Each combination of these choices is a case.
     """
 
     experiment: Experiment

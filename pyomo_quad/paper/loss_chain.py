@@ -160,7 +160,10 @@ def draw_loss_chain(
 
 
 def _draw_chain(axes: Axes, chain: EnergyChain) -> None:
-    """Draw each energy of the chain as a bar, and between the bars the losses."""
+    """Draw a flight's energies along the chain of losses as bars, and between the bars the losses.
+
+    The chain leads from the battery over resistances and windings to the rotors.
+    """
     lowest = min(chain.passed, chain.shaft)
     margin = _CHAIN_MARGIN * (chain.drawn - lowest)
     left = lowest - margin

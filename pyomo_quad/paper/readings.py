@@ -42,10 +42,12 @@ class Reading(StrEnum):
     def values(self) -> dict[str, Any]:
         """Return the scenario fields that select this interpretation of the efficiency f_r.
 
+        f_r is the efficiency of motor and rotor of Yacef et al.
+
         Returns
         -------
         dict
-            Values by dotted path.
+            Value of each field, by its dotted path.
         """
         return {
             "power.model": PowerModel.EFFICIENCY,
@@ -53,7 +55,10 @@ class Reading(StrEnum):
         }
 
     def planner(self) -> Planner:
-        """Return a planner whose model uses this interpretation of the efficiency f_r."""
+        """Return a planner whose model uses this interpretation of the efficiency f_r.
+
+        f_r is the efficiency of motor and rotor of Yacef et al.
+        """
         return Planner(literal_model if self is Reading.LITERAL else model_without_battery)
 
 
@@ -71,7 +76,8 @@ def model_without_battery(scenario: Scenario) -> "ConcreteModel":
 def literal_model(scenario: Scenario) -> "ConcreteModel":
     """Build a mission's model in which the efficiency f_r is the bare polynomial.
 
-    The package's usual model limits the torque and the efficiency from below.
+    f_r is the efficiency of motor and rotor of Yacef et al. The package's usual model limits the
+    torque and the efficiency from below.
 
     Parameters
     ----------

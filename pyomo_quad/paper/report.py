@@ -165,8 +165,8 @@ def _bound_of_printed_optimum(study: PaperStudy) -> float:
     """Return the bound on the rotor acceleration that the printed optimum of Yacef et al. implies.
 
     The least energy of any flight under the bare polynomial of the efficiency f_r falls as the
-    bound rises. At the returned bound [rad/s²] it equals the energy that Yacef et al. print for
-    their optimum.
+    bound rises. At the returned bound [rad/s²] this least energy equals the energy that Yacef et
+    al. print for their optimal flight.
     """
     bounds, energies = study.floors[Reading.LITERAL].T
     finite = np.isfinite(energies)
@@ -200,7 +200,11 @@ def _adaptive(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
 
 
 def _saving(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
-    """Return the saving of the optimum over the adaptive controller on a smooth reference."""
+    """Return the energy saving of the optimal flight of an experiment, for the report.
+
+    The saving is over the adaptive controller on a smooth reference trajectory, under the motors'
+    electrical power and under the efficiency f_r of Yacef et al.
+    """
     by_motor, by_efficiency = (
         paper.baseline_row(study, paper.find_baseline(study, experiment, model, Reference.QUINTIC))
         for model in (PowerModel.MOTOR, PowerModel.EFFICIENCY)

@@ -46,7 +46,7 @@ class PackFacts:
     cells_series, cells_parallel : int
         Numbers of cells.
     power_model : PowerModel
-        Power model of the hover.
+        Power model with which the power of hovering is computed.
     stored_energy_J : float
         Energy without load, from full to 1 % of the charge.
     hover_energy_J, hover_power_W : float

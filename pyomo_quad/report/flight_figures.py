@@ -143,7 +143,7 @@ def draw_battery(flights: Sequence[StyledFlight]) -> Figure:
 
 
 def draw_controls(flights: Sequence[StyledFlight]) -> Figure:
-    """Draw the angular acceleration of each rotor over time, one panel per rotor on one scale.
+    """Draw the angular acceleration of each rotor over time, one panel per rotor, all to one scale.
 
     Parameters
     ----------
@@ -582,14 +582,14 @@ _FORECAST = LineStyle(color=MUTED, dashes=(4.5, 1.6))
 
 
 def draw_wind(planned: StyledFlight, flown: StyledFlight | None = None) -> Figure:
-    """Draw the wind's components along x and y over time, with the forecast if there is one.
+    """Draw the horizontal wind over time: the wind that the plan was made for, and the true wind.
 
     Parameters
     ----------
     planned : StyledFlight
         The plan, whose table has the wind that it was planned for.
     flown : StyledFlight, optional
-        A flight in the true wind, if the plan was made for a forecast.
+        A flight in the true wind, if the plan was made for a forecast of another wind.
     """
     figure, panels = panel_grid(1, 2, panel_height=1.5, legend_entries=0 if flown is None else 2)
     forecast = [] if flown is None else [("forecast", planned, _FORECAST)]

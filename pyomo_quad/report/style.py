@@ -110,7 +110,7 @@ class LineStyle:
         return {"color": self.color, "linestyle": pattern, "linewidth": self.width}
 
 
-#: Styles of curves that are not flights, such as those of a sweep.
+#: Styles of curves that are not flights, such as the curves of a sweep.
 SERIES_STYLES = (
     LineStyle(color=_BLUE, marker="o", width=1.9),
     LineStyle(color=_VERMILION, dashes=(4.5, 1.6), marker="s", hatch="///"),
@@ -193,10 +193,10 @@ def save_figure(
 
 
 def _drawn(draw: Callable[[], Figure]) -> Figure:
-    """Draw a figure, with fixed label positions on unlabelled axes.
+    """Call a function that draws a figure, and return the figure.
 
-    Otherwise matplotlib computes positions for empty labels, which takes a tenth of the drawing
-    time.
+    Axes without labels get fixed label positions. Otherwise matplotlib computes positions for the
+    empty labels, which takes a tenth of the drawing time.
     """
     figure = draw()
     for axes in figure.axes:

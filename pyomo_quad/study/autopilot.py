@@ -54,8 +54,8 @@ if TYPE_CHECKING:
 TUNED_CRUISE = f"{baseline_name(Reference.CRUISE)} tuned"
 """Name of the flight of an autopilot whose settings are tuned for least energy."""
 
-# Ranges of speed, acceleration and jerk: those of MPC_XY_CRUISE, MPC_ACC_HOR and MPC_JERK_AUTO of
-# PX4, extended to slower flight for small vehicles.
+# Ranges of speed, acceleration and jerk: the ranges of PX4's parameters MPC_XY_CRUISE, MPC_ACC_HOR
+# and MPC_JERK_AUTO, extended to slower flight for small vehicles.
 _RANGES = ((0.3, 20.0), (0.3, 15.0), (0.1, 80.0))
 # Speed, acceleration and jerk at which the search starts (the last two are PX4's defaults), and
 # factors on each that give the other corners of its first simplex.

@@ -48,7 +48,7 @@ class ThrustMoments:
     Parameters
     ----------
     demand : MomentumDemand
-        Thrust that the momentum balance demands, linear in the velocity.
+        Thrust vector that the momentum balance requires for a motion, linear in the velocity.
     displacement : ndarray, shape (3,)
         Vector from start to goal, m.
     duration : float
@@ -59,8 +59,8 @@ class ThrustMoments:
     widths : ndarray, shape (n,)
         Widths of a quadrature over the flight, s.
     weights : ndarray, shape (2, n, 3)
-        Weights of docs/theory/bound.md, eq. (2), and of a combination of eqs. (2) and (4), at the
-        nodes of the quadrature.
+        Weights of the two integrals at the nodes of the quadrature: the weight of
+        docs/theory/bound.md, eq. (2), and a combination of the weights of eqs. (2) and (4).
     demanded : ndarray, shape (2, 3)
         Values of the integrals of the weights times the thrust, N s.
     mean_thrust : ndarray, shape (3,)
@@ -172,9 +172,10 @@ def _gauss(duration: float, panels: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _weights(times: FloatArray, rate: FloatArray, duration: float) -> tuple[FloatArray, FloatArray]:
-    """Return the weights of docs/theory/bound.md, eqs. (2) and (4), at n times, each (n, 3).
+    """Return the weights of two integrals of the thrust over a flight, at n times, each (n, 3).
 
-    `rate` is drag over mass [1/s] along each axis, `duration` the duration of the flight [s].
+    The boundary conditions fix the integrals with these weights: docs/theory/bound.md, eqs. (2) and
+    (4). `rate` is drag over mass [1/s] along each axis, `duration` the duration of the flight [s].
     """
     left = (duration - times)[:, None] * np.ones_like(rate)
     has_drag = rate > 0.0
@@ -185,10 +186,12 @@ def _weights(times: FloatArray, rate: FloatArray, duration: float) -> tuple[Floa
 def _standing_moments(
     demand: MomentumDemand, rate: FloatArray, duration: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the weighted integrals of the thrust that keeps the vehicle at rest during a flight.
+    """Return two weighted integrals of the thrust that keeps the vehicle at rest during a flight.
 
-    This thrust balances weight and wind at zero velocity. The integrals have the weights of
-    docs/theory/bound.md, eqs. (2) and (4), as `_weights` gives them, each of shape (3,).
+    This thrust balances weight and wind at zero velocity. The two weights are those of
+    docs/theory/bound.md, eqs. (2) and (4), which `_weights` returns. Each integral has the shape
+    (3,). `demand` is the thrust that the momentum balance requires for a motion, `rate` is drag
+    over mass [1/s] along each axis, and `duration` the duration of the flight [s].
     """
     previous = np.full((2, 3), np.nan)
     for panels in _PANEL_COUNTS:
@@ -213,8 +216,8 @@ _STANDING_SAMPLES = 101
 _DEGREE = 8
 _READINGS = 24
 _FIT_ERROR = 1e-10  # relative to the largest value at the nodes
-# Number of samples of the fit up to twice the speed of hover, the range of usual flights, and of
-# those beyond.
+# Number of samples of the fit up to twice the speed of hover, the range of usual flights, and
+# number of samples beyond this speed.
 _SAMPLES = 3001
 _USUAL_SPEED = 2.0
 _ITERATIONS = 200  # of L-BFGS
@@ -391,7 +394,19 @@ def _bound_by_legs(
 ) -> _Found:
     """Bound the energy of flights through the waypoints from below, for all passing times.
 
-    Valid for power and drag that do not depend on the airspeed; a free duration may take any value.
+    The bound applies if power and drag do not depend on the airspeed. The passing times of the
+    waypoints, and a free duration, may have any values.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission.
+    planner : Planner
+        Holds the compiled equations.
+    demand : MomentumDemand
+        Thrust that the momentum balance requires.
+    power : _SteadyPower
+        Total power over total thrust at constant rotor speeds.
 
     Returns
     -------
@@ -446,7 +461,8 @@ def _energy_returned(scenario: Scenario, planner: Planner) -> float:
 def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand) -> _Found:
     """Bound the energy of flights from below if power or drag depends on the airspeed.
 
-    The bound is computed by the module `pairs`, over all pairs of thrust and airspeed.
+    The bound follows from the least power over all combinations (pairs) of thrust and airspeed; the
+    module `pairs` computes it.
 
     Returns
     -------
@@ -611,7 +627,10 @@ class _SteadyPower:
         self._chords = np.diff(self._floor) / np.diff(self._thrust)
 
     def slope(self, thrust: float) -> float:
-        """Return the derivative of power with respect to thrust at a thrust [W/N]."""
+        """Return the derivative of the power with respect to the thrust [W/N].
+
+        `thrust` is the total thrust [N] at which the derivative is taken.
+        """
         return float(np.interp(thrust, self.thrust[1:], self._slope))
 
     def conjugate(self, price: FloatArray) -> tuple[FloatArray, FloatArray]:

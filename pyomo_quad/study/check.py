@@ -113,10 +113,10 @@ def _limits_broken(scenario: Scenario, steady: SteadyFlight, bound: float) -> It
         )
 
 
-# Range of rotor speeds, relative to hover, in which chattering is looked for: that of usual
+# Range of rotor speeds, relative to hover, that is searched for chattering: the speeds of usual
 # flights.
 _SLOWEST, _FASTEST = 0.6, 1.1
-_SPEEDS = 11  # samples of that range: 5 % of the hover speed apart
+_SPEEDS = 11  # samples of this range: 5 % of the hover speed apart
 _ACCELERATIONS = 16  # samples of the rotor acceleration from zero to its limit, for each sign
 # A relative saving below this is within the smoothing of the lower limits of torque and f_r.
 _SAVING = 1e-3

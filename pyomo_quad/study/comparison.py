@@ -155,10 +155,12 @@ def compare_flights(
     DataFrame
         One row per flight, columns of `ComparisonColumn`; NaN where there is no number.
 
-    Notes ----- Flights are compared at the same end state.  A simulated flight ends near the goal.
-    The energy that the vehicle needs from the flight's end state to the exact goal state (the owed
-    energy, `Plan.owed_energy`) is therefore added to the flight's energy; excess over hovering,
-    optimality gap and savings refer to the sum.  The saving of the plan compared with a flight is
+    Notes
+    -----
+    Flights are compared at the same end state.  A simulated flight ends near the goal. The energy
+    that the vehicle needs from the flight's end state to the exact goal state (the owed energy,
+    `Plan.owed_energy`) is therefore added to the flight's energy; excess over hovering, optimality
+    gap and savings refer to the sum.  The saving of the plan compared with a flight is
     (flight - plan) / flight, in per cent.  The table has two savings: of the sum, and of the part
     of the sum that exceeds the energy of hovering.
 

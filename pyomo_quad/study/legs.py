@@ -251,10 +251,10 @@ class Itinerary:
         return -self._negative(found)[0]
 
     def _negative(self, flat: FloatArray) -> tuple[float, FloatArray]:
-        """Return the negative lower bound [J] and its gradient, for a minimiser.
+        """Return the negative lower bound on the energy [J] and its gradient, for a minimiser.
 
         `flat` holds the prices (multipliers) of momentum at the ends of the legs, one after the
-        other.
+        other. The gradient is taken with respect to these prices.
         """
         gained, spent, jumped, slopes = self._terms(flat.reshape(-1, 3))
         bound, times = jumped, np.zeros(len(gained))

@@ -1,6 +1,7 @@
-"""Sentences on the limits that each flight of a run breaks, compared with the plan's risk.
+"""Sentences on the limits that each flight of a run breaks, for the run's report.
 
-The risk of a plan is the share of its flights in turbulence that may break a limit.
+The sentences compare the broken limits with the plan's risk: the share of the plan's flights in
+turbulence that may break a limit.
 """
 
 from collections.abc import Iterator, Sequence
@@ -12,8 +13,8 @@ from pyomo_quad.flight.replanning import replanned_name
 from pyomo_quad.scenario.tables import Knowledge, Reference
 from pyomo_quad.study.comparison import OPTIMAL
 
-# Names of the flights to which a plan's risk applies: those under feedback that use the plan or the
-# forecast for which the plan was made.
+# Names of the flights to which a plan's risk applies: flights under feedback that use the plan or
+# the forecast for which the plan was made.
 _OF_THE_PLAN = (
     baseline_name(Reference.PLAN),
     replanned_name(Knowledge.TOLD),
