@@ -415,7 +415,8 @@ def undetermined(fit: Fit) -> tuple[str, ...]:
     """Return the names of the parameters that the flights do not determine.
 
     A parameter is not determined if changes of the other parameters can compensate the effect of
-    its change on the power. The weakest parameter is removed until all others are determined.
+    its change on the power. The parameter whose effect is compensated best is removed, until all
+    remaining parameters are determined.
 
     Parameters
     ----------

@@ -588,7 +588,11 @@ def _error_per_cell(record: Record, computed: FloatArray, axis: int | None = Non
 
 
 def _rows(record: Record, computed: FloatArray) -> pd.DataFrame:
-    """Return a table of measured and computed cell voltage [V] over time, flight by flight."""
+    """Return measured and computed cell voltage [V] over time in one table, flight by flight.
+
+    `computed` has the shape (n_times, n_flights); times at which a flight has no record are left
+    out.
+    """
     flights = np.broadcast_to(np.array(record.names, dtype=object), record.power.shape)
     times = np.broadcast_to(record.step * np.arange(len(computed))[:, None], record.power.shape)
     kept = record.is_logged.T

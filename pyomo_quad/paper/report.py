@@ -125,7 +125,7 @@ def _equations() -> Iterator[dict[str, Any]]:
 
 
 def examination(study: PaperStudy) -> dict[str, Any]:
-    """Compare the study's results with the claims of Yacef et al.
+    """Compare the study's results with the claims of Yacef et al., for the report.
 
     Returns
     -------

@@ -175,7 +175,7 @@ def report_plan(plan: "Plan", folder: str | Path, figures: str) -> Path:
     folder : str or Path
         Folder that appears when the report is complete; an earlier report there is replaced.
     figures : str
-        Which figures to write: a value of `Figures`.
+        Formats of the figures: "svg", "png", "all" or "none", the values of `Figures`.
     """
     chosen = _figures(figures)
     with output_folder(folder) as aside:
@@ -194,7 +194,7 @@ def report_run(result: "RunResult", folder: str | Path, figures: str) -> Path:
     folder : str or Path
         Folder that appears when the report is complete; an earlier report there is replaced.
     figures : str
-        Which figures to write: a value of `Figures`.
+        Formats of the figures: "svg", "png", "all" or "none", the values of `Figures`.
     """
     chosen = _figures(figures)
     with output_folder(folder) as aside:

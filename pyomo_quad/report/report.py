@@ -260,7 +260,7 @@ def _title(plan: "Plan") -> str:
 
 
 def _plan_values(plan: "Plan") -> dict[str, Any]:
-    """Return the template variables that describe a plan."""
+    """Return the variables of the report's template that describe a plan."""
     columns = plan.columns(np.linspace(*plan.trajectories.horizon, FLIGHT_SAMPLES))
     figures = plan.figures_checked
     return {
@@ -400,7 +400,10 @@ def _battery_use(plan: "Plan", columns: Mapping[str, np.ndarray]) -> dict[str, f
 
 
 def _comparison_values(comparison: "pd.DataFrame") -> dict[str, Any]:
-    """Return the template variables that describe a comparison table."""
+    """Return the variables of the report's template that describe a comparison of flights.
+
+    `comparison` has one row for each flight, with the columns of `ComparisonColumn`.
+    """
     return {
         "column": ComparisonColumn,
         "rows": comparison.to_dict("records"),
@@ -414,7 +417,10 @@ def _comparison_values(comparison: "pd.DataFrame") -> dict[str, Any]:
 
 
 def _run_values(result: "RunResult", replanned: "pd.DataFrame") -> dict[str, Any]:
-    """Return the template variables that describe a run, except the variables of its plan."""
+    """Return the variables of the report's template that describe a run, except its plan.
+
+    `replanned` is the table of the flights whose plan was solved again during the flight.
+    """
     comparison, certificate = result.comparison, result.certificate
     by_name = comparison.set_index(ComparisonColumn.FLIGHT, drop=False).to_dict("index")
     followed, fair = by_name.get(baseline_name(Reference.PLAN)), by_name.get(FAIR_BASELINE)

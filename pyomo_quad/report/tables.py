@@ -251,12 +251,12 @@ def run_summary(result: "RunResult", *, wall_s: Mapping[str, float]) -> dict[str
 
 
 def summary_text(summary: Mapping[str, Any]) -> str:
-    """Return a summary as indented JSON text."""
+    """Return the summary of a report as indented JSON text."""
     return json.dumps(summary, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
-    """Write a summary as `summary.json` into a folder."""
+    """Write the summary of a report as `summary.json` into a folder."""
     (folder / SUMMARY_NAME).write_text(summary_text(summary), encoding="utf-8")
 
 

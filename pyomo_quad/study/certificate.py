@@ -328,10 +328,10 @@ def _bound(scenario: Scenario, planner: Planner) -> _Found:
 
 
 def _uncounted(scenario: Scenario, demand: MomentumDemand) -> str:
-    """Return why the lower bound cannot include waypoints or a free duration; "" if it can.
+    """Return why no lower bound on the energy covers waypoints or a free duration; "" if one does.
 
-    The reason completes the sentence "no bound is known that counts waypoints ...". `demand` is the
-    thrust that the momentum balance requires.
+    For instance, the wind may change with time. The reason completes the sentence "no bound is
+    known that counts waypoints ...". `demand` is the thrust that the momentum balance requires.
     """
     times = np.linspace(0.0, scenario.nominal_duration, _STANDING_SAMPLES)
     standing = np.array([demand.thrust(float(t)) for t in times])
@@ -562,10 +562,19 @@ def _obstacles(scenario: Scenario) -> Iterator[str]:
 def _best_bound(moments: ThrustMoments, power: _SteadyPower, ceiling: float) -> float:
     """Maximise the dual function over its multipliers; return the best lower bound found [J].
 
-    The dual function is the right-hand side of docs/theory/bound.md, eq. (8). The search starts
-    from the bound of Jensen's inequality, eq. (9), and the result is never below this bound. The
-    search stops above ``ceiling`` [J], the energy of full power during the whole flight, because a
-    larger bound proves that no flight exists.
+    The dual function bounds the energy of every flight of the mission from below: it is the
+    right-hand side of docs/theory/bound.md, eq. (8). The search starts from the bound of Jensen's
+    inequality, eq. (9), and the result is never below this bound.
+
+    Parameters
+    ----------
+    moments : ThrustMoments
+        Weighted integrals of the thrust that the mission fixes.
+    power : _SteadyPower
+        Total power over total thrust at constant rotor speeds.
+    ceiling : float
+        Energy of full power during the whole flight [J]. The search stops above it, because a
+        larger bound proves that no flight exists.
     """
 
     def negative(multipliers: FloatArray) -> tuple[float, FloatArray]:

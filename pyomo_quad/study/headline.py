@@ -79,7 +79,11 @@ class Headline:
 
     @property
     def summary(self) -> dict[str, Any]:
-        """Values for JSON: the sentences, the saving over the rival flight, the autopilot."""
+        """The main results of a run as values for JSON.
+
+        They are the sentences, name, energy and duration of the flight with which the plan is
+        compared, the energy saving over it, and the settings of the tuned autopilot.
+        """
         against = (
             {
                 "flight": self.rival[ComparisonColumn.FLIGHT],

@@ -134,6 +134,9 @@ def legs_of(scenario: Scenario) -> tuple[list[Leg], list[tuple[float, float]]]:
 class Itinerary:
     """Lower bound on the energy of a flight in legs, over all allowed durations of the legs.
 
+    A leg is the flight from one waypoint to the next. Waypoints with a given passing time divide
+    the legs into groups.
+
     Parameters
     ----------
     legs : sequence of Leg
@@ -141,7 +144,7 @@ class Itinerary:
     shared : sequence of tuple of float
         Least and greatest sum of the durations of the legs of each group, s.
     standing : ndarray, shape (3,)
-        Thrust that holds the vehicle with its mass at the start still, N.
+        Thrust that holds the vehicle still if it has the mass at the start, N.
     mass : float
         Mass at the start, kg.
     conjugate : callable
@@ -178,7 +181,8 @@ class Itinerary:
         """Return the terms of the lower bound for given prices of momentum, with their gradients.
 
         The bound is the sum over the legs k of A_k / T_k + G_k T_k, plus the term `jumped`. T_k is
-        the duration of leg k; the docstring of this module defines A_k and G_k.
+        the duration of leg k. A_k follows from the leg's displacement, and G_k from the thrust that
+        holds the vehicle still; the docstring of this module gives both formulas.
 
         Parameters
         ----------
@@ -290,8 +294,9 @@ def _least_over_times(
 ) -> tuple[float, FloatArray]:
     """Minimise the sum of A_k / T_k + G_k T_k over the durations T_k of one group of legs.
 
-    This sum is the group's part of the lower bound on the energy; the docstring of this module
-    defines A_k and G_k. The sum of the durations T_k in the group is fixed or limited.
+    This sum is the group's part of the lower bound on the energy of a flight. A_k follows from the
+    displacement of leg k, and G_k from the thrust that holds the vehicle still; the docstring of
+    this module gives both formulas. The sum of the durations T_k in the group is fixed or limited.
 
     Parameters
     ----------

@@ -182,12 +182,13 @@ class RunResult(Summarised):
         ----------
         what : str, default "map"
             "map", "power_over_time", "energy_split", "path", "energy", "adaptation", "front", ...,
-            or a column of `Plan.to_frame`; an unknown name lists all of them.
+            or a column of `Plan.to_frame`; the error for an unknown name lists all names.
 
         Returns
         -------
         Picture
-            A notebook shows it; `Picture.save` writes it, `Picture.figure` is matplotlib's.
+            Figure that a notebook displays and that `Picture.save` writes to a file;
+            `Picture.figure` is the matplotlib Figure.
 
         Raises
         ------
