@@ -1,10 +1,10 @@
 """Minimum-energy flight of a quadrotor in wind: planning, verification and comparison.
 
 A scenario describes vehicle, battery, wind and mission. `load_scenario` reads a scenario file.
-`solve` returns the minimum-energy `Plan` of a scenario. `run_scenario` also flies an adaptive
-controller on the same mission, for comparison, and returns a `RunResult`. `export_plan` writes a
-plan in the format of an autopilot or simulator. `build_model` returns the Pyomo model of a
-scenario.
+`solve` returns the minimum-energy `Plan` of a scenario. `run_scenario` also simulates flights of
+the same mission under an adaptive controller, for comparison, and returns a `RunResult`.
+`export_plan` writes a plan in the format of an autopilot or simulator. `build_model` returns the
+Pyomo model of a scenario.
 """
 
 from importlib import import_module

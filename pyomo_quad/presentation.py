@@ -1,9 +1,9 @@
 """Registry through which plans and runs call the functions that draw and report them.
 
-Methods such as `Plan.plot` need `pyomo_quad.report`, which imports matplotlib. Modules that define
-plans and runs must not import `pyomo_quad.report`, because imports go only from higher packages to
-lower packages. Therefore `pyomo_quad/__init__.py` registers here a function that imports the
-report package, and a plan or run calls `presenter()` when it is drawn or reported.
+Methods such as `Plan.plot` need the package `pyomo_quad.report`, which imports matplotlib. Modules
+that define plans and runs must not import `pyomo_quad.report`, because a lower package must not
+import a higher package. Therefore `pyomo_quad/__init__.py` registers here a function that imports
+the report package, and a plan or run calls `presenter()` when it is drawn or reported.
 """
 
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 
 class Picture(Protocol):
-    """Interface of a drawn figure: a notebook displays it, and `save` writes it to a file."""
+    """Interface of a drawn figure, which a notebook displays and `save` writes to a file."""
 
     @property
     def name(self) -> str:
@@ -24,7 +24,7 @@ class Picture(Protocol):
 
     @property
     def figure(self) -> Any:  # noqa: ANN401  this floor does not import matplotlib
-        """The matplotlib Figure itself, for changes and additions by the user."""
+        """The matplotlib Figure, which the user may change or extend."""
 
     def save(self, path: str | Path) -> Path:
         """Write the figure to a file and return its path.

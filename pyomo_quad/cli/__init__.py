@@ -1,7 +1,7 @@
 """Command line `pyomo-quad`.
 
-Signals such as Ctrl-C are caught before the commands are imported, because the imports take up to
-a second.
+Handlers for signals such as Ctrl-C are installed before the commands are imported, because the
+imports take up to a second.
 """
 
 from collections.abc import Sequence
@@ -18,8 +18,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     arguments : sequence of str, optional
-        Arguments of the command. By default the arguments of the process are read; signals such
-        as Ctrl-C then end the process, and `own_process` sets it up for speed.
+        Arguments of the command. By default the arguments of the process are read. In this case
+        signals such as Ctrl-C end the process, and `startup.own_process` makes the process faster.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Command `pyomo-quad campaign`: fly missions in turn until the battery is empty."""
+"""Command `pyomo-quad campaign`: plan missions in turn until the battery is empty."""
 
 from pathlib import Path
 from typing import Annotated
@@ -29,7 +29,7 @@ def campaign(
     charges: Charges = None,
     options: Options,
 ) -> int:
-    """Plan missions one after the other on one battery charge, until the battery is at a limit."""
+    """Plan missions one after the other, until the battery charge allows no further flight."""
     missions = [options.load(file) for file in scenarios]
     folder = options.out or Path("reports") / f"{'+'.join(one.name for one in missions)}-campaign"
     refuse_output_folder(folder)

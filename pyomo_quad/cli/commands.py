@@ -1,4 +1,4 @@
-"""Command `pyomo-quad`: the commands `fly`, `run`, `compare` and `solve`, and error handling.
+"""Program `pyomo-quad`: its commands `fly`, `run`, `compare` and `solve`, and error handling.
 
 Every error ends a command with one line on standard error and an exit status.
 """
@@ -134,7 +134,7 @@ def fly(
     cruise: _Cruises = None,
     options: Options,
 ) -> int:
-    """Simulate a flight with feedback, in open loop or with re-planning, or many in random wind."""
+    """Simulate one flight under a given controller, or many flights of a plan in random winds."""
     if flights is not None or is_plan(scenario):
         _refuse_other_flights(scenario, flights, controller, plant, reference)
         import_scipy_alone()
@@ -174,7 +174,7 @@ def fly(
 
 
 def is_plan(path: Path) -> bool:
-    """Return whether a path names a saved plan (file or report folder), not a scenario."""
+    """Return whether a path is that of a saved plan (file or report folder), not of a scenario."""
     return path.is_dir() or path.suffix == ".npz"
 
 
@@ -210,13 +210,32 @@ def _flown(
     knowledge: Knowledge,
     watch: Stopwatch,
 ) -> tuple[Scenario, "Flight"]:
-    """Simulate the flight that the options of `fly` describe.
+    """Simulate the flight that the options of the command `fly` describe.
+
+    A plan is made first if the flight follows a plan, or if the mission's times are free.
+
+    Parameters
+    ----------
+    planner : Planner
+        Planner of the command.
+    scenario : Scenario
+        Mission and wind.
+    controller : Controller
+        Controller of the flight.
+    plant : Plant
+        Vehicle model.
+    followed : Reference or None
+        Reference trajectory; None for re-planning, which follows no reference.
+    knowledge : Knowledge
+        Information on the wind that re-planning has.
+    watch : Stopwatch
+        Stopwatch that records the time of the solve.
 
     Returns
     -------
     tuple of (Scenario, Flight)
-        The mission flown, with the plan's duration and passing times if it was planned; and the
-        flight.
+        The mission that was flown, and the flight. If a plan was made, the mission has the plan's
+        duration and passing times of waypoints.
     """
     from pyomo_quad.cli import flying  # noqa: PLC0415  as above
     from pyomo_quad.flight.deadline import Deadline  # noqa: PLC0415
@@ -301,7 +320,8 @@ def run(scenario: ScenarioFile, *, options: Options) -> int:
 def compare(scenarios: ScenarioFiles, *, options: Options) -> int:
     """Compare the flights of several scenarios in one table, with a figure and a page.
 
-    A finished run of the same scenario is read from its report folder instead of solved again.
+    If a scenario's report folder contains a finished run of the same scenario, the run is read from
+    this folder, and the scenario is not solved again.
     """
     missions, out = [options.load(file) for file in scenarios], options.out or _COMPARISON_FOLDER
     refuse_output_folder(out)
@@ -443,7 +463,7 @@ def _before_any_command(
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Version.")
     ] = False,
 ) -> None:
-    """Handle the options that stand before the command's name."""
+    """Handle the option `--version`, which is given without the name of a command."""
 
 
 def _end_other_processes() -> None:
@@ -486,7 +506,7 @@ _NO_MEMORY = ("std::bad_alloc", "Cannot allocate memory")
 
 
 def _lacks_memory(error: BaseException | None) -> bool:
-    """Return whether lack of memory caused an error, directly or through another error."""
+    """Return whether an error, or any error that caused it, is due to a lack of memory."""
     while error is not None:
         if isinstance(error, MemoryError) or any(said in str(error) for said in _NO_MEMORY):
             return True

@@ -41,7 +41,7 @@ class Stopped(Exception):  # noqa: N818  a stop by the user is not an error
 
 
 class SolveStopped(Stopped):
-    """Exception: the user stopped a solve; ``plan`` holds its best iterate so far."""
+    """Exception: the user stopped a solve; ``plan`` is the solve's best iterate so far."""
 
     def __init__(self, plan: Any) -> None:  # noqa: ANN401  its type would import the engine
         super().__init__("interrupted")
@@ -51,9 +51,9 @@ class SolveStopped(Stopped):
 class Interruption:
     """Record of a user's request to stop the running command.
 
-    After the request the process ends within half a second. If `has_result` is set, because a
-    usable plan exists, the command has a minute to write its report, unless the user sends a second
-    signal.
+    After the request, a timer ends the process within half a second. If `has_result` is set,
+    because a usable plan exists, the command has a minute to write its report; a second signal of
+    the user shortens this minute to half a second.
     """
 
     def __init__(self) -> None:
@@ -61,15 +61,15 @@ class Interruption:
         self.has_result = False
 
     def request(self, _signal: int, _frame: FrameType | None) -> None:
-        """Handle a signal: record the first, and start the timer that ends the process.
+        """Handle a signal: record the request, and start a timer that ends the process.
 
-        At a second signal the process ends sooner. In a process that does not belong to the
-        command, such as a test, no timer is set, and the second signal raises KeyboardInterrupt.
+        A second signal shortens the time until the end. In a process that runs other code besides
+        the command, such as tests, no timer is set, and a second signal raises KeyboardInterrupt.
 
         Raises
         ------
         KeyboardInterrupt
-            At a second signal in a process that does not belong to the command.
+            At a second signal in a process that runs other code besides the command.
         """
         if self.is_requested and not _enforce(_PATIENCE_S):
             raise KeyboardInterrupt
@@ -79,22 +79,22 @@ class Interruption:
 
 
 def end_on_signals() -> None:
-    """Make Ctrl-C, SIGTERM and SIGHUP end this process at once, from now on."""
+    """Install signal handlers with which Ctrl-C, SIGTERM and SIGHUP end this process at once."""
     for number in (*_ending_signals(), signal.SIGALRM):
         signal.signal(number, _end)
 
 
 def _ending_signals() -> list[signal.Signals]:
-    """Return the signals that end a command; under nohup, SIGHUP is not among them."""
+    """Return the signals that end a command: SIGINT, SIGTERM and, unless ignored, SIGHUP."""
     is_deaf = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
     return [number for number in _SIGNALS if number != signal.SIGHUP or not is_deaf]
 
 
 def leave(status: int) -> int:
-    """Finish the process of a command.
+    """Finish a command, and return its exit status.
 
-    If a signal has requested the end, the process ends at once. Otherwise the function returns the
-    exit status, and objects are not deallocated when the process ends, which would be slow.
+    If a signal has requested the end of the process, the process ends at once. Otherwise the
+    function makes Python skip the slow deallocation of objects when the process ends.
     """
     if signal.getitimer(signal.ITIMER_REAL)[0] > 0.0:
         os._exit(status)
@@ -105,7 +105,7 @@ def leave(status: int) -> int:
 def record_last_message() -> None:
     """Record that the command has printed its last message.
 
-    If a timer ends the process later, it prints no second message.
+    If a timer ends the process later, no second message is printed.
     """
     global _has_last_message  # noqa: PLW0603  a fact about the process
     _has_last_message = True
@@ -121,15 +121,16 @@ def before_the_end(act: Callable[[], object]) -> None:
 
 @contextmanager
 def stop_on_interrupt() -> Iterator[Interruption]:
-    """Context manager: record signals as a request to stop, in place of ending the process.
+    """Context manager: record a signal as a request to stop, instead of ending the process.
 
-    A solve checks the record at each iteration, and can so return its best iterate. The process
-    still ends if the block takes longer than the time that `Interruption` grants.
+    A solve inside the ``with`` block checks the record at each iteration, so that it can stop and
+    return its best iterate. The process still ends if the block takes longer after the signal than
+    the time that `Interruption` allows.
 
     Yields
     ------
     Interruption
-        The record.
+        Record of the request.
     """
     interruption = Interruption()
     with _handled_by(interruption.request):
@@ -190,7 +191,8 @@ def _enforce(patience_s: float) -> bool:
     Returns
     -------
     bool
-        Whether the process belongs to the command; in any other process no timer is set.
+        Whether the process runs only the command. In a process that runs other code, such as
+        tests, no timer is set.
     """
     is_own = signal.getsignal(signal.SIGALRM) is _end
     left_s = signal.getitimer(signal.ITIMER_REAL)[0]

@@ -1,4 +1,4 @@
-"""Command `pyomo-quad fly --flights N`: simulate one plan in many random winds, and report."""
+"""Command `pyomo-quad fly --flights N`: simulate a plan in N random winds, and report."""
 
 from collections.abc import Iterator, Sequence
 from functools import partial
@@ -36,12 +36,12 @@ def fly_many(
     cruises : sequence of float
         Speeds [m/s] at which an autopilot flies the mission in the same winds, for comparison.
     options : Options
-        Options of commands that solve.
+        Options of the command line.
 
     Returns
     -------
     ExitCode
-        `VERIFIED`, unless an error is raised.
+        Always `VERIFIED`; failures raise errors.
     """
     plan, planner = _plan_of(path, options)
     mission = plan.mission
@@ -93,7 +93,7 @@ def _refuse_equal_flights(mission: Scenario, flights: int) -> None:
 
 
 def _lines(flown: Ensemble, savings: Sequence[Saving]) -> Iterator[str]:
-    """Yield the printed lines on an ensemble of flights and on the plan's energy savings."""
+    """Yield the lines that the command prints: statistics of the flights, and energy savings."""
     name, told = flown.scenario.name, flown.summary
     low, middle, high = flown.band("energy_J")
     yield f"{name}: {flown.succeeded} of {flown.count} flights arrived and kept every limit."

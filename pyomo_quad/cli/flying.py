@@ -1,4 +1,4 @@
-"""Parts of the command `pyomo-quad fly`: plan, simulate, write files, print the result."""
+"""Steps of the command `pyomo-quad fly`: plan, simulate, write files, print the result."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -50,7 +50,7 @@ def make_flight(scenario: Scenario, fly: Callable[[], _Outcome]) -> _Outcome:
     Parameters
     ----------
     scenario : Scenario
-        Mission, whose name the message prints.
+        Mission, whose name begins the message.
     fly : callable
         Function without arguments that simulates and returns the flights.
 
@@ -80,11 +80,11 @@ def fly_declared(
     scenario : Scenario
         Mission and wind.
     reference : Reference or None
-        Reference trajectory that the adaptive controller follows. None flies the plan's controls
-        without feedback. `CRUISE` flies an autopilot at the scenario's speed, or, if the scenario
-        gives none, at the speed with the least energy.
+        Reference trajectory that the adaptive controller follows. If None, the plan's controls are
+        applied without feedback. For `CRUISE`, an autopilot flies at the cruise speed of the
+        scenario or, if the scenario gives none, at the speed with the least energy.
     plan : Plan or None
-        Plan of the scenario; None if the flight follows a reference that is not a plan.
+        Plan of the scenario; None if the flight needs no plan.
     """
     if reference is Reference.CRUISE:
         asked = scenario if plan is None else plan.scenario
@@ -100,7 +100,7 @@ def fly_declared(
 def fly_mpc(planner: Planner, scenario: Scenario, knowledge: Knowledge) -> Flight:
     """Simulate a flight under model-predictive control.
 
-    During the flight, the controller plans the remaining part of the mission again and again.
+    At regular intervals during the flight, the controller plans the rest of the mission again.
 
     Parameters
     ----------
@@ -109,14 +109,14 @@ def fly_mpc(planner: Planner, scenario: Scenario, knowledge: Knowledge) -> Fligh
     scenario : Scenario
         Mission and wind.
     knowledge : Knowledge
-        Information on the wind that the repeated solves have.
+        Information on the wind that is available to the repeated solves.
     """
     dynamics = vehicle_flown(planner, scenario)
     return fly_replanned(scenario, knowledge, dynamics=dynamics, planner=planner)
 
 
 def refuse_outside(scenario: Scenario) -> None:
-    """Raise an error if the simulator RotorPy is missing or cannot fly the scenario."""
+    """Raise an error if the simulator RotorPy is not installed or cannot simulate the scenario."""
     rotorpy_module(MULTIROTOR)
     refuse_pushing_wind(scenario)
 
@@ -153,7 +153,7 @@ def write_flight(
     folder : Path
         Existing empty folder.
     planner : Planner
-        Source of the hover power.
+        Planner that computes the power of hovering, for comparison.
     scenario : Scenario
         Mission that was flown.
     flight : Flight
@@ -174,7 +174,7 @@ def write_flight(
 
 
 def verdict(scenario: Scenario, flight: Flight) -> str:
-    """Return one sentence on a flight: arrival, energy, and confirmation by a second integrator."""
+    """Return a line on a flight: arrival, energy, and confirmation by a second integrator."""
     end = "arrived" if has_arrived(flight) else "did not arrive"
     confirmed = "confirmed" if flight.is_verified else "not confirmed"
     why = f": {flight.doubt}" if flight.doubt else ""

@@ -344,9 +344,14 @@ def _flight(run: Path) -> "tuple[StyledFlight, float, Scenario | None]":
 
 
 def _mission(summary: dict[str, Any]) -> Scenario | None:
-    """Return the scenario of a report's summary, with the times at which waypoints were passed.
+    """Return the scenario of a report, with the duration and passing times of the flight.
 
-    None if this version of the package cannot read the scenario.
+    The result is None if this version of the package cannot read the scenario.
+
+    Parameters
+    ----------
+    summary : dict
+        Content of the report's file `summary.json`.
     """
     try:
         scenario = Scenario.model_validate(summary["scenario_resolved"])

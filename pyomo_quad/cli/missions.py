@@ -14,9 +14,10 @@ from pyomo_quad.cli.terminal import AllowCode, AsJson, Quiet, complain, option, 
 
 
 class Reader(StrEnum):
-    """Program for which `pyomo-quad export` writes a plan.
+    """Program that reads the file which `pyomo-quad export` writes.
 
-    The names repeat the formats of `pyomo_quad.exports`, because that package imports slowly.
+    The members are those of `pyomo_quad.exports.Format`. They are repeated here because importing
+    that package is slow.
     """
 
     QGROUNDCONTROL = "qgroundcontrol"

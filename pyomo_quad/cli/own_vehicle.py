@@ -94,12 +94,27 @@ def vehicle(
 
 
 def is_asked(*, is_quiet: bool) -> bool:
-    """Return whether the command may ask questions, because a user sits at a terminal."""
+    """Return whether the command may ask the user for missing data on a terminal."""
     return not is_quiet and sys.stdin is not None and sys.stdin.isatty() and sys.stdout.isatty()
 
 
 def _asked(given: float | None, words: str, *, is_needed: bool = False) -> float | None:
-    """Return a number that was given as an option, or ask the user; None for an empty answer."""
+    """Return the number of a command-line option, or ask the user if the option is not given.
+
+    Parameters
+    ----------
+    given : float or None
+        Value of the option; None if the option is not given.
+    words : str
+        Question to the user.
+    is_needed : bool, default False
+        Whether to ask until the user gives a number.
+
+    Returns
+    -------
+    float or None
+        The number; None if it is not needed and the user gives an empty answer.
+    """
     while given is None:
         answer = typer.prompt(words, default="" if not is_needed else None, show_default=False)
         if not answer.strip() and not is_needed:
@@ -219,8 +234,8 @@ def vehicles(
 ) -> int:
     """Compare computed with measured power, for library vehicles and for six data sheets.
 
-    The data sheets show how well `vehicle` estimates a vehicle from its owner's data. The report
-    has one page for each vehicle.
+    The data sheets show how well the command `vehicle` estimates a vehicle from its owner's data.
+    The report has one page for each library vehicle.
     """
     refuse_output_folder(out)
     from pyomo_quad.flight import Planner  # noqa: PLC0415  takes a second

@@ -64,9 +64,10 @@ _EXIT_CODES = {
 
 
 class _CommandPlanner(Planner):
-    """Planner of a command, which shows progress and stops at a signal.
+    """Planner of a command, which shows progress and stops at signals such as Ctrl-C.
 
-    Errors of the scenario's model are reported as bad input.
+    If the scenario's model cannot be transcribed, a ScenarioError is raised, so that the command
+    reports invalid input.
     """
 
     def __init__(self, builder: Builder, *, is_quiet: bool, keeps_usable: bool) -> None:
@@ -125,10 +126,10 @@ class _CommandPlanner(Planner):
 
 
 def planner_for(scenario: Scenario, options: Options, *, keeps_usable: bool = False) -> Planner:
-    """Return the planner of a command, which shows progress and stops at signals.
+    """Return the planner of a command, which shows progress and stops at signals such as Ctrl-C.
 
-    Its `solve` raises `SolveStopped` if the user stops it, and ScenarioError if the scenario's
-    model cannot be transcribed.
+    The planner's method `solve` raises `SolveStopped` if the user stops the solve, and
+    ScenarioError if the scenario's model cannot be transcribed.
 
     Parameters
     ----------
@@ -138,7 +139,8 @@ def planner_for(scenario: Scenario, options: Options, *, keeps_usable: bool = Fa
         Options of the command: whether to run the Python model builder that the scenario names, and
         whether to show progress.
     keeps_usable : bool, default False
-        Whether a stopped solve returns the usable plan that it has found, in place of raising.
+        Whether a stopped solve that has found a usable plan returns this plan instead of raising
+        `SolveStopped`.
 
     Raises
     ------
@@ -153,8 +155,8 @@ def planner_for(scenario: Scenario, options: Options, *, keeps_usable: bool = Fa
 def report_folder(folder: Path) -> Iterator[Path]:
     """Context manager: write a new report folder, unless the user stops the solve.
 
-    If the solve is stopped, an earlier report in the folder remains unchanged, the command prints
-    one line and exits.
+    If the user stops the solve, the command prints one line and exits, and an earlier report in the
+    folder remains unchanged.
 
     Yields
     ------
@@ -178,10 +180,18 @@ def report_folder(folder: Path) -> Iterator[Path]:
 def _kept(plan: Plan, folder: Path) -> str:
     """Save the best iterate of a stopped solve in a separate folder, if it is nearly feasible.
 
+    Parameters
+    ----------
+    plan : Plan
+        The iterate.
+    folder : Path
+        Report folder of the command; the name of the separate folder is derived from it.
+
     Returns
     -------
     str
-        Part of the message: where the iterate is, or that nothing was written.
+        Clause for the command's message, which names the separate folder or states that nothing
+        was written.
     """
     best = min((line.infeasibility for line in plan.iterations), default=1.0)
     if plan.solution is None or best > _WORTH_KEEPING:
@@ -214,8 +224,8 @@ def plan_to_continue(run: Path, overrides: Sequence[str]) -> tuple[Plan, Scenari
     Raises
     ------
     ScenarioError
-        If the folder holds no plan, an override is not a field of ``solver``, or no accuracy is
-        higher.
+        If the folder contains no plan, an override does not change a field of ``solver``, or the
+        stored plan already has the highest accuracy.
     """
     plan = Plan.load(run / PLAN_FILE_NAME if run.is_dir() else run)
     values = parse_overrides(overrides)
@@ -240,9 +250,10 @@ def plan_to_continue(run: Path, overrides: Sequence[str]) -> tuple[Plan, Scenari
 
 
 def _lacks_risk(plan: Plan) -> bool:
-    """Return whether the flights of a usable plan break limits more often than is permitted.
+    """Return whether flights of a usable plan break limits more often than the scenario permits.
 
-    The scenario's risk states the permitted probability.
+    The scenario's risk is the permitted probability that a flight breaks a limit. The result is
+    False for a scenario that states no risk.
     """
     is_stated = plan.scenario.mission.risk is not None
     return is_stated and plan.is_flyable and plan.risk is not None and not plan.risk.is_satisfied
@@ -251,8 +262,8 @@ def _lacks_risk(plan: Plan) -> bool:
 def exit_code_of(plan: Plan) -> ExitCode:
     """Return the exit status of a command that made a plan.
 
-    It depends on the plan's status, and on whether flights of the plan break limits more often than
-    the scenario's risk permits.
+    The exit status depends on the plan's status, and on whether flights of the plan break limits
+    more often than the scenario's risk permits.
     """
     if _lacks_risk(plan):
         return ExitCode.RISK_NOT_HAD
@@ -290,7 +301,7 @@ _TEXTS = ("scenario", "flight")
 
 
 def verdict_lines(plan: Plan) -> Iterator[str]:
-    """Yield the printed lines on a plan: energy, accuracy and risk, or the causes of a failure."""
+    """Yield the lines to print on a plan: energy, accuracy and risk, or the causes of failure."""
     if plan.is_flyable:
         beside = against_hovering(plan.energy - plan.hover_energy_J, digits=3)
         yield (
@@ -320,7 +331,7 @@ def verdict_lines(plan: Plan) -> Iterator[str]:
 
 
 def complain_about(plan: Plan, folder: Path, cautions: Sequence[str]) -> None:
-    """Print the causes of a failed plan, and all cautions, to standard error.
+    """Print the causes of the failure of a plan, and all warnings, to standard error.
 
     Parameters
     ----------
@@ -329,7 +340,7 @@ def complain_about(plan: Plan, folder: Path, cautions: Sequence[str]) -> None:
     folder : Path
         Report folder, to which the message refers.
     cautions : sequence of str
-        Warnings that also concern a successful plan.
+        Warnings, which a successful plan may have, too.
     """
     name = plan.scenario.name
     if not plan.is_verified:
@@ -345,9 +356,10 @@ def complain_about(plan: Plan, folder: Path, cautions: Sequence[str]) -> None:
 
 
 def run_lines(result: "RunResult") -> Iterator[str | Table]:
-    """Yield the printed lines on a run: headline, plan, table of flights, and lower bound.
+    """Yield the lines and the table to print on a run: headline, plan, flights and lower bound.
 
-    A run is a plan with the baseline flights that it is compared with.
+    A run is a plan together with the baseline flights with which it is compared. Every
+    flight of the mission needs at least the energy of the lower bound.
     """
     headline = headline_of(result)
     if headline is not None:
@@ -375,7 +387,7 @@ def _certificate_lines(result: "RunResult") -> Iterator[str]:
 
 
 def comparison_table(comparison: "pd.DataFrame") -> Table:
-    """Make the terminal's table of the flights of one or more scenarios.
+    """Make a table, to be printed on the terminal, of the flights of one or more scenarios.
 
     Parameters
     ----------
@@ -385,8 +397,9 @@ def comparison_table(comparison: "pd.DataFrame") -> Table:
     Returns
     -------
     Table
-        Total energy, saving of the plan, time and outcome of each flight. The column of savings
-        is left out if there are none, the column of scenarios if there is only one.
+        Total energy, saving of the plan, duration and outcome of each flight. The column of savings
+        is left out if no flight has a saving, the column of scenarios if there is only one
+        scenario.
     """
     table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     rows = comparison.to_dict("records")
@@ -414,9 +427,9 @@ def answer(
     Parameters
     ----------
     lines : iterable of str or Table
-        Result in words.
+        Result as lines and tables.
     summary : mapping
-        Result as JSON values.
+        Result as values for JSON.
     folder : Path
         Report folder.
     options : Options

@@ -19,7 +19,7 @@ _is_own = False
 def own_process() -> None:
     """Make a process that runs a single command faster: one BLAS thread, rare garbage collection.
 
-    A number of threads that the user has set in the environment is kept.
+    If the environment variable for the number of BLAS threads is set, it is not changed.
     """
     global _is_own  # noqa: PLW0603  a fact about the process
     _is_own = True
@@ -29,12 +29,13 @@ def own_process() -> None:
 
 
 def import_scipy_alone() -> None:
-    """Import SciPy without further slow modules that Pyomo would import with it.
+    """Prevent Pyomo from importing further slow modules when SciPy or matplotlib is imported.
 
-    Pyomo installs import hooks: when SciPy or matplotlib is first imported, they import further
-    modules that Pyomo may need later, which takes half a second for each library. This function
-    removes the hooks, after the hook for NumPy has run. Pyomo then imports these modules only when
-    it uses them. In a process that does not belong to a command, the function does nothing.
+    Pyomo installs import hooks. When SciPy or matplotlib is first imported, the hooks import
+    further modules that Pyomo may need later, which takes half a second for each library. This
+    function removes the hooks, after the hook for NumPy has run. Pyomo then imports the further
+    modules only when it uses them. In a process that runs other code besides the command, such as
+    tests, the function does nothing.
     """
     if _is_own and _PYOMO_WATCHERS not in sys.modules and "scipy" not in sys.modules:
         importlib.import_module("numpy")

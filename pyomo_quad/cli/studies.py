@@ -70,7 +70,7 @@ def _report_folder(folder: Path, *, is_quiet: bool) -> Iterator[tuple[Path, list
     Yields
     ------
     Path, list of str
-        The folder to write into, and a list to which the block appends lines to print.
+        The folder to write into, and a list to which the ``with`` block appends lines of results.
     """
     lines: list[str] = []
     with output_folder(folder) as aside:
@@ -86,7 +86,8 @@ def _follow(*, is_quiet: bool) -> Iterator[Callable[[str, int, int], None] | Non
     Yields
     ------
     callable or None
-        Function of name, number done and total number; None if no progress is shown.
+        Function that is called after each experiment with the experiment's name, the number of
+        finished experiments and the number of all experiments; None if no progress is shown.
     """
     console = error_console()
     if is_quiet or not console.is_terminal:
@@ -111,7 +112,18 @@ def _follow(*, is_quiet: bool) -> Iterator[Callable[[str, int, int], None] | Non
 def _steady_study(
     file: Path, overrides: list[str] | None, out: Path | None, study: str
 ) -> tuple[Scenario, Path]:
-    """Load the scenario of a study of steady flight, and check its report folder.
+    """Load the scenario of a study of steady flight, and check that its report can be written.
+
+    Parameters
+    ----------
+    file : Path
+        Scenario file.
+    overrides : list of str or None
+        Changes of fields, as ``PATH=VALUE``.
+    out : Path or None
+        Report folder; by default named after the scenario and the study.
+    study : str
+        Name of the study: "polar" or "reach".
 
     Returns
     -------
@@ -121,7 +133,7 @@ def _steady_study(
     Raises
     ------
     ScenarioError
-        If the scenario names its own model builder, which these studies cannot read.
+        If the scenario names its own Python model builder, which these studies cannot use.
     """
     resolved = load_scenario(file, overrides or ())
     if resolved.model is not None:
@@ -139,7 +151,7 @@ def polar(
     figures: FigureChoice = Figures.SVG,
     quiet: Quiet = False,
 ) -> int:
-    """Solve steady flight over airspeed, payload and wind: best speeds, range and endurance."""
+    """Compute steady flight over airspeed, payload and wind: best speeds, range and endurance."""
     resolved, folder = _steady_study(scenario, overrides, out, "polar")
     from pyomo_quad.polar.polar import find_polar  # noqa: PLC0415  takes a second
     from pyomo_quad.polar.report import write_polar  # noqa: PLC0415
@@ -173,7 +185,7 @@ def reach(
     figures: FigureChoice = Figures.SVG,
     quiet: Quiet = False,
 ) -> int:
-    """Draw how far one battery charge takes a vehicle in the wind, one way or there and back."""
+    """Draw the range of a vehicle on one battery charge in wind, one way or out and back."""
     resolved, folder = _steady_study(scenario, overrides, out, "reach")
     from pyomo_quad.polar.reach import find_reach, write_reach  # noqa: PLC0415  takes a second
 
@@ -194,7 +206,7 @@ def outside_plant(
     figures: FigureChoice = Figures.SVG,
     quiet: Quiet = False,
 ) -> int:
-    """Fly three vehicles in the simulator RotorPy, and compare with the package's model.
+    """Simulate three vehicles in the simulator RotorPy, and compare with the package's model.
 
     One vehicle is the quadrotor of Yacef et al., and two are parameter sets of RotorPy.
     """
@@ -353,9 +365,9 @@ def _parameter_lines(
     parameters: "Sequence[FittedParameter | IdentifiedParameter]",
     together: Sequence[tuple[str, str]],
 ) -> Iterator[str]:
-    """Yield one printed line for each fitted parameter: value, deviation and remarks.
+    """Yield a line to print for each parameter of a fit: value, deviation and remarks.
 
-    A parameter that the measurements do not determine keeps its value, and its line says so.
+    A parameter that the measurements do not determine keeps its value; its line states this.
 
     Parameters
     ----------
@@ -387,7 +399,7 @@ def _said(scores: "Scores") -> str:
 def predict(
     logs: Logs = None, *, vehicle: Vehicle, out: NewFolder = None, quiet: Quiet = False
 ) -> int:
-    """Compute the energy of measured flights from their motion, and compare with measurements."""
+    """Compute the energy of flights from their measured motion, and compare with measurements."""
     if not logs:
         raise ScenarioError("predict: give LOGS, one file of measured flights or more.")
     folder = out or Path("reports") / f"{logs[0].stem}_predicted"
@@ -404,13 +416,22 @@ def predict(
 def _read(
     logs: list[Path], vehicle: str, flights: Path | None
 ) -> "tuple[Scenario, pd.DataFrame, pd.DataFrame]":
-    """Read measured flights and the vehicle that flew them.
+    """Read measured flights, and the library vehicle or vehicle file that describes the vehicle.
+
+    Parameters
+    ----------
+    logs : list of Path
+        Files of the flights.
+    vehicle : str
+        Vehicle of the library, or a vehicle file.
+    flights : Path or None
+        CSV file that selects flights; None reads all flights.
 
     Returns
     -------
     tuple of (Scenario, DataFrame, DataFrame)
-        Scenario with the vehicle, rows of all flights, and rows of battery voltage, which are empty
-        if any log lacks the voltage.
+        Scenario with the vehicle, rows of all flights, and rows of battery voltage. The last table
+        is empty if any log lacks the voltage.
     """
     import pandas as pd  # noqa: PLC0415
 

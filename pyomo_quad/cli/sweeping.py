@@ -1,4 +1,4 @@
-"""Commands `sweep` and `sweep-report`: solve many variants of a scenario, and report."""
+"""Commands `sweep` and `sweep-report`: solve the variants of a scenario, and write a report."""
 
 import os
 from collections.abc import Iterator
@@ -61,7 +61,7 @@ def sweep(
     figures: FigureChoice = Figures.SVG,
     verbose: Verbose = False,
 ) -> int:
-    """Solve all cases of a study file, or those still missing, and write the report."""
+    """Solve all cases of a study file that have no stored result yet, and write the report."""
     if out is not None:
         report = final_folder(out) / _REPORT_FOLDER
         try:
@@ -100,7 +100,7 @@ def sweep(
 def sweep_report(
     folder: SweepFolder, *, out: ReportOutput = None, figures: FigureChoice = Figures.SVG
 ) -> int:
-    """Write tables and figures of a sweep from its stored results; nothing is solved."""
+    """Write tables and figures of a sweep from its stored results, without solving."""
     from pyomo_quad import sweep as sweeps  # noqa: PLC0415
 
     with sweeps.ResultStore.reading(folder) as store:
@@ -152,7 +152,7 @@ def follow_sweep(*, is_verbose: bool) -> Iterator["SweepListener"]:
     Yields
     ------
     SweepListener
-        Listener for `Sweep`.
+        Object that a `Sweep` informs of each finished case.
     """
     console = error_console()
     if not console.is_terminal:
@@ -170,7 +170,7 @@ def follow_sweep(*, is_verbose: bool) -> Iterator["SweepListener"]:
 
 
 class _Listener:
-    """Base class of listeners that count the cases of a sweep and print the counts."""
+    """Base class of listeners, which a sweep informs of its cases and which print their number."""
 
     total = done = failed = _solved = 0
 
@@ -180,12 +180,22 @@ class _Listener:
         self._began = monotonic()
 
     def start(self, total: int, already_ended: int) -> None:
-        """Record the number of all cases of the sweep, and of cases that ended in earlier runs."""
+        """Record the number of all cases, and the number of cases that ended in earlier runs."""
         self.total, self.done = total, already_ended
         self._show()
 
     def case_ended(self, case: "Case", outcome: "CaseOutcome", done: int) -> None:
-        """Count a case of the sweep whose result was stored."""
+        """Count a case of the sweep whose result has been stored, and print the progress.
+
+        Parameters
+        ----------
+        case : Case
+            The case.
+        outcome : CaseOutcome
+            Result of the case.
+        done : int
+            Number of all cases that have ended, including earlier runs.
+        """
         self.done = done
         self._solved += 1
         self.failed += not outcome.is_finished

@@ -30,7 +30,7 @@ _WIDTH_WITHOUT_TERMINAL = 140
 
 
 def result_console() -> Console:
-    """Return a console for standard output, wide enough for tables if this is not a terminal."""
+    """Return a console for standard output; if redirected, it is wide enough for all tables."""
     width = None if sys.stdout.isatty() else _WIDTH_WITHOUT_TERMINAL
     return Console(width=width, highlight=False)
 
@@ -49,9 +49,9 @@ def complain(message: str) -> None:
 
 
 def claim_streams() -> bool:
-    """Replace closed standard streams, so that the process can print safely.
+    """Replace closed standard streams by the null device, so that the process can print safely.
 
-    A message with characters that the terminal cannot encode is printed with escapes.
+    Characters that the terminal cannot encode are printed as escape sequences.
 
     Returns
     -------
@@ -74,9 +74,9 @@ def claim_streams() -> bool:
 
 
 def gives_up_output(error: OSError) -> bool:
-    """Return whether an error shows that standard output cannot be written any more.
+    """Return whether an error shows that standard output can no longer be written.
 
-    If so, all further output is discarded.
+    In this case, all further output is discarded.
     """
     if error.filename is not None or error.errno not in _LOST:
         return False
@@ -103,7 +103,8 @@ def live_line(*, is_quiet: bool) -> Iterator[Callable[["State"], None] | None]:
     Yields
     ------
     callable or None
-        Function to call with the state of the search at each iteration; None if quiet.
+        Function to call with the state of the search at each iteration; None if the user wants no
+        progress display.
     """
     if is_quiet:
         yield None
@@ -134,7 +135,7 @@ def _plain_lines(started: float) -> Callable[["State"], None]:
 
 
 def _state_of(now: "State") -> str:
-    """Return one line on a search's state: stage, best energy, uncertainty, processor time."""
+    """Return a line on a search for a plan: stage, best energy, uncertainty, processor time."""
     best = "no energy yet"
     if isfinite(now.energy_J):
         known = f" ± {100.0 * now.uncertainty:.2g} %" if isfinite(now.uncertainty) else ""
@@ -192,7 +193,7 @@ AllowCode = Annotated[
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """Options of every command that solves and writes a report."""
+    """Values of the command-line options that are common to all commands which solve."""
 
     out: Output = None
     overrides: Overrides = None
@@ -203,16 +204,20 @@ class Options:
 
     @property
     def is_quiet(self) -> bool:
-        """Whether the command shows no progress."""
+        """Whether the command must not show its progress."""
         return self.quiet or self.as_json
 
     def load(self, file: Path) -> Scenario:
-        """Load a scenario file, with the fields changed that the user has set by `--set`."""
+        """Load a scenario file, and change the fields that the user has set by `--set`."""
         return load_scenario(file, self.overrides or ())
 
 
 def with_options(command: Callable[..., int]) -> Callable[..., int]:
-    """Replace a command's parameter `options` by one command-line option per field of `Options`."""
+    """Give a command the command-line options that are the fields of `Options`.
+
+    The function `command` has a parameter `options`. In the returned function, this parameter is
+    replaced by a parameter for each field of `Options`.
+    """
     own, shared = signature(command), signature(Options).parameters
     kept = [one for one in own.parameters.values() if one.name != "options"]
 
@@ -228,7 +233,7 @@ def with_options(command: Callable[..., int]) -> Callable[..., int]:
 
 
 def folder_of(scenario: Scenario, output: Path | None) -> Path:
-    """Return the report folder: `output` or, by default, ``reports/NAME`` for a scenario's name."""
+    """Return the report folder: `output` or, if None, ``reports/NAME`` with the scenario's name."""
     return output or Path("reports") / scenario.name
 
 
@@ -261,14 +266,14 @@ def positive_count(text: str) -> int:
 
 
 class Stopwatch:
-    """Wall time [s] of the named phases of a command, in the attribute `seconds`."""
+    """Stopwatch for the phases of a command; `seconds` is the wall time [s] by name of phase."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
 
     @contextmanager
     def phase(self, name: str) -> Iterator[None]:
-        """Context manager: add the wall time of the ``with`` block to a phase."""
+        """Context manager: add the wall time of the ``with`` block to the phase `name`."""
         started = perf_counter()
         try:
             yield

@@ -68,7 +68,10 @@ class Costates:
 
     @property
     def per_element(self) -> tuple[FloatArray, ...]:
-        """Costates at the nodes of each element, in arrays of shape (degree + 1, n_states)."""
+        """Costates at the nodes of each element, in arrays of shape (degree + 1, n_states).
+
+        The nodes are the left end of the element and its collocation points.
+        """
         inner = np.split(self.at_points, self.mesh.first_node[1:-1])
         return tuple(np.vstack(held) for held in zip(self.starts, inner, strict=True))
 
@@ -94,7 +97,9 @@ def _roughness(degree: int) -> FloatArray:
 
 
 def _by_degree(mesh: Mesh) -> list[tuple[int, np.ndarray, np.ndarray]]:
-    """Group the elements of a mesh by polynomial degree, for vectorised evaluation.
+    """Group the elements of a mesh by their number of collocation points (degree).
+
+    Elements of equal degree can be evaluated together by array operations.
 
     Returns
     -------

@@ -39,7 +39,8 @@ _SoftRow = tuple[str, int, int, float, float, float]
 class SoftRows:
     """One-sided limits that a diagnosis may relax: sign * (value - limit) <= slack * size.
 
-    All limits of one component of the model (a family) share a slack.
+    The slack is a non-negative unknown of the elastic program. All limits that one component of the
+    model declares (a family) share a slack.
 
     Attributes
     ----------
@@ -76,7 +77,20 @@ class SoftRows:
         limits: list[Limit],
         families: frozenset[str] | None = None,
     ) -> SoftRows:
-        """Collect the one-sided limits of chosen families (component names), or of all if None.
+        """Collect the one-sided limits of a nonlinear program that a diagnosis may relax.
+
+        Parameters
+        ----------
+        program : Transcription
+            The nonlinear program.
+        bounds : Bounds
+            Bounds of the program's unknowns and constraints.
+        scaling : Scaling
+            Scaling factors, from which the reference magnitudes follow.
+        limits : list of Limit
+            Limits on the unknowns.
+        families : frozenset of str, optional
+            Names of the components whose limits are collected; all by default.
 
         Raises
         ------
@@ -110,7 +124,11 @@ class SoftRows:
 
 
 def _soft_unknowns(limits: list[Limit], scaling: Scaling) -> Iterator[_SoftRow]:
-    """Yield the one-sided limits on unknowns of the program."""
+    """Yield the one-sided limits on unknowns of the program, for `SoftRows.of`.
+
+    `limits` are the declared limits on the unknowns. A limit with a lower and an upper side gives
+    two one-sided limits for each unknown.
+    """
     for limit in limits:
         for k, column in enumerate(limit.columns):
             size = 1.0 / float(scaling.unknowns[column])
@@ -122,7 +140,11 @@ def _soft_unknowns(limits: list[Limit], scaling: Scaling) -> Iterator[_SoftRow]:
 def _soft_program_rows(
     program: Transcription, bounds: Bounds, scaling: Scaling
 ) -> Iterator[_SoftRow]:
-    """Yield the one-sided limits of path inequalities and of conditions at declared times."""
+    """Yield the one-sided limits on constraints of the program, for `SoftRows.of`.
+
+    These constraints are the path inequalities at the collocation points, and the conditions at
+    declared times.
+    """
     equations = program.compiled.declared.equations
     rows = [
         (point * len(equations) + k, equation.name)
@@ -232,7 +254,7 @@ class Diagnosis:
     Attributes
     ----------
     residuals : tuple of Residual
-        The ten worst equations of the best iterate, in order of violation relative to their scale.
+        The ten most violated equations of the best iterate, the largest scaled violation first.
     active : tuple of ActiveLimit
         Limits that are active at the best iterate.
     least_violation : float
@@ -240,7 +262,8 @@ class Diagnosis:
         limits must be relaxed until all equations can be satisfied; infinite if the computation
         did not converge.
     relaxations : tuple of Relaxation
-        Components whose limits must all be relaxed together; empty if every limit can be met.
+        Components whose limits must be relaxed, all of them together, to make the problem feasible;
+        empty if all limits can be satisfied.
     feasible_point : Trajectory or None
         A trajectory that satisfies all equations and limits, if one was found.
     """
@@ -376,7 +399,10 @@ def _least_slacks(solution: Solution, soft: SoftRows, progress: Progress | None)
 
 
 def _residuals(solution: Solution) -> tuple[Residual, ...]:
-    """Return the ten worst violated equations at the last iterate, worst first."""
+    """Return the ten equations with the largest scaled violations at the last iterate.
+
+    The largest violation comes first. Equations that are satisfied are left out.
+    """
     program, bounds = solution.program, solution.bounds
     values = program.constraints(solution.unknowns)
     off = np.maximum(np.maximum(bounds.row_lower - values, values - bounds.row_upper), 0.0)
@@ -398,7 +424,10 @@ def _residuals(solution: Solution) -> tuple[Residual, ...]:
 
 
 def _active(solution: Solution, soft: SoftRows) -> tuple[ActiveLimit, ...]:
-    """Return the limits that are active at the last iterate, one entry per component."""
+    """Return the limits that are active at the last iterate, one entry per component.
+
+    `soft` has the one-sided limits to examine. Limits on unknowns with a fixed value are left out.
+    """
     values = solution.program.constraints(solution.unknowns)
     held = np.where(soft.row >= 0, values[soft.row], solution.unknowns[soft.column])
     touches = soft.sign * (held - soft.limit) >= -_MET * soft.size
@@ -422,7 +451,11 @@ def _active(solution: Solution, soft: SoftRows) -> tuple[ActiveLimit, ...]:
 
 
 def _relaxations(solution: Solution, soft: SoftRows, slacks: FloatArray) -> tuple[Relaxation, ...]:
-    """Return the positive slacks as relaxations in the limits' units, the largest slack first."""
+    """Return the relaxations that a diagnosis reports, the largest relative relaxation first.
+
+    `slacks` has for each family of limits (all limits of one component) the relative amount by
+    which its limits must be relaxed. Each positive slack is converted to the unit of its limits.
+    """
     found = []
     for k in np.argsort(-slacks):
         if slacks[k] > _MET:

@@ -49,9 +49,10 @@ class Instants:
         Rates, states, algebraic variables, static variables and data (fraction of the horizon and
         parameters).
     read : callable
-        ``(keys, *inputs)`` -> values of components, shape (n, n_keys); an `Evaluator`.
+        ``(keys, *inputs)`` -> values of the components that `keys` names, shape (n, n_keys); an
+        `Evaluator`.
     numbers : callable
-        (data, parameters by full name) -> data with new values of these parameters.
+        (data, new values of parameters by full name) -> data with these values.
     """
 
     inputs: list[FloatArray]
@@ -149,7 +150,11 @@ class Dynamics:
         return casadi.Function("right_hand_side", inputs, [casadi.densify(o) for o in outputs])
 
     def _implicit_side(self, core: _Core, inputs: list[Any]) -> Any:
-        """Return the right-hand side of implicit equations, solved by CasADi's Newton method."""
+        """Return the right-hand side of implicit equations, solved by CasADi's Newton method.
+
+        The result is a CasADi function of the symbols `inputs`. `core` holds the equations, split
+        into a nonlinear part, which Newton's method solves, and a linear part.
+        """
         newton = casadi.rootfinder("slopes", "newton", core.residual, {"abstol": _NEWTON_TOLERANCE})
         symbols = [casadi.MX.sym(f"i{k}", i.shape[0]) for k, i in enumerate(inputs)]
         stacked = casadi.vertcat(*symbols)
@@ -187,10 +192,11 @@ class Dynamics:
         return lower[chosen], upper[chosen]
 
     def just_after(self, t: float) -> float:
-        """Return a time just after t if a parameter jumps at t, else t itself.
+        """Return a time just after t, to evaluate parameters after a jump at t.
 
         At a time t at which a parameter jumps, the equations take the value before the jump; at the
-        returned time they take the value after it.
+        returned time they take the value after it. If no parameter jumps at any time, t itself is
+        returned.
 
         Parameters
         ----------
@@ -313,10 +319,10 @@ class Dynamics:
             Full names, and indices without time. The name of an equation over time gives its
             residual.
         t : float
-            Physical time at which the data are taken.
+            Physical time at which time-dependent parameters are evaluated.
         values : mapping
-            States and algebraic variables by full name, as symbols or numbers; all others, and all
-            rates, are zero.
+            States and algebraic variables by full name, as symbols or numbers; all other states and
+            algebraic variables, and all rates, are zero.
         """
         declared, evaluator = self._formulation.compiled.declared, self._formulation.evaluator
         columns = [
@@ -447,7 +453,11 @@ class Dynamics:
         return changed
 
     def _algebraics(self, determined: FloatArray, controls: FloatArray) -> FloatArray:
-        """Return all algebraic variables in their declared order, one row per time."""
+        """Return all algebraic variables in their declared order, one row per time.
+
+        `determined` are the algebraic variables that equations determine, and `controls` the
+        remaining algebraic variables; both have one row per time.
+        """
         names = [s.name for s in self._determined]
         columns = [
             determined[:, names.index(s.name)]
@@ -509,7 +519,10 @@ class Dynamics:
 
     @property
     def states_used_up(self) -> tuple[str, ...]:
-        """Names of states with a given start and a free end, such as the charge of a battery."""
+        """Names of states with a given initial value and a free final value.
+
+        An example is the charge of a battery.
+        """
         declared = self._formulation.compiled.declared
         # A state at the end remains free if only the objective depends on it.
         priced = symbol_names(declared.objective)
@@ -563,7 +576,7 @@ class Dynamics:
     ) -> tuple[Violation, ...]:
         """Return the worst violation of every limit over time along a trajectory, the worst first.
 
-        Limits are path inequalities and bounds; a limit that is met has size 0.
+        Limits are path inequalities and bounds. The violation of a satisfied limit is 0.
 
         Parameters
         ----------
@@ -575,19 +588,20 @@ class Dynamics:
         return found
 
     def violations_of(self, instants: Instants, t: FloatArray) -> list[tuple[Violation, ...]]:
-        """Return the worst violation of every limit for several flights sampled at equal times.
+        """Return the worst violation of every limit, for several flights sampled at the same times.
 
         Parameters
         ----------
         instants : Instants
-            The flights one after another, n times each.
+            States, controls, rates and algebraic variables of the flights, as from `solved`: one
+            flight after another, n times each.
         t : ndarray, shape (n,)
             Physical times.
 
         Returns
         -------
         list of tuple of Violation
-            The `violations` of each flight, the worst first.
+            For each flight, the result of `violations`: the worst violation comes first.
         """
         limits = self.limits_of(instants)
         flights = (slice(k, k + len(t)) for k in range(0, len(instants.inputs[0]), len(t)))
@@ -704,7 +718,10 @@ def control_limits(
 
 
 def _objective_density(formulation: Formulation) -> Any:
-    """Return the integrand of the declared objective, per unit of the fraction of the horizon."""
+    """Return the integrand of the declared objective, as a CasADi expression.
+
+    The integrand is per unit of the fraction of the horizon.
+    """
     declared = formulation.compiled.declared
     density = casadi.SX(0)
     for k in formulation.compiled.row_integrals:
@@ -715,7 +732,11 @@ def _objective_density(formulation: Formulation) -> Any:
 
 
 def _solve_linear(matrix: Any, right: Any) -> Any:
-    """Solve a linear system symbolically; with one unknown per row only divisions are needed."""
+    """Solve a linear system of CasADi expressions symbolically.
+
+    `matrix` and `right` are the matrix and the right-hand side. If each row and each column of the
+    matrix has a single nonzero, only divisions are needed.
+    """
     rows, columns = matrix.sparsity().get_triplet()
     n = matrix.shape[0]
     if sorted(rows) == list(range(n)) and sorted(columns) == list(range(n)):
@@ -727,7 +748,10 @@ def _solve_linear(matrix: Any, right: Any) -> Any:
 
 
 def _solved_for(rows: Any, unknowns: Any) -> Any:
-    """Solve equations symbolically for unknowns that enter them linearly."""
+    """Solve equations symbolically for unknowns that enter them linearly.
+
+    `rows` are the residuals of the equations. The result is a CasADi column of the unknowns.
+    """
     offset = casadi.substitute(rows, unknowns, casadi.DM.zeros(unknowns.shape[0]))
     return _solve_linear(casadi.jacobian(rows, unknowns), -offset)
 
@@ -787,10 +811,17 @@ class _Core:
 
 
 class _WithoutIterations(Dynamics):
-    """Right-hand side that solves implicit equations by 20 Newton steps, written as expressions."""
+    """Right-hand side that solves implicit equations by a fixed number of Newton steps.
+
+    The 20 steps are written out as CasADi expressions, which are evaluated faster than an
+    iteration.
+    """
 
     def _implicit_side(self, core: _Core, inputs: list[Any]) -> Any:
-        """Return the right-hand side with Newton's steps written out as CasADi expressions."""
+        """Return the right-hand side with 20 Newton steps written out as CasADi expressions.
+
+        `core` and `inputs` are as in `Dynamics._implicit_side`.
+        """
         stacked = casadi.vertcat(*inputs)
         residual = core.residual(core.inner, stacked)
         slope = casadi.Function(
@@ -885,7 +916,10 @@ class Symbol(NDArrayOperatorsMixin):
 
 
 def _refusal(what: str) -> TranscriptionError:
-    """Return the error for a control law with an operation that cannot be compiled."""
+    """Return the error for a control law with an operation that cannot be compiled.
+
+    `what` is the operation, for the message.
+    """
     known = ", ".join(sorted(f"np.{function.__name__}" for function in _FUNCTIONS))
     return TranscriptionError(
         f"control law: {what} cannot be compiled; write it with arithmetic and {known}, and "
@@ -894,7 +928,7 @@ def _refusal(what: str) -> TranscriptionError:
 
 
 def _expression(number: Any) -> Any:
-    """Return the CasADi expression of a `Symbol`, or the number itself."""
+    """Return the CasADi expression of a `Symbol`; return any other number unchanged."""
     return number.expression if isinstance(number, Symbol) else number
 
 
@@ -959,7 +993,10 @@ def written_law(dynamics: Dynamics, law: Law, sizes: tuple[int, int, int]) -> An
 
 
 def joint_sizes(dynamics: Dynamics, n_command: int, n_own: int) -> tuple[int, int, int]:
-    """Return the numbers of time-dependent inputs, joint states and commands of a closed loop.
+    """Return the dimensions of a closed loop.
+
+    They are the numbers of time-dependent inputs of the equations, of joint states, and of
+    components of the command that the control law follows.
 
     The joint state consists of the vehicle's states, the n_own states of the law, and the integral
     of the objective's integrand.
@@ -1046,7 +1083,12 @@ class ClosedLoop:
         self._held = buffer, controls
 
     def _compiled(self, law: Law, sizes: tuple[int, int, int]) -> Any:
-        """Return the function (time-dependent inputs, joint state, command) -> rates, controls."""
+        """Return the CasADi function of the closed loop.
+
+        The function maps (time-dependent inputs, joint state, command) to the time derivative of
+        the joint state and the controls. `sizes` are the dimensions of the inputs, as from
+        `joint_sizes`.
+        """
         symbols, rates, controls = closed(self._dynamics, law, sizes, {})
         # To find common subexpressions, CasADi would write out the data of each table in full.
         has_tables = bool(self._dynamics.tables_read)

@@ -32,8 +32,8 @@ def _number(value: float) -> Interval:
 
 
 def _product(a: Interval, b: Interval) -> Interval:
-    # Both ends of a constant interval, as most factors are, share one array.
-    """Return the interval of the products of two intervals' numbers."""
+    """Return the interval of all products x * y, with x in the interval a and y in b."""
+    # Most factors are constants; the two ends of a constant interval are the same array.
     ours, theirs = (ends[:1] if ends[0] is ends[1] else ends for ends in (a, b))
     corners = [x * y for x in ours for y in theirs]
     low = reduce(np.minimum, corners)
@@ -45,7 +45,10 @@ def _product(a: Interval, b: Interval) -> Interval:
 
 
 def _inverse(a: Interval) -> Interval:
-    """Return the interval of 1 / x; the whole real line if the interval of x contains 0."""
+    """Return the interval of 1 / x for all x in the interval a.
+
+    The result is the whole real line if the interval contains 0.
+    """
     low, high = a
     holds_nought = (low <= 0.0) & (high >= 0.0)
     with np.errstate(divide="ignore"):
@@ -56,19 +59,19 @@ def _inverse(a: Interval) -> Interval:
 
 
 def _square(a: Interval) -> Interval:
-    """Return the interval of the squares of an interval's numbers."""
+    """Return the interval of x^2 for all x in the interval a."""
     low, high = np.abs(a[0]), np.abs(a[1])
     spans = (a[0] < 0.0) & (a[1] > 0.0)
     return np.where(spans, 0.0, np.minimum(low, high) ** 2), np.maximum(low, high) ** 2
 
 
 def _difference(a: Interval, b: Interval) -> Interval:
-    """Return the interval of the differences of two intervals' numbers."""
+    """Return the interval of all differences x - y, with x in the interval a and y in b."""
     return a[0] - b[1], a[1] - b[0]
 
 
 def _root(a: Interval) -> Interval:
-    """Return the interval of the square roots of an interval's numbers that are not negative."""
+    """Return the interval of sqrt(x) for all x >= 0 in the interval a."""
     return np.sqrt(np.maximum(a[0], 0.0)), np.sqrt(np.maximum(a[1], 0.0))
 
 
@@ -170,7 +173,10 @@ class Enclosure:
 
 
 class _Steps:
-    """Elementary operations of a CasADi function, in the order of their evaluation on intervals."""
+    """Elementary operations of a CasADi function, evaluated one after another on intervals.
+
+    `Enclosure` uses this class for its expressions and their gradient.
+    """
 
     def __init__(self, function: Any) -> None:
         self._function = function
@@ -178,7 +184,17 @@ class _Steps:
         self._steps = list(map(self._step, range(function.n_instructions())))
 
     def _step(self, k: int) -> tuple[int, list[int], list[int], float]:
-        """Return the k-th operation: its code, its input and output registers, and its constant."""
+        """Return the k-th elementary operation of the CasADi function.
+
+        Returns
+        -------
+        int
+            CasADi's code of the operation, as `casadi.OP_ADD`.
+        list of int, list of int
+            Positions in the work array of the operation's arguments, and of its results.
+        float
+            Value of a constant; 0 for other operations.
+        """
         f = self._function
         operation = f.instruction_id(k)
         known = (*_OPERATIONS, casadi.OP_CONST, casadi.OP_INPUT, casadi.OP_OUTPUT)
@@ -191,7 +207,11 @@ class _Steps:
         return operation, f.instruction_input(k), f.instruction_output(k), constant
 
     def over(self, low: FloatArray, high: FloatArray, numbers: ArrayLike) -> tuple[Interval, ...]:
-        """Return lower and upper bounds of the function's outputs over n boxes."""
+        """Return lower and upper bounds of the function's outputs over n boxes.
+
+        `low` and `high` are the corners of the boxes, shape (n_variables, n); `numbers` are the
+        values of the function's second argument, which are not intervals.
+        """
         given = np.asarray(numbers, dtype=float)
         held: dict[int, Interval] = {}
         outputs = [np.empty((2, size, low.shape[1])) for size in self._sizes]

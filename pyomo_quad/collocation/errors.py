@@ -10,7 +10,7 @@ class TranscriptionError(EngineError, ValueError):
 
 
 class SolveError(EngineError, RuntimeError):
-    """Error of a numerical solve that did not converge, although a result is indispensable."""
+    """Error raised if a numerical solve fails and its caller cannot continue without the result."""
 
 
 def raised(error: Exception) -> str:

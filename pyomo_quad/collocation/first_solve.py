@@ -60,7 +60,8 @@ class FirstSolve(Search[S], Generic[S]):
     options : SolverOptions
         Settings of Ipopt that the caller requested.
     first : Solution or JointSolution, optional
-        Result of the solve as the caller requested it, once it has run.
+        Result of the solve with the start, mesh and settings that the caller requested; None before
+        that solve.
     """
 
     solve: Callable[..., S]
@@ -73,16 +74,16 @@ class FirstSolve(Search[S], Generic[S]):
 
     @cached_property
     def judged(self) -> S:
-        """Result of the failed first solve, with a verdict on the problem's feasibility.
+        """Result of the solve that the caller requested and that failed, with a verdict.
 
-        The verdict says whether the problem is infeasible near the last iterate. The constraint
+        The verdict states whether the problem is infeasible near the last iterate. The constraint
         violation is minimised once to find the verdict; later calls return the cached result.
         """
         return self.judge(self.failed)
 
     @property
     def failed(self) -> S:
-        """Result of the first solve, with the start, mesh and settings that the caller requested.
+        """Result of the solve with the caller's own start, mesh and settings, without a verdict.
 
         Raises
         ------
@@ -94,7 +95,10 @@ class FirstSolve(Search[S], Generic[S]):
         return self.first
 
     def holds(self, fact: Fact) -> bool:
-        """Return whether a condition that a strategy requires (`Fact`) is true at this stage."""
+        """Return whether a condition that a strategy requires is true at this stage of the search.
+
+        A condition that only `FirstSolveOfOne` can evaluate is false.
+        """
         is_judged = self.first is not None and self.judged.status is not Status.INTERRUPTED
         if fact is Fact.POSSIBLE:
             return is_judged and self.judged.status is not Status.INFEASIBLE
@@ -117,11 +121,11 @@ class FirstSolve(Search[S], Generic[S]):
         return found
 
     def begun(self, first: First, own: Callable[..., S], mesh: Any) -> S | None:
-        """Solve from the kind of initial point that a strategy requires.
+        """Solve from the kind of initial point that a strategy requires, and return the result.
 
-        This class solves problems with several horizons, and always begins at the start that the
-        caller requested. The subclass `FirstSolveOfOne` provides further kinds of initial points,
-        and returns None if the problem has no initial point of the required kind.
+        This class solves problems with several horizons, and always begins at the initial point
+        that the caller requested. The subclass `FirstSolveOfOne` provides further kinds of initial
+        points, and returns None if the problem has no initial point of the required kind.
 
         Parameters
         ----------
@@ -130,6 +134,7 @@ class FirstSolve(Search[S], Generic[S]):
         own : callable
             (mesh, start) -> solution on one mesh, with the strategy's settings.
         mesh : Mesh, list of Mesh, or None
+            Initial mesh.
         """
         del first
         return self.finish(own, mesh, self.start)
@@ -148,9 +153,11 @@ class FirstSolve(Search[S], Generic[S]):
         )
 
     def failure(self, last: S) -> S:
-        """Return the result if all strategies failed: the requested solve, with a verdict.
+        """Return the result to report if all strategies have failed.
 
-        The verdict tells whether the problem is infeasible near the last iterate.
+        The result is that of the solve that the caller requested, with a verdict that states
+        whether the problem is infeasible near the last iterate. `last`, the result of the last
+        strategy, is not used.
         """
         del last
         return self.judged
@@ -187,7 +194,11 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     is_mesh_free: bool
 
     def holds(self, fact: Fact) -> bool:
-        """Return whether a condition that a strategy requires (`Fact`) is true at this stage."""
+        """Return whether a condition that a strategy requires is true at this stage of the search.
+
+        The conditions of this class concern the numbers of equations and unknowns, and whether the
+        caller gave a mesh or a guess. Other conditions are evaluated by the base class.
+        """
         known = {
             Fact.ONE_HORIZON: True,
             Fact.OVERDETERMINED: self.is_overdetermined and self.first is None,
@@ -220,9 +231,10 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
         return self._ended(self.finish(own, mesh, Start(guess=path))) if path else None
 
     def _simulated(self) -> Any:
-        """Return a trajectory simulated from the initial states, or None.
+        """Return a trajectory simulated from the initial states, as an initial point.
 
-        None if the model has controls or free initial states, or if the caller gave a guess.
+        The result is None if the model has controls or free initial states, or if the caller gave a
+        guess.
         """
         return self.simulate and self.simulate()
 
@@ -239,11 +251,11 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     def _reduced(self, solve_on: Callable[..., Solution], mesh: Mesh | None) -> Solution | None:
         """Solve without redundant conditions, and check that the solution satisfies them.
 
-        A redundant condition follows from the other equations, as an end condition on a conserved
-        quantity does. Redundant conditions are detected at the point of least constraint violation
-        near the guess. If redundant conditions were imposed too, the problem on a coarse mesh might
-        have no solution, or spurious solutions. The result is None if no condition is redundant,
-        the solve fails, or its solution violates a condition.
+        A condition is redundant if it follows from the other equations: for example an end
+        condition on a conserved quantity. Redundant conditions are detected at the point of least
+        constraint violation near the guess. With the redundant conditions imposed, the problem on a
+        coarse mesh might have no solution, or spurious solutions. The result is None if no
+        condition is redundant, if the solve fails, or if its solution violates a condition.
         """
         near = solve_on(mesh, self.start, options=replace(self.options, max_iterations=0))
         least = violation_of(near, self.options, self.progress)

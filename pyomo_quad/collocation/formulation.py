@@ -54,8 +54,9 @@ class WrittenComponents:
     Parameters
     ----------
     written : dict
-        Keys are (full name, index without time). Values are the CasADi expression of the component,
-        or a text with the reason why it cannot be written as an expression.
+        Keys are (full name, index without time): for ``x[i, t]`` with the time t, the index without
+        time is (i,). Values are the CasADi expression of the component, or a text with the reason
+        why it cannot be written as an expression.
     """
 
     def __init__(self, written: dict[tuple[str, tuple[Any, ...]], Any]) -> None:
@@ -108,7 +109,10 @@ class Evaluator:
 
     @classmethod
     def of(cls, compiled: CompiledModel, writer: TemplateWriter) -> Evaluator:
-        """Return an evaluator of all components of a compiled model."""
+        """Return an evaluator of all components of a compiled model.
+
+        `writer` translates components of the Pyomo model to CasADi expressions.
+        """
         d = compiled.declared
         states = (*d.states, *d.outputs)
         inputs = (
@@ -169,7 +173,15 @@ class Evaluator:
         return written
 
     def is_over_time(self, component: str, index: Any = None) -> bool:
-        """Return whether a variable or expression of this name is indexed by the horizon's time."""
+        """Return whether a variable or expression depends on time.
+
+        Parameters
+        ----------
+        component : str
+            Full name of the variable or expression.
+        index : optional
+            Its index without time.
+        """
         try:
             return self._writer.over_time(component, index_tuple(index)) is not None
         except KeyError:
@@ -206,7 +218,7 @@ class Evaluator:
 
 
 def _unpacked(kept: Packed) -> Evaluator:
-    """Return the evaluator that a pickle contains."""
+    """Return the evaluator that a pickle contains; the inverse of `Evaluator.__reduce__`."""
     inputs, written = kept.unpacked()
     return Evaluator(inputs, WrittenComponents(written))
 
@@ -242,15 +254,16 @@ class OutputStates:
         self._starts = self._start_function(declared)
 
     def __len__(self) -> int:
-        """Return the number of output states, the states that nothing else depends on."""
+        """Return the number of output states, on which neither objective nor equations depend."""
         return len(self._slots)
 
     @staticmethod
     def _start_function(declared: Declarations) -> Any:
         """Return the CasADi function from parameters to initial values of the output states.
 
-        Output states are states that nothing else depends on. An initial value comes from the
-        condition that the model declares for the state at the start; NaN if there is none.
+        Output states are states on which neither objective nor other equations depend. The initial
+        value follows from the condition that the model declares for the state at the start of the
+        horizon; it is NaN if there is no such condition.
         """
         parameters = stacked([s.symbol for s in declared.parameters])
         values = []
@@ -268,7 +281,7 @@ class OutputStates:
     def start(self, parameters: FloatArray, fixed: dict[tuple[str, float], float]) -> FloatArray:
         """Return the initial values of the output states, shape (n_outputs,).
 
-        Output states are states that nothing else depends on.
+        Output states are states on which neither objective nor other equations depend.
 
         Parameters
         ----------
@@ -288,8 +301,8 @@ class OutputStates:
     ) -> FloatArray:
         """Solve the collocation equations of the output states by Newton's method.
 
-        Output states are states that nothing else depends on. Output states are not among the
-        unknowns of the nonlinear program.
+        Output states are states on which neither objective nor other equations depend. They are not
+        among the unknowns of the nonlinear program, and are computed from its solution.
 
         Parameters
         ----------
@@ -332,10 +345,10 @@ class OutputStates:
 
     @staticmethod
     def _blocks(values: FloatArray, n: int) -> csr_matrix:
-        # CasADi stores a point's matrix by columns.
-        """Return a block-diagonal sparse matrix with an n x n block per point.
+        """Return a block-diagonal sparse matrix with an n x n block per collocation point.
 
-        `values` holds one block per row, as CasADi returns it.
+        `values` has a row for each point, with the entries of the point's block in CasADi's order,
+        column by column.
         """
         matrices = values.reshape(-1, n, n).transpose(0, 2, 1)
         count = len(matrices)
@@ -364,7 +377,16 @@ class Formulation:
 
     @classmethod
     def of(cls, model: Any, declared: Declarations, reader: ModelReader) -> Self:
-        """Return the formulation of a model whose declarations have been read already."""
+        """Compile a model whose declarations have been read already, and return its formulation.
+
+        Parameters
+        ----------
+        model : ConcreteModel
+        declared : Declarations
+            The model's declarations.
+        reader : ModelReader
+            The reader that read them.
+        """
         formulation = object.__new__(cls)
         formulation._hold(*_compiled(model, declared, reader))
         return formulation
@@ -372,7 +394,17 @@ class Formulation:
     def _hold(
         self, compiled: CompiledModel, source: LiveModel | ModelSnapshot, evaluator: Evaluator
     ) -> None:
-        """Set all attributes, from the compiled equations and the source of the model's data."""
+        """Set all attributes of the formulation.
+
+        Parameters
+        ----------
+        compiled : CompiledModel
+            Equations as CasADi functions.
+        source : LiveModel or ModelSnapshot
+            Source of the model's data: the Pyomo model, or its data from a pickle.
+        evaluator : Evaluator
+            Evaluator of the model's components.
+        """
         self.compiled = compiled
         self.source = source
         self.evaluator = evaluator
@@ -391,10 +423,10 @@ class Formulation:
         return other
 
     def holding(self, model: Any) -> Self:
-        """Return the same compiled equations with the data, guesses and scales of another model.
+        """Return a formulation with the same compiled equations and the data of another model.
 
         Nothing is compiled. The other model must have the same declarations; the values of its
-        parameters, its variables and its suffix `scaling_factor` may differ.
+        parameters, its variables (the initial guess) and its suffix `scaling_factor` may differ.
         """
         other = object.__new__(type(self))
         vars(other).update(vars(self))
@@ -423,8 +455,8 @@ class Formulation:
     def required_breakpoints(self, instance: Instance) -> tuple[float, ...]:
         """Return the fractions of the horizon at which an element of every mesh must end.
 
-        At these interior fractions, in increasing order, a condition is imposed on a variable, a
-        variable is fixed, or a time-dependent parameter jumps.
+        The result has, in increasing order, the fractions between 0 and 1 at which a condition is
+        imposed on a variable, a variable is fixed, or a time-dependent parameter jumps.
         """
         declared = self.compiled.declared
         fractions = {p.fraction for p in declared.point_symbols} | {f for _, f in declared.fixed}
@@ -471,19 +503,19 @@ class Formulation:
         return np.array([[fraction, *at(fraction)] for fraction in fractions.tolist()])
 
     def data_of(self, instance: Instance, fractions: FloatArray) -> Data:
-        """Return the numbers in the equations at fractions of the horizon.
+        """Return the values of all parameters in the equations, at fractions of the horizon.
 
-        The `Data` holds the constant parameters of the instance (data of one solve) and the
-        time-dependent parameters at each fraction.
+        The result holds the constant parameters and, for each fraction, the time-dependent
+        parameters. `instance` is the data of one solve.
         """
         return Data(parameters=instance.parameters, signals=self.signals(instance, fractions))
 
     def data_at_starts(self, instance: Instance) -> FloatArray:
-        """Return the numbers in the equations at the start of the horizon and just after each jump.
+        """Return the values of all parameters at the start of the horizon and just after each jump.
 
-        Shape (1 + n_jumps, n_data). A jump is a discontinuity of a time-dependent parameter; no
-        collocation point lies just after it. The columns are the fraction of the horizon, the
-        time-dependent parameters and the constant parameters.
+        A jump is a discontinuity of a time-dependent parameter; no collocation point lies just
+        after a jump. The result has shape (1 + n_jumps, n_data). Its columns are the fraction of
+        the horizon, the time-dependent parameters and the constant parameters.
         """
         after = np.array(instance.jumps) + 2.0 * BESIDE
         return self.data_of(instance, np.concatenate([np.zeros(1), after])).at_points()
@@ -534,7 +566,9 @@ class Formulation:
 def _compiled(
     model: Any, declared: Declarations, reader: ModelReader
 ) -> tuple[CompiledModel, LiveModel, Evaluator]:
-    """Compile declarations that were read from a model, refusing a DAE of index above 2.
+    """Compile declarations that were read from a model.
+
+    A DAE of index above 2 is refused with a `TranscriptionError`.
 
     Returns
     -------
@@ -555,7 +589,10 @@ def _restored(
     source: ModelSnapshot,
     evaluator: Evaluator,
 ) -> Formulation:
-    """Return the formulation that a pickle contains, without its Pyomo model."""
+    """Return the formulation that a pickle contains; the inverse of `Formulation.__reduce__`.
+
+    The formulation has no Pyomo model. `kind` is its class.
+    """
     formulation = object.__new__(kind)
     formulation._hold(compiled, source, evaluator)
     return formulation

@@ -106,7 +106,11 @@ def first_point(
     guess: Guess | None,
     seed: int = 0,
 ) -> FloatArray:
-    """Return an initial point at which all equations are finite and those among states hold.
+    """Return an initial point for Ipopt, corrected by means of the model's equations.
+
+    The states of the point from `initial_point` are moved until they satisfy the equations that
+    contain states alone. If an equation is not finite at the point, the algebraic variables are
+    adjusted, too.
 
     Parameters
     ----------
@@ -127,7 +131,7 @@ def first_point(
 
 @dataclass(frozen=True)
 class _Known:
-    """Sources of an initial point: bounds, values in the Pyomo model, and the user's guess.
+    """Known values for an initial point: bounds, values in the Pyomo model, and the user's guess.
 
     Attributes
     ----------
@@ -175,9 +179,10 @@ class _Known:
         return np.interp(fractions, at, np.array([known[f] for f in at]))
 
     def _guess_at(self, name: str, fractions: FloatArray) -> FloatArray:
-        """Return the user's guess of a variable at n fractions of the horizon, shape (n,).
+        """Return the user's guess of the variable `name` at n fractions of the horizon, shape (n,).
 
-        The user gives a function of time, a constant, or samples at the times in the guess.
+        The guess of a variable is a function of time, a constant, or samples. The times of samples
+        are the guess's entry "time".
         """
         times = np.array([self.program.time_of(float(f)) for f in fractions])
         held = self.given[name]
@@ -195,8 +200,8 @@ class _Known:
     def with_defined_algebraics(self, z: FloatArray) -> FloatArray:
         """Compute algebraic variables without a known value from the equations that define them.
 
-        The result is the point `z` with these values, inside the bounds; `z` itself if a value
-        would not be finite.
+        `z` is the initial point, shape (n_unknowns,). The result is a copy of `z` with the computed
+        values, moved inside the bounds; or `z` itself if a computed value is not finite.
         """
         program, bounds = self.program, self.bounds
         columns = program.layout.algebraic_columns
@@ -246,7 +251,10 @@ class _Known:
 
 
 def _are_fixed(bounds: Bounds, columns: Any) -> NDArray[np.bool_]:
-    """Return which of the unknowns at the given columns have equal lower and upper bounds."""
+    """Return whether each of the given unknowns is fixed: its lower bound equals its upper bound.
+
+    `columns` are the positions of the unknowns in the nonlinear program.
+    """
     return np.asarray(bounds.lower[columns] == bounds.upper[columns])
 
 
@@ -254,10 +262,11 @@ _STEPS = 3
 
 
 def with_consistent_algebraics(program: Transcription, bounds: Bounds, z: FloatArray) -> FloatArray:
-    """Adjust the algebraic variables so that the equations nearly hold at each point.
+    """Adjust the algebraic variables so that the equations nearly hold at each collocation point.
 
-    Three Gauss-Newton steps with fixed states are taken: a control without a known value becomes
-    the control that the states require. Returns unknowns inside the bounds, shape (n_unknowns,).
+    Three Gauss-Newton steps are taken in the algebraic variables alone, with the states unchanged:
+    the controls become approximately the controls that the given states require. `z` is the given
+    point. The result has shape (n_unknowns,) and lies inside the bounds.
     """
     columns, n = program.layout.algebraic_columns, program.layout.n_states
     if program.mesh is None or not columns.size:
@@ -275,7 +284,7 @@ def with_consistent_algebraics(program: Transcription, bounds: Bounds, z: FloatA
 
 
 # Largest number of Gauss-Newton steps that project states onto equations among states, and largest
-# final residual relative to the initial one.
+# final residual relative to the initial residual.
 _PROJECTIONS, _LEFT = 30, 1e-9
 
 
@@ -286,8 +295,8 @@ def on_path_equalities(program: Transcription, bounds: Bounds, z: FloatArray) ->
     contains neither rates nor controls. At a point that violates the equation, the derivatives of
     the equation tell Ipopt little about the rates and controls that would satisfy it. The states
     are moved by Gauss-Newton steps, each the shortest in units of the states' magnitudes. The
-    result has shape (n_unknowns,) and lies inside the bounds. If the residual does not decrease,
-    the given `z` is returned.
+    algebraic variables are then adjusted to the moved states. The result has shape (n_unknowns,)
+    and lies inside the bounds. If the residual does not decrease, the given point `z` is returned.
     """
     compiled, layout = program.compiled, program.layout
     path, n = compiled.path, layout.n_states
@@ -327,11 +336,12 @@ _LARGEST_BOUND = 1e6
 def scattered(program: Transcription, bounds: Bounds, z: FloatArray, seed: int) -> FloatArray:
     """Return a random initial point, drawn between the bounds of each variable.
 
-    Each variable over time is piecewise linear between four random values. For a variable with two
-    finite bounds, the random values are uniformly distributed between the bounds. Otherwise they
-    are normally distributed around the given point `z`, and the standard deviation is the largest
-    magnitude of the variable in `z`, at least 1. Returns unknowns inside the bounds, shape
-    (n_unknowns,).
+    For a variable over time, four random values at equally spaced times are drawn, and interpolated
+    linearly. If both bounds of the variable are less than 1e6 in magnitude, the random values are
+    uniformly distributed between the bounds. Otherwise they are added to the given point `z`, and
+    are normally distributed with mean 0; their standard deviation is the largest magnitude of the
+    variable in `z`, at least 1. `seed` is the seed of the random numbers. The result has shape
+    (n_unknowns,) and lies inside the bounds.
     """
     generator = np.random.default_rng(seed)
     layout, moved = program.layout, np.array(z)
@@ -357,10 +367,10 @@ def scattered(program: Transcription, bounds: Bounds, z: FloatArray, seed: int) 
 
 
 def _inside(number: float, bounds: Bounds, column: int) -> float:
-    """Return an initial value moved inside its bounds.
+    """Return the initial value `number` of an unknown, moved inside the unknown's bounds.
 
-    A value outside the bounds, or NaN, becomes the middle of the bounds if two are finite, and
-    otherwise the only finite bound.
+    `column` is the position of the unknown. A value outside the bounds, or NaN, becomes the middle
+    of the bounds if both are finite, and otherwise the only finite bound.
     """
     lower, upper = bounds.lower[column], bounds.upper[column]
     if lower <= number <= upper:
@@ -371,7 +381,7 @@ def _inside(number: float, bounds: Bounds, column: int) -> float:
 
 
 def known_names(declared: Declarations) -> set[str]:
-    """Return the names that a guess may contain: "time", and the names of all variables."""
+    """Return the names that a user's guess may contain: "time", and the names of all variables."""
     return {TIME_COLUMN, *(slot.name for slot in (*declared.varying, *declared.statics))}
 
 

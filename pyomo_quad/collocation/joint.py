@@ -65,8 +65,8 @@ class JointSolution(Outcome):
     horizons : dict
         Solution on each horizon, by the name of its continuous set.
     coupling : Solution
-        Values of the variables that belong to no horizon, with the objective and the conditions on
-        several horizons or none.
+        Values of the variables that belong to no horizon, together with the objective and the
+        conditions that concern several horizons or no horizon.
     size : (int, int)
         Number of unknowns and of constraints of the joint nonlinear program.
     """
@@ -90,7 +90,10 @@ class JointSolution(Outcome):
 
     @cached_property
     def parts(self) -> tuple[Solution, ...]:
-        """Solutions on the horizons, each with status, error and history of the joint solve."""
+        """Solutions on the horizons, one per horizon.
+
+        Status, error and history of each solution are copied from the joint solve.
+        """
         shared = [f.name for f in fields(Outcome) if f.name not in _OWN]
         whole = {name: getattr(self, name) for name in shared}
         return tuple(part.updated(**whole) for part in self.horizons.values())
@@ -113,7 +116,8 @@ class JointSolution(Outcome):
     def warm_start(self) -> tuple[WarmStart, ...]:
         """Warm start for another solve: one part per horizon, and one for the coupling.
 
-        The coupling consists of the objective, and of the constraints on several horizons or none.
+        The coupling consists of the objective, and of the constraints on several horizons or on no
+        horizon.
         """
         return tuple(part.warm_start for part in (*self.horizons.values(), self.coupling))
 
@@ -219,7 +223,7 @@ class JointProblem(Summarised):
     horizons : dict
         Compiled declarations over each horizon, by the name of the set.
     coupling : Formulation
-        The objective, and the declarations on several horizons or none.
+        The objective, and the declarations that concern several horizons or no horizon.
 
     Raises
     ------
@@ -337,7 +341,10 @@ class JointProblem(Summarised):
         )
 
     def _refuse_of_one_horizon(self, horizon: tuple[float, float] | None, starts: int) -> None:
-        """Raise an error for the arguments `horizon` and `starts`, which need a single horizon."""
+        """Raise an error if an argument of `solve` is given that only a single horizon permits.
+
+        These arguments are `horizon` (its ends) and `starts` (number of initial points).
+        """
         names = ", ".join(self.horizons)
         if horizon is not None:
             raise TranscriptionError(
@@ -364,7 +371,8 @@ class JointProblem(Summarised):
     def _parts(self) -> list[Formulation]:
         """Formulations of the horizons, followed by the formulation of the coupling.
 
-        The coupling consists of the objective, and of the constraints on several horizons or none.
+        The coupling consists of the objective, and of the constraints on several horizons or on no
+        horizon.
         """
         return [*self.horizons.values(), self.coupling]
 
@@ -390,7 +398,8 @@ class JointProblem(Summarised):
     def union(self, meshes: Sequence[Mesh | None], instances: Sequence[Instance]) -> Union:
         """Return the nonlinear programs of all horizons and of the coupling, joined in a `Union`.
 
-        The coupling consists of the objective, and of the constraints on several horizons or none.
+        The coupling consists of the objective, and of the constraints on several horizons or on no
+        horizon. A `Union` holds the positions of all unknowns and constraints in the joint program.
 
         Parameters
         ----------
@@ -516,7 +525,11 @@ class JointProblem(Summarised):
         bounds: Bounds,
         scaling: Scaling,
     ) -> JointSolution:
-        """Return the `JointSolution` of Ipopt's result, with a solution on each horizon."""
+        """Return the `JointSolution` of Ipopt's result, with a solution on each horizon.
+
+        `union` locates the unknowns of each horizon in the joint nonlinear program, to which
+        `result`, `bounds` and `scaling` belong.
+        """
         found = [
             solution_from(
                 part,
@@ -565,11 +578,12 @@ class JointProblem(Summarised):
         return np.clip(z, bounds.lower, bounds.upper), None
 
     def _set_links(self, union: Union, program: Transcription, z: FloatArray, places: Any) -> None:
-        """Set static variables that the coupling uses in place of values of one horizon.
+        """Set the static variables that stand for values of one horizon, in place.
 
-        Such a static variable represents, for example, a state at the horizon's end. Its entry in
-        the array `z` of the joint program's unknowns is set to the horizon's present value, taken
-        from the horizon's entries `places` of `z`.
+        The coupling of the horizons contains such a static variable instead of, for example, the
+        derivative of a state at the horizon's end. Its entry in the array `z` of the joint
+        program's unknowns is set to the horizon's present value, taken from the horizon's entries
+        `places` of `z`.
         """
         if program.mesh is None:
             return
@@ -580,7 +594,11 @@ class JointProblem(Summarised):
                 z[union.statics[name]] += off
 
     def _refuse_unsolvable(self, union: Union, bounds: Bounds, z: FloatArray) -> None:
-        """Raise an error if the joint program is not finite at `z`, or is over-determined."""
+        """Raise an error if the joint program is not finite at the point `z`, or over-determined.
+
+        A program is over-determined if it has more equations than free unknowns, and if these
+        equations are linear and contradict each other.
+        """
         held = set()
         for k, program in enumerate(union.programs):
             refuse_not_finite(program, z[union.places[k]])
@@ -608,7 +626,10 @@ class JointProblem(Summarised):
 
 
 def compiled_of(model: Any, final_time: Any = None, times: FreeTimes | None = None) -> Any:
-    """Return the compiled problem of a model: a `JointProblem` if it has several continuous sets.
+    """Return the compiled problem of a model: a `Problem`, or a `JointProblem`.
+
+    A model with several horizons gives a `JointProblem`. Each continuous set of the model that is
+    not discretised is a horizon. `final_time` and `times` are as in `Problem` and `JointProblem`.
 
     Raises
     ------

@@ -25,7 +25,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class RadauRule:
-    """Flipped Radau rule of one degree on the unit interval, with d collocation points.
+    """Flipped Radau rule on the unit interval, with d collocation points.
 
     Attributes
     ----------
@@ -36,11 +36,12 @@ class RadauRule:
     nodes : ndarray, shape (d + 1,)
         0 and the collocation points, at which a state has values.
     differentiation : ndarray, shape (d, d + 1)
-        Matrix from values at the nodes to slopes at the points.
+        Matrix from values at the nodes to slopes of the polynomial at the collocation points.
     slope_at_start : ndarray, shape (d + 1,)
-        Weights of the values at the nodes in the slope at 0.
+        Weights of the values at the nodes in the slope of the polynomial at 0.
     integration : ndarray, shape (d, d)
-        Matrix from slopes at the points to the changes of value between 0 and each point.
+        Matrix from slopes at the collocation points to the changes of the polynomial between 0 and
+        each point.
     """
 
     degree: int
@@ -227,7 +228,9 @@ class Trajectory:
         return interpolate(self.mesh, self.states, fractions, with_start=True)
 
     def rates_at(self, fractions: FloatArray) -> FloatArray:
-        """Evaluate the derivatives of the state polynomials with respect to the fraction.
+        """Evaluate the derivatives of the state polynomials.
+
+        The derivatives are taken with respect to the fraction of the horizon.
 
         Parameters
         ----------
@@ -260,8 +263,8 @@ class Trajectory:
 class Timeline:
     """Mapping between fractions of the declared horizon and physical time, linear in each phase.
 
-    A phase ends at a free time (a time that the solve determines) or at the end of the horizon,
-    and begins where the previous phase ends. The time at which a phase ends belongs to that phase.
+    A phase ends at a free time (a time that the solve determines) or at the end of the horizon, and
+    begins where the previous phase ends. The time at which a phase ends belongs to that phase.
 
     Attributes
     ----------
@@ -276,7 +279,7 @@ class Timeline:
 
     @property
     def spans(self) -> FloatArray:
-        """Derivative of time with respect to the fraction in each phase, shape (n - 1,)."""
+        """Derivative of physical time with respect to the fraction, per phase, shape (n - 1,)."""
         return np.diff(self.times) / np.diff(self.fractions)
 
     def span_at(self, fractions: FloatArray) -> FloatArray:
@@ -450,7 +453,7 @@ def control_polynomial(
     """Return the controls in one element as polynomials of physical time.
 
     The polynomials pass through the values at the element's collocation points. Where a polynomial
-    exceeds a limit between the points, the control is set to the limit.
+    exceeds a limit between the collocation points, the control is set to the limit.
 
     Parameters
     ----------
@@ -611,7 +614,7 @@ class Mesh(Summarised):
         Raises
         ------
         TranscriptionError
-            If an array is missing or of the wrong type, or the two do not define a mesh.
+            If an array is missing or of the wrong type, or the two arrays do not define a mesh.
         """
         breakpoints = real_array(arrays, "breakpoints", (None,))
         degrees = arrays.get("degrees")

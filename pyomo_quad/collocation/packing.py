@@ -67,9 +67,10 @@ def packed(data: Any) -> Packed:
 
 
 def _changed(data: Any, kind: type, change: Callable[[Any], Any]) -> Any:
-    """Return nested data with `change` applied to each instance of the type `kind`.
+    """Return a copy of nested data in which each object of the type `kind` is replaced.
 
-    Data classes, tuples and dictionaries are searched recursively.
+    The function `change` takes the object and returns its replacement. Data classes, tuples and
+    dictionaries are searched recursively.
     """
     if isinstance(data, kind):
         return change(data)

@@ -58,7 +58,7 @@ _SUBSTEPS, _LARGEST_STATE = 10, 1e12
 
 
 class Problem(Summarised, Formulation):
-    """Pyomo.DAE model compiled for collocation.
+    """Optimal control problem: a Pyomo.DAE model compiled for collocation.
 
     A problem can be pickled. The restored problem solves and evaluates as before, with the
     parameter values, bounds and initial values that the model held when it was pickled; the model
@@ -246,12 +246,14 @@ class Problem(Summarised, Formulation):
     def _simulated(self, mesh: Mesh, instance: Instance) -> Trajectory | None:
         """Simulate a model without controls from its initial states, as an initial guess.
 
+        `instance` holds the parameter values and the horizon of the solve.
+
         Returns
         -------
         Trajectory or None
-            States clipped to 1e12 in magnitude; None if the model has controls, a free initial
-            state or output states (states that nothing else depends on), or if the simulated states
-            are not finite.
+            Simulated trajectory, with states clipped to 1e12 in magnitude; None if the model has
+            controls, a free initial state or output states (states that nothing else depends on),
+            or if the simulated states are not finite.
         """
         mesh = mesh.with_breakpoints(self.required_breakpoints(instance))
         program, declared = self.program(mesh, instance), self.compiled.declared
@@ -284,7 +286,8 @@ class Problem(Summarised, Formulation):
     def _best_of(starts: int, solve: Callable[..., Solution], first: Start) -> Solution | None:
         """Solve from the given start and from `starts` - 1 random points; return the best optimum.
 
-        The result is None if no solve converges. An interruption ends the search.
+        `solve` maps a start to a solution. The result is None if no solve converges. An
+        interruption ends the search.
         """
         found = []
         for seed in range(starts):
@@ -320,8 +323,8 @@ class Problem(Summarised, Formulation):
         Parameters
         ----------
         mesh : Mesh or None
-            None for a model without time. Element boundaries are added where a condition is imposed
-            or a parameter jumps.
+            None for a model without time. Element boundaries are added at times at which a
+            condition is imposed or a parameter jumps.
         start : Start
             Initial point: a guess or a warm start.
         damping : Damping, optional
@@ -511,8 +514,8 @@ def _refined(
 ) -> Solution:
     """Solve with mesh refinement on one horizon.
 
-    The function `refine` expects tuples with one mesh and one damping per horizon. This function
-    calls `refine` with tuples of length one.
+    The general function `refine` handles several horizons, with tuples of meshes. This function
+    calls it with tuples of length one.
 
     Parameters
     ----------
@@ -596,8 +599,9 @@ def march(
 def load_values(*solutions: Solution) -> None:
     """Load the values of solutions into the Pyomo model to which they belong.
 
-    Each solution covers one horizon (continuous set) of the model. Static variables, variables and
-    derivatives at the declared times, integrals and imported suffixes receive their values.
+    Each solution covers one horizon (continuous set) of the model, or the variables of no horizon.
+    Static variables, variables and derivatives at the declared times, integrals and imported
+    suffixes receive their values.
     """
     for solution in solutions:
         declared, values = solution.problem.compiled.declared, solution.problem.values

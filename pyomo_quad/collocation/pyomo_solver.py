@@ -61,7 +61,8 @@ class PyomoSolver:
     Parameters
     ----------
     **options
-        Options of Ipopt by name, for all solves; the argument `options` of `solve` adds to them.
+        Options of Ipopt by name, for all solves. The argument `options` of `solve` supplements or
+        overrides these options for a single solve.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -111,13 +112,13 @@ class PyomoSolver:
         tee : bool, optional
             Print a line for each iteration of Ipopt.
         logfile : str or Path, optional
-            File to which the lines on the iterations are written.
+            File to which a line for each iteration is written.
         keepfiles : bool, optional
-            Write the lines on the iterations to a temporary file and print its name, if no
+            Write the line for each iteration to a temporary file and print the file's name, if no
             `logfile` is given.
         timelimit : float, optional
-            Wall-clock time limit [s] for all meshes together; the option `max_wall_time` is the
-            same.
+            Wall-clock time limit [s] for all meshes together; it replaces the Ipopt option
+            `max_wall_time`.
         warmstart : bool, optional
             Start from the trajectory and multipliers that this solver last found for the model.
             Otherwise the values of the model's variables are the initial point.
@@ -179,7 +180,11 @@ class PyomoSolver:
 
 
 def _refuse_unknown(arguments: dict[str, Any], problem: Problem | JointProblem) -> None:
-    """Raise an error if an argument of `PyomoSolver.solve` is unknown to the problem's `solve`."""
+    """Raise an error for an argument of `PyomoSolver.solve` that no method accepts.
+
+    `arguments` are the keyword arguments that are passed on to the method `solve` of the compiled
+    problem.
+    """
     known = {*signature(PyomoSolver.solve).parameters, *signature(problem.solve).parameters}
     taken = known - {"self", "model", "arguments", "progress"}
     for name in arguments.keys() - taken:
@@ -210,9 +215,10 @@ def _results(problem: Problem | JointProblem, solution: Solution | JointSolution
 
 
 def _printed(writers: list[Callable[[str], Any]]) -> Callable[[Iteration], None]:
-    """Return a progress callback that formats each iteration as a line and writes it everywhere.
+    """Return a progress callback that writes a line of text for each iteration of Ipopt.
 
-    `writers` are the functions that write a text, to the terminal or to a file.
+    `writers` are functions that take the line and write it, to the terminal or to a file. All of
+    them are called.
     """
 
     def write(line: Iteration) -> None:

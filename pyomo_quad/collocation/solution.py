@@ -1,4 +1,4 @@
-"""Solution of a solve: values, multipliers, costates, Hamiltonian, errors and history."""
+"""Result of a solve: values, multipliers, costates, Hamiltonian, errors and history."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def hamiltonian_warnings(solution: Solution) -> tuple[str, ...]:
 
 
 def _reads_time(compiled: CompiledModel) -> bool:
-    """Return whether an equation, integrand or limit depends explicitly on time."""
+    """Return whether an equation, integrand or limit of a model depends explicitly on time."""
     declared = compiled.declared
     parts = [part for e in declared.equations for part in (e.expression, e.lower, e.upper)]
     parts += [side for limit in compiled.limits for side in (limit.lower, limit.upper)]
@@ -156,10 +156,11 @@ class Outcome(Summarised):
     history : tuple of MeshRecord
         One record per mesh.
     cold_start : ColdStart or None
-        Iterations of the solve without a warm start. If this solve had a warm start, the record
-        that the warm start contained.
+        Numbers of iterations that a solve from the guess, without a warm start, takes. If this
+        solve began from a warm start, the record is taken from that warm start.
     tried : tuple of str
-        Strategies that were tried and how they ended, where more than one was needed.
+        Solution strategies that were tried, with the status of each result, if more than one
+        strategy was needed.
     """
 
     status: Status
@@ -182,7 +183,10 @@ class Outcome(Summarised):
     @property
     @abstractmethod
     def parts(self) -> tuple[Solution, ...]:
-        """Solutions on the individual horizons, each with status and history of the whole solve."""
+        """Solutions on the individual horizons, one for each continuous set of the model.
+
+        Each has the status and history of the whole solve.
+        """
 
     @property
     @abstractmethod
@@ -223,7 +227,8 @@ class Solution(Outcome):
     scaling : Scaling
         Scaling factors of the program.
     restraint : Restraint or None
-        Change of the objective caused by bounds between the points; None if none are imposed.
+        Change of the objective caused by bounds that are imposed between the collocation points;
+        None if bounds are imposed at the points only.
     notes : tuple of str
         Warnings of the solve itself, one line each.
     """
@@ -246,7 +251,10 @@ class Solution(Outcome):
 
     @property
     def summary(self) -> dict[str, str]:
-        """Status, objective, errors, size and message, as text by label."""
+        """Summary of the solution: status, objective, errors, size and message.
+
+        The keys are the labels, the values the texts.
+        """
         size = {}
         if self.problem.has_horizon:
             size = {
@@ -265,7 +273,10 @@ class Solution(Outcome):
         }
 
     def _state_and_costate_errors(self) -> dict[str, str]:
-        """Return the estimated errors of states and costates as text by label, if estimated."""
+        """Return the estimated errors of states and costates for `summary`, if estimated.
+
+        The keys are the labels, the values the texts.
+        """
         if not (np.isfinite(self.state_error) and self.problem.compiled.declared.states):
             return {}
         name, error = max(self.costate_errors.items(), key=lambda item: item[1])
@@ -288,10 +299,11 @@ class Solution(Outcome):
     def nominal_objective(self) -> float:
         """Reference magnitude for changes of the objective, in the unit of the objective.
 
-        The result is the larger of the objective's magnitude and the inverse of its scaling factor.
-        The inverse is the size of the objective's slopes at the initial point. A penalty may make
-        these slopes far larger than near the solution, so the inverse is capped at 10 max(1,
-        abs(objective)).
+        The result is the larger of two numbers. The first is the magnitude of the objective. The
+        second is the inverse of the objective's scaling factor, which is the size of the
+        objective's derivatives at the initial point. The second number is limited to 10 max(1,
+        abs(objective)), because a penalty may make these derivatives far larger than the
+        derivatives near the solution.
         """
         size = abs(self.objective)
         return max(size, min(1.0 / self.scaling.objective, _STEEPEST * max(1.0, size)))
@@ -309,10 +321,11 @@ class Solution(Outcome):
 
     @cached_property
     def mesh_in_time(self) -> Mesh:
-        """Mesh with its boundaries as fractions of the physical horizon.
+        """Mesh of the solution, with element boundaries as fractions of the physical duration.
 
-        With the trajectory's values, this mesh defines the same polynomials as `mesh`. The two
-        meshes differ only if interior times are free.
+        The boundaries of `mesh` are fractions of the declared horizon instead. The two meshes
+        differ only if interior times are free, because phases then have other shares of the
+        duration than declared. The trajectory's values at the nodes are the same on both meshes.
         """
         if len(self.timeline.times) == 2:
             return self.mesh
@@ -329,9 +342,9 @@ class Solution(Outcome):
     def output_states(self) -> FloatArray:
         """Values of the output states at the nodes, shape (n_points + 1, n_outputs).
 
-        Output states are states on which no other equation depends, for example an energy that is
-        only reported. Output states are no unknowns of the nonlinear program, and are computed at
-        first access.
+        Output states are states on which neither objective nor other equations depend, for example
+        an energy that is only reported. They are not unknowns of the nonlinear program, and are
+        computed at first access.
         """
         program, outputs = self.program, self.problem.outputs
         if not len(outputs) or program.mesh is None:
@@ -543,7 +556,7 @@ class Solution(Outcome):
 
     @cached_property
     def running_objective(self) -> FloatArray:
-        """Integral part of the objective accumulated from the start to each node.
+        """Integral terms of the objective, integrated from the start of the horizon to each node.
 
         Shape (n_points + 1,), in the unit and with the sign of the declared objective.
         """
@@ -579,8 +592,8 @@ class Solution(Outcome):
     def to_frame(self, times: Any = None) -> pd.DataFrame:
         """Return states, output states and algebraic variables as a table over time.
 
-        Output states are states on which nothing else depends. They are not unknowns of the
-        nonlinear program; they are computed from its solution.
+        Output states are states on which neither objective nor other equations depend. They are not
+        unknowns of the nonlinear program; they are computed from its solution.
 
         Parameters
         ----------

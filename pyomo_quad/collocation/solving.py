@@ -1,4 +1,8 @@
-"""Complete solve: budget of the warm start, time limit, and the most accurate finished mesh."""
+"""Complete solve from a warm start or a guess, within limits of iterations and time.
+
+A warm start has a budget of iterations; if it exceeds the budget, the problem is solved from the
+guess. A solve that ends early returns the solution on the most accurate mesh that was solved.
+"""
 
 from __future__ import annotations
 
@@ -42,8 +46,8 @@ class _WholeSolve(Search[S], Generic[S]):
     start : Start
         Warm start and guess that the caller gave.
     known : ColdStart, optional
-        Iterations that the solve from the guess took, as the budget of the warm start; without it
-        there is no budget.
+        Iterations that an earlier solve from the guess took. They are the budget of the warm start;
+        if None, the warm start has no budget.
     tolerance : float
         Tolerance of the mesh refinement, 0 for a single mesh.
     progress : callable or None
@@ -66,19 +70,22 @@ class _WholeSolve(Search[S], Generic[S]):
     has_ended: bool = False
 
     def holds(self, fact: Fact) -> bool:
-        """Return whether a condition that a strategy requires (`Fact`) is true at this stage.
+        """Return whether a condition that a strategy requires is true at this stage of the search.
 
-        `WARM_START`: a warm start was given. `COLD_FAILED`: a warm start was tried, and the solve
-        from the guess that followed has failed.
+        `Fact.WARM_START` is true if the caller gave a warm start. `Fact.COLD_FAILED` is true if the
+        solve from the warm start exceeded its budget, and the solve from the guess that followed
+        has failed.
         """
         return (fact is Fact.WARM_START and self.start.warm is not None) or (
             fact is Fact.COLD_FAILED and self.warm is not None
         )
 
     def attempt(self, strategy: Strategy) -> S:
-        """Solve from the warm start, from the guess, or from the last iterate of the warm start.
+        """Solve with a strategy of the table, and return the result.
 
-        The strategy determines the starting point, and whether the iterations are limited.
+        The strategy determines the starting point: the warm start, the guess, or the last iterate
+        of the interrupted solve from the warm start. It also determines whether the iterations are
+        limited by the budget.
         """
         known = self.known if strategy.iterations is None else None
         limits = (known.first, known.iterations) if known else (inf, inf)
@@ -93,7 +100,10 @@ class _WholeSolve(Search[S], Generic[S]):
         return found.updated(cold_start=known) if known and self.has_ended else found
 
     def _cold(self, effort: Effort) -> S:
-        """Solve from the guess, and record the iterations that the solve takes in its result."""
+        """Solve from the guess, and record in the result how many iterations the solve took.
+
+        `effort` counts the iterations.
+        """
         cold = self.solve(self.start.cold, effort)
         took = ColdStart(first=effort.first, iterations=effort.count, tolerance=self.tolerance)
         self.has_ended = self.warm is None or not cold.status.has_failed
@@ -123,7 +133,7 @@ def within_budget(
     *,
     is_known: bool = True,
 ) -> S:
-    """Solve from a warm start with a budget of iterations; if it is exceeded, solve from the guess.
+    """Solve from a warm start with a budget of iterations, and from the guess if it is exceeded.
 
     A warm start is useful only if it is faster than a solve from the guess (cold start). On its
     first mesh it may take as many iterations as the cold start took on the first mesh, and on all
@@ -135,7 +145,7 @@ def within_budget(
     solve : callable
         (start, progress) -> solution.
     start : Start
-        Warm start and guess; the warm start contains the number of iterations of the cold start.
+        Warm start and guess; the warm start contains the recorded iterations of the cold start.
     tolerance : float or None
         Tolerance of the mesh refinement. The recorded iterations are a budget only if they belong
         to the same tolerance.
@@ -165,7 +175,9 @@ def carried_out(
     progress: Progress | None,
     is_known: bool = True,
 ) -> S:
-    """Solve within the time limit, with mesh refinement if a tolerance is given.
+    """Carry out a complete solve: from a warm start or guess, and within the time limit.
+
+    The mesh is refined if there is a tolerance.
 
     If a refinement is interrupted or fails, the solution on the most accurate finished mesh is
     returned, with the status of the failure. Doubts about the result, such as tables that are read
@@ -174,7 +186,8 @@ def carried_out(
     Parameters
     ----------
     attempt : callable
-        (start, progress, options, tolerance, refinement) -> solution.
+        (start, progress, options, tolerance, refinement) -> solution. Solves the problem once, from
+        one starting point, with mesh refinement if there is a tolerance.
     start : Start
         Warm start and guess.
     tolerance : float or None
@@ -223,10 +236,21 @@ def carried_out(
 
 
 def _finished_of(finished: list[S], ended: S) -> S:
-    """Return the solution on the most accurate finished mesh in place of an unconverged iterate.
+    """Return the solution on the most accurate mesh, if a refinement ended without convergence.
 
-    Solves without redundant conditions do not count as finished. The message says which mesh the
-    solution belongs to.
+    Parameters
+    ----------
+    finished : list of Solution or JointSolution
+        Converged solutions on the meshes of the refinement. Solutions of a problem from which
+        redundant conditions were left out are not considered.
+    ended : Solution or JointSolution
+        Result with which the refinement ended.
+
+    Returns
+    -------
+    Solution or JointSolution
+        `ended`, unless it was interrupted or did not converge. Otherwise the finished solution with
+        the least error, with the status of `ended` and a message that names the mesh.
     """
     whole = [solution for solution in finished if not solution.parts[0].instance.left_out]
     if not whole or ended.status not in (Status.INTERRUPTED, Status.NOT_CONVERGED):
@@ -241,7 +265,10 @@ def _finished_of(finished: list[S], ended: S) -> S:
 
 
 def _in_time(solution: S, deadline: Effort) -> S:
-    """Return a solution with a message on the time limit, if that limit interrupted the solve."""
+    """Return a solution, with a message on the time limit if that limit interrupted the solve.
+
+    `deadline` measures the wall-clock time of the solve.
+    """
     if not deadline.is_over or solution.status is not Status.INTERRUPTED:
         return solution
     message = (

@@ -26,10 +26,10 @@ _PARTS = ("states", "algebraics", "statics")
 
 @dataclass(frozen=True, kw_only=True)
 class ColdStart:
-    """Record of the iterations that a solve from an initial guess (cold start) took.
+    """Numbers of iterations that a solve from an initial guess (cold start) took.
 
-    A warm start of the same problem contains this record. A solve from the warm start is abandoned
-    if it takes more iterations than recorded.
+    A warm start of the same problem contains this record. A later solve from the warm start is
+    abandoned if it takes more iterations than the cold start took.
 
     Attributes
     ----------
@@ -78,7 +78,8 @@ class WarmStart:
     trajectory : Trajectory
         States, algebraic variables and static variables.
     lower, upper : Trajectory
-        Multipliers of the lower and upper bounds of these variables, in the form of a trajectory.
+        Multipliers of the lower and upper bounds of these variables, arranged in the same way as
+        the variables in `trajectory`.
     equations : ndarray, shape (n_points, n_equations)
         Multipliers of the equations over time at the collocation points.
     conditions : ndarray, shape (n_conditions,)
@@ -107,7 +108,7 @@ class WarmStart:
 
     @property
     def is_finite(self) -> bool:
-        """Whether trajectory and multipliers are finite; after a failed solve they may not be."""
+        """Whether all values and multipliers are finite; after a failed solve they may not be."""
         return all(bool(np.all(np.isfinite(array))) for array in self._numbers().values())
 
     def fits(self, compiled: CompiledModel) -> bool:
@@ -174,7 +175,7 @@ class WarmStart:
         return replace(self, trajectory=moved, lower=lower, upper=upper, equations=equations)
 
     def _numbers(self) -> dict[str, FloatArray]:
-        """Return trajectory and multipliers as arrays by the names used in files."""
+        """Return trajectory and multipliers as arrays, by the names that files use for them."""
         sides = {"": self.trajectory, "lower_": self.lower, "upper_": self.upper}
         named = {f"{side}{part}": getattr(t, part) for side, t in sides.items() for part in _PARTS}
         return named | {"equations": self.equations, "conditions": self.conditions}
@@ -271,6 +272,9 @@ def warm_start_of(
 def transfer(start: WarmStart, program: Transcription) -> tuple[FloatArray, Multipliers]:
     """Interpolate trajectory and multipliers of a warm start to the mesh of a nonlinear program.
 
+    The fractions of the horizon are kept: a value at half of the warm start's horizon becomes a
+    value at half of the program's horizon.
+
     Returns
     -------
     ndarray, shape (n_unknowns,)
@@ -338,7 +342,10 @@ class Start:
 
     @property
     def cold_start(self) -> ColdStart | None:
-        """Record of the iterations of the solve from a guess; None if the warm start has none."""
+        """Record, from the warm start, of the iterations that a solve from the guess took.
+
+        None if there is no warm start, or if it contains no record.
+        """
         first = self.warm[0] if isinstance(self.warm, tuple) else self.warm
         return first and first.cold_start
 

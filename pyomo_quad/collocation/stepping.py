@@ -1,9 +1,10 @@
 """Simulation of many closed loops, each with its own parameters, by fixed Runge-Kutta steps.
 
-All vehicles follow the same control law. A step is the classical Runge-Kutta method of order 4, see
-docs/theory/flights.md, eq. (1); its four stages form one CasADi function, which is mapped over the
-vehicles. The parameters that differ between vehicles may change from step to step, and may thus
-represent noise that is constant during a step.
+A closed loop is a vehicle with the control law that steers it. All vehicles have the same control
+law. Each step uses the classical Runge-Kutta method of order 4; see docs/theory/flights.md, eq.
+(1). The four stages of the step form one CasADi function, which is mapped over the vehicles. The
+parameters that differ between vehicles may change from step to step, and may thus represent noise
+that is constant during a step.
 """
 
 from __future__ import annotations
@@ -33,10 +34,11 @@ class SteppedFlights:
     t : ndarray, shape (n_samples,)
         Times [s].
     joint : ndarray, shape (n_samples, n, n_joint)
-        States of the vehicle, states of the control law, and the integral of the objective's
-        integrand from the start of the flight, as in a `ClosedLoop`.
+        Joint states of vehicle and control law: the states of the vehicle, the states of the
+        control law, and the integral of the objective's integrand from the start of the flight, as
+        in a `ClosedLoop`.
     controls : ndarray, shape (n_samples, n, n_controls)
-        Controls that the law applies.
+        Controls that the control law applies.
     """
 
     t: FloatArray
@@ -81,7 +83,7 @@ class SteppedLoops:
         *,
         sampled: FloatArray,
     ) -> SteppedFlights:
-        """Simulate all closed loops from the first time to the last, with one step between times.
+        """Simulate all closed loops from the first time to the last, one step from time to time.
 
         Parameters
         ----------
@@ -139,7 +141,7 @@ class SteppedLoops:
     def _around(
         self, begin: float, end: float, command: Callable[[float], Sequence[float]]
     ) -> list[FloatArray]:
-        """Return the inputs of a step that are the same for all vehicles.
+        """Return the inputs of a step from time `begin` to time `end` that all vehicles share.
 
         The list holds the length of the step [s]; then the time-dependent inputs of the equations
         at the start, the middle and the end of the step; then the commands at these three times.
@@ -157,7 +159,8 @@ def _step(flow: Any, dynamics: Dynamics, sizes: tuple[int, int, int], n_varied: 
     Parameters
     ----------
     flow : casadi.Function
-        (time-dependent inputs, joint state, command, varied parameters) -> d joint state / dt.
+        (time-dependent inputs, joint state of vehicle and control law, command, varied parameters)
+        -> time derivative of the joint state.
     dynamics : Dynamics
     sizes : (int, int, int)
         Numbers of time-dependent inputs, joint states and components of a command.

@@ -22,7 +22,11 @@ if TYPE_CHECKING:
 
 
 class Scope(Enum):
-    """Part of a solve in which a strategy is tried: whole solve, first mesh, next mesh, restart."""
+    """Part of a solve in which a strategy is tried.
+
+    The parts are the whole solve, the solve on the first mesh, the solve on each further mesh of
+    the refinement, and a restart of the refinement.
+    """
 
     WHOLE = auto()
     FIRST = auto()
@@ -31,9 +35,10 @@ class Scope(Enum):
 
 
 class Fact(Enum):
-    """Condition that a strategy may require, such as a given warm start or a single horizon.
+    """Condition that must be true before a solution strategy is tried.
 
-    The search that uses the strategy evaluates the condition; see `Search.holds`.
+    An example is that the caller gave a warm start. The search that uses the strategy evaluates the
+    condition; see `Search.holds`.
     """
 
     #: A warm start is given.
@@ -59,12 +64,12 @@ class Fact(Enum):
     #: The next solution is kept near the previous solution: by damping of the controls, or by an
     #: initial barrier parameter that corresponds to the last change of the objective.
     KEPT_NEAR = auto()
-    #: Neither damping nor a small barrier parameter keeps the next solution near the previous one.
+    #: Neither damping nor a small barrier parameter keeps the next solution near the previous.
     FREE = auto()
 
 
 class First(Enum):
-    """Kind of initial point from which a strategy solves.
+    """Kind of initial point from which a solution strategy starts Ipopt.
 
     Examples are the caller's guess, a simulation, the optimum on a coarse mesh, and the point of
     least constraint violation.
@@ -80,7 +85,8 @@ class First(Enum):
     SIMULATED = auto()
     #: The point of least constraint violation near the last iterate of a failed solve.
     LEAST_VIOLATION = auto()
-    #: The point of least violation, without the conditions that follow from others.
+    #: The point of least constraint violation; the redundant conditions, which follow from other
+    #: equations, are left out of the solve.
     REDUCED = auto()
     #: The optimum on a coarse mesh.
     COARSE = auto()
@@ -113,7 +119,8 @@ class Strategy:
     is_scaled : bool
         Whether Ipopt solves the scaled program.
     is_firm : bool
-        Whether the damping of the controls is increased, and the barrier parameter begins larger.
+        Whether the damping of the controls (see `refining.damping`) is increased, and the barrier
+        parameter begins larger.
     iterations : float or None
         Limit of iterations on each mesh. None: a warm start may take as many iterations as the
         solve from the guess took, on its first mesh and on all meshes together.
@@ -140,11 +147,13 @@ class Strategy:
         return replace(limited, extra=(*options.extra, ("mu_strategy", self.barrier)))
 
 
-#: Iterations of a strategy with other settings of Ipopt on the mesh that failed; successful ones
-#: need fewer. A caller who allows fewer needs a quick answer, as in flight: nothing else is tried.
+#: Limit of iterations of a strategy that repeats a failed solve with other settings of Ipopt; a
+#: strategy that succeeds needs fewer iterations. A caller who allows fewer needs a quick answer, as
+#: in flight; no further strategy is then tried.
 PATIENCE = 200
-#: Iterations of a solve from the last mesh while the strategies with other settings are still to be
-#: tried: such solves take 5 to 50, and a solve that has not ended after these seldom ends at all.
+#: Limit of iterations of a solve from the last mesh while the strategies with other settings have
+#: not been tried: most solves from the last mesh take 5 to 50 iterations, and a solve that has not
+#: ended after this number seldom ends at all.
 _NEAR_PATIENCE = 150
 #: Number of restarts of a refinement from controls that minimise the Hamiltonian: each gains more
 #: than the tolerance, and hardly any problem has more than two.
@@ -209,18 +218,30 @@ class Search(ABC, Generic[S]):
 
     @abstractmethod
     def holds(self, fact: Fact) -> bool:
-        """Return whether a condition that a strategy requires (`Fact`) is true at this stage."""
+        """Return whether a condition that a strategy requires is true at this stage of the search.
+
+        The condition is checked immediately before the strategy is tried.
+        """
 
     @abstractmethod
     def attempt(self, strategy: Strategy) -> S | None:
-        """Solve as a strategy prescribes; the result is None if the strategy does not apply."""
+        """Solve with a strategy of the table, and return the result.
+
+        The result is None if the strategy does not apply to the problem.
+        """
 
     def is_final(self, found: S) -> bool:
-        """Return whether a result ends the search: by default any solve that has not failed."""
+        """Return whether the result of a strategy ends the search.
+
+        By default, every result ends the search whose status is not a failure.
+        """
         return not found.status.has_failed
 
     def failure(self, last: S) -> S:
-        """Return the result to report if all strategies have failed: by default the last result."""
+        """Return the result to report if all strategies have failed.
+
+        By default, this is the result of the strategy that was tried last.
+        """
         return last
 
 

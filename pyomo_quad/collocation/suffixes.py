@@ -36,17 +36,18 @@ class Sensitivities:
         unit of time (for a state: the costate). Its argument is a time within the range of the
         model's continuous set.
     once : dict
-        Name of a component without time -> derivative.
+        For each component that does not depend on time, by name: the derivative.
     """
 
     over_time: dict[str, Callable[[float], float]] = field(default_factory=dict)
     once: dict[str, float] = field(default_factory=dict)
 
     def add(self, name: str, price: Callable[[float], float]) -> None:
-        """Add a function of time under a name, summing functions of the same name.
+        """Add the derivative with respect to a component over time, as a function of time.
 
-        The lower and the upper side of a limit share a name; at any time at most one side is
-        active.
+        If the component `name` has a function already, the sum of both functions is stored. This
+        happens for a limit with a lower and an upper side, of which at most one is active at any
+        time.
         """
         held = self.over_time.get(name)
         if held is None:
@@ -80,7 +81,7 @@ def load_suffixes(*solutions: Solution) -> None:
 
 
 def _suffixes(solution: Solution) -> dict[str, Sensitivities]:
-    """Return the contents of the suffixes `dual`, `rc` and `costate`, as a dictionary."""
+    """Return the derivatives for the suffixes `dual`, `rc` and `costate`, by name of the suffix."""
     problem = solution.problem
     dual, reduced = _sensitivities(solution)
     costates = Sensitivities()
@@ -93,17 +94,19 @@ def _suffixes(solution: Solution) -> dict[str, Sensitivities]:
 
 
 def _costate(solution: Solution, state: int, sign: float) -> Callable[[float], float]:
-    """Return a state's costate for the declared objective, as a function of declared time.
+    """Return the costate of a state for the declared objective, as a function of time.
 
-    `state` is the position among the states; `sign` is -1 if the objective is maximised.
+    The argument of the function is a time within the range of the model's continuous set. `state`
+    is the position among the states; `sign` is -1 if the objective is maximised.
     """
     return lambda time: sign * float(solution.costates.at(_fraction(solution, time))[0, state])
 
 
 def _function(solution: Solution, density: FloatArray) -> Callable[[float], float]:
-    """Return the polynomials through values at the collocation points, as a function of time.
+    """Return the piecewise polynomial through values at the collocation points, as a function.
 
-    `density` has shape (n_points,); the function's argument is declared time.
+    `density` are the values, shape (n_points,). The argument of the function is a time within the
+    range of the model's continuous set.
     """
 
     def at(time: float) -> float:
@@ -116,13 +119,16 @@ def _function(solution: Solution, density: FloatArray) -> Callable[[float], floa
 
 
 def _fraction(solution: Solution, time: float) -> FloatArray:
-    """Return a declared time as a fraction of the declared horizon, an array of shape (1,)."""
+    """Return a time of the model's continuous set as a fraction of the set's range, shape (1,)."""
     first, last = solution.problem.values.declared_horizon
     return np.array([(time - first) / (last - first)])
 
 
 def _sensitivities(solution: Solution) -> tuple[Sensitivities, Sensitivities]:
-    """Return the derivatives of the objective with respect to constraints, and to bounds."""
+    """Return the derivatives of the objective with respect to constraints, and to bounds.
+
+    The first item of the result is for the suffix `dual`, the second for the suffix `rc`.
+    """
     program, multipliers = solution.program, solution.multipliers
     declared = program.compiled.declared
     sign = -1.0 if program.is_negated else 1.0
@@ -143,7 +149,7 @@ def _widths(solution: Solution) -> FloatArray:
     """Return the duration that each collocation point represents, shape (n_points,).
 
     The duration is the point's quadrature weight times the length of the horizon (or of the phase
-    that contains the point).
+    that contains the point). A multiplier divided by the duration is a derivative per unit of time.
     """
     mesh = solution.mesh
     return np.asarray(solution.timeline.span_at(mesh.point_fractions) * mesh.quadrature_weights)

@@ -1,4 +1,8 @@
-"""Verdicts on a solve: reasons for a failure, and doubts about a success, as status and message."""
+"""Verdicts on a solve: its status and message, after a failure or a doubtful success.
+
+A failed solve gets a message on the reasons for the failure. A converged solution gets another
+status or message if there is doubt that it is an optimum.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +26,10 @@ S = TypeVar("S", bound=Outcome)
 
 
 def without_bound(solution: Solution) -> Solution:
-    """Return a diverged solution with a message that names the diverging variable."""
+    """Return the result of a diverged solve, with a message that the problem is unbounded.
+
+    The message names the variable that diverges.
+    """
     program, sizes = solution.program, np.abs(solution.unknowns) * solution.scaling.unknowns
     name = unknown_place(program, int(np.nanargmax(sizes))).name
     objective = program.compiled.declared.objective_name
@@ -66,9 +73,9 @@ def violation_of(
 def verdict_on(failed: Solution, options: SolverOptions, progress: Progress | None) -> Solution:
     """Return a failed solution with a verdict on the feasibility of its problem.
 
-    The least constraint violation near the last iterate decides whether the status becomes
-    infeasible, and which equations the message names. If the user stops that search, the status
-    becomes interrupted.
+    The point of least constraint violation near the last iterate is computed. The violation there
+    decides whether the status becomes infeasible, and which equations the message names. If the
+    user stops this computation, the status becomes interrupted.
     """
     found = violation_of(failed, options, progress)
     if found is not None and found.result.status is Status.INTERRUPTED:
@@ -81,7 +88,9 @@ _NAMED = 3
 
 
 def judged(failed: Solution, found: LeastViolation) -> Solution:
-    """Return a failed solution moved to the point of least violation, with a verdict.
+    """Return a failed solution, moved to the point of least violation, with a verdict.
+
+    The verdict states whether the problem is infeasible near that point.
 
     Parameters
     ----------
@@ -113,7 +122,9 @@ def judged(failed: Solution, found: LeastViolation) -> Solution:
 
 
 def violation(failed: Solution, row: int, slack: float) -> tuple[str, str]:
-    """Return the name of a violated equation, and a line with its place and its violation.
+    """Return the name of a violated equation, and a line for a message.
+
+    The line gives the name of the equation, its element and time, and the violation.
 
     Parameters
     ----------
@@ -121,7 +132,7 @@ def violation(failed: Solution, row: int, slack: float) -> tuple[str, str]:
     row : int
         Row of the equation in the nonlinear program.
     slack : float
-        Violation of the scaled equation; the line gives it in the equation's own unit.
+        Violation of the scaled equation. The line gives the violation in the equation's own unit.
     """
     place = row_place(failed.program, row)
     missed, unit = slack / failed.scaling.rows[row], failed.problem.source.unit(place.name)
@@ -173,9 +184,11 @@ _RANGE_SLACK = 1e-6
 
 
 def outside_tables(solution: Solution) -> str:
-    """Return a line on the argument that lies farthest outside the range of its table, or "".
+    """Return a message on a table that the solution evaluates outside the range of its data.
 
     A table interpolates data over a range of its argument, and has no meaning outside that range.
+    The message names the table whose argument lies farthest outside, with the value of the
+    argument. It is empty if all arguments are inside.
     """
     program, z = solution.program, solution.unknowns
     tables = program.compiled.tables
@@ -204,16 +217,19 @@ def outside_tables(solution: Solution) -> str:
 
 
 def doubted(solution: S) -> S:
-    """Record doubts about a solution in its status and message.
+    """Return a solution whose status and message record the doubts about it.
 
-    The doubts concern a problem without an objective, diverging multipliers together with a
-    Hamiltonian that is not constant, and tables that are read outside their range.
+    There are three doubts: the problem has no objective; multipliers diverge while the Hamiltonian
+    is not constant; or a table is evaluated outside the range of its data.
     """
     return _within_tables(_undoubted(_without_objective(solution)))
 
 
 def _without_objective(solution: S) -> S:
-    """State in the message of a converged solution that its problem has no objective."""
+    """Return a converged solution with a message if its problem has no objective.
+
+    Other solutions are returned unchanged.
+    """
     declared = solution.parts[0].problem.compiled.declared
     if declared.objective_name or solution.status is not Status.CONVERGED:
         return solution
@@ -224,10 +240,11 @@ def _without_objective(solution: S) -> S:
 
 
 def _undoubted(solution: S) -> S:
-    """Mark a solution as not converged if multipliers diverge and the Hamiltonian is not constant.
+    """Change the status of a converged solution if its optimality conditions are meaningless.
 
-    The two signs together show that the solution is wrong. Problems that depend on time explicitly
-    are not marked, because their Hamiltonian need not be constant.
+    The status becomes tolerance not met if multipliers diverge and the Hamiltonian is not constant,
+    which together show that the solution is wrong. The status is unchanged for a problem that
+    depends on time explicitly, whose Hamiltonian need not be constant.
     """
     for part in solution.parts if solution.status is Status.CONVERGED else ():
         names, warnings = diverging_multipliers(part), hamiltonian_warnings(part)
@@ -242,7 +259,10 @@ def _undoubted(solution: S) -> S:
 
 
 def _within_tables(solution: S) -> S:
-    """Mark a solution as not converged if it reads a table outside the table's range."""
+    """Mark a solution as not converged if a table is evaluated outside the range of its data.
+
+    The message names the table.
+    """
     line = next(filter(None, map(outside_tables, solution.parts)), "")
     if not line:
         return solution

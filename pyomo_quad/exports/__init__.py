@@ -1,4 +1,4 @@
-"""Export of plans to autopilots, swarms, simulators and ROS; import of ground station missions."""
+"""Export of plans to autopilots, swarms, simulators and ROS; import of missions."""
 
 from pyomo_quad.exports.formats import Export, Format, export_plan
 from pyomo_quad.exports.ground_missions import ImportedMission, read_mission

@@ -1,8 +1,8 @@
 """Export of plans: file formats, their options, and the deviation of a file from the plan.
 
-A stream of setpoints serves PX4's offboard mode and, as a trajectory message, ROS 2. A mission of a
-few geodetic waypoints with speeds serves ground stations. Pieces of polynomials serve Crazyflie
-swarms and the simulator RotorPy.
+Files for PX4's offboard mode contain a stream of setpoints, and files for ROS 2 a trajectory
+message. Files for ground stations contain a mission of a few geodetic waypoints with speeds. Files
+for Crazyflie swarms and for the simulator RotorPy contain polynomial pieces.
 """
 
 import inspect
@@ -72,7 +72,8 @@ def offboard(motion: Motion, rate_hz: float) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Fields of the message in SI units, rounded to the message's 32 bits.
+        Fields of the message, one row for each setpoint, in SI units except for the time in ms;
+        numbers are rounded to the message's 32 bits.
 
     Raises
     ------
@@ -202,7 +203,7 @@ def _points(motion: Motion, t: FloatArray, make: dict[str, type]) -> list[object
 
 
 def sampled_deviation(motion: Motion, rate_hz: float) -> float:
-    """Return the largest distance between the plan and a spline through its samples [m].
+    """Return the largest distance [m] between a plan and a cubic spline through its samples.
 
     Parameters
     ----------
@@ -216,7 +217,9 @@ def sampled_deviation(motion: Motion, rate_hz: float) -> float:
 
 
 def _between(motion: Motion, t: FloatArray, place: FloatArray, velocity: FloatArray) -> float:
-    """Return the largest distance [m] between the plan and a cubic spline through setpoints.
+    """Return the largest distance [m] between a plan and a cubic spline through setpoints.
+
+    The distance is computed at the setpoints and halfway between them.
 
     Parameters
     ----------
@@ -233,7 +236,7 @@ def _between(motion: Motion, t: FloatArray, place: FloatArray, velocity: FloatAr
 
 
 def _north_east_down(values: FloatArray) -> FloatArray:
-    """Convert vectors from axes east, north, up to axes north, east, down, or the reverse."""
+    """Convert vectors from axes east, north, up to axes north, east, down, or back."""
     return values[:, [1, 0, 2]] * np.array([1.0, 1.0, -1.0])
 
 
@@ -243,7 +246,7 @@ def _wrapped(angle: FloatArray) -> FloatArray:
 
 
 def origin_of(text: str) -> GeodeticOrigin:
-    """Read the option `--origin`: LAT,LON,ALT in degrees and in metres above the sea.
+    """Convert the option `--origin`, LAT,LON,ALT in degrees and metres, to a position on earth.
 
     Parameters
     ----------
@@ -272,7 +275,7 @@ def origin_of(text: str) -> GeodeticOrigin:
 
 
 class Format(StrEnum):
-    """Program or autopilot that reads an exported plan."""
+    """File format of an exported plan, named after the program or autopilot that reads the file."""
 
     QGROUNDCONTROL = "qgroundcontrol"
     MISSION_PLANNER = "missionplanner"
@@ -293,14 +296,15 @@ class Export:
     parts : int
         Number of waypoints, setpoints, trajectory points or polynomial pieces.
     what : str
-        Name of these parts, such as "setpoints".
+        What `parts` counts, such as "setpoints".
     position_error_m : float
         Largest distance from the plan, at any time, of a vehicle that follows the file exactly.
     yaw_error_rad : float or None
-        Largest deviation of the heading; None if the autopilot chooses the heading.
+        Largest deviation from the plan's heading; None if the autopilot chooses the heading.
     is_paper_plan : bool
-        Whether the scenario states no risk (`mission.risk`), so that the plan keeps no margins
-        from its limits, and a controller that corrects disturbances may break a limit.
+        Whether the scenario states no risk (`mission.risk`, the permitted probability that a flight
+        breaks a limit). The plan then has no margins from its limits, and a controller that
+        corrects disturbances may break a limit.
     """
 
     path: str
@@ -311,7 +315,7 @@ class Export:
     is_paper_plan: bool = False
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return the result as a dictionary, by the names of its fields."""
+        """Return the attributes of the result as a dictionary."""
         return asdict(self)
 
 
@@ -320,20 +324,22 @@ _Written = tuple[int, str, float, float | None]
 
 @dataclass(frozen=True)
 class _Writer:
-    """Export format: function that writes it, ending of its files, and accepted option.
+    """Properties of an export format: function that writes files, file name, and options.
 
     Attributes
     ----------
     write : callable
-        Function of motion, path and value of the option, for a geodetic format also of the origin.
+        Function that writes a file. Its arguments are the plan's motion, the path, the value of the
+        option `option` and, for a geodetic format, the origin.
     ending : str
         Ending of the default file name.
     option : str
-        Name of the option that sets the accuracy: ``--path-error`` or ``--rate``.
+        Name of the command-line option that sets the accuracy: ``--path-error`` or ``--rate``.
     default : float
-        Value of this option if not given.
+        Value of this option if the user does not give it.
     is_on_globe : bool
-        Whether positions are latitudes and longitudes, for which an origin is needed.
+        Whether the format is geodetic: positions are latitudes and longitudes, which depend on an
+        origin.
     """
 
     write: Callable[..., _Written]
@@ -368,7 +374,8 @@ def export_plan(
 ) -> Export:
     """Write a verified plan in the format of an autopilot, a swarm, a simulator or ROS 2.
 
-    The plan is first simulated again, because a file may claim to be verified without being so.
+    The plan is first simulated again, because the plan in a file may be marked as verified although
+    it is not.
 
     Parameters
     ----------
@@ -399,9 +406,9 @@ def export_plan(
     Raises
     ------
     ScenarioError
-        If there is no verified plan, the simulation does not confirm it, the plan lacks a state
-        that the format needs, an option is not allowed, a limit of the format is exceeded, or the
-        format's library is not installed. Nothing is written.
+        If there is no verified plan, the simulation does not confirm the plan, the plan lacks a
+        state that the format needs, an option is not allowed, a limit of the format is exceeded, or
+        the library that writes the format is not installed. Nothing is written.
     OutputError
         If the output cannot be written.
 
@@ -459,7 +466,17 @@ def _refuse_options(to: Format, writer: _Writer, given: list[str]) -> None:
 
 
 def _origin(motion: Motion, given: GeodeticOrigin | None, to: Format) -> GeodeticOrigin:
-    """Return the position of the plan's origin on earth: the given one or the mission's."""
+    """Return the position on earth of the plan's origin, x = y = z = 0.
+
+    Parameters
+    ----------
+    motion : Motion
+        The plan's motion.
+    given : GeodeticOrigin or None
+        Position that the user states by ``--origin``; if None, the mission's own origin is used.
+    to : Format
+        Format of the export, for the error message if no origin is known.
+    """
     origin = given or motion.mission.mission.origin
     if origin is None:
         raise ScenarioError(
@@ -502,7 +519,7 @@ def _write_mission(
     path : Path
         File to write.
     error_m : float
-        Largest permitted distance of the straight legs from the plan.
+        Largest permitted distance [m] of the straight legs between waypoints from the plan.
     origin : GeodeticOrigin
         Position of the plan's origin on earth.
     """
@@ -516,7 +533,7 @@ def _as_json(held: dict[str, Any]) -> str:
 
 
 def _deviation(legs: Legs, motion: Motion) -> float:
-    """Return the largest distance [m] between the plan and straight legs at equal times."""
+    """Return the largest distance [m], at any time, between the positions on plan and legs."""
     t = motion.samples(len(legs.times) / motion.duration * 100)
     return float(np.linalg.norm(legs.at(t) - motion.position(t), axis=1).max())
 

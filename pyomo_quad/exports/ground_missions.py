@@ -1,8 +1,8 @@
 """Import of a ground station's mission as a scenario.
 
 The scenario has the mission's places, times of hover, headings, fence and rally points. The planner
-chooses the speeds and the paths between the places. The module reads the formats that
-`exports.ground_station` writes; Mission Planner's text has neither fence nor rally points.
+chooses the speeds and the paths between the places. The module reads the file formats that
+`exports.ground_station` writes. Files of Mission Planner have neither a fence nor rally points.
 """
 
 import json
@@ -63,7 +63,7 @@ class ImportedMission:
     text : str
         Text of the scenario's file (TOML).
     left_out : tuple of str
-        Contents of the mission file that the scenario cannot hold, each with the reason.
+        Contents of the mission file that a scenario cannot represent, in words.
     """
 
     scenario: Scenario
@@ -73,11 +73,12 @@ class ImportedMission:
 
 @dataclass(frozen=True, kw_only=True)
 class _Item:
-    """Command of a ground station's mission, with its seven parameters.
+    """MAVLink command of a ground station's mission, with its seven parameters.
 
     A parameter is None if the file does not give it. The seventh parameter is normally the altitude
-    [m]. If that altitude depends on the terrain, a QGroundControl file has a further entry for the
-    altitude, and the attribute `altitude` holds this entry; otherwise the attribute is None.
+    [m]. A QGroundControl file may give the altitude in a separate entry, too, which is used for
+    altitudes above the terrain. The attribute `altitude` is this entry, or None if there is none.
+    The attribute `where` names file and command in error messages.
     """
 
     where: str
@@ -87,13 +88,13 @@ class _Item:
     altitude: float | None = None
 
     def param(self, k: int) -> float:
-        """Return the parameter with index k, from 0; zero if it is not given."""
+        """Return parameter k of the command, counted from 0; zero if the file does not give it."""
         return self.params[k] or 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class _File:
-    """Content of a ground station's mission file: home, commands, fence, rally points."""
+    """Content of a ground station's mission file: home position, commands, fence, rally points."""
 
     home: GeodeticOrigin
     items: tuple[_Item, ...]
@@ -103,10 +104,11 @@ class _File:
 
 @dataclass(kw_only=True)
 class _Place:
-    """Place that a mission flies to, in latitude and longitude, with the conditions there.
+    """Place in a ground station's mission to which the vehicle flies, with its actions there.
 
-    The fields have the names and meanings of a scenario's waypoint; `is_opened_at` says whether a
-    gripper opens.
+    The position is in latitude, longitude [deg] and height above home [m]. The other attributes
+    have the names and meanings of the fields of a scenario's waypoint, except `is_opened_at`:
+    whether the mission opens a gripper at the place.
     """
 
     position: dict[str, float]
@@ -126,33 +128,34 @@ def read_mission(
 ) -> ImportedMission:
     """Convert a mission file of QGroundControl (.plan) or Mission Planner to a scenario.
 
-    The flight begins hovering at the altitude of the take-off and ends hovering above the place of
-    landing; its duration is free. Altitudes above the terrain are counted from home, as above flat
-    ground. Exclusion fences become zones without bottom and top; an inclusion circle becomes a
-    polygon inside the circle.
+    The flight of the scenario begins with hovering at the altitude of the take-off and ends with
+    hovering above the landing place; its duration is free. Altitudes above the terrain are treated
+    as heights above the home position, because the ground is assumed to be flat. Exclusion fences
+    become keep-out zones without bottom and top; an inclusion circle becomes a polygon inside the
+    circle.
 
     Parameters
     ----------
     file : str or Path
         Mission file: QGroundControl's plan file, or the text format QGC WPL 110.
     name : str, optional
-        Name of the scenario; by default the name of the file.
+        Name of the scenario; by default derived from the name of the file.
     vehicle : str, optional
         A vehicle of the library, or a vehicle file.
     payload_kg : float, optional
-        Mass carried from the start, and released where the mission opens a gripper or places a
-        payload.
+        Mass of a payload [kg], which the vehicle carries from the start and releases where the
+        mission opens a gripper or places a payload.
 
     Returns
     -------
     ImportedMission
-        The scenario, its text, and the contents that it leaves out.
+        The scenario, its text, and the contents of the file that a scenario cannot represent.
 
     Raises
     ------
     ScenarioError
-        If the file is not a mission, has a command that no scenario can hold, or gives an invalid
-        scenario; one line.
+        If the file is not a mission, has a command that cannot be converted or left out, or gives
+        an invalid scenario; one line.
 
     Examples
     --------
@@ -228,7 +231,10 @@ def _number(value: object, where: str, low: float, high: float) -> float:
 
 
 def _on_globe(place: Sequence[object], where: str) -> tuple[float, float]:
-    """Return the latitude and longitude [deg] with which a list of coordinates begins."""
+    """Return latitude and longitude [deg], the first two items of a list of coordinates.
+
+    Error messages begin with the text `where`.
+    """
     if len(place) < 2:
         _refuse(where, "a place needs latitude and longitude")
     found = []
@@ -274,7 +280,8 @@ def _plan_file(document: object, source: str) -> _File:
 def _plan_items(items: list[Any], source: str) -> Iterator[_Item]:
     """Yield the commands of a QGroundControl mission.
 
-    A complex item, such as a survey, is replaced by the commands that it consists of.
+    A complex item, such as a survey, is replaced by its commands. Error messages begin with the
+    text `source`, the name of the file.
     """
     for k, written in enumerate(items, start=1):
         where, item = f"{source}, item {k}", _table(written)
@@ -333,10 +340,17 @@ def _waypoint_file(text: str, source: str) -> _File:
 
 
 def _places(read: _File, notes: Counter[str]) -> Iterator[_Place]:
-    """Yield the places that a mission flies to, in order.
+    """Yield the places to which the vehicle flies in a ground station's mission, in order.
 
-    Successive places that are less than a millimetre apart are merged. `notes` receives, with the
-    number of occurrences, every content of the file that a scenario cannot hold.
+    Successive places that are at most a millimetre apart are merged.
+
+    Parameters
+    ----------
+    read : _File
+        Content of the mission file.
+    notes : Counter of str
+        Contents of the file that a scenario cannot represent, in words, with the number of
+        occurrences; the function adds to them.
     """
     last: _Place | None = None
     first: _Place | None = None
@@ -370,7 +384,19 @@ def _apart(home: GeodeticOrigin, *places: _Place) -> float:
 def _place_of(
     item: _Item, read: _File, first: _Place | None, last: _Place | None, notes: Counter[str]
 ) -> _Place | None:
-    """Return the place that a mission's command flies to; None for a command without a place."""
+    """Return the place to which a command makes the vehicle fly; None for other commands.
+
+    Parameters
+    ----------
+    item : _Item
+        The command.
+    read : _File
+        Content of the mission file.
+    first, last : _Place or None
+        First place of the mission, and last place before this command; None if there is none.
+    notes : Counter of str
+        Contents of the file that a scenario cannot represent, to which the function adds.
+    """
     if item.command == Command.RETURN_TO_LAUNCH and first is not None:
         return _Place(position=dict(first.position))
     if item.command == Command.DO_JUMP:
@@ -401,12 +427,16 @@ def _place_of(
 
 
 def _towards(heading: float | None) -> float | None:
-    """Convert a heading [deg clockwise from north] to a yaw angle from east [rad]."""
+    """Convert a heading [deg], clockwise from north, to yaw [rad], counter-clockwise from east."""
     return None if heading is None else remainder(radians(90.0 - heading), tau)
 
 
 def _height(item: _Item, home: GeodeticOrigin, notes: Counter[str]) -> float:
-    """Return the height of the place of a mission's command above home [m]."""
+    """Return the height above home [m] of the place to which a command makes the vehicle fly.
+
+    If the altitude in the file is above the terrain, it is treated as the height above home, and a
+    remark is added to `notes`.
+    """
     written = item.params[6]
     if item.frame in _ABOVE_SEA and written is not None:
         return written - home.altitude
@@ -422,7 +452,10 @@ def _height(item: _Item, home: GeodeticOrigin, notes: Counter[str]) -> float:
 
 
 def _apply(item: _Item, place: _Place, notes: Counter[str]) -> None:
-    """Apply a command that has no position, such as a delay, to the place before the command."""
+    """Apply a command without a position, such as a delay, to the place before the command.
+
+    A command that a scenario cannot represent is added to `notes`.
+    """
     if item.command == Command.DELAY:
         place.hold += _number(item.param(0), item.where, 0.0, _LONGEST_S)
     elif item.command == Command.DO_GRIPPER and item.param(1) == GRIPPER_OPENED:
@@ -434,7 +467,11 @@ def _apply(item: _Item, place: _Place, notes: Counter[str]) -> None:
 
 
 def _release(places: list[_Place], payload_kg: float, notes: Counter[str]) -> None:
-    """Release the whole payload at the first place where the mission opens a gripper."""
+    """Set the release of the whole payload at the first place where the mission opens a gripper.
+
+    If there is no payload, or if the place is the start or goal, which a scenario does not allow, a
+    remark is added to `notes`.
+    """
     opened = [place for place in places if place.is_opened_at]
     if opened and not payload_kg:
         notes["the release of a payload; give --payload KG"] += 1
@@ -464,10 +501,10 @@ def _mission(read: _File, places: list[_Place]) -> dict[str, Any]:
 
 
 def _airspace(read: _File, source: str) -> dict[str, Any]:
-    """Return the scenario's table `airspace` with the mission's fence.
+    """Return the scenario's table `airspace` with the fence of a ground station's mission.
 
-    An inclusion fence becomes `keep_in`, of which there may be only one; exclusions become
-    `keep_out`.
+    The inclusion fence, of which there may be only one, becomes the field `keep_in`. Exclusion
+    fences become keep-out zones, field `keep_out`. Error messages begin with the text `source`.
     """
     inside: list[list[dict[str, float]]] = []
     zones: list[dict[str, Any]] = []
@@ -505,7 +542,17 @@ def _corner(written: object, where: str) -> dict[str, float]:
 def _inscribed(
     home: GeodeticOrigin, centre: Mapping[str, float], radius: float
 ) -> list[dict[str, float]]:
-    """Return the corners of a regular polygon that is inscribed in a circle."""
+    """Return the corners of a regular polygon inscribed in a circle, as latitudes and longitudes.
+
+    Parameters
+    ----------
+    home : GeodeticOrigin
+        Home position of the mission.
+    centre : mapping
+        Latitude and longitude of the circle's centre [deg].
+    radius : float
+        Radius of the circle [m].
+    """
     (x, y, _), *_ = home.local([[*centre.values(), 0.0]]).tolist()
     angles = [tau * k / MOST_CORNERS for k in range(MOST_CORNERS)]
     ring = [[x + radius * cos(angle), y + radius * sin(angle), 0.0] for angle in angles]
@@ -514,14 +561,14 @@ def _inscribed(
 
 
 def _toml(tables: Mapping[str, Any], left_out: Sequence[str]) -> str:
-    """Write a scenario's tables as TOML text, with comments on the mission file's other content.
+    """Return a scenario's tables as TOML text, with comments on what the scenario leaves out.
 
     Parameters
     ----------
     tables : mapping
         Tables of the scenario.
     left_out : sequence of str
-        Contents of the mission file that the scenario cannot hold, one comment each.
+        Contents of the mission file that a scenario cannot represent, one comment each.
     """
     lines = ["#:schema ./scenario.schema.json"]
     lines += [f"# Not of the mission's file: {note}." for note in left_out]

@@ -1,10 +1,10 @@
 """Export of verified plans as ground station missions: a few geodetic waypoints with speeds.
 
-The waypoints include the mission's start, waypoints and goal. Waypoints that only shape the path
-are marked, so that an exported mission is read again as the mission that was planned
-(`exports.ground_missions`). The files are QGroundControl's plan file (developer guide, Plan File
-Format: version 1, with missions and fences of version 2) and MAVLink's plain-text format (QGC WPL
-110) of Mission Planner.
+The exported waypoints include the mission's start, waypoints and goal. Further waypoints only make
+the path follow the plan. In QGroundControl's file they are marked, so that
+`exports.ground_missions` leaves them out when it converts the file back to a scenario. The files
+are QGroundControl's plan file (developer guide, Plan File Format: version 1, with missions and
+fences of version 2) and MAVLink's plain-text format (QGC WPL 110) of Mission Planner.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,7 +26,7 @@ from pyomo_quad.scenario.earth import GeodeticOrigin
 
 
 class Command(IntEnum):
-    """Numbers of the MAVLink commands that a mission uses."""
+    """Numbers of the MAVLink commands that missions of ground stations use."""
 
     WAYPOINT = 16
     LOITER_UNLIMITED = 17
@@ -46,9 +46,9 @@ class Command(IntEnum):
 
 
 class Frame(IntEnum):
-    """Numbers of MAVLink's frames, which give the reference of an altitude.
+    """Numbers of MAVLink's coordinate frames, which define the level from which altitudes count.
 
-    `MISSION` is the frame of a command without a place.
+    `MISSION` is the frame of a command without a position.
     """
 
     GLOBAL = 0
@@ -89,8 +89,8 @@ class Legs:
     places : ndarray, shape (n, 3)
         Positions x, y, z at these times [m].
     is_of_mission : ndarray of bool, shape (n,)
-        Whether each position is the mission's start, a waypoint or the goal. An empty array means
-        that every position is one of these.
+        Whether each position is the mission's start, a waypoint of the mission or the goal. An
+        empty array means that this is true of every position.
     """
 
     times: FloatArray
@@ -98,16 +98,18 @@ class Legs:
     is_of_mission: NDArray[np.bool_] = field(default_factory=lambda: np.array([], dtype=bool))
 
     def at(self, t: FloatArray) -> FloatArray:
-        """Return the positions on the legs at times [s], shape (n, 3) [m]."""
+        """Return the positions x, y, z [m] on the legs at times t [s], shape (n, 3)."""
         return np.column_stack([np.interp(t, self.times, axis) for axis in self.places.T])
 
     def shapes_path(self, number: int) -> bool:
-        """Return whether a position only shapes the path, and is no waypoint of the mission.
+        """Return whether a position is none of the mission's start, waypoints and goal.
+
+        Such a position only makes the legs follow the plan's path.
 
         Parameters
         ----------
         number : int
-            Index of the position.
+            Index of the position in `places`.
         """
         return bool(self.is_of_mission.size) and not self.is_of_mission[number]
 
@@ -115,17 +117,17 @@ class Legs:
 def thin(motion: Motion, path_error_m: float) -> Legs:
     """Approximate a plan by few straight legs, within a given distance of the plan at all times.
 
-    The first legs lead from waypoint to waypoint. Positions on plan and leg at the same time are
-    compared; a leg that deviates too far is split at the time of its largest deviation, until the
-    deviation is small enough everywhere (the top-down time-ratio algorithm of Meratnia and de By,
-    2004).
+    At first, each leg leads from one waypoint of the mission to the next. The positions on plan and
+    leg at the same time are compared. A leg that deviates too far is split at the time of its
+    largest deviation, until no leg deviates too far (the top-down time-ratio algorithm of Meratnia
+    and de By, 2004).
 
     Parameters
     ----------
     motion : Motion
         The plan's motion.
     path_error_m : float
-        Largest permitted distance from the plan.
+        Largest permitted distance from the plan [m].
     """
     motion.require(POSITION_STATES, "a QGroundControl mission")
     passed = _passing_times(motion)
@@ -157,10 +159,10 @@ def _passing_times(motion: Motion) -> list[float]:
 def mission(
     legs: Legs, origin: GeodeticOrigin, motion: Motion, path_error_m: float
 ) -> dict[str, Any]:
-    """Make a QGroundControl plan file of a plan, as nested mappings.
+    """Convert a plan to the content of a QGroundControl plan file, as nested mappings.
 
-    The fence and the rally points are taken from the mission. Zones of finite height are not part
-    of the fence, since the flight may pass above them.
+    The file has the fence and the rally points of the plan's scenario. Keep-out zones of finite
+    height are left out of the file's fence, because the flight may pass above them.
 
     Parameters
     ----------
@@ -171,12 +173,12 @@ def mission(
     motion : Motion
         The plan's motion.
     path_error_m : float
-        Permitted distance with which `thin` made the legs, for the message.
+        Permitted distance from the plan [m] with which `thin` made the legs, for the error message.
 
     Raises
     ------
     ScenarioError
-        If there are more mission items than an autopilot stores.
+        If the file has more mission items than an autopilot can store.
     """
     items = _items(legs, origin, _releases(legs, motion.mission))
     if len(items) > MOST_ITEMS:
@@ -211,12 +213,12 @@ def mission(
 def waypoint_file(mission_of_plan: Mapping[str, Any]) -> str:
     """Convert a QGroundControl plan to Mission Planner's text format of waypoints (QGC WPL 110).
 
-    Fence and rally points are left out, because Mission Planner keeps them in files of their own.
+    Fence and rally points are left out, because Mission Planner stores them in separate files.
 
     Parameters
     ----------
     mission_of_plan : mapping
-        Plan from `mission`.
+        Content of a QGroundControl plan file, from `mission`.
     """
     held = mission_of_plan["mission"]
     home = [0.0, 0.0, 0.0, 0.0, *held["plannedHomePosition"]]
@@ -235,7 +237,7 @@ def _speeds(legs: Legs) -> FloatArray:
 
 
 def _releases(legs: Legs, scenario: Scenario) -> set[int]:
-    """Return the indices of the legs' ends at which a part of the payload is released."""
+    """Return the indices of the positions in `legs.places` at which payload is released."""
     passed = [(w.at, w.hold) for w in scenario.mission.waypoints if w.release and w.at is not None]
     return {int(np.abs(legs.times - (at + hold)).argmin()) for at, hold in passed}
 
@@ -279,13 +281,13 @@ def _item(command: Command, frame: Frame, params: list[Any]) -> dict[str, Any]:
 
 
 def _globe(places: Sequence[Sequence[float]], origin: GeodeticOrigin) -> list[list[float]]:
-    """Convert positions [m] to rows of latitude [deg], longitude [deg] and height [m]."""
+    """Convert positions x, y, z [m] to rows of latitude [deg], longitude [deg] and height [m]."""
     rows: list[list[float]] = origin.geodetic(np.reshape(places, (-1, 3))).tolist()
     return rows
 
 
 def _fence(scenario: Scenario, origin: GeodeticOrigin) -> dict[str, Any]:
-    """Return QGroundControl's geofence: the mission's fence, and zones without bottom and top."""
+    """Return QGroundControl's geofence: the scenario's fence, and zones without bottom and top."""
     airspace = scenario.airspace
     rings = [] if airspace.keep_in is None else [(True, airspace.keep_in.corners)]
     endless = [zone for zone in airspace.keep_out if _is_endless(zone)]

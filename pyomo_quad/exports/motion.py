@@ -39,7 +39,7 @@ _AGAIN = "solve the scenario again"
 
 @dataclass(frozen=True, kw_only=True)
 class ProvenPlan:
-    """Plan that was simulated again and so confirmed, with its mission.
+    """Plan that a repeated simulation has confirmed, with its mission.
 
     Attributes
     ----------
@@ -50,8 +50,9 @@ class ProvenPlan:
         states. For a plan read from a report, every column is therefore listed as a state and as a
         control.
     is_paper_plan : bool
-        True if the scenario states no risk (`mission.risk`). The plan then goes up to its limits
-        without margins, and a controller that corrects disturbances may break them.
+        Whether the scenario states no risk (`mission.risk`, the permitted probability that a flight
+        breaks a limit). The plan then has no margins from its limits, and a controller that
+        corrects disturbances may break a limit.
     """
 
     mission: Scenario
@@ -72,7 +73,8 @@ def read_proven(path: str | Path, *, is_code_allowed: bool = False) -> ProvenPla
     Raises
     ------
     ScenarioError
-        If there is no plan, it is damaged or not verified, or the simulation does not confirm it.
+        If there is no plan, the plan is damaged, its status is neither verified nor usable
+        (`PlanStatus`), or the simulation does not confirm the plan.
     """
     place = Path(path)
     if place.is_dir():
@@ -148,7 +150,8 @@ class Motion:
     degrees : tuple of int
         Polynomial degree of each element, in order; their sum is n_nodes - 1.
     is_paper_plan : bool
-        Whether the plan was made without a risk (`mission.risk`); see `ProvenPlan`.
+        Whether the plan has no margins from its limits, because the scenario states no risk; see
+        `ProvenPlan`.
     """
 
     name: str
@@ -193,7 +196,7 @@ class Motion:
         ------
         ScenarioError
             If there is no plan, the plan is damaged, its status is neither verified nor usable
-            (`PlanStatus`), or the simulation does not confirm it.
+            (`PlanStatus`), or the simulation does not confirm the plan.
         """
         return cls._along(read_proven(path, is_code_allowed=is_code_allowed))
 
@@ -228,12 +231,12 @@ class Motion:
         needed : sequence of str
             Names of the states.
         reader : str
-            Name of the format, for the message.
+            Name of the format, for the error message.
 
         Raises
         ------
         ScenarioError
-            If a state is missing; the message names the first.
+            If a state is missing; the message names the first missing state.
         """
         missing = next((name for name in needed if name not in self.names), None)
         if missing is not None:
@@ -278,30 +281,30 @@ class Motion:
         return slopes / self.duration
 
     def position(self, t: FloatArray) -> FloatArray:
-        """Return the positions x, y, z at times after the start [m], shape (n, 3)."""
+        """Return the positions x, y, z [m] at times t [s] after the start, shape (n, 3)."""
         return self.values(t, POSITION_STATES)
 
     def velocity(self, t: FloatArray) -> FloatArray:
-        """Return the velocities along x, y, z at times after the start [m/s], shape (n, 3)."""
+        """Return the velocities along x, y, z [m/s] at times t [s], shape (n, 3)."""
         return self.values(t, VELOCITY_STATES)
 
     def acceleration(self, t: FloatArray) -> FloatArray:
-        """Return the accelerations along x, y, z at times after the start [m/s²], shape (n, 3)."""
+        """Return the accelerations along x, y, z [m/s²] at times t [s], shape (n, 3)."""
         return self.slopes(t, VELOCITY_STATES)
 
     def yaw(self, t: FloatArray) -> FloatArray:
-        """Return the yaw angles at times after the start [rad], shape (n,).
+        """Return the yaw angles [rad] at times t [s] after the start, shape (n,).
 
-        They count counter-clockwise from x and are not wrapped to one turn.
+        The angles count counter-clockwise from x and are not wrapped to one turn.
         """
         return self.values(t, ATTITUDE_STATES[2:])[:, 0]
 
     def yaw_rate(self, t: FloatArray) -> FloatArray:
-        """Return the time derivatives of the yaw angle [rad/s], shape (n,)."""
+        """Return the time derivative of the yaw angle [rad/s] at times t [s], shape (n,)."""
         return self.slopes(t, ATTITUDE_STATES[2:])[:, 0]
 
     def quaternions(self, t: FloatArray) -> FloatArray:
-        """Return the body's attitudes at times after the start as unit quaternions, shape (n, 4).
+        """Return the body's attitudes at times t [s] after the start, as unit quaternions (n, 4).
 
         The components are x, y, z, w. A quaternion rotates vectors from body axes to world axes.
         """
@@ -314,7 +317,8 @@ class Motion:
         Parameters
         ----------
         rate_hz : float
-            Least number of times per second.
+            Number of times per second, which is increased so that the interval divides the
+            duration of the flight evenly.
         """
         count = int(np.ceil(self.duration * rate_hz * (1.0 - 1e-12)))
         return np.linspace(0.0, self.duration, max(count, 1) + 1)
@@ -334,9 +338,17 @@ def _mesh(times: FloatArray, degrees: tuple[int, ...]) -> Mesh:
 
 
 def _trajectories(frame: "pd.DataFrame", degrees: tuple[int, ...]) -> Trajectories:
-    """Convert the table of a report to trajectories at the nodes of a mesh.
+    """Convert the trajectory table of a report to trajectories at the nodes of a mesh.
 
-    All columns serve both as states and as controls; the equations select those that they need.
+    The table does not distinguish states and controls. Every column is therefore listed both as a
+    state and as a control; the equations of motion select the columns that they need.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Table with one row for each node.
+    degrees : tuple of int
+        Polynomial degree of each element of the mesh.
     """
     times = frame[TIME].to_numpy(dtype=float)
     columns = [c for c in ALL_COLUMNS if c.name in frame]
@@ -431,9 +443,9 @@ def fit_pieces(
 ) -> tuple[FloatArray, FloatArray]:
     """Approximate a plan by a spline of polynomial pieces of equal duration.
 
-    The number of pieces is increased until position and yaw are within the path error. The spline
-    has degree 7 and the plan's velocity, acceleration and jerk at both ends; all derivatives except
-    the last are continuous.
+    The number of pieces is increased until position and yaw are within the permitted deviation. The
+    spline has degree 7. At both ends of the flight it has the plan's velocity, acceleration and
+    jerk; its derivatives up to the sixth are continuous.
 
     Parameters
     ----------
@@ -494,7 +506,7 @@ def piece_deviation(
 
 
 def _counts(most: int) -> Iterator[int]:
-    """Yield increasing numbers of polynomial pieces to try in a fit."""
+    """Yield the numbers of polynomial pieces that a fit tries, ascending up to `most`."""
     pieces = _FIRST_PIECES
     while pieces < most:
         yield pieces

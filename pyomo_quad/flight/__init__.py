@@ -1,4 +1,4 @@
-"""Flights: plans, their verification by SciPy, controllers and references."""
+"""Flights: plans, their verification by simulation with SciPy, controllers and reference paths."""
 
 from pyomo_quad.flight.columns import COLUMNS, flight_frame
 from pyomo_quad.flight.flight import Flight

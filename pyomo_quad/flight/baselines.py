@@ -1,7 +1,8 @@
-"""Simulated flights to compare with a plan: under feedback along a reference, or in open loop.
+"""Simulated flights that are compared with a plan, with or without feedback control.
 
-A reference is a path over time that the adaptive controller follows, such as the plan itself or a
-smooth path from start to goal. In open loop the plan's controls are applied without feedback.
+With feedback, the adaptive controller follows a reference: a path over time, such as the plan
+itself or a smooth path from start to goal. In open loop, the plan's controls are applied without
+feedback.
 """
 
 from collections.abc import Iterator, Sequence
@@ -82,8 +83,8 @@ def start_state(scenario: Scenario, dynamics: Dynamics, plan: Plan | None = None
     Raises
     ------
     ScenarioError
-        If there is no plan, and the model of a user has a state whose initial value the mission
-        does not define.
+        If there is no plan, and a user's own model has a state whose initial value the mission does
+        not define.
     """
     if plan is not None:
         held = plan.trajectories
@@ -101,7 +102,10 @@ def start_state(scenario: Scenario, dynamics: Dynamics, plan: Plan | None = None
 
 
 def _filters_at_start(dynamics: Dynamics) -> dict[str, float]:
-    """Return the initial states of the turbulence filters by name; empty without turbulence."""
+    """Return the initial states of the filters that model turbulence: name -> value.
+
+    The result is empty for dynamics without turbulence.
+    """
     if not set(FILTER_STATES) <= set(dynamics.state_names):
         return {}
     begun = dynamics.initial_states()
@@ -109,7 +113,7 @@ def _filters_at_start(dynamics: Dynamics) -> dict[str, float]:
 
 
 def declared_start(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
-    """Return the initial states that the mission defines: hover, and the state of the battery.
+    """Return the initial states that the mission defines: hover at the start, and battery states.
 
     Returns
     -------
@@ -124,12 +128,14 @@ def declared_start(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
 
 
 def wanted_at_goal(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
-    """Return the required final value of each state: hover at the goal.
+    """Return the final values of the states that the mission requires: hover at the goal.
+
+    The rotor speeds are those of a vehicle that has released its payloads.
 
     Returns
     -------
     dict
-        State name -> value in the state's unit; the battery's states are free.
+        State name -> value in the state's unit; the battery's states are free and not included.
     """
     lighter = sqrt(scenario.mass_at_goal / scenario.vehicle.total_mass)
     return _hovering(scenario, scenario.mission.goal, dynamics, lighter)
@@ -175,7 +181,7 @@ class TumblingGuard:
     Parameters
     ----------
     flight : str
-        Name of the flight, for the message.
+        Name of the flight, for the error message.
     duration : float
         Duration of the flight [s]; the allowed number of evaluations grows with it.
     """
@@ -186,7 +192,7 @@ class TumblingGuard:
         self._most = _MOST_EVALUATIONS_PER_SECOND * max(1.0, duration)
 
     def evaluated(self, t: float) -> None:
-        """Count an evaluation of the right-hand side at time t [s]; raise an error above the limit.
+        """Count an evaluation of the right-hand side at time t [s], and check the limits.
 
         Raises
         ------
@@ -205,9 +211,10 @@ class TumblingGuard:
 
 
 class Integrator(StrEnum):
-    """Integration methods of SciPy for simulated flights; they share no code.
+    """Integration methods of SciPy for simulated flights: `DOP853` and `LSODA`.
 
-    Each flight is simulated by both methods, and is verified only if their results agree.
+    Each flight is simulated by both methods, which share no code. It is verified only if their
+    results agree.
     """
 
     RUNGE_KUTTA = "DOP853"
@@ -225,7 +232,7 @@ class ClosedLoopFlight:
     controller_states : ndarray, shape (n, 22)
         The `CONTROLLER_STATES` at the n times of `flown`.
     evaluations : int
-        Evaluations of the right-hand side.
+        Number of evaluations of the right-hand side by the integrator.
     """
 
     flown: Flown
@@ -322,8 +329,8 @@ class _Loop:
     def started(self, t: float, state: FloatArray, last: FloatArray | None) -> FloatArray:
         """Return the initial joint state of vehicle, controller and energy at time t [s].
 
-        `state` is the state of the vehicle. `last` is the state of a controller that followed
-        another reference before; None for a controller that starts now.
+        `state` is the initial state of the vehicle. `last` is the controller's state at the end of
+        the reference that it followed before; None for a controller that starts with this flight.
         """
         body, before = state[self._body].tolist(), None if last is None else last.tolist()
         own = self._controller.started(self._reference(t), body, before)
@@ -335,7 +342,11 @@ class _Loop:
         return self._system.rates(t, joint, self._controller.command(self._reference, t))
 
     def flight(self, times: FloatArray, rows: FloatArray) -> ClosedLoopFlight:
-        """Return the simulated flight made of joint states (vehicle, controller, energy)."""
+        """Return the simulated flight, made from the integrated joint states.
+
+        Row k of `rows`, shape (n, n_joint), is the joint state of vehicle, controller and energy at
+        time k of `times`, shape (n,) [s].
+        """
         commands = np.array([self._controller.command(self._reference, t) for t in times.tolist()])
         return ClosedLoopFlight(
             flown=Flown(
@@ -370,9 +381,10 @@ _INSTANT = 1e-4
 
 
 def baseline_name(reference: Reference, speed: float | None = None) -> str:
-    """Return the name of a flight under feedback: "adaptive/quintic", "adaptive/cruise 6 m/s".
+    """Return the name of a flight in which the controller follows a reference.
 
-    `speed` [m/s] is given for an autopilot's cruise only.
+    Examples of names are "adaptive/quintic" and "adaptive/cruise 6 m/s". `speed` [m/s] is the
+    cruise speed of an autopilot; it is given for the reference `CRUISE` only.
     """
     return f"adaptive/{reference.value}" + ("" if speed is None else f" {speed:g} m/s")
 
@@ -389,14 +401,15 @@ def fly_baseline(
     Parameters
     ----------
     scenario : Scenario
-        The mission with fixed times; for the cruise of an autopilot, with the times of `cruise_at`.
+        The mission with fixed times; for an autopilot's cruise, the times that `routes.cruise_at`
+        computes.
     reference : Reference
         Path that the controller follows.
     dynamics : Dynamics
         Simulated vehicle in its wind.
     plan : Plan, optional
-        Plan to follow, if the reference is the plan. The costates of the plan give the energy that
-        is needed to complete a flight that ends off the goal.
+        Plan to follow, if the reference is the plan. If the flight ends off the goal, the plan's
+        costates give an estimate of the energy that is needed to reach the goal.
 
     Returns
     -------
@@ -478,7 +491,7 @@ def fly_reference(
 def reference_path(
     scenario: Scenario, reference: Reference, plan: Plan | None = None
 ) -> ReferencePath:
-    """Return the path that a named reference prescribes, as a function of time.
+    """Return the reference path that the controller follows, for one kind of reference.
 
     Parameters
     ----------
@@ -526,7 +539,7 @@ def fly_open_loop(scenario: Scenario, plan: Plan, dynamics: Dynamics) -> Flight:
     Returns
     -------
     Flight
-        The flight, named `OPEN_LOOP`.
+        The flight, with the name `OPEN_LOOP`.
     """
     began = perf_counter()
     held = plan.trajectories
@@ -546,7 +559,9 @@ def assembled_flight(
     plan: Plan | None,
     began: float,
 ) -> Flight:
-    """Join the simulated parts of a flight, verify them, and estimate the energy to complete it.
+    """Join the simulated parts of a flight, verify them, and estimate the energy still needed.
+
+    If the flight ends off the goal, the energy that is needed to reach the goal is estimated.
 
     Parameters
     ----------
@@ -560,9 +575,9 @@ def assembled_flight(
         Each part of the flight, simulated by two integrators from the same state. A flight has
         several parts if the plan is replaced in flight.
     plan : Plan or None
-        Plan whose costates give the energy to complete the flight from its end state.
+        Plan whose costates give the estimate of the energy from the end of the flight to the goal.
     began : float
-        Clock at the start of the simulation, `perf_counter` [s].
+        Value of `time.perf_counter` at the start of the simulation [s], for the computing time.
 
     Returns
     -------
@@ -606,7 +621,9 @@ _ALLOWED_UNDER_CONTROL = {
 def broken_under_control(
     scenario: Scenario, dynamics: Dynamics, flown: Flown, breaches: Sequence[Violation]
 ) -> dict[str, float]:
-    """Return the limits that a flight under feedback violates, in words, with relative amounts.
+    """Return the limits that a flight under feedback violates: name in words -> relative amount.
+
+    Compared with a plan, a flight under feedback has additional tolerances at waypoints and hovers.
 
     Parameters
     ----------
@@ -622,7 +639,7 @@ def broken_under_control(
     Returns
     -------
     dict
-        Limit in words -> violation relative to the larger of 1 and the limit.
+        Name of the limit in words -> violation relative to the larger of 1 and the limit.
     """
     broken = {
         limit_words(breach.name): breach.relative
@@ -635,7 +652,11 @@ def broken_under_control(
 
 @dataclass(frozen=True, kw_only=True)
 class _Missed:
-    """Waypoint passed too far away or too fast: name of the limit, relative violation, message."""
+    """Record of a waypoint that a flight passes too far away or too fast.
+
+    `limit` is the name of the limit in the model, `relative` the violation relative to the larger
+    of 1 and the limit, and `words` the message.
+    """
 
     limit: str
     relative: float
@@ -643,7 +664,11 @@ class _Missed:
 
 
 def _missed_waypoints(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> Iterator[_Missed]:
-    """Yield the waypoints with given times that a flight passes too far away or too fast."""
+    """Yield a record for each violated limit on distance or speed at a waypoint.
+
+    Only waypoints with given times are checked. Within the tolerances of an arrival
+    (`ARRIVAL_DISTANCE_M`, `ARRIVAL_SPEED_M_PER_S`), a limit counts as kept.
+    """
     states = [dynamics.state_names.index(name) for name in (*POSITION_STATES, *VELOCITY_STATES)]
     for k, waypoint in enumerate(scenario.mission.waypoints):
         if waypoint.at is None:
@@ -672,8 +697,8 @@ def _missed_waypoints(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> I
 def path_of(planned: Trajectories, dynamics: Dynamics, scenario: Scenario) -> PlannedPath:
     """Return a plan as a reference path for the controller, sampled at 20 Hz.
 
-    Velocities, accelerations and the forces of the air, which the controller feeds forward, follow
-    from the plan's equations.
+    The plan's equations give the velocities, the accelerations and the forces of the air along the
+    path. The controller uses them for feedforward.
 
     Parameters
     ----------
@@ -682,12 +707,13 @@ def path_of(planned: Trajectories, dynamics: Dynamics, scenario: Scenario) -> Pl
     dynamics : Dynamics
         The plan's equations.
     scenario : Scenario
-        Mass and inertia of the vehicle, and the payloads that the mission releases at given times.
+        Scenario with the mass and inertia of the vehicle, and with the payloads that the mission
+        releases at given times.
 
     Returns
     -------
     PlannedPath
-        Time [s] -> Setpoint.
+        Takes a time [s] and returns the `Setpoint` to follow.
     """
     vehicle, times = scenario.vehicle, even_times(*planned.horizon, _PLAN_RATE_HZ)
     controls = planned.controls_at(times, dynamics.control_limits(HELD_BREACH))
@@ -713,7 +739,10 @@ def path_of(planned: Trajectories, dynamics: Dynamics, scenario: Scenario) -> Pl
 def _yaw_acceleration(
     dynamics: Dynamics, times: FloatArray, states: FloatArray, controls: FloatArray
 ) -> FloatArray:
-    """Return the time derivative of the planned yaw rate by central differences [rad/s^2]."""
+    """Return the time derivative of the planned yaw rate by central differences [rad/s^2].
+
+    `states` and `controls` are the plan's values at the n `times` [s].
+    """
     steps = _INSTANT * np.array(
         [dynamics.rates(t, x, u) for t, x, u in zip(times.tolist(), states, controls, strict=True)]
     )
@@ -725,10 +754,11 @@ def _yaw_acceleration(
 def _doubts(
     dynamics: Dynamics, flown_twice: Sequence[tuple[Flown, Flown]], flown: Flown
 ) -> Iterator[str]:
-    """Yield the reasons why a simulated flight is not verified, in words.
+    """Yield the reasons, in words, why a simulated flight is not verified.
 
-    Possible reasons are that the two integrators differ in final position or energy, and that the
-    battery cannot give the power or the voltage.
+    `flown_twice` has each part of the flight as simulated by two integrators; `flown` is the whole
+    flight. Possible reasons are that the two integrators differ in final position or energy, and
+    that the battery cannot supply the power, the charge or the voltage.
     """
     columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
     ends = np.array([[flown.states[-1, columns] for flown in pair] for pair in flown_twice])
@@ -764,7 +794,11 @@ def _doubts(
 
 
 def _joined(parts: Sequence[Flown]) -> Flown:
-    """Join consecutive parts of a simulated flight; the state at a shared time is kept once."""
+    """Join consecutive parts of a simulated flight into one flight.
+
+    The sample at the end of a part, which is also the first sample of the next part, is included
+    once. The energy is accumulated over the parts.
+    """
     spent = np.cumsum([0.0, *(part.energy[-1] for part in parts)])
     kept = [slice(0, None), *(slice(1, None) for _ in parts[1:])]
     return Flown(
@@ -780,6 +814,9 @@ def _joined(parts: Sequence[Flown]) -> Flown:
 def refuse_other_vehicles(scenario: Scenario, dynamics: Dynamics) -> None:
     """Raise an error for a model that lacks a state which the controller measures.
 
+    The controller needs the position, velocity, attitude and body rates of a quadrotor
+    (`MEASURED_STATES`).
+
     Raises
     ------
     ScenarioError
@@ -794,5 +831,8 @@ def refuse_other_vehicles(scenario: Scenario, dynamics: Dynamics) -> None:
 
 
 def even_times(start: float, end: float, rate_hz: float) -> FloatArray:
-    """Return equally spaced times from start to end at a sampling rate, with both ends [s]."""
+    """Return equally spaced times from start to end, both included [s].
+
+    `rate_hz` is the number of times per second; the spacing is adjusted to the duration.
+    """
     return np.linspace(start, end, max(2, round((end - start) * rate_hz) + 1))

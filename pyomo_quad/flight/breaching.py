@@ -1,6 +1,7 @@
-"""Probabilities that flights in turbulence break limits, from the covariance along a plan.
+"""Probabilities that flights in turbulence break limits.
 
-See docs/theory/risk.md, eqs. (7) to (9).
+The probabilities follow from the covariance of the states of flights that follow a plan. See
+docs/theory/risk.md, eqs. (7) to (9).
 """
 
 from collections.abc import Iterator
@@ -42,21 +43,22 @@ class LimitDistance:
     """Statistics over time of the distance of flights in turbulence from one bound of a constraint.
 
     The constraint is a path constraint ("limit") with a lower or an upper bound, or with both, such
-    as the limit on the roll angle. Arrays hold n times.
+    as the limit on the roll angle. The flights follow one plan under feedback. The arrays have one
+    entry for each of n times.
 
     Attributes
     ----------
     name : str
         Name of the path constraint in the declared model.
     field : str
-        Scenario field that sets this bound.
+        Scenario field that sets this bound, such as "limits.roll_max".
     distance : ndarray, shape (n,)
-        Distance of the mean flight (without gusts) from the bound, in the unit of the bound. The
-        bound is the scenario's; the margin that a plan keeps from the bound is not subtracted.
+        Distance of the mean flight (without gusts) from the bound, in the unit of the bound. It is
+        measured to the bound itself, not to the tightened bound that the plan keeps.
     planned : ndarray, shape (n,)
-        Distance of the plan from the bound.
+        Distance of the plan from the bound, in the unit of the bound.
     deviation : ndarray, shape (n,)
-        Standard deviation of the distance over the flights.
+        Standard deviation of the distance over the flights, in the unit of the bound.
     correlation : ndarray, shape (n - 1,)
         Correlation between the distances at one time and at the next.
     """
@@ -70,16 +72,16 @@ class LimitDistance:
 
     @property
     def present_probability(self) -> float:
-        """Probability that a flight which follows the present plan breaks the limit at any time."""
+        """Probability that a flight breaks the limit at any time, with the plan as it is."""
         return _crossing(self.distance, self.deviation, self.correlation)
 
     def probability(self, present: float = 0.0, changed: float = 0.0) -> float:
-        """Predict the probability that a flight breaks the limit if the plan had another margin.
+        """Predict the probability that a flight breaks the limit, for a plan with another margin.
 
-        A margin is the amount by which a plan stays inside the limit. The prediction assumes that
-        the plan moves to the new margin in two places: where the present margin is active, and
-        where the plan is nearer to the limit than the new margin. Elsewhere the plan is assumed
-        unchanged.
+        A margin is the amount by which a plan must stay inside the limit. The prediction assumes
+        that the plan moves to the new margin at two kinds of times: where it is close to the
+        present margin (the tightened limit is active), and where it is nearer to the limit than the
+        new margin. At other times the plan is assumed unchanged.
 
         Parameters
         ----------
@@ -95,9 +97,9 @@ class LimitDistance:
     def margin_for(self, share: float, present: float, largest: float) -> float:
         """Return the smallest margin at which the probability of a violation is at most ``share``.
 
-        A margin is the amount by which a plan stays inside the limit, in the unit of the limit.
-        `present` is the margin of the present plan, and `largest` the largest margin considered,
-        which is returned if no smaller margin suffices.
+        A margin is the amount by which a plan must stay inside the limit, in the unit of the limit.
+        `present` is the margin of the present plan. `largest` is the largest margin considered; it
+        is returned if no smaller margin makes the probability small enough.
         """
         if self.probability(present, 0.0) <= share:
             return 0.0
@@ -118,7 +120,10 @@ _HALVINGS = 30
 
 
 def _crossing(distance: FloatArray, deviation: FloatArray, correlation: FloatArray) -> float:
-    """Return the probability that a flight starts beyond a limit or crosses it later.
+    """Return the probability that a flight is beyond a limit at the first time or crosses it later.
+
+    The distance from the limit is normally distributed over the flights, and negative beyond the
+    limit. The probability of crossings follows from Rice's formula.
 
     Parameters
     ----------
@@ -140,7 +145,9 @@ def _crossing(distance: FloatArray, deviation: FloatArray, correlation: FloatArr
 def limit_distances(
     spread: Spread, states: FloatArray, controls: FloatArray
 ) -> Iterator[LimitDistance]:
-    """Yield the distance of flights from each bound of a path constraint set by a scenario field.
+    """Yield the statistics of the distance of flights from each bound on a path constraint.
+
+    Only finite bounds that a field of the scenario sets are included.
 
     Parameters
     ----------
@@ -152,7 +159,7 @@ def limit_distances(
     Yields
     ------
     LimitDistance
-        Statistics of the distance, for each finite lower or upper bound.
+        Statistics of the distance from one lower or upper bound.
     """
     dynamics = spread.dynamics
     gradients = _gradients(spread)
@@ -180,7 +187,9 @@ def limit_distances(
 
 
 def _gradients(spread: Spread) -> dict[str, FloatArray]:
-    """Return the derivatives of all path constraints by the states, by finite differences.
+    """Return the derivatives of all path constraints with respect to the states.
+
+    They are central differences about the mean flight of the spread.
 
     Returns
     -------
@@ -213,9 +222,9 @@ def _gradients(spread: Spread) -> dict[str, FloatArray]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Miss:
-    """Samples of the distance from goal or waypoint, or of the speed there, in turbulence.
+    """Random samples of the distance or the speed of flights in turbulence at a goal or waypoint.
 
-    The samples are taken at the instants at which the mission limits the distance or the speed.
+    They are drawn for the instants at which the mission limits this distance or speed.
 
     Attributes
     ----------
@@ -237,35 +246,38 @@ class Miss:
 
     @property
     def probability(self) -> float:
-        """Probability that a flight is too far from the place, or too fast, at any instant.
+        """Probability that a flight is too far from the place, or too fast, at one of the instants.
 
-        The instants of the limit are treated as independent.
+        It is the sum of the probabilities at the instants, at most 1.
         """
         return float(min((self.off > self.within).mean(axis=1).sum(), 1.0))
 
     def shrunk(self, share: float) -> "Miss":
-        """Return a copy with distances or speeds multiplied by `share`, as in weaker turbulence."""
+        """Return a copy whose distances or speeds are multiplied by the factor `share`.
+
+        A factor below 1 gives the distances or speeds in weaker turbulence.
+        """
         return replace(self, off=share * self.off)
 
     def excess(self, share: float) -> float:
-        """Return the reduction of distances [m] or speeds [m/s] with which flights keep the limit.
+        """Return how much smaller the distances [m] or speeds [m/s] must be to keep the limit.
 
-        With this reduction, a flight breaks the limit with at most the probability `share`. The
-        result is at least zero.
+        If all samples were smaller by the result, a flight would break the limit with at most the
+        probability `share`. The result is at least zero.
         """
         most = np.quantile(self.off, 1.0 - share / len(self.off), axis=1).max()
         return max(float(most) - self.within, 0.0)
 
 
 def missing(scenario: Scenario, spread: Spread) -> tuple[Miss, ...]:
-    """Return samples of the distances from goal and waypoints and of the speeds there, in gusts.
+    """Return random samples of the distances and speeds of flights at the goal and the waypoints.
 
     Parameters
     ----------
     scenario : Scenario
         The mission with fixed times.
     spread : Spread
-        Distribution of the states of flights about a plan.
+        Normal distribution of the states of flights in turbulence about a plan.
 
     Returns
     -------

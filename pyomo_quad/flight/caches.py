@@ -1,4 +1,7 @@
-"""Caches of a process: the most recently compiled problems and steady flights."""
+"""Caches that keep the most recently compiled problems and steady flights of a process.
+
+A compiled problem is the optimal control problem of a scenario, ready to be solved.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ Value = TypeVar("Value")
 
 
 class Recent(Generic[Value]):
-    """Cache of the most recently stored values; a full cache discards the oldest value.
+    """Cache of the most recently stored values; a full cache discards the value stored first.
 
     Parameters
     ----------
@@ -27,7 +30,7 @@ class Recent(Generic[Value]):
         self._values: dict[Hashable, Value] = {}
 
     def get(self, key: Hashable) -> Value | None:
-        """Return the value stored in the cache under a key, or None."""
+        """Return the value stored in the cache under a key, or None if there is no such value."""
         return self._values.get(key)
 
     def store(self, key: Hashable, value: Value) -> Value:

@@ -1,8 +1,9 @@
-"""Candidate plan of a mission, with the conditions and actions of the planning strategies.
+"""Candidate plan of a mission, which the planning strategies improve step by step.
 
-A candidate is the best solution that the search for a plan has found so far. `flight.strategies`
-has the table that combines them. Each action returns its outcome for the record of the search, or
-None where it has none.
+A candidate is the best solution that the search for a plan has found so far. Its methods are the
+conditions and the actions of the strategies; the table in `flight.strategies` pairs each action
+with its condition. An action returns its outcome as text for the record of the search, or None if
+there is nothing to record.
 """
 
 from __future__ import annotations
@@ -56,7 +57,11 @@ _MOST_STRICTER = 4
 
 @dataclass(frozen=True)
 class AlongShortest:
-    """Start of a search: a solution along the shortest route, solved on a single mesh."""
+    """Starting point of a search for a plan: a solution along the shortest route.
+
+    The solution `flight` was computed on a single mesh, when the order of the waypoints was
+    searched. Other routes are still to be compared with it.
+    """
 
     flight: Solution
 
@@ -66,7 +71,7 @@ Start = Plan | WarmStart | Solution | AlongShortest
 
 @dataclass(kw_only=True)
 class Candidate:
-    """Best solution of a mission so far, with its plan and the diagnosis of failures.
+    """Best solution of a mission found so far, with its plan and the diagnosis of failures.
 
     Attributes
     ----------
@@ -75,7 +80,7 @@ class Candidate:
     mission : MissionProblem
         Compiled problem of the scenario in its forecast wind.
     search : Search
-        Stops solves, and records the outcomes of the strategies.
+        Progress callback that stops solves at the time limit, and record of the strategies tried.
     start : Start or None
         Solution or plan of a similar problem, from which the search starts.
     solution : Solution or None
@@ -83,7 +88,7 @@ class Candidate:
     routes : tuple of TriedRoute
         Result for each route that was tried.
     is_closed : bool
-        Whether zones block every route.
+        Whether keep-out zones block every route.
     diagnosis : Diagnosis or None
         Diagnosis of a failed solve.
     slower : Trajectory or None
@@ -119,7 +124,7 @@ class Candidate:
 
     @property
     def found(self) -> Solution:
-        """Present solution of the mission.
+        """Solution of the mission found so far.
 
         Raises
         ------
@@ -132,7 +137,7 @@ class Candidate:
 
     @property
     def plan(self) -> Plan:
-        """Plan of the present solution, verified or not."""
+        """Plan made from the solution found so far, verified or not."""
         if self.flown is not None:
             return self.flown
         return replace(self.plan_of(self.found), routes=self.routes, failure=self.failure)
@@ -146,12 +151,16 @@ class Candidate:
     # First solutions
 
     def has_routes(self) -> bool:
-        """Return whether several routes are to be compared, round zones or through a wind field."""
+        """Return whether the search begins by comparing several routes.
+
+        A mission has several routes round keep-out zones or through a wind field. They are not
+        compared if the search starts from a plan or from the solution of a similar problem.
+        """
         is_open = self.start is None or isinstance(self.start, AlongShortest)
         return is_open and self.mission.has_routes
 
     def fly_routes(self) -> str | None:
-        """Solve the mission along its candidate routes and keep the best solution.
+        """Solve the mission along each of its candidate routes and keep the best solution.
 
         Returns
         -------
@@ -183,7 +192,11 @@ class Candidate:
 
     @staticmethod
     def _in_order_of_mission(mission: MissionProblem, similar: Solution) -> Trajectory:
-        """Return a similar problem's trajectory, its static variables in the mission's order."""
+        """Return the trajectory of a similar problem, for use as an initial guess of the mission.
+
+        Its static variables (those that are constant in time) are sorted by name into the order of
+        the mission's problem.
+        """
         slots = similar.problem.compiled.declared.statics
         held = dict(zip((slot.name for slot in slots), similar.trajectory.statics, strict=True))
         statics = [held[slot.name] for slot in mission.problem.compiled.declared.statics]
@@ -195,15 +208,18 @@ class Candidate:
         return start if isinstance(start, WarmStart) else None
 
     def starts_warm(self) -> bool:
-        """Return whether the search starts from a warm start of the same compiled problem."""
+        """Return whether the search can be warm-started from the same compiled problem.
+
+        A warm start holds the variables and the multipliers of an earlier solve.
+        """
         start = self._warm_start
         return start is not None and start.fits(self.mission.problem.compiled)
 
     def from_warm_start(self) -> str | None:
-        """Solve the mission from a warm start.
+        """Solve the mission from a warm start: variables and multipliers of an earlier solve.
 
-        If the power has a corner at zero (no regeneration), a solve that does not converge is
-        discarded, so that other strategies follow.
+        Without regeneration, the power has a corner at zero. In this case a solve that does not
+        converge is discarded, so that other strategies are tried.
 
         Returns
         -------
@@ -218,7 +234,7 @@ class Candidate:
         return self._outcome()
 
     def starts_at_plan(self) -> bool:
-        """Return whether the search starts from a plan whose trajectory was not tried yet."""
+        """Return whether the search was given a plan whose trajectory has not been tried yet."""
         return self.solution is None and isinstance(self.start, Plan)
 
     def from_plan(self) -> str | None:
@@ -236,19 +252,22 @@ class Candidate:
         return self._outcome()
 
     def is_long(self) -> bool:
-        """Return whether to solve with steady flight as initial guess, because the flight is long.
+        """Return whether the flight is so long that steady flight is a good initial guess.
 
         A flight is long compared with the time in which the vehicle changes its attitude. The
-        result is False if the mission is solved already, if its route is not straight, and for
-        models that need another start: a user's model, and a power with a corner at zero (no
-        regeneration).
+        result is False if the mission is solved already, or if its route is not straight. It is
+        also False for models that need another initial guess: a user's own model, and a power with
+        a corner at zero (no regeneration).
         """
         mission = self.mission
         is_simple = self.solution is None and mission.problems.is_declared and not mission.easier
         return is_simple and is_long(mission.told)
 
     def from_cruise(self) -> str | None:
-        """Solve the mission with steady flight as initial guess and short elements at both ends.
+        """Solve the mission with steady flight as initial guess.
+
+        The mesh has short elements at both ends of the flight, where the vehicle accelerates and
+        brakes.
 
         Returns
         -------
@@ -287,27 +306,32 @@ class Candidate:
         return self._outcome()
 
     def _outcome(self) -> str | None:
-        """Return the solver's status of the first solution if it failed, None otherwise."""
+        """Return the solver's status of the solution if the solve failed, None otherwise."""
         status = self.found.status
         return status.value if status.has_failed else None
 
     # Retries of a solution that failed
 
     def has_failed(self) -> bool:
-        """Return whether the solve failed although zones leave a route to the goal."""
+        """Return whether the solve failed, although keep-out zones leave a route to the goal."""
         return self.found.status.has_failed and not self.is_closed
 
     def has_failed_at_waypoints(self) -> bool:
-        """Return whether the solve failed and a start through the exact waypoints is possible."""
+        """Return whether the solve failed and an easier mission exists, with exact passages.
+
+        In the easier mission, the vehicle passes each waypoint exactly and at any speed.
+        """
         return self.has_failed() and self.mission.past_waypoints is not None
 
     def past_waypoints(self) -> str | None:
-        """Solve the failed mission again from a solution that passes exactly through the waypoints.
+        """Solve the failed mission again, starting from the solution of an easier mission.
+
+        In the easier mission, the vehicle passes each waypoint exactly and at any speed.
 
         Returns
         -------
         str or None
-            The solver's status; None if the solution through the waypoints fails.
+            The solver's status; None if the solve of the easier mission fails.
         """
         past = self.mission.past_waypoints
         plain = None if past is None else past.solve_roughly()
@@ -317,6 +341,8 @@ class Candidate:
 
     def restore(self) -> str | None:
         """Diagnose the failed solve by an elastic problem; solve again from its feasible point.
+
+        In the elastic problem, constraints may be violated at a penalty.
 
         Returns
         -------
@@ -328,18 +354,19 @@ class Candidate:
         return None if feasible is None else self._retried(feasible)
 
     def may_be_slower(self) -> bool:
-        """Return whether a failed mission of fixed duration may be feasible in a longer duration.
+        """Return whether the failed mission might be feasible if it lasted longer.
 
-        A mission that is proven infeasible is excluded.
+        This requires a mission of fixed duration that is not proven infeasible.
         """
         is_infeasible = self.diagnosis is not None and self.diagnosis.is_infeasible
         return self.has_failed() and not is_infeasible and not self.mission.told.mission.is_free
 
     def slow_down(self, by: float) -> str:
-        """Solve the mission in ``by`` times its duration, from the solution of a longer duration.
+        """Solve the mission with its duration multiplied by ``by``.
 
-        If no solution of a longer duration is known, the solve starts from the model's own initial
-        guess.
+        The solution is a start for a solve with the original duration. The solve starts from the
+        solution of the previous, longer duration. If there is none, it starts from the model's own
+        initial guess.
 
         Returns
         -------
@@ -355,7 +382,7 @@ class Candidate:
         return slow.status.value
 
     def has_slower(self) -> bool:
-        """Return whether the mission failed, but a solution in a longer duration is known."""
+        """Return whether the mission failed, but a solution of longer duration is known."""
         return self.has_failed() and self.slower is not None
 
     def speed_up(self) -> str | None:
@@ -364,19 +391,22 @@ class Candidate:
         Returns
         -------
         str or None
-            The solver's status.
+            The solver's status; None if there is no such solution.
         """
         return None if self.slower is None else self._retried(self.slower)
 
     def find_shortest(self) -> str:
-        """Solve for the least duration of the mission and return it in words."""
+        """Solve for the least duration of the mission; return it as text, such as "12.3 s"."""
         mission = self.mission
         model = mission.problems.builder(mission.told)
         self.shortest = shortest_flight(model, mission.told, self.search)
         return "none found" if self.shortest is None else f"{self.shortest.objective:.4g} s"
 
     def has_shorter(self) -> bool:
-        """Return whether the mission failed although the least duration is below its duration."""
+        """Return whether the solve failed although the mission's duration is long enough.
+
+        The duration is long enough if it is not below the least duration found by `find_shortest`.
+        """
         longest = self.mission.told.mission.longest.value
         found = self.shortest
         return self.has_failed() and found is not None and found.objective <= longest
@@ -387,14 +417,20 @@ class Candidate:
         Returns
         -------
         str or None
-            The solver's status.
+            The solver's status; None if there is no such solution.
         """
         if self.shortest is None:
             return None
         return self._retried(self.mission.in_own_variables(self.shortest, self.found))
 
     def _retried(self, trajectory: Trajectory) -> str:
-        """Solve the mission from a trajectory, keep a success, and return the solver's status."""
+        """Solve the mission from a trajectory; keep the solution if the solve succeeds.
+
+        Returns
+        -------
+        str
+            The solver's status.
+        """
         # A flight found on a finer mesh may be infeasible on the first mesh.
         solution = self.mission.solve_from(trajectory, trajectory.mesh)
         if not solution.status.has_failed:
@@ -402,10 +438,12 @@ class Candidate:
         return solution.status.value
 
     def judge(self) -> None:
-        """Record why the mission failed, and set its status to infeasible if nothing contradicts.
+        """Record why the mission failed, and decide whether it is infeasible.
 
-        The elastic problem has no feasible point near one last iterate only. That is no proof if
-        other routes may be possible.
+        The status becomes "infeasible" if the mission's duration is below the least duration, or if
+        the elastic problem has no feasible point and no other result suggests that the mission is
+        possible. The elastic problem alone is no proof if other routes may be possible, because it
+        only searches near the last iterate of one solve.
         """
         if self.diagnosis is None:
             return
@@ -422,10 +460,11 @@ class Candidate:
         self.solution = replace(self.found, status=status)
 
     def _doubt(self) -> str:
-        """Return why the mission may be possible although all solves failed; "" if nothing says so.
+        """Return a reason to believe that the mission is possible although all solves failed.
 
-        A flight along a route that keeps all limits on a coarse mesh contradicts infeasibility. In
-        a wind field a flight may exist along a corridor that was not tried.
+        The result is empty if there is no such reason. One reason is a flight along a route that
+        keeps all limits on a coarse mesh. Another reason is a wind field, in which a flight may
+        exist along a corridor that was not tried.
         """
         met = sum(route.energy_J is not None for route in self.routes)
         if met:
@@ -444,7 +483,10 @@ class Candidate:
         return ""
 
     def _remedies(self, diagnosis: Diagnosis) -> tuple[Relaxation, ...]:
-        """Return the single limits whose relaxation alone makes the mission feasible."""
+        """Return the single limits whose relaxation alone would make the mission feasible.
+
+        The candidates are the relaxed and the active limits of the `diagnosis`.
+        """
         candidates = [r.name for r in diagnosis.relaxations] + [a.name for a in diagnosis.active]
         limits = [name for name in dict.fromkeys(candidates) if name.startswith(_LIMITS)]
         found: list[Relaxation] = []
@@ -497,9 +539,10 @@ class Candidate:
         return f"{solves} solves" if solves else None
 
     def is_astray(self) -> bool:
-        """Return whether simulation contradicts a converged solution, other than by battery limits.
+        """Return whether the simulated flight deviates from the plan although the solve converged.
 
-        A finer mesh may then help. It would not help against a lack of battery power.
+        A finer mesh may help in this case. The result is False if the battery cannot supply the
+        simulated flight, because a finer mesh does not help then.
         """
         plan = self.flown
         if plan is None or plan.is_verified or self.found.status is not Status.CONVERGED:
@@ -508,10 +551,11 @@ class Candidate:
         return plan.verification is None or plan.verification.is_fed
 
     def tighten(self) -> str | None:
-        """Solve to a smaller tolerance, on a mesh refined where the simulated flight broke a limit.
+        """Solve again to a smaller tolerance and simulate again.
 
-        In a long flight without feedback, small errors of the elements add up, so that the
-        simulated flight may miss the goal although each element meets the tolerance.
+        The mesh is refined where the simulated flight broke a limit. In a long flight without
+        feedback, small errors of the mesh elements add up, so that the simulated flight may miss
+        the goal although each element meets the tolerance.
 
         Returns
         -------
@@ -536,9 +580,9 @@ class Candidate:
         return f"tolerance {self.tolerance:.0e}"
 
     def lacks_power(self) -> bool:
-        """Return whether the battery lacks power for the flight but not for a gentler flight.
+        """Return whether the battery can supply the mean power of a flight but not its peak power.
 
-        A gentler flight has a lower peak power and the same mean power.
+        A gentler flight with a lower peak power may then be possible.
         """
         plan, mission, limits = self.flown, self.mission, self.scenario.limits
         if not mission.problems.is_declared or limits.battery_power_share_max is not None:
@@ -554,17 +598,19 @@ class Candidate:
         return plan.energy <= GIVEN_SHARE * greatest * plan.duration_s
 
     def hold_pack(self, carry_out: Callable[[Candidate], None]) -> str:
-        """Plan the mission again within the battery's power; keep the new plan if it is verified.
+        """Plan the mission again with a limit on the battery's power.
+
+        The new plan replaces the present plan if it is verified.
 
         Parameters
         ----------
         carry_out : callable
-            Function of a candidate that applies the planning strategies.
+            Takes a candidate and applies the planning strategies to it.
 
         Returns
         -------
         str
-            The solver's status.
+            The solver's status of the new plan.
         """
         limits = self.scenario.limits.model_copy(update={"battery_power_share_max": GIVEN_SHARE})
         within = self.mission.told.model_copy(update={"limits": limits})

@@ -1,9 +1,11 @@
-"""Routes raised over terrain: climbs and descents that keep a straight leg above the floor.
+"""Routes raised over terrain, with climbs and descents on legs that are too low.
 
-A leg is the line between two corners of a route. A leg that is too low over the terrain is raised:
-it climbs straight from its start until the line ahead clears the floor everywhere, continues level
-at the greatest height that the terrain requires, and descends straight to its end. Where climb and
-descent meet at nearly that height, the leg has a single corner.
+A leg is the line between two corners of a route. The floor is the least height above the ground
+that the mission allows. A leg that is below the floor anywhere is raised in three straight parts.
+It climbs from its start, continues level at the greatest height that the floor requires along the
+leg, and descends to its end. Climb and descent are just steep enough to clear the floor. If they
+would meet only slightly above the level part, they are joined in a single corner and the level part
+is left out.
 """
 
 from itertools import pairwise
@@ -24,22 +26,22 @@ _HIGHER = 0.1
 
 
 def over_the_ground(places: FloatArray, airspace: Airspace) -> FloatArray:
-    """Return the corners of a route with added corners where its legs are too low over terrain.
+    """Return a route raised where its legs are too low over terrain, with additional corners.
 
-    The route is returned unchanged where the raised route would cut a keep-out zone, and without
-    terrain or floor.
+    The route is returned unchanged if the raised route would enter a keep-out zone, and also if the
+    airspace has no terrain or no floor (least height above the ground).
 
     Parameters
     ----------
     places : ndarray, shape (n, 3)
         Corners of the route [m].
     airspace : Airspace
-        Terrain, floor above it, and zones.
+        Terrain, floor above it, and keep-out zones.
 
     Returns
     -------
     ndarray, shape (m, 3)
-        Corners of the raised route, m >= n.
+        Corners of the raised route [m], m >= n.
     """
     if airspace.ground is None or airspace.floor is None:
         return places
@@ -51,10 +53,11 @@ def over_the_ground(places: FloatArray, airspace: Airspace) -> FloatArray:
 
 
 def _summits(ends: FloatArray, airspace: Airspace, floor: float) -> FloatArray:
-    """Return the corners that raise one leg of a route over terrain, without its ends.
+    """Return the corners that must be inserted to raise one leg of a route over terrain.
 
-    `ends` has shape (2, 3), `floor` is the least height above the ground [m]; the result has a row
-    for each of the n corners, at most two, shape (n, 3).
+    `ends` has the two ends of the leg [m], shape (2, 3); `floor` is the least height above the
+    ground [m]. The result has no, one or two corners, shape (n, 3) [m], without the ends of the
+    leg.
     """
     length = float(np.linalg.norm(np.diff(ends[:, :2], axis=0)))
     step = airspace.ground.least_step if airspace.ground is not None else np.inf

@@ -1,7 +1,7 @@
-"""Columns of a flight's table: name, variable of the model, unit, description and symbol.
+"""Columns of the table of a flight: name, variable of the model, unit, description and symbol.
 
-Tables hold values in the units of the model. A factor, ``scale``, converts them to the printed
-unit: angles, for example, are stored in rad and printed in degrees.
+Tables hold values in the units of the model. The factor ``scale`` of a column converts them to the
+unit in print: angles, for example, are stored in rad and printed in degrees.
 """
 
 from __future__ import annotations
@@ -43,15 +43,17 @@ class Column:
     Attributes
     ----------
     name : str
-        Heading in the table.
+        Heading of the column in the table.
     component, index : str, int or None
-        The component of the model in the column, and its index without time.
+        Component of the model whose values are in the column, and its index other than time, such
+        as the number of a rotor.
     words, symbol, unit : str
-        Name in words, symbol (LaTeX) and unit in print.
+        Name in words, symbol (LaTeX) and unit, as printed in figures.
     scale : float
         Factor from the stored value to the printed value.
     smallest_span : float
-        Least range of an axis [printed unit], so that rounding noise does not fill a panel.
+        Least range of the axis in a figure [printed unit], so that rounding errors of a constant
+        quantity are not drawn over the full height.
     """
 
     name: str
@@ -64,7 +66,10 @@ class Column:
     index: int | None = None
 
     def of(self, frame: pd.DataFrame) -> FloatArray:
-        """Return this column of a flight's table in its printed unit, one value per row."""
+        """Return this column of a flight's table `frame`, converted to the printed unit.
+
+        The result has one value per row of the table.
+        """
         return frame[self.name].to_numpy(dtype=float) * self.scale
 
     @property
@@ -74,7 +79,7 @@ class Column:
 
     @property
     def title(self) -> str:
-        """Symbol, name and unit, as the title of a panel."""
+        """Symbol, name and unit, as the title of a panel in a figure."""
         return f"${self.symbol}$, {self.words} ({self.unit})"
 
     @property
@@ -84,13 +89,16 @@ class Column:
 
     @property
     def label(self) -> str:
-        """Name and unit, as the label of an axis."""
+        """Name and unit, as the label of an axis in a figure."""
         name = f"{self.words[:1].upper()}{self.words[1:]}"
         return f"{name} ({self.unit})" if self.unit else name
 
 
 def _of(block: str) -> Callable[..., Column]:
-    """Return a function that makes columns for the variables of one block of the model."""
+    """Return a function that makes columns for the variables of one block of the model.
+
+    `block` is the name of the block, such as "rotors".
+    """
     return lambda name, shown, *printed: Column(name, f"{block}.{shown}", *printed)
 
 
@@ -147,7 +155,10 @@ def _per_rotor(patterns: Sequence[Column], rotors: Sequence[int]) -> tuple[Colum
 
 
 def columns_of(rotors: Sequence[int]) -> tuple[Column, ...]:
-    """Return all columns other than time for a vehicle with the given rotors, in order."""
+    """Return all columns of a vehicle's table other than time, in the order of the table.
+
+    `rotors` has the numbers of the vehicle's rotors, from 1.
+    """
     return (
         *_OF_THE_BODY,
         *_per_rotor(_SPEEDS, rotors),
@@ -166,7 +177,10 @@ _COLUMN_OF = {shown.variable or shown.name: shown for shown in ALL_COLUMNS}
 
 
 def column_of(variable: str) -> Column:
-    """Return the column for a variable of the model (full name) or for a column's name."""
+    """Return the column for a variable of the model, or for the name of a column.
+
+    `variable` is the full name of the variable, such as "rotors.omega[1]".
+    """
     return _COLUMN_OF[variable]
 
 
@@ -178,7 +192,7 @@ def flight_columns(
     Parameters
     ----------
     dynamics : Dynamics
-        Dynamics of the flown model; columns whose component it lacks are omitted.
+        Equations of the simulated vehicle; columns are omitted if the model lacks their component.
     t : ndarray, shape (n,)
         Times [s].
     states : ndarray, shape (n, n_states)
@@ -191,7 +205,7 @@ def flight_columns(
     Returns
     -------
     dict
-        Name -> values, shape (n,): `TIME` first, then `COLUMNS`.
+        Name of the column -> values, shape (n,): `TIME` first, then the columns of `columns_of`.
     """
     count = sum(name.startswith(_ROTOR_CONTROL) for name in dynamics.control_names)
     columns_here = columns_of(range(1, count + 1)) if count else COLUMNS
@@ -220,8 +234,8 @@ def flight_frame(
 
     Examples
     --------
-    >>> held, times = plan.trajectories, plan.times(rate_hz=1.0)
-    >>> values = held.states_at(times), held.controls_at(times), held.energy_at(times)
+    >>> path, times = plan.trajectories, plan.times(rate_hz=1.0)
+    >>> values = path.states_at(times), path.controls_at(times), path.energy_at(times)
     >>> list(flight_frame(plan.dynamics, times, *values))[:3]
     ['time_s', 'x_m', 'y_m']
     """
@@ -231,7 +245,7 @@ def flight_frame(
 
 
 def dataset_of(frame: pd.DataFrame) -> xr.Dataset:
-    """Return a flight's table as an xarray dataset whose variables have units and long names."""
+    """Return the table of a flight as an xarray dataset with units and long names."""
     data = frame.to_xarray()
     for column in ALL_COLUMNS:
         if column.name in data:

@@ -1,12 +1,13 @@
 """Adaptive backstepping controller for position and attitude of a quadrotor.
 
 The paper (Yacef et al.) cites such a controller without giving its equations; this module has a
-controller of the same kind. Law, Lyapunov proof and limits: see docs/theory/controller.md, eqs. (1)
-to (11).
+controller of the same kind. For the control law, the proof by a Lyapunov function and the limits,
+see docs/theory/controller.md, eqs. (1) to (11).
 
-The control law is written once for two uses. Called with numbers, it returns numbers; called with
-symbols of the engine, it returns expressions that are compiled together with the vehicle. It
-therefore uses only arithmetic and NumPy's scalar functions, and no branch depends on a value.
+The control law is written once for two uses. Called with numbers, it returns numbers. Called with
+the symbolic variables of the collocation engine, it returns expressions that are compiled together
+with the equations of the vehicle. It therefore uses only arithmetic and NumPy's scalar functions,
+and no branch depends on a value.
 """
 
 from collections.abc import Iterable, Sequence
@@ -27,26 +28,35 @@ Vector = Sequence[float]
 
 
 class AttitudeKinematics(Protocol):
-    """Interface: relation between the rates of roll, pitch and yaw and the body rates."""
+    """Interface of the attitude kinematics: rates of the angles from body rates, and the inverse.
+
+    The angles are roll, pitch and yaw [rad]; the body rates are the angular velocities about the
+    body axes [rad/s].
+    """
 
     def angle_rates(self, attitude: Vector, body_rates: Vector, /) -> Vector:
-        """Return the rates of roll, pitch and yaw for given body rates [rad/s]."""
+        """Return the time derivatives of roll, pitch and yaw for given body rates, all in rad/s.
+
+        `attitude` holds roll, pitch and yaw [rad].
+        """
 
     def angle_accelerations(
         self, attitude: Vector, body_rates: Vector, body_accelerations: Vector, /
     ) -> Vector:
-        """Return the second derivatives of roll, pitch and yaw for given body accelerations.
+        """Return the second time derivatives of roll, pitch and yaw [rad/s^2].
 
-        The attitude is in rad, the rates are in rad/s, the accelerations in rad/s^2.
+        `attitude` holds roll, pitch and yaw [rad], `body_rates` the angular velocities about the
+        body axes [rad/s], and `body_accelerations` their time derivatives [rad/s^2].
         """
 
     def body_accelerations(
         self, attitude: Vector, body_rates: Vector, angle_accelerations: Vector, /
     ) -> Vector:
-        """Return the angular accelerations about the body axes for given second angle derivatives.
+        """Return the angular accelerations about the body axes [rad/s^2].
 
-        `angle_accelerations` holds the second derivatives of roll, pitch and yaw. All accelerations
-        are in rad/s^2.
+        `attitude` holds roll, pitch and yaw [rad], `body_rates` the angular velocities about the
+        body axes [rad/s], and `angle_accelerations` the second time derivatives of roll, pitch and
+        yaw [rad/s^2].
         """
 
 
@@ -57,22 +67,25 @@ class EquatedRates:
     """
 
     def angle_rates(self, _attitude: Vector, body_rates: Vector) -> Vector:
-        """Return the body rates unchanged, as the rates of roll, pitch and yaw [rad/s]."""
+        """Return the body rates, which equal the rates of roll, pitch and yaw here [rad/s]."""
         return body_rates
 
     def angle_accelerations(
         self, _attitude: Vector, _body_rates: Vector, body_accelerations: Vector
     ) -> Vector:
-        """Return the body accelerations unchanged: they equal the accelerations of the angles.
+        """Return the body accelerations, which equal the accelerations of the angles [rad/s^2].
 
-        All are in rad/s^2; the angles are roll, pitch and yaw.
+        The angles are roll, pitch and yaw.
         """
         return body_accelerations
 
     def body_accelerations(
         self, _attitude: Vector, _body_rates: Vector, angle_accelerations: Vector
     ) -> Vector:
-        """Return the angle accelerations unchanged: they equal the body accelerations [rad/s^2]."""
+        """Return the accelerations of the angles, which equal the body accelerations [rad/s^2].
+
+        The angles are roll, pitch and yaw.
+        """
         return angle_accelerations
 
 
@@ -83,7 +96,10 @@ class EulerRates:
     """
 
     def angle_rates(self, attitude: Vector, body_rates: Vector) -> Vector:
-        """Return the rates of roll, pitch and yaw [rad/s], singular at a pitch of 90 degrees."""
+        """Return the rates of roll, pitch and yaw for given body rates, all in rad/s.
+
+        They are singular at a pitch of 90 degrees. `attitude` holds roll, pitch and yaw [rad].
+        """
         roll, pitch, _ = attitude
         p, q, r = body_rates
         turning = q * np.sin(roll) + r * np.cos(roll)
@@ -96,9 +112,10 @@ class EulerRates:
     def angle_accelerations(
         self, attitude: Vector, body_rates: Vector, body_accelerations: Vector
     ) -> Vector:
-        """Return the accelerations of roll, pitch and yaw for given body accelerations.
+        """Return the second time derivatives of roll, pitch and yaw [rad/s^2].
 
-        All are in rad/s^2.
+        `attitude` holds roll, pitch and yaw [rad], `body_rates` the angular velocities about the
+        body axes [rad/s], and `body_accelerations` their time derivatives [rad/s^2].
         """
         linear = self.angle_rates(attitude, body_accelerations)
         turning = self._turning(attitude, body_rates)
@@ -107,9 +124,10 @@ class EulerRates:
     def body_accelerations(
         self, attitude: Vector, body_rates: Vector, angle_accelerations: Vector
     ) -> Vector:
-        """Return the body accelerations for given angle accelerations, without singularity.
+        """Return the angular accelerations about the body axes for given angle accelerations.
 
-        Both are in rad/s^2.
+        The angle accelerations are the second time derivatives of roll, pitch and yaw. All
+        accelerations are in rad/s^2.
         """
         roll, pitch, _ = attitude
         turning = self._turning(attitude, body_rates)
@@ -124,7 +142,11 @@ class EulerRates:
         )
 
     def _turning(self, attitude: Vector, body_rates: Vector) -> Vector:
-        """Return the accelerations of roll, pitch and yaw at constant body rates [rad/s^2]."""
+        """Return the second derivatives of roll, pitch and yaw at constant body rates [rad/s^2].
+
+        They are not zero, because the relation between angle rates and body rates depends on the
+        attitude.
+        """
         pitch = attitude[1]
         rolling, pitching, yawing = self.angle_rates(attitude, body_rates)
         return (
@@ -151,6 +173,8 @@ _MIXER_ROWS = (
 def rotor_columns(dynamics: Dynamics) -> list[int]:
     """Return the indices of the rotor speeds among the states, in the order of the controls.
 
+    The controls are the rotor accelerations.
+
     Parameters
     ----------
     dynamics : Dynamics
@@ -159,7 +183,7 @@ def rotor_columns(dynamics: Dynamics) -> list[int]:
     Returns
     -------
     list of int
-        One column for each rotor.
+        One index for each rotor.
     """
     names = list(dynamics.state_names)
     return [names.index(name.replace("alpha", "omega")) for name in dynamics.control_names]
@@ -188,17 +212,18 @@ def mixer_matrix(dynamics: Dynamics) -> FloatArray:
 
 
 class Allocation:
-    """Rotor speeds for a commanded thrust and moments, within the limits of the rotors.
+    """Control allocation: rotor speeds for a commanded thrust and moments, within the limits.
 
     If the limits do not allow the whole command, roll and pitch moment have priority over thrust,
-    and thrust over the yaw moment: a vehicle that keeps its attitude can recover the rest.
+    and thrust has priority over the yaw moment: a vehicle that keeps its roll and pitch can correct
+    errors of height and yaw later.
 
     Parameters
     ----------
     mixer : ndarray, shape (4, n_rotors)
         Matrix returned by `mixer_matrix`.
     limits : Limits
-        Rotor speeds, thrust and moments allowed.
+        Limits on rotor speeds, thrust and moments.
     """
 
     def __init__(self, mixer: FloatArray, limits: Limits) -> None:
@@ -219,14 +244,14 @@ class Allocation:
         Parameters
         ----------
         thrust : float
-            Total thrust wanted, N.
+            Commanded total thrust [N].
         moments : sequence of three floats
-            Roll, pitch and yaw moment wanted, N m.
+            Commanded roll, pitch and yaw moment [N m].
 
         Returns
         -------
-        list of four floats
-            Speeds within the limits, rad/s.
+        list of float
+            Speed of each rotor within its limits [rad/s].
         """
         low, high = self._lowest, self._highest
         roll = _clipped(moments[0], -self._roll_max, self._roll_max)
@@ -244,18 +269,18 @@ class Allocation:
         return [np.sqrt(_clipped(square, low, high)) for square in turned]
 
     def tilting_moment_at(self, thrust: float) -> tuple[float, float]:
-        """Return the largest roll and pitch moments at a thrust within the rotor speed limits.
+        """Return the largest roll and pitch moments that the rotor speed limits allow at a thrust.
 
         Parameters
         ----------
         thrust : float
-            Total thrust, N, shared by the rotors without any moment.
+            Total thrust [N], equal on all rotors before the moment is added.
 
         Returns
         -------
         roll, pitch : float
-            Largest roll moment without pitch moment, and largest pitch moment without roll moment,
-            N m.
+            Largest roll moment without pitch moment, and largest pitch moment without roll moment
+            [N m].
         """
         squares = [self._share * thrust] * len(self._roll)
         _, roll = _steps_within(squares, self._roll, self._lowest, self._highest)
@@ -266,10 +291,11 @@ class Allocation:
 def _steps_within(
     values: Sequence[float], direction: Sequence[float], low: float, high: float
 ) -> tuple[float, float]:
-    """Return the largest steps along a direction, backward and forward, within limits of values.
+    """Return the largest steps, backward and forward, for which all values stay within limits.
 
-    Each value changes by the step times its component of `direction`, and stays between `low` and
-    `high`.
+    A step s changes each value to ``value + s * component``, where ``component`` is the
+    corresponding component of `direction`. All changed values must lie between `low` and `high`.
+    The first result is negative or zero, the second is positive or zero.
     """
     ways = [(value, share) for value, share in zip(values, direction, strict=True) if share != 0.0]
     back = [((low if share > 0 else high) - value) / share for value, share in ways]
@@ -298,20 +324,20 @@ _PROJECTION_LAYER = 0.1
 
 
 def bend(magnitude: float, limit: float) -> float:
-    """Limit a number smoothly; values well below the limit stay unchanged.
+    """Limit the magnitude of a number smoothly; values well below the limit stay unchanged.
 
     Parameters
     ----------
     magnitude : float
-        Any number.
+        Number to limit, of either sign.
     limit : float
         Largest absolute value of the result, positive.
 
     Returns
     -------
     float
-        The number itself up to 80 % of the limit, then a tanh that approaches the limit; two
-        derivatives are continuous.
+        The number itself up to 80 % of the limit, beyond that a tanh that approaches the limit. The
+        first two derivatives are continuous.
     """
     straight = _LINEAR_SHARE * limit
     rest = limit - straight
@@ -320,7 +346,7 @@ def bend(magnitude: float, limit: float) -> float:
 
 
 def braking_rate(error: float, gain: float, acceleration_max: float) -> float:
-    """Return the rate at which to reduce an error so that limited deceleration can end it at zero.
+    """Return the rate at which to reduce a tracking error to zero with limited deceleration.
 
     Parameters
     ----------
@@ -346,9 +372,9 @@ def braking_rate(error: float, gain: float, acceleration_max: float) -> float:
 
 
 def project(estimate: Sequence[float], rate: Sequence[float], bound: float) -> list[float]:
-    """Limit an estimate's rate so that the estimate stays in a ball (projection operator).
+    """Limit the rate of an adaptive estimate, so that the estimate stays in a ball about zero.
 
-    Smooth projection of Krstic, Kanellakopoulos and Kokotovic (1995): see
+    This is the smooth projection operator of Krstic, Kanellakopoulos and Kokotovic (1995): see
     docs/theory/controller.md, eq. (6).
 
     Parameters
@@ -363,9 +389,9 @@ def project(estimate: Sequence[float], rate: Sequence[float], bound: float) -> l
     Returns
     -------
     list of float
-        The rate to apply, a continuous function of the arguments. For every true value inside 90 %
-        of the ball, (estimate - true) . (result - rate) <= 0, so that the projection never
-        increases the Lyapunov function V.
+        The rate to apply, a continuous function of the arguments. For every true value of the
+        estimated quantity within 90 % of the radius, (estimate - true) . (result - rate) <= 0, so
+        that the projection never increases the Lyapunov function V of the controller.
     """
     outward = sum(d * r for d, r in zip(estimate, rate, strict=True))
     inner = bound * (1 - _PROJECTION_LAYER)
@@ -387,9 +413,10 @@ class BacksteppingLoop:
 
     Law and proof: see docs/theory/controller.md, eqs. (1) to (7).
 
-    The states of the loop, in order: xi_p (3) and xi_v (3), the effects of actuator lag on error
-    and error rate, and d_hat (3), the estimated disturbance. Errors are in m for the position and
-    in rad for the attitude; rates and accelerations are in the same unit per s and per s^2.
+    The nine states of the loop are, in order, xi_p (3) and xi_v (3), the effects of the actuators'
+    lag on the error and on the error rate, and d_hat (3), the estimated disturbance (an
+    acceleration). Errors are in m for the position and in rad for the attitude; rates and
+    accelerations are in the same unit per s and per s^2.
     """
 
     outer: tuple[float, float, float]
@@ -416,12 +443,14 @@ class BacksteppingLoop:
     ) -> list[float]:
         """Return the initial states of the loop, for which the compensated errors are zero.
 
+        Compensated errors are the tracking errors minus the effects of the actuators' lag.
+
         Parameters
         ----------
         error, error_rate : sequence of three floats
             Tracking error e and its rate e' at the start.
         learnt : sequence of three floats, optional
-            Estimate of the disturbance to start with.
+            Initial estimate of the disturbance.
 
         Returns
         -------
@@ -495,7 +524,8 @@ class BacksteppingLoop:
 def _shrink(vector: Sequence[float], reach: float) -> float:
     """Return the factor 1 / sqrt(1 + |v|^2 / reach^2), which limits the length of a vector v.
 
-    The product of factor and vector is always shorter than `reach`.
+    The product of factor and vector is always shorter than `reach`. The vector has three
+    components.
     """
     a, b, c = vector
     return 1 / np.sqrt(1 + (a * a + b * b + c * c) / reach**2)
@@ -559,9 +589,9 @@ def _size(vector: Sequence[float]) -> float:
 def followed_tilt(believed: Scenario) -> float:
     """Return the largest tilt that the controller of a scenario commands [rad].
 
-    A scenario may give it as `baseline.gains.tilt_max`. Otherwise it is the tilt at which the
-    largest commanded thrust still balances the weight. In both cases it is at most the tilt that
-    the limits on roll and pitch allow.
+    A scenario may give this tilt as `baseline.gains.tilt_max`. Otherwise it is the tilt at which
+    the largest commanded thrust still balances the weight. In both cases the limits on roll and
+    pitch bound it.
     """
     limits, gains, gravity = believed.limits, believed.baseline.gains, believed.gravity
     spare = limits.thrust_max / believed.vehicle.total_mass - gravity
@@ -571,7 +601,10 @@ def followed_tilt(believed: Scenario) -> float:
 
 
 class ThrustEnvelope:
-    """Set of accelerations, gravity excluded, that the limits of thrust and tilt allow.
+    """Set of accelerations of the vehicle that the limits of thrust and tilt allow.
+
+    The acceleration is zero in hover: the thrust divided by the mass is the acceleration plus the
+    gravitational acceleration upwards.
 
     Parameters
     ----------
@@ -591,23 +624,24 @@ class ThrustEnvelope:
     def limited(
         self, acceleration: Sequence[float], planned: Sequence[float] = (0.0,) * _AXES
     ) -> tuple[float, float, float]:
-        """Shorten the correction that a command adds to a plan, to keep the limits.
+        """Limit the commanded acceleration by reducing its difference from the planned one.
 
-        The acceleration of the plan is not shortened, because a plan keeps the limits of the
-        vehicle. If it uses more thrust or tilt than the set allows, the set grows to include it.
+        The acceleration of the plan is not reduced, because a plan keeps the limits of the
+        vehicle. If it needs more thrust or tilt than the set allows, the set is enlarged to include
+        it.
 
         Parameters
         ----------
         acceleration : sequence of three floats
-            Commanded acceleration, without gravity, m/s^2.
+            Commanded acceleration of the vehicle, zero in hover [m/s^2].
         planned : sequence of three floats, optional
-            Acceleration of a plan, without gravity, m/s^2; zero without a plan, for which the whole
-            command is shortened, and parallel to the command.
+            Acceleration of the plan, zero in hover [m/s^2]. It is also zero without a plan; the
+            result is then parallel to the command.
 
         Returns
         -------
         tuple of three floats
-            Acceleration of the plan and shortened correction, m/s^2.
+            Acceleration of the plan plus the reduced difference, m/s^2.
         """
         whole, own = (self._shortened(vector, planned) for vector in (acceleration, planned))
         x, y, z = (a + b - c for a, b, c in zip(planned, whole, own, strict=True))
@@ -622,8 +656,8 @@ class ThrustEnvelope:
     def _reach(self, along: float, upward: float, planned: Sequence[float]) -> float:
         """Return the largest acceleration in a direction that thrust and tilt allow [m/s^2].
 
-        `along` and `upward` are the horizontal and vertical components of the direction's unit
-        vector. The set includes the acceleration `planned`.
+        `along` and `upward` are the horizontal and vertical components of the unit vector in this
+        direction. The set of allowed accelerations includes the acceleration `planned`.
         """
         gravity = self._gravity
         level, lift = _size(planned[:2]), planned[2] + gravity
@@ -679,8 +713,9 @@ _UNKNOWN_TILTING, _UNPLANNED = (0.0,) * 4, (0.0,) * _AXES
 class AdaptiveController:
     """Adaptive controller of a quadrotor: position loop, command filter, attitude loop, allocation.
 
-    The position loop commands a tilt, and the attitude loop follows it: see
-    docs/theory/controller.md.
+    The position loop commands a force, which determines thrust and tilt. The command filter makes
+    the tilt command smooth, the attitude loop follows the filtered tilt, and the allocation gives
+    the rotor speeds: see docs/theory/controller.md.
 
     Parameters
     ----------
@@ -736,7 +771,7 @@ class AdaptiveController:
         setpoint : Setpoint
             First setpoint of the reference.
         body : sequence of twelve floats
-            The `MEASURED_STATES`.
+            The `MEASURED_STATES`: position, velocity, attitude and body rates.
         last : sequence of 22 floats, optional
             The controller's states at the end of the previous reference, if there was one. The
             attitude command continues from them without a jump; only the position loop is reset.
@@ -765,17 +800,18 @@ class AdaptiveController:
         ]
 
     def command(self, reference: ReferencePath, t: float) -> list[float]:
-        """Return the controller's input from a reference path at time t [s].
+        """Return the controller's input, computed from a reference path at time t [s].
 
         Returns
         -------
         list of `COMMAND_SIZE` floats
-            Setpoint (position and yaw with two derivatives); the accelerations along world x and y
-            for which the vehicle tilts; rates and accelerations of roll and pitch; the plan's
-            acceleration, three numbers; and the payload released [kg]. A plan gives all of them at
-            time t. Other references give no rates and accelerations of roll and pitch and no
-            acceleration of a plan (they are zero here), and the accelerations for the tilt are
-            taken at a later time, because the vehicle reaches a commanded tilt with a lag.
+            In order: setpoint (position and yaw with their first two derivatives); accelerations
+            along world x and y for which the vehicle tilts; rates and accelerations of roll and
+            pitch; the three accelerations of a plan; and the payload released so far [kg]. A plan
+            gives all of them at time t. References other than a plan give zero for the rates and
+            accelerations of roll and pitch and for the accelerations of a plan. Their accelerations
+            for the tilt are taken at a later time than t, because the vehicle reaches a commanded
+            tilt with a lag.
         """
         place, rate, acceleration, tilting = reference(t)
         left = self._released(t)
@@ -794,14 +830,14 @@ class AdaptiveController:
         omega: Sequence[float],
         states: Sequence[float],
     ) -> tuple[list[float], list[float]]:
-        """Return the commanded rotor accelerations and the rates of the controller's states.
+        """Return the commanded rotor accelerations, and the derivatives of the controller's states.
 
         Parameters
         ----------
         command : sequence of 22 floats
             Command from the reference, as `command` returns it.
         body : sequence of twelve floats
-            The `MEASURED_STATES`.
+            The `MEASURED_STATES`: position, velocity, attitude and body rates.
         omega : sequence of four floats
             Rotor speeds, rad/s.
         states : sequence of 22 floats
@@ -847,9 +883,10 @@ class AdaptiveController:
         return alpha, [*position_rates, *attitude_rates, *command_rates]
 
     def _most_rotor_acceleration(self, speed: float) -> float:
-        """Return the largest rotor acceleration at a rotor speed [rad/s^2].
+        """Return the largest rotor acceleration at a given rotor speed [rad/s^2].
 
-        At high rotor speed the lag of the motors reduces this limit.
+        Near the largest rotor speed, the lag of the motors reduces this limit. `speed` is the rotor
+        speed [rad/s].
         """
         most = self._rotor_acceleration_max
         if not self._motor_lag:
@@ -863,10 +900,12 @@ class AdaptiveController:
         command: Sequence[float],
         states: Sequence[float],
     ) -> tuple[list[float], list[float]]:
-        """Return the filtered roll and pitch accelerations, and the rates of the filter's states.
+        """Return the accelerations of the commanded tilt, and the rates of the filter's states.
 
-        The command filter follows the tilt that points the thrust along ``force`` [N] at yaw
-        ``yaw`` [rad]; ``states`` holds its four states, and ``command`` the plan's rates.
+        The command filter smooths the roll and pitch that point the thrust along ``force`` [N] at
+        yaw ``yaw`` [rad]. ``states`` holds its four states, the commanded roll and pitch and their
+        rates. ``command`` is the controller's input, which gives the planned rates of roll and
+        pitch.
         """
         angles, angle_rates = states[:2], states[2:]
         targets = [
@@ -896,7 +935,12 @@ class AdaptiveController:
         achieved: Sequence[float],
         states: Sequence[float],
     ) -> tuple[list[float], list[float]]:
-        """Return the commanded moments [N m] and the rates of the attitude loop's states."""
+        """Return the commanded moments [N m], and the derivatives of the attitude loop's states.
+
+        `setpoint` gives the yaw to follow, `tilt_acceleration` the commanded accelerations of roll
+        and pitch [rad/s^2]. `body` holds the `MEASURED_STATES`, `achieved` the present moments of
+        the rotors [N m], and `states` the `CONTROLLER_STATES`.
+        """
         command, attitude, body_rates = states[_COMMAND], body[6:9], body[9:12]
         turning = [
             moment / inertia for moment, inertia in zip(achieved, self._inertia, strict=True)
@@ -916,7 +960,7 @@ class AdaptiveController:
 
 
 def feedback_law(controller: AdaptiveController, dynamics: Dynamics) -> Law:
-    """Return the controller as a feedback law that reads the full state vector of a vehicle.
+    """Return the controller as a feedback law, a function of the full state vector of a vehicle.
 
     Parameters
     ----------

@@ -1,11 +1,12 @@
 """Corridors through a wind field: cheap routes that lie apart, found by a search on a grid.
 
-A grid covers start, goal and zones. Straight lines join each point of the grid to 16 neighbours,
-except through zones and where the wind is unknown.  The cost of a line is the cost of steady flight
-along it: (P(a) + price of time) / g per metre, at the ground speed g that makes this cost least.
-The wind at both ends and in the middle of the line gives the airspeed a; the power P at airspeed a
-is tabulated once.  If the field changes with time, the wind at a place is taken at the time when a
-flight at constant speed would pass the place.
+A corridor is a route through the wind field that is cheap and far from other cheap routes.  It is
+found on a grid of points about start and goal.  Straight lines join each point of the grid to 16
+neighbours, except through keep-out zones and where the wind is unknown.  The cost of a line is the
+cost of steady flight along it: (P(a) + price of time) / g per metre, at the ground speed g that
+makes this cost least.  The airspeed a follows from g and from the wind at both ends and in the
+middle of the line; the power P at airspeed a is tabulated once.  If the field changes with time,
+the wind at a place is taken at the time when a flight at constant speed would pass the place.
 
 Two searches by Dijkstra's method, from the start and from the goal, give the cheapest route through
 every grid point.  The cheapest of these routes is the first corridor.  The next corridor is the
@@ -16,8 +17,8 @@ where a straight line costs no more, and the route is discarded if it then coinc
 corridor.
 
 The price of time [W] is the weight of the duration in the cost. If the duration is free, the
-mission states it; if the duration is fixed, it is chosen so that the cheapest route takes this
-duration.
+mission states the price; if the duration is fixed, the price is chosen so that the cheapest route
+takes this duration.
 
 .. [1] Abraham, Delling, Goldberg and Werneck, "Alternative routes in road networks",
    ACM Journal of Experimental Algorithmics 18 (2013): routes through one place.
@@ -63,7 +64,7 @@ _SHARES = (0.0, 0.5, 1.0)
 
 
 def steady_power(steady: SteadyFlight) -> Callable[[FloatArray], FloatArray]:
-    """Return the power of level flight in still air [W] as a function of airspeed [m/s].
+    """Return a function that gives the power of level flight in still air [W] from airspeeds [m/s].
 
     The function interpolates a table. It is infinite above the largest tabulated airspeed at which
     the vehicle can fly steadily.
@@ -104,8 +105,8 @@ class WindMap:
     def at(self, places: FloatArray, times: FloatArray) -> FloatArray:
         """Return the horizontal wind [m/s] at n places and times in flight, shape (n, 2).
 
-        `places` has shape (n, 3), m, and `times` shape (n,), s. The wind is NaN where the field has
-        no wind.
+        `places` has shape (n, 3), m, and `times` shape (n,), s. The wind is NaN at places and times
+        for which the field gives no value.
         """
         grid, when = self._grid, times + self._offset
         columns = [*places[:, :2].T]
@@ -127,16 +128,16 @@ class LineCosts:
     told : Scenario
         The mission in its forecast wind.
     wind : WindMap
-        Wind of the field.
+        Wind at any place and time.
     power : callable
         Takes airspeeds [m/s] and returns the power of level flight [W].
     ends : ndarray, shape (2, 3)
         Ends of the leg, from one waypoint to the next [m].
     duration : float
-        Duration of the leg, or a guess if the duration is free [s]. The time at which the flight
-        passes a place follows from it.
+        Duration of the leg, or a guess if the duration is free [s]. The wind at a place is taken at
+        the time when a flight of this duration at constant speed passes the place.
     fastest : float
-        Limit on the ground speed, m/s.
+        Largest ground speed [m/s].
     """
 
     told: Scenario
@@ -182,7 +183,11 @@ class LineCosts:
         return costs, times
 
     def _passed(self, places: FloatArray) -> FloatArray:
-        """Return the time at which a flight at constant speed passes each of n places [s]."""
+        """Return the time at which a flight along the leg at constant speed passes n places [s].
+
+        A place beside the leg is passed when the flight is at the foot of the perpendicular.
+        `places` has shape (n, 3), m; the result has shape (n,).
+        """
         way = self.ends[1] - self.ends[0]
         share = (places - self.ends[0]) @ way / max(way @ way, 1.0)
         return self.duration * np.clip(share, 0.0, 1.0)
@@ -212,9 +217,10 @@ def has_corridors(told: Scenario) -> bool:
 
 
 def estimate_of(journey: Journey) -> float | None:
-    """Return the energy of steady flight along a journey [J]; None in unknown wind.
+    """Return the energy of steady flight along a journey [J]; None if it is unknown for a route.
 
-    A journey is a route for each leg of the mission, from one waypoint to the next.
+    A journey is a sequence of routes, one for each leg of the mission from one waypoint to the
+    next.
     """
     known = [route.estimate_J for route in journey if route.estimate_J is not None]
     return sum(known) if len(known) == len(journey) else None
@@ -225,16 +231,16 @@ def corridor_journeys(
 ) -> tuple[Journey, ...]:
     """Return journeys along cheap routes through a wind field, the cheapest first.
 
-    A journey is a route for each leg of the mission, from one waypoint to the next; a leg may have
-    several cheap routes that lie apart (corridors). The last journey is the shortest one, because a
-    grid may be too coarse to resolve its corridors.
+    A journey is a sequence of routes, one for each leg of the mission from waypoint to waypoint. A
+    leg may have several cheap routes that lie apart (corridors). The last journey returned is the
+    shortest one, which is always included because the grid may be too coarse to find it.
 
     Parameters
     ----------
     told : Scenario
         The mission in its forecast wind, which has a field.
     steady : SteadyFlight
-        Steady flight in still air.
+        Calculator of steady flight in still air, which gives the power.
     shortest : tuple of Route
         The shortest journey, regardless of the wind.
     """
@@ -290,9 +296,10 @@ class Corridors:
         self._search = _Search(self._costs, *grid, price)
 
     def routes(self) -> list[Route]:
-        """Return cheap routes of the leg that lie apart (corridors), the cheapest first.
+        """Return the corridors of the leg: cheap routes that lie apart, the cheapest first.
 
-        Empty if no route leads through the grid. A leg is the flight from one waypoint to the next.
+        A leg is the flight from one waypoint to the next. The result is empty if no route leads
+        through the grid.
         """
         return [
             Route(
@@ -305,9 +312,10 @@ class Corridors:
         ]
 
     def energy_of(self, places: FloatArray) -> float | None:
-        """Return the energy of steady flight along the straight lines between places [J].
+        """Return the energy of steady flight along straight lines through places [J].
 
-        `places` has shape (n, 3), m. None if a part of the wind is unknown.
+        `places` has shape (n, 3), m. The result is None if the wind is unknown on a part of the way
+        or a zone blocks it.
         """
         pieces = [
             np.linspace(a, b, 2 + int(np.linalg.norm(b - a) / self._way * _PLACES))[:-1]
@@ -322,14 +330,23 @@ class Corridors:
 def _grid(
     told: Scenario, ends: FloatArray
 ) -> tuple[FloatArray, NDArray[np.intp], NDArray[np.intp]]:
-    """Return the points of the search grid and the pairs of points that lines join.
+    """Return the points of the search grid, and the pairs of points that are joined by lines.
+
+    The grid covers start and goal of a leg with a margin.
+
+    Parameters
+    ----------
+    told : Scenario
+        The mission in its forecast wind, which has a field.
+    ends : ndarray, shape (2, 3)
+        Start and goal of the leg [m].
 
     Returns
     -------
     places : ndarray, shape (n, 3)
         Start, goal, and grid points [m], n in all.
     first, last : ndarray of int, shape (n_lines,)
-        Indices of the ends of each line.
+        Indices of the two ends of each line; each line is included in both directions.
     """
     margin = _MARGIN * float(np.linalg.norm(ends[1] - ends[0]))
     low, high = ends[:, :2].min(axis=0) - margin, ends[:, :2].max(axis=0) + margin
@@ -368,7 +385,8 @@ def _price_of(
 ) -> float:
     """Return the price of time [W] at which the cheapest route takes a given duration [s].
 
-    The price is found by bisection.
+    The price is the weight of the duration in the cost of a route. It is found by bisection.
+    `places`, `first` and `last` describe the grid, as `_grid` returns them.
     """
     hover = float(costs.power(np.zeros(1))[0])
     low, high = -0.95 * hover, 20.0 * hover
@@ -380,9 +398,10 @@ def _price_of(
 
 
 class _Search:
-    """Cheapest routes from start to goal through every point of a grid.
+    """Search for the cheapest routes from start to goal through each point of a grid.
 
-    The cost of a route is its energy plus the price of time [W] times its duration.
+    The cost of a route is its energy plus the price of time [W] times its duration. Two runs of
+    Dijkstra's algorithm, from the start and from the goal, give all costs.
     """
 
     def __init__(
@@ -409,9 +428,9 @@ class _Search:
         return sum(float(self._times[a, b]) for a, b in pairwise(nodes)) or inf
 
     def corridors(self, separation: float) -> list[FloatArray]:
-        """Return the cheapest routes that lie apart by a separation [m] (corridors).
+        """Return the corridors: cheap routes that are at least `separation` [m] apart.
 
-        Each is an array of corners, shape (n, 3), m; the cheapest comes first.
+        Each route is an array of corners, shape (n, 3), m; the cheapest route comes first.
         """
         through = self._ahead + self._back
         most = (1.0 + _DEARER) * through[1]
@@ -432,7 +451,10 @@ class _Search:
         return [places for _, places in found]
 
     def _through(self, node: int) -> list[int]:
-        """Return the points of the cheapest route through a grid point; empty without a route."""
+        """Return the indices of the points along the cheapest route through one grid point.
+
+        `node` is the index of this point. The result is empty if no route leads through it.
+        """
         if not np.isfinite(self._ahead[node] + self._back[node]):
             return []
         nodes = [node]
@@ -446,7 +468,10 @@ class _Search:
         return float(self._costs.of(places[:-1], places[1:], self._price)[0].sum())
 
     def _without_needless_corners(self, places: FloatArray) -> FloatArray:
-        """Return a route without the corners that a straight line avoids at no extra cost."""
+        """Return a route without the corners that can be cut by a straight line at no extra cost.
+
+        `places` has the corners of the route, shape (n, 3) [m].
+        """
         kept = [0]
         while kept[-1] < len(places) - 1:
             here = kept[-1]
@@ -460,7 +485,10 @@ class _Search:
 
 
 def _distance(places: FloatArray, route: FloatArray) -> FloatArray:
-    """Return the distance of each of n places (n, 3) from a polygonal route, shape (n,) [m]."""
+    """Return the distances of n places from a route of straight lines, shape (n,) [m].
+
+    `places` has shape (n, 3), `route` has the corners of the route, shape (m, 3), all in m.
+    """
     starts, way = route[:-1], np.diff(route, axis=0)
     lengths = np.maximum(np.sum(way**2, axis=1), np.finfo(float).tiny)
     away = places[:, None] - starts

@@ -1,8 +1,8 @@
-"""Covariance of flights under feedback in turbulence, by linearising the closed loop.
+"""Covariance of the states of flights in turbulence, by linearisation of the closed loop.
 
-Vehicle, adaptive controller and the filters of the turbulence form one system, linearised along the
-flight without gusts; see docs/theory/risk.md, eqs. (4) to (6). The errors of forecast, mass and
-power are constant states of this system.
+Vehicle, adaptive controller and the filters that model turbulence form one system of differential
+equations. It is linearised along the flight without gusts; see docs/theory/risk.md, eqs. (4) to
+(6). The errors of wind forecast, mass and power are constant states of this system.
 """
 
 from dataclasses import dataclass
@@ -48,7 +48,7 @@ _LOST = 1e6
 
 @dataclass(frozen=True, kw_only=True)
 class Spread:
-    """Normal distribution of the states of flights in turbulence, at n times.
+    """Normal distribution of the states of flights in turbulence that follow a plan, at n times.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class Spread:
     onward : ndarray, shape (n - 1, n_states, n_states)
         Covariance between the states at one time and at the next.
     dynamics : Dynamics
-        The vehicle in the wind, without gusts.
+        Equations of the vehicle in the mean wind, without gusts.
     """
 
     t: FloatArray
@@ -72,12 +72,12 @@ class Spread:
     dynamics: Dynamics
 
     def of(self, *names: str) -> FloatArray:
-        """Return the covariance of some states at the n times, shape (n, n_names, n_names)."""
+        """Return the covariance of the named states at the n times, shape (n, n_names, n_names)."""
         chosen = [self.dynamics.state_names.index(name) for name in names]
         return self.covariance[:, chosen][:, :, chosen]
 
     def deviation(self, name: str) -> FloatArray:
-        """Return the standard deviation of a state at each of the n times, shape (n,)."""
+        """Return the standard deviation of the named state at the n times, shape (n,)."""
         return np.sqrt(self.of(name)[:, 0, 0])
 
 
@@ -92,7 +92,7 @@ def spread_along(scenario: Scenario, plan: Plan, planner: Planner) -> Spread:
     plan : Plan
         Plan that the adaptive controller follows.
     planner : Planner
-        Holds compiled equations.
+        Planner that has compiled the equations.
 
     Returns
     -------
@@ -127,7 +127,7 @@ def spread_along(scenario: Scenario, plan: Plan, planner: Planner) -> Spread:
 def propagated(
     start: FloatArray, transitions: FloatArray, noise: FloatArray, constants: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Propagate a covariance over steps; return it at all steps, with the lag-one covariance.
+    """Propagate the covariance of the states of a linear system over n steps.
 
     Parameters
     ----------
@@ -136,16 +136,16 @@ def propagated(
     transitions : ndarray, shape (n, n_x, n_x)
         Transition matrices of the steps.
     noise : ndarray, shape (n, n_x, n_noise)
-        Effect of white noise of unit variance over a step.
+        Effect on the states of random numbers of unit variance that are independent in each step.
     constants : ndarray, shape (n, n_x, n_constants)
-        Effect of normal numbers of unit variance that are the same in all steps.
+        Effect on the states of random numbers of unit variance that are the same in all steps.
 
     Returns
     -------
     ndarray, shape (n + 1, n_x, n_x)
         Covariances at the start and after each step.
     ndarray, shape (n, n_x, n_x)
-        Covariances between the states before and after each step.
+        Covariances between the states before and after each step (lag-one covariances).
     """
     n, n_x, n_constants = constants.shape
     gusts = [start]
@@ -164,11 +164,18 @@ def propagated(
 
 
 def without_overflow(covariance: FloatArray, onward: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return covariances and lag-one covariances without overflow.
+    """Return covariances, and covariances between successive times, without overflow.
 
-    Along a plan that the controller cannot follow, the covariance grows without limit.  From the
-    time at which a standard deviation exceeds `_LOST`, all standard deviations are set to `_LOST`,
-    so that every limit counts as broken.
+    Along a plan that the controller cannot follow, the covariance grows without limit. From the
+    time at which a standard deviation exceeds `_LOST`, a very large number, all standard deviations
+    are set to `_LOST`. Every limit then counts as broken.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (n, n_x, n_x)
+        Covariance of the states at n times.
+    onward : ndarray, shape (n - 1, n_x, n_x)
+        Covariance between the states at one time and at the next.
     """
     variance = np.diagonal(covariance, axis1=1, axis2=2)
     is_lost = ~np.isfinite(covariance).all(axis=(1, 2)) | (variance > _LOST**2).any(axis=1)
@@ -182,10 +189,10 @@ def without_overflow(covariance: FloatArray, onward: FloatArray) -> tuple[FloatA
 
 
 class _MeanFlight:
-    """Flight of a plan under feedback without gusts, with the linearised closed loop along it.
+    """Flight of a plan under feedback without gusts, and the closed loop linearised along it.
 
-    Its joint state holds the states of vehicle and turbulence filters, of the controller, and the
-    energy.
+    The joint state of the closed loop holds the states of vehicle and turbulence filters, the
+    states of the controller, and the energy.
     """
 
     def __init__(self, scenario: Scenario, plan: Plan, planner: Planner) -> None:
@@ -235,10 +242,10 @@ class _MeanFlight:
     def slopes(
         self, t: FloatArray, joint: FloatArray, commands: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the Jacobians of the closed loop by joint state, and by noise and parameters.
+        """Return the Jacobians of the closed loop along the flight without gusts.
 
-        A joint state holds the states of vehicle, turbulence filters and controller, and the
-        energy.
+        They are derivatives of the rates of the joint state, which holds the states of vehicle,
+        turbulence filters and controller, and the energy.
 
         Parameters
         ----------
@@ -250,10 +257,10 @@ class _MeanFlight:
         Returns
         -------
         ndarray, shape (n, n_joint, n_joint)
-            Derivatives by the joint state.
+            Derivatives with respect to the joint state.
         ndarray, shape (n, n_joint, n_noise + n_parameters)
-            Derivatives by the white noise and by one standard deviation of each uncertain
-            parameter.
+            Derivatives with respect to the white noise and to each uncertain parameter, the latter
+            per standard deviation of the parameter.
         """
         # Where an error is exactly zero, the derivative of its norm is not defined.
         by_moment, by_joint = self.loop.slopes(t, joint + _OFF_NOUGHT, commands)
@@ -262,7 +269,12 @@ class _MeanFlight:
         return by_joint, np.concatenate([by_moment[:, :, columns], by_unknowns], axis=2)
 
     def _by_unknowns(self, t: FloatArray, joint: FloatArray, commands: FloatArray) -> FloatArray:
-        """Return the derivatives of the joint rates by the uncertain parameters, by differences."""
+        """Return the derivatives of the joint rates with respect to the uncertain parameters.
+
+        The joint rates are the time derivatives of the joint state. Their derivatives are central
+        differences over one standard deviation of each parameter. The result has shape (n, n_joint,
+        n_parameters).
+        """
         n_states = len(self.dynamics.state_names)
         states, controls = joint[:, :n_states], self.loop.controls(t, joint, commands)
         found = np.zeros((*joint.shape, len(self._unknowns)))
@@ -279,9 +291,11 @@ class _MeanFlight:
         states: FloatArray,
         controls: FloatArray,
     ) -> FloatArray:
-        """Return the time derivatives of the vehicle's states with some parameters changed.
+        """Return the time derivatives of the vehicle's states for changed parameters.
 
-        `change` holds the changes by full parameter name; `side` is 1 or -1, their sign.
+        `change` maps the full name of a parameter to the size of its change; `side`, 1 or -1, is
+        the sign of all changes. `states` and `controls` are given at the n times `t` [s]; the
+        result has shape (n, n_states).
         """
         changed = {name: self._numbers.get(name, 0.0) + side * by for name, by in change.items()}
         other = self._problem.dynamics(parameters=self._numbers | changed, horizon=self._horizon)

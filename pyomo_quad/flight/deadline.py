@@ -24,9 +24,10 @@ class TimeIsUpError(SolveError):
 
 @dataclass
 class _Watch:
-    """Time limit in processor seconds, and whether it has passed; usable after a process fork.
+    """Clock that measures the processor time of a thread against a time limit.
 
-    The clock is the processor time of the calling thread.
+    It also works in a process that was forked after the start. `is_over` states whether the limit
+    had passed at the last call of `look`.
     """
 
     limit_s: float
@@ -41,12 +42,12 @@ class _Watch:
         return cls(limit_s=limit_s, end=now + limit_s, seen=now, process=os.getpid())
 
     def shortened(self, limit_s: float) -> Self:
-        """Return a watch that ends after ``limit_s`` seconds, but no later than this watch."""
+        """Return a clock with a shorter limit, at most ``limit_s`` seconds from now."""
         now = time.thread_time()
         return replace(self, end=min(self.end, now + limit_s), seen=now, process=os.getpid())
 
     def look(self) -> bool:
-        """Read the processor clock; return whether the time limit has passed."""
+        """Read the processor time; return whether the time limit has passed."""
         now = time.thread_time()
         if os.getpid() != self.process:
             # The clock of a forked process starts at zero; the time left at the fork remains.
@@ -60,7 +61,7 @@ _CURRENT: ContextVar[_Watch | None] = ContextVar("time_limit", default=None)
 
 
 class Deadline:
-    """Context that stops solves and simulations in its block at the scenario's time limit.
+    """Context manager that stops solves and simulations in its block at the scenario's time limit.
 
     A deadline inside the block of another deadline uses the limit of the outer deadline, because a
     command has a single time limit.
@@ -70,7 +71,7 @@ class Deadline:
     scenario : Scenario
         Scenario whose `solver.time_limit` is the limit [s of processor time].
     progress : callable, optional
-        The caller's own callback, which may stop a solve earlier.
+        Progress callback of the caller, which may stop a solve earlier.
     longest_s : float, optional
         Shorter limit for this block [s of processor time].
     """
@@ -94,7 +95,11 @@ class Deadline:
         _CURRENT.reset(self._token)
 
     def __call__(self, iteration: Iteration) -> bool:
-        """Return False after the time limit, or if the wrapped progress callback returns False."""
+        """Return whether an Ipopt solve may continue; called at each iteration.
+
+        The result is False after the time limit, or if the caller's progress callback returns
+        False.
+        """
         if self._watch.look():
             return False
         return self._progress is None or self._progress(iteration) is not False

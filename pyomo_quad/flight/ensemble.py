@@ -1,4 +1,4 @@
-"""Simulation of many flights of one plan, each with its own random wind and mass.
+"""Simultaneous simulation of many flights along one reference, each with random wind and mass.
 
 The control law and the declared equations are the same as for a single flight. Only the integration
 differs: all flights together take Runge-Kutta steps of fixed length. A step is at most
@@ -6,8 +6,9 @@ differs: all flights together take Runge-Kutta steps of fixed length. A step is 
 with the fastest mode of the closed loop. A test compares the result with SciPy's adaptive
 integration.
 
-Every flight is assessed in the same way as a single flight: whether it keeps the declared limits
-and the limits at the waypoints, and whether it arrives at the goal.
+Every flight is assessed in the same way as a single flight. The assessment states whether the
+flight keeps the limits of the model and the limits at the waypoints, and whether it arrives at the
+goal.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -69,7 +70,9 @@ NOT_FED = "power or charge of the pack"
 
 @dataclass(frozen=True, kw_only=True)
 class Draws:
-    """Random parameters, noise and initial states of many flights, by full name.
+    """Random parameters, noise and initial states of many simulated flights.
+
+    The mappings have the full names of parameters or states as keys.
 
     Attributes
     ----------
@@ -89,7 +92,7 @@ class Draws:
     start: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def part(self, chosen: slice) -> "Draws":
-        """Return the random numbers of some of the flights, chosen by position."""
+        """Return the random numbers of some of the flights, which the slice `chosen` selects."""
         return Draws(
             count=len(range(self.count)[chosen]),
             numbers={name: values[chosen] for name, values in self.numbers.items()},
@@ -105,14 +108,16 @@ class Ending:
     Attributes
     ----------
     energy_J, charge_used_percent : float
-        Energy, and charge in per cent of the battery's capacity.
+        Energy spent, and charge drawn in per cent of the battery's capacity.
     miss_m, end_speed_m_per_s : float
         Distance from the goal and speed at the end.
     largest_deviation_m, peak_tilt_rad : float
-        Largest distance from the reference path, and largest tilt.
+        Largest distance from the reference position at the same time, and largest tilt.
     broken : mapping
-        Limit in words -> largest violation of the limit, relative to the larger of 1 and the limit;
-        empty if the flight arrived and kept every limit.
+        Name of the limit in words -> largest violation, relative to the larger of 1 and the limit.
+        For the arrival it is the distance [m] or the speed [m/s] at the end, for the battery the
+        missing fraction of power or charge. The mapping is empty if the flight arrived and kept
+        every limit.
     """
 
     energy_J: float
@@ -131,16 +136,16 @@ class Ending:
 
 @dataclass(frozen=True, kw_only=True)
 class FlownOften:
-    """Results of many simulated flights: quantities over common times, and end of each flight.
+    """Results of many simulated flights: quantities over time, and the outcome of each flight.
 
     Attributes
     ----------
     t : ndarray, shape (n_samples,)
         Times [s].
     tracks : mapping to ndarray, shape (n_samples, n)
-        The quantities `TRACKS` over time, for n flights.
+        Name of a quantity, as in `TRACKS` -> its values over time for each of n flights.
     endings : tuple of Ending
-        Result of each flight.
+        Energy, arrival and broken limits of each flight.
     """
 
     t: FloatArray
@@ -161,7 +166,7 @@ class EnsembleSimulation:
     scenario : Scenario
         The mission, with fixed times, and the vehicle as the controller assumes it.
     dynamics : Dynamics
-        The vehicle in the actual wind, before random numbers are applied.
+        Equations of the vehicle in the wind, without random errors and gusts.
     reference : callable
         Takes a time [s] and returns the `Setpoint` to follow.
     varied : sequence of str
@@ -268,7 +273,11 @@ class EnsembleSimulation:
     def _endings(
         self, flown: SteppedFlights, draws: Draws, off: FloatArray, tilt: FloatArray
     ) -> Iterator[Ending]:
-        """Yield the result of each flight, given its largest deviation [m] and tilt [rad]."""
+        """Yield the result of each flight.
+
+        `off` has the largest distance of each flight from the reference [m], `tilt` its largest
+        tilt [rad], both of shape (n,).
+        """
         count, samples = draws.count, len(flown.t)
         # Reorder the arrays: one flight after the other, each with all its samples.
         states, controls = (
@@ -310,7 +319,10 @@ class EnsembleSimulation:
             )
 
     def _missed(self, state: FloatArray) -> tuple[float, float]:
-        """Return the distance from the goal [m] and the speed [m/s] at the end of a flight."""
+        """Return the distance from the goal [m] and the speed [m/s] of a flight at its end.
+
+        `state` is the final state of the flight, shape (n_states,).
+        """
         wanted = wanted_at_goal(self._scenario, self._dynamics)
         missed = {n: state[self._columns[n]] - value for n, value in wanted.items()}
         place, speed = (
@@ -321,9 +333,11 @@ class EnsembleSimulation:
 
 
 def _step_times(scenario: Scenario, fastest_rate: float) -> FloatArray:
-    """Return the times of all integration steps [s], aligned with the steps of the noise.
+    """Return the times of all integration steps of a flight [s].
 
-    `fastest_rate` is the decay rate of the fastest mode of the closed loop [1/s].
+    The steps end at the times at which the noise of the turbulence changes, and at the given times
+    of the mission. `fastest_rate` is the decay rate of the fastest mode of the closed loop [1/s],
+    with which the steps must be stable.
     """
     gains, end = scenario.baseline.gains, scenario.mission.fixed_duration
     fastest = max(gains.rotor, gains.attitude_rate, gains.force_identification)

@@ -1,4 +1,8 @@
-"""Check of a plan against the range of flight in which measurements validate the vehicle."""
+"""Check of a plan against the validated range of its vehicle.
+
+The validated range of airspeed, climb, descent and payload is the range that measured flights of
+the vehicle cover.
+"""
 
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
@@ -23,7 +27,7 @@ _SAMPLES = 2001
 
 
 def departures(plan: "Plan") -> tuple[str, ...]:
-    """Return a message for each quantity in which a plan leaves the validated range of its vehicle.
+    """Return a message for each quantity with which a plan leaves its vehicle's validated range.
 
     The validated range of airspeed, climb, descent and payload is the range that measured flights
     cover.
@@ -41,9 +45,10 @@ def departures(plan: "Plan") -> tuple[str, ...]:
 
 
 def departures_of(scenario: Scenario, flown: Mapping[str, FloatArray]) -> Iterator[str]:
-    """Yield a message for each quantity of a flight outside the validated range of its vehicle.
+    """Yield a message for each quantity of a flight that is outside its vehicle's validated range.
 
-    `flown` is the table of the flight, as a mapping from column names to values.
+    The validated range of airspeed, climb, descent and payload is the range that measured flights
+    cover. `flown` is the table of the flight, as a mapping from column names to values.
     """
     validated, carried = scenario.vehicle.validated, scenario.vehicle.payload
     if validated.payload is not None and carried > validated.payload:

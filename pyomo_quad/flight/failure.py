@@ -1,4 +1,4 @@
-"""Diagnosis of a failed solve in terms of the mission: causes and remedies."""
+"""Explanation of a failed solve to the user: causes and remedies in terms of the mission."""
 
 from __future__ import annotations
 
@@ -14,21 +14,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Failure:
-    """Diagnosis of a failed solve in terms of the mission.
+    """Explanation of a failed solve in terms of the mission.
 
     Attributes
     ----------
     longest : NamedDuration
-        The mission's duration; the greatest duration if it is free.
+        The mission's duration, or the greatest allowed duration if it is free.
     shortest_duration_s : float or None
         The least time in which the mission can be flown within its limits; None if none was found.
     diagnosis : Diagnosis
-        The engine's diagnosis: worst equations, active limits, and declarations that must be
-        relaxed together.
+        Diagnosis by the collocation engine: worst equations, active limits, and components of the
+        model whose limits must all be relaxed together.
     remedies : tuple of Relaxation
         Single limits whose relaxation alone would make the mission possible.
     doubt : str
-        Why the mission may be possible although no flight was found; "" where nothing says so.
+        Reason to believe that the mission is possible although no flight was found; empty if there
+        is no such reason.
     """
 
     longest: NamedDuration
@@ -39,7 +40,7 @@ class Failure:
 
     @property
     def is_too_short(self) -> bool:
-        """Whether a longer duration makes the mission feasible."""
+        """Whether the mission's duration is shorter than the least duration that was found."""
         return (
             self.shortest_duration_s is not None and self.shortest_duration_s > self.longest.value
         )
@@ -47,8 +48,8 @@ class Failure:
     def causes(self) -> Iterator[str]:
         """Yield one sentence for each cause of the failure and each remedy, the simplest first.
 
-        Where the mission may be possible, the only sentence says why, since the others would claim
-        that it is not.
+        If there is a reason to believe that the mission is possible (`doubt`), this reason is the
+        only sentence, because the causes and remedies assume that the mission is impossible.
         """
         if self.doubt:
             yield self.doubt

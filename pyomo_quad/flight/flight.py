@@ -41,7 +41,7 @@ AIR_FORCE = tuple(f"aerodynamics.force_{axis}" for axis in "xyz")
 
 @dataclass(frozen=True, kw_only=True)
 class Flown:
-    """Samples of a simulated flight at n times: states, controls and energy.
+    """States, controls and energy of a simulated flight, sampled at n times.
 
     Attributes
     ----------
@@ -63,14 +63,14 @@ class Flown:
 
 @dataclass(frozen=True, kw_only=True)
 class Resolve:
-    """Record of one solve that replaces the plan during a simulated flight (re-planning).
+    """Record of one re-planning solve: a solve for a new plan during a simulated flight.
 
     Attributes
     ----------
     t : float
         Time in flight at which the solve began [s].
     arrived_at : float
-        Time in flight at which the plan from this solve was available [s].
+        Time in flight at which the plan that resulted from this solve was available [s].
     """
 
     t: float
@@ -90,7 +90,7 @@ class Flight(Summarised):
     Attributes
     ----------
     name : str
-        "optimal", "adaptive/quintic", "open_loop/plan" and so on.
+        Name in comparisons, such as "optimal", "adaptive/quintic" or "open_loop/plan".
     frame : DataFrame
         Dense table with the columns `COLUMNS`.
     energy_J : float
@@ -102,23 +102,25 @@ class Flight(Summarised):
     terminal_miss_m : float
         Distance between final and required position.
     max_violation : float
-        Worst violation of a limit, relative to the larger of 1 and the limit.
+        Largest violation of any limit, relative to the larger of 1 and the limit.
     worst_constraint : str
-        Name of the limit with that violation.
+        Name of the limit with the largest violation.
     is_verified : bool
         Whether a second, independent integration confirmed the flight, and the battery supplies the
         required power throughout.
     wall_s : float
-        Computing time [s], by the clock.
+        Computing time of the simulation, or of the plan [s].
     owed_energy_J : float
-        Energy needed to reach the required end state from the flight's end state, estimated from
-        the costates of a plan; NaN without a plan whose costates apply.
+        Energy needed to reach the required final state from the flight's final state [J], estimated
+        from the costates of a plan; NaN without a plan whose costates apply.
     broken_limits : tuple of str
-        Every limit of the model that the flight violates, with the amount, the worst first.
+        Every limit that the flight violates by more than the tolerance, with the amount; the
+        worst limit of the model first.
     resolves : tuple of Resolve
-        Record of each solve, if the plan was replaced during the flight.
+        Record of each re-planning solve during the flight.
     doubt : str
-        Reason why a controlled flight is not verified, with the value found and the value allowed.
+        Reason why a flight under feedback is not verified, with the value found and the value
+        allowed.
     """
 
     name: str
@@ -148,9 +150,10 @@ class Flight(Summarised):
         }
 
     def priced(self, end_prices: Mapping[str, float]) -> Flight:
-        """Return the flight with an estimate of the energy to complete it, from a plan's costates.
+        """Return the flight with an estimate of the energy still needed at its end.
 
-        This is the energy needed to reach the required end state from the flight's end state.
+        This is the energy needed to reach the required final state from the flight's final state.
+        It is estimated to first order, with the costates of a plan (`Flight.owed_energy_J`).
 
         Parameters
         ----------
@@ -176,7 +179,7 @@ class Flight(Summarised):
         allowed: Mapping[str, float] | None = None,
         accuracy: Accuracy = Accuracy.PROOF,
     ) -> Flight:
-        """Make a flight's result from its samples and the required final values of its states.
+        """Make the result of a flight from its samples and from the required final states.
 
         Parameters
         ----------
@@ -195,11 +198,13 @@ class Flight(Summarised):
         wall_s : float
             Computing time [s].
         owed_energy_J : float, optional
-            Energy to complete the flight from its end state.
+            Energy needed to reach the required final state from the flight's final state [J].
         allowed : mapping, optional
-            Tolerated violation of a limit in its unit, by name without index.
+            Name of a limit without its index -> additional tolerance on its violation, in the unit
+            of the limit.
         accuracy : Accuracy, optional
-            Accuracy of the mission, which gives the relative violation tolerated of every limit.
+            Accuracy required of the plan, which gives the tolerance on the relative violation of
+            every limit.
         """
         miss = terminal_miss_of(dynamics, flown.states[-1], wanted)
         breaches = dynamics.violations(flown.t, flown.states, flown.controls)
@@ -234,9 +239,10 @@ def broken_limits(
     breaches : sequence of Violation
         Largest violation of each limit.
     allowed : mapping
-        Tolerated violation of a limit in its unit, by name without index.
+        Name of a limit without its index -> tolerance on its violation, in the unit of the limit;
+        zero for limits that it does not contain.
     breach : float
-        Tolerated violation of every limit, relative to the larger of 1 and the limit.
+        Tolerance on the violation of every limit, relative to the larger of 1 and the limit.
 
     Returns
     -------
@@ -251,21 +257,29 @@ def broken_limits(
 
 
 def is_broken(found: Violation, allowed: Mapping[str, float], breach: float) -> bool:
-    """Return whether a violation of a limit exceeds its tolerances (see `broken_limits`)."""
+    """Return whether a violation of a limit exceeds both of its tolerances.
+
+    `allowed` has the tolerances in the unit of the limit, by name of the limit without its index
+    (zero if absent); `breach` is the tolerance relative to the larger of 1 and the limit.
+    """
     return found.relative > breach and found.size > allowed.get(found.name.partition("[")[0], 0.0)
 
 
 def terminal_miss_of(
     dynamics: Dynamics, state: FloatArray, wanted: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return final minus required value of each state that the mission prescribes at the end.
+    """Return the difference between final and required value of each state that must reach a value.
 
-    `state` is the final state, shape (n_states,); `wanted` the required values by state name.
+    `state` is the final state of the flight, shape (n_states,); `wanted` maps state names to
+    required final values. The result maps state names to final minus required value.
     """
     final = dict(zip(dynamics.state_names, state, strict=True))
     return {name: float(final[name] - value) for name, value in wanted.items()}
 
 
 def position_miss(miss: Mapping[str, float]) -> float:
-    """Return the distance between final and required position [m], from `terminal_miss_of`."""
+    """Return the distance between final and required position [m].
+
+    `miss` maps state names to final minus required value, as `terminal_miss_of` returns it.
+    """
     return float(np.linalg.norm([miss.get(name, 0.0) for name in POSITION_STATES]))

@@ -32,12 +32,12 @@ def integrate(
     remedy: str,
     **options: Any,
 ) -> FloatArray:
-    """Integrate differential equations over a span; return the states at given times.
+    """Integrate differential equations over a time span; return the states at given times.
 
-    The result has shape (n_states, n_times). The integration is restarted at given edges.
-
-    An integrator that steps over a jump of the rates repeats steps until they are as short as its
-    tolerance requires: hundreds of evaluations per jump. A restart takes about twenty.
+    The result has shape (n_states, n_times). The integration is restarted at the edges, the times
+    at which the rates jump. An integrator that steps over a jump repeats steps until they are as
+    short as its tolerance requires, which takes hundreds of evaluations for each jump. A restart
+    takes about twenty evaluations.
 
     Parameters
     ----------
@@ -88,8 +88,8 @@ def integrate(
 def _within(rates: Rates, first: float, last: float) -> Rates:
     """Return the right-hand side with its time limited to the inside of an interval.
 
-    The rates jump at both ends of the interval, `first` and `last` [s]. For times at the ends, the
-    right-hand side is evaluated slightly inside the interval.
+    The rates jump at both ends of the interval, `first` and `last` [s]. For times at an end, the
+    returned function evaluates the rates slightly inside the interval.
     """
     margin = _INSIDE * (last - first)
 

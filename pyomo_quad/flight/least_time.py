@@ -1,4 +1,4 @@
-"""Minimum-time problem of a mission, and plans of least energy close to the least duration."""
+"""Minimum-time problem of a mission, and plans of least energy in nearly the least duration."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ _MOST_EFFORT = 3.0
 def shortest_flight(
     model: Any, scenario: Scenario, progress: Progress | None, *, is_exact: bool = False
 ) -> Solution | None:
-    """Solve for the least duration of a mission.
+    """Solve for the least duration in which a mission is possible.
 
-    The mesh is refined a few times only, unless the least duration is close to the duration of the
-    mission. The mesh is then refined to the mission's own tolerance, to decide whether the
-    mission's duration is long enough.
+    As a rule, the mesh is refined a few times only. If the least duration is close to the duration
+    that the mission prescribes, the mesh is refined to the mission's own tolerance, to decide
+    whether the prescribed duration is long enough.
 
     Parameters
     ----------
@@ -60,12 +60,12 @@ def shortest_flight(
     progress : callable or None
         Called at each Ipopt iteration; returning False stops the solve.
     is_exact : bool, optional
-        Whether to refine in any case, to the relative tolerance `_TIME_TOLERANCE`.
+        Whether to refine the mesh in any case, to the relative tolerance `_TIME_TOLERANCE`.
 
     Returns
     -------
     Solution or None
-        Its objective is the least duration [s]; None if the solve failed.
+        Solution whose objective is the least duration [s]; None if the solve failed.
     """
     duration, settings = scenario.nominal_duration, scenario.solver
     bounds = _RANGE[0] * duration, _RANGE[1] * duration
@@ -96,9 +96,10 @@ def shortest_flight(
 
 
 def declared_free_times(model: Any, scenario: Scenario) -> dict[float, Any]:
-    """Return the variables of a model that hold its free times, by their nominal time [s].
+    """Return the variables of a model that hold its free times.
 
-    Free times are the duration and the passing times of waypoints that the plan chooses.
+    Free times are the duration, if it is free, and the passing times of waypoints that the plan
+    chooses. The result maps the nominal value of each time [s] to its variable.
 
     Raises
     ------
@@ -128,10 +129,11 @@ class Approach:
     shortest : Solution
         Solution of least duration.
     solve : callable
-        Takes a scenario, a solution to start from (or None) and the search; returns a plan.
+        Solves a scenario of fixed duration: takes the scenario, a solution to start from (or None)
+        and the search; returns a plan.
     search : Search
-        Search that stops each solve at a limit of effort; the effort is the sum of the numbers of
-        mesh points over all iterations.
+        Progress callback that stops a solve whose effort exceeds a limit. The effort is the number
+        of mesh points, summed over all iterations.
     plans : list of Plan
         Plans made so far, in order of decreasing duration.
     """
@@ -145,20 +147,27 @@ class Approach:
 
     @property
     def durations(self) -> tuple[float, ...]:
-        """Decreasing durations to solve for [s], close to the least duration of the mission.
+        """Durations for which the mission is solved, in this order [s].
 
-        They are within the mission's limits.
+        They are slightly above the least duration, decrease, and respect the mission's limits on
+        its duration.
         """
         least, greatest = self.scenario.mission.duration_limits
         above = ((1 + share) * self.shortest.objective for share in _ABOVE_LEAST)
         return tuple(dict.fromkeys(min(max(time, least), greatest) for time in above))
 
     def goes_on(self) -> bool:
-        """Return whether to solve for a shorter duration: only if the previous plan is verified."""
+        """Return whether to solve for the next duration.
+
+        This is the case if there is no plan yet, or if the last plan is verified.
+        """
         return not self.plans or self.plans[-1].is_verified
 
     def fly(self, lasting: float) -> str:
-        """Solve the mission for a duration ``lasting`` [s], starting from the previous plan.
+        """Solve the mission for a duration of ``lasting`` [s].
+
+        The solve starts from the previous plan; the first solve starts from the solution of least
+        duration.
 
         Returns
         -------
@@ -174,7 +183,10 @@ class Approach:
 
     @property
     def closest(self) -> Plan:
-        """Verified plan of the shortest duration; the first plan if none is verified."""
+        """Verified plan of the shortest duration, or the first plan if none is verified.
+
+        Its message also states the least duration.
+        """
         best = next((plan for plan in reversed(self.plans) if plan.is_verified), self.plans[0])
         message = (
             f"{best.message} It takes {best.duration_s:.6g} s, where the least time is "

@@ -1,6 +1,6 @@
-"""Names and amounts of limits (path constraints) as reports and messages print them.
+"""Names and amounts of limits (path constraints), in the form in which reports print them.
 
-Limits that the package declares are named in words, with familiar units; limits of a user's own
+Limits of the package's own model have names in words and familiar units; limits of a user's own
 model keep the names and units that the user gave them.
 """
 
@@ -51,7 +51,11 @@ _ROOTS = {"m**2": "m", "m**2/s**2": "m/s"}
 
 
 def limit_words(name: str) -> str:
-    """Return a limit's name in words: "speed at hover waypoint 1" for ``mission.hold_speed[0]``."""
+    """Return the name of a limit in words, from its name in the model.
+
+    The limit ``mission.hold_speed[0]``, for example, is the "speed at hover waypoint 1". The name
+    of a limit of a user's own model is returned unchanged.
+    """
     declared, _, index = name.partition("[")
     index = index.removesuffix("]")
     if declared.startswith(_COUNTED_FROM_0) and index.isdecimal():
@@ -60,15 +64,16 @@ def limit_words(name: str) -> str:
 
 
 def limit_amount(name: str, size: float, unit: str) -> tuple[float, str]:
-    """Convert the size of a limit and its unit to the form that readers see.
+    """Convert the value of a limit and its unit from the model to the form in print.
 
-    The model has limits on squares of speeds and distances, in m**2/s**2 or m**2; readers see m/s
-    and m.
+    The model limits the squares of some speeds and distances, in m**2/s**2 or m**2; these are
+    printed as speeds in m/s and distances in m. `name` is the name of the limit in the model,
+    `size` its value and `unit` its unit there.
 
     Returns
     -------
     (float, str)
-        Size and unit as printed.
+        Value and unit as printed.
     """
     if name.partition("[")[0] not in WORDS:
         return size, unit
@@ -76,9 +81,10 @@ def limit_amount(name: str, size: float, unit: str) -> tuple[float, str]:
 
 
 def excess(breach: Violation, unit: str) -> tuple[float, str]:
-    """Return by how much a limit is violated, and the unit, in the form that readers see.
+    """Return the amount by which a limit is violated, and its unit, in the form in print.
 
-    `unit` is the unit of the limit in the model.
+    `unit` is the unit of the limit in the model. The excess over a limit on a square, such as a
+    speed squared, is converted to the excess of the speed itself.
     """
     # For a square, this is the excess of the length over its limit, not the root of the difference.
     reached, plain = limit_amount(breach.name, abs(breach.bound) + breach.size, unit)
@@ -86,7 +92,7 @@ def excess(breach: Violation, unit: str) -> tuple[float, str]:
 
 
 def breach_words(breach: Violation, unit: str) -> str:
-    """Return the name and the amount of a violated limit in words: "roll angle by 0.15 rad".
+    """Return a violated limit in words, with the amount: "roll angle by 0.15 rad".
 
     `unit` is the unit of the limit in the model.
     """

@@ -1,9 +1,9 @@
-"""Initial guess and meshes for a long flight: accelerate, cruise, brake.
+"""Initial guess and meshes for a long, straight flight that accelerates, cruises and brakes.
 
-A vehicle changes its attitude within a second, however long the flight is. If elements of equal
-length would be longer than a second, the mesh has short elements at both ends, and their length
-grows towards the middle. The cruise speed of the guess follows from the duration or, if that is
-free, is the speed of least energy per metre.
+A vehicle changes its attitude within a second, however long the flight is. Equal elements would be
+too long to resolve this in a long flight. Therefore the mesh has short elements at both ends, and
+their length grows towards the middle. The cruise speed of the guess follows from the duration. If
+the duration is free, the guess has the speed of least cost per metre.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _SAMPLES = 400
 def is_long(scenario: Scenario) -> bool:
     """Return whether a straight flight to the goal is long compared with a change of attitude.
 
-    Missions with waypoints or keep-out zones are not straight.
+    The result is False for missions with waypoints or keep-out zones, which are not straight.
     """
     airspace = scenario.airspace
     is_straight = not (scenario.mission.waypoints or airspace.keep_out)
@@ -56,19 +56,23 @@ def is_long(scenario: Scenario) -> bool:
 
 
 def rough_mesh(duration: float) -> Mesh:
-    """Return a coarse first mesh for a long flight of a duration [s]."""
+    """Return a coarse mesh for the first solve of a long flight that takes a duration [s]."""
     return _graded(duration, *_ROUGH)
 
 
 def fine_mesh(duration: float, degree: int) -> Mesh:
-    """Return a mesh for a long flight of a duration [s], with fine elements at both ends."""
+    """Return a mesh with fine elements at both ends, for a long flight that takes a duration [s].
+
+    `degree` is the degree of short elements; long elements have a higher degree.
+    """
     return _graded(duration, *_FINE, degree)
 
 
 def _graded(duration: float, shortest: float, growth: float, degree: int) -> Mesh:
     """Return a mesh whose elements grow by a constant factor from both ends towards the middle.
 
-    `shortest` is the length of the first and last element [s].
+    `duration` is the duration of the flight [s], `shortest` the length of the first and the last
+    element [s], `growth` the factor, and `degree` the degree of short elements.
     """
     widths = [shortest]
     while 2 * sum(widths) < duration:
@@ -80,14 +84,14 @@ def _graded(duration: float, shortest: float, growth: float, degree: int) -> Mes
 
 
 def guess_of(scenario: Scenario, steady: SteadyFlight) -> dict[str, Any] | None:
-    """Return an initial guess of a long flight that accelerates, cruises and brakes.
+    """Return an initial guess for the solve of a long flight that accelerates, cruises and brakes.
 
     Parameters
     ----------
     scenario : Scenario
         The mission.
     steady : SteadyFlight
-        Steady flight in the wind of the mission.
+        Calculator of steady flight in the wind of the mission.
 
     Returns
     -------
@@ -139,10 +143,11 @@ def guess_of(scenario: Scenario, steady: SteadyFlight) -> dict[str, Any] | None:
 def _over_the_ground(
     airspace: Airspace, guess: dict[str, Any], when: FloatArray
 ) -> dict[str, FloatArray]:
-    """Return height and climb rate of a guess, raised where its path is too low over terrain.
+    """Return height and climb rate of an initial guess, raised where it is too low over terrain.
 
-    The result maps the names of the two states to samples; it is empty if the mission has no
-    terrain or no least height.
+    `guess` maps state names to samples at the times `when` [s]. The result maps the names of the
+    states for height [m] and climb rate [m/s] to their changed samples. It is empty if the airspace
+    has no terrain or no floor (least height above the ground).
     """
     places = np.column_stack([guess[name] for name in POSITION_STATES])
     if airspace.ground is None or airspace.floor is None:
@@ -160,10 +165,10 @@ def _columns(
 
 
 def _speed_for(distance: float, duration: float) -> float:
-    """Return the cruise speed at which a flight over a distance takes a given duration [m/s].
+    """Return the cruise speed with which a flight over a distance takes a given duration [m/s].
 
-    If the duration is too short for any cruise speed, the result is the speed of the quickest
-    flight.
+    Acceleration and jerk have the fixed values of the initial guess. If the duration is too short
+    for any cruise speed, the result is the speed of the quickest flight.
     """
     # Acceleration and braking take speed / acceleration longer than cruise, plus the time of the
     # jerk phases.
@@ -175,7 +180,8 @@ def _speed_for(distance: float, duration: float) -> float:
 def best_speed(steady: SteadyFlight, course: FloatArray, price_of_time: float) -> float:
     """Return the approximate ground speed of least cost per metre along a direction [m/s].
 
-    The cost is the energy plus `price_of_time` [W] times the time. `course` is a unit vector.
+    The cost is the energy plus `price_of_time` [W] times the duration. `course` is the unit vector
+    of the direction, shape (3,).
     """
 
     def cost(speed: float) -> float:

@@ -1,8 +1,8 @@
 """Margins of a plan: amounts by which limits are tightened, to let a controller correct errors.
 
-A margin applies to a field of the scenario, in the unit of that field.  The fields are parameters
-of the compiled problem, so that the problem can be solved with other margins without compiling it
-again.
+A margin applies to one field of the scenario and has the unit of this field. The fields are
+parameters of the compiled problem, so that the problem can be solved with other margins without
+compiling it again.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -63,9 +63,10 @@ PAPER_PLAN = (
 
 @dataclass(frozen=True, kw_only=True)
 class RiskTaken:
-    """Risk for which a plan was made, with its margins and test flights.
+    """Record of the risk for which a plan was made: margins, prediction and test flights.
 
-    The risk is the probability that a flight in turbulence breaks any limit.
+    The risk is the probability that a flight in turbulence breaks any limit. A margin is the amount
+    by which a limit was tightened for the plan. Test flights are simulations in turbulence.
 
     Attributes
     ----------
@@ -77,15 +78,15 @@ class RiskTaken:
         Number of test flights that broke a limit, and number of all test flights. The margins were
         found without these flights.
     is_satisfied : bool
-        Whether the share of failed test flights is small enough for the allowed risk.
+        Whether the fraction of failed test flights does not exceed the allowed risk.
     margins : mapping
         Field of the scenario -> amount by which the plan tightened it, in the field's unit.
     paper_energy_J : float
-        Energy of the plan without margins.
+        Energy of the plan without margins [J].
     limiting : tuple of str
-        The limits that flights break most, in words, the most frequent first.
+        The limits that test flights broke most often, in words, the most frequent first.
     advice : str
-        Advice to the user if the risk cannot be reached.
+        Possible remedies for the user if the risk cannot be reached.
     stopped : str
         Reason why the search for margins ended early; empty if it did not.
     """
@@ -104,8 +105,8 @@ class RiskTaken:
     def price(self, energy: float) -> tuple[float, float]:
         """Return the energy that the margins cost, in J and in % of the plan without margins.
 
-        Margins are the amounts by which the plan stays inside its limits. `energy` is the energy of
-        the plan with margins [J].
+        Margins are the amounts by which limits were tightened for the plan. `energy` is the energy
+        of the plan with margins [J].
         """
         more = energy - self.paper_energy_J
         return more, 100.0 * more / self.paper_energy_J
@@ -113,8 +114,8 @@ class RiskTaken:
     def words(self, energy: float) -> str:
         """Return a sentence on the risk, the test flights and the energy that the margins cost.
 
-        The risk is the probability that a flight breaks a limit; margins are the amounts by which
-        the plan stays inside its limits. `energy` is the energy of the plan with margins [J].
+        The risk is the probability that a flight breaks a limit. Margins are the amounts by which
+        limits were tightened for the plan. `energy` is the energy of the plan with margins [J].
         """
         joules, percent = self.price(energy)
         price = f"the margins cost {joules:.3g} J ({percent:.2g} %)"
@@ -137,7 +138,11 @@ class RiskTaken:
 
 
 def tightened(scenario: Scenario, margins: Mapping[str, float]) -> Scenario:
-    """Return the scenario with its limits tightened by margins (scenario field -> amount)."""
+    """Return the scenario with its limits tightened by margins.
+
+    `margins` maps a field of the scenario to the amount by which its limit is tightened, in the
+    unit of the field.
+    """
     told = scenario.mission
     mission: dict[str, Any] = {
         "waypoints": tuple(_narrowed(waypoint, margins) for waypoint in told.waypoints)
@@ -161,7 +166,7 @@ def tightened(scenario: Scenario, margins: Mapping[str, float]) -> Scenario:
 
 
 def used_up(planned: LimitValues, flown: LimitValues) -> Iterator[tuple[str, float]]:
-    """Yield by how much a flight comes nearer to a limit than its plan, for lower and upper end.
+    """Yield how much nearer a flight comes to each bound of a limit than its plan.
 
     Parameters
     ----------
@@ -171,8 +176,8 @@ def used_up(planned: LimitValues, flown: LimitValues) -> Iterator[tuple[str, flo
     Yields
     ------
     (str, float)
-        Scenario field that sets the lower or upper end of the limit, and the largest amount by
-        which the flight is nearer to this end than the plan, in the unit of the limit.
+        Scenario field that sets the upper or lower bound of the limit, and the largest amount by
+        which the flight is nearer to this bound than the plan, in the unit of the limit.
     """
     fields = FIELDS.get(planned.name.partition("[")[0], ("", ""))
     for side, name in zip((1.0, -1.0), fields, strict=True):
@@ -181,7 +186,11 @@ def used_up(planned: LimitValues, flown: LimitValues) -> Iterator[tuple[str, flo
 
 
 def _narrowed(waypoint: Waypoint, margins: Mapping[str, float]) -> Waypoint:
-    """Return a waypoint tightened by margins: smaller radius, lower speed limit, earlier hover."""
+    """Return a waypoint whose limits are tightened by margins.
+
+    It has a smaller radius, a lower speed limit, and a hover that begins earlier and ends at the
+    same time. `margins` maps `RADIUS`, `SPEED` and `HOLD` to amounts in m, m/s and s.
+    """
     changed: dict[str, float] = {}
     if waypoint.radius:
         least = min(waypoint.radius, _LEFT_OF_ROOM)
@@ -200,8 +209,8 @@ def _narrowed(waypoint: Waypoint, margins: Mapping[str, float]) -> Waypoint:
 def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> tuple[float, ...]:
     """Return the times at which flights must pass the waypoints, from the times of a plan.
 
-    If a plan starts its hovers earlier than required, as a margin, flights must only hover from the
-    required time on.
+    As a margin, a plan with `lead` > 0 begins its hovers earlier than the mission requires. Flights
+    are only required to hover from the mission's time on.
 
     Parameters
     ----------
@@ -210,7 +219,7 @@ def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> 
     planned : sequence of float
         Time at which the plan reaches each waypoint [s].
     lead : float
-        Time by which the plan starts hovers earlier than required [s].
+        Time by which the plan begins hovers earlier than required [s].
     """
     return tuple(
         at + (lead if waypoint.hold else 0.0)
@@ -221,7 +230,8 @@ def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> 
 def greatest_margin(scenario: Scenario, name: str) -> float:
     """Return the largest margin on a scenario field with which the mission may remain feasible.
 
-    A margin is the amount by which a plan tightens the field, in the unit of the field.
+    A margin is the amount by which the limit in this field is tightened for a plan, in the unit of
+    the field. `name` is the full name of the field, such as "airspace.floor".
     """
     told, limits, mission = scenario.airspace, scenario.limits, scenario.mission
     if name == "airspace.floor" and told.floor is not None:

@@ -1,7 +1,8 @@
-"""Compiled problem of a mission, and its solves by continuation from easier problems.
+"""Compiled optimal control problem of a mission, and its solution by continuation.
 
 If braking returns no energy, the power has a corner at zero, which makes the problem hard to solve.
-In an easier problem the corner is rounded more widely.
+Continuation solves easier problems first, in which the corner is rounded more widely. The solution
+of each problem is the initial point for the next.
 """
 
 from __future__ import annotations
@@ -50,16 +51,17 @@ _FOLLOWED, _CUT = 1e-2, 0.1
 
 
 class MissionProblem:
-    """Solver of one mission, based on its compiled problem.
+    """Solver of one mission, which uses its compiled optimal control problem.
 
     Parameters
     ----------
     problems : Problems
-        Compiled problems.
+        Compiler of scenarios, which caches compiled problems.
     told : Scenario
         The mission in the wind that the optimiser assumes (the forecast).
     search : Search, optional
-        Stops the solves, and keeps plans that simulation confirms at lower accuracy.
+        Progress callback of the solves, which may stop them; it also stores plans that simulation
+        confirms at lower accuracy than requested.
 
     Attributes
     ----------
@@ -78,12 +80,16 @@ class MissionProblem:
 
     @property
     def has_routes(self) -> bool:
-        """Whether zones or a wind field leave several routes to compare."""
+        """Whether the mission has several routes, round keep-out zones or through a wind field."""
         return self.problems.has_routes(self.told)
 
     @cached_property
     def arguments(self) -> dict[str, Any]:
-        """Arguments of `Problem.solve` for the mission: parameters, mesh and accuracy."""
+        """Keyword arguments with which `Problem.solve` solves the mission.
+
+        They are parameter values, first mesh, tolerances, options of Ipopt and of the mesh
+        refinement, and the progress callback.
+        """
         told, settings = self.told, self.told.solver
         options = SolverOptions(max_iterations=settings.max_iterations)
         is_crowded = bool(told.mission.waypoints or told.airspace.keep_out)
@@ -140,15 +146,15 @@ class MissionProblem:
         return replace(refinement, allowance=stricter)
 
     def solve(self, numbers: dict[str, float] | None = None, **chosen: Any) -> Solution:
-        """Solve the mission's problem once, with refinement of the mesh.
+        """Solve the mission's problem, with refinement of the mesh but without continuation.
 
         Parameters
         ----------
         numbers : dict, optional
-            Parameter values that replace those of the mission, by full name. If given, solutions on
-            intermediate meshes are not offered to the search as plans.
+            Full name of a parameter -> value that replaces the mission's value. If given, solutions
+            on intermediate meshes are not offered to the search as usable plans.
         **chosen
-            Arguments of `Problem.solve`, which take precedence over `arguments`.
+            Arguments of `Problem.solve` that replace those of `arguments`.
 
         Returns
         -------
@@ -162,20 +168,20 @@ class MissionProblem:
         return self.problem.solve(**arguments)
 
     def solve_roughly(self, **chosen: Any) -> Solution:
-        """Solve the mission on one mesh with its easiest parameters.
+        """Solve the mission on one mesh, with the parameter values that make it easiest.
 
-        The easiest parameters are those that round the corner of the power at zero most widely.
-        ``chosen`` holds arguments as for `solve`.
+        These values round the corner of the power at zero most widely. ``chosen`` holds arguments
+        of `Problem.solve` that replace those of `arguments`.
         """
         return self.solve(next(iter(self.easier), None), **{"tolerance": None} | chosen)
 
     def solve_from(self, guess: Any = None, mesh: Mesh | None = None) -> Solution:
-        """Solve the mission from an initial guess, by continuation from easier parameters.
+        """Solve the mission from an initial guess, by continuation from easier problems.
 
-        Easier parameters round the corner of the power at zero more widely. Each solve starts at
-        the solution of the previous solve. If a solve fails on a refined mesh, the problem with the
-        easiest parameters is solved on that mesh, and the continuation is repeated from that
-        solution. A mission without easier parameters is solved once.
+        Easier problems have parameter values that round the corner of the power at zero more
+        widely. Each solve starts from the solution of the previous solve. If the last solve fails
+        on a refined mesh, the easiest problem is solved on that mesh, and the continuation is
+        repeated from that solution. A mission without easier problems is solved once.
 
         Parameters
         ----------
@@ -207,17 +213,17 @@ class MissionProblem:
         mesh: Mesh,
         reached: Solution | None = None,
     ) -> tuple[Solution, Solution | None]:
-        """Solve by continuation, from easier parameter values to the values of the mission.
+        """Solve the mission by continuation, from easier parameter values to its own.
 
-        `easier` holds parameter values that make the problem easier, the easiest first. The first
-        solve starts from `guess` on `mesh` or, if given, from the solution `reached`.
+        `easier` holds the parameter values, the easiest first. If the solution `reached` is given,
+        the first solve starts from it; otherwise it starts from `guess` on `mesh`.
 
         Returns
         -------
         Solution
             Result of the last solve, converged or not.
         Solution or None
-            The first successful solve with easier parameters.
+            The first successful solve with easier parameter values.
         """
         first = reached
         for numbers in easier:
@@ -237,8 +243,8 @@ class MissionProblem:
     def _as_far_as(self, stopped: Solution) -> Solution:
         """Return the last point of an interrupted solve, evaluated with the mission's parameters.
 
-        The interrupted solve had easier parameters; energy and errors of the returned solution are
-        computed with the mission's parameters.
+        The interrupted solve had easier parameter values, which round the power at zero more
+        widely. Energy and errors of the returned solution are those of the mission itself.
         """
         read = self.unsolved(mesh=stopped.mesh, warm_start=stopped)
         return replace(read, status=stopped.status, message=stopped.message)
@@ -246,19 +252,20 @@ class MissionProblem:
     def unsolved(self, **chosen: Any) -> Solution:
         """Return the initial point of a solve as a solution that is not converged.
 
-        It is evaluated without any iteration. ``chosen`` holds arguments as for `solve`.
+        The point is evaluated without any iteration. ``chosen`` holds arguments of `Problem.solve`
+        that replace those of `arguments`.
         """
         options = SolverOptions(max_iterations=0)
         return self.solve(**{"tolerance": None, "options": options, "progress": None} | chosen)
 
     @staticmethod
     def in_own_variables(other: Solution, own: Solution) -> Trajectory:
-        """Return another problem's trajectory in the variables of this problem.
+        """Return the trajectory of another problem in the variables of this problem.
 
-        `other` is the solution with that trajectory, ``own`` a solution of this problem. Variables
-        that the other problem lacks, such as the battery's charge in a minimum-time problem, get
-        their values from ``own``. So do all static variables (those that are constant in time), if
-        the two problems differ in them.
+        `other` is the solution with that trajectory, ``own`` is a solution of this problem.
+        Variables that the other problem lacks get their values from ``own``; the battery's charge
+        in a minimum-time problem is an example. Static variables (those that are constant in time)
+        also get their values from ``own``, if the two problems have different static variables.
         """
         mine, held = own.problem.compiled.declared, other.problem.compiled.declared
         path, found, mesh = own.trajectory, other.trajectory, other.mesh
@@ -278,23 +285,23 @@ class MissionProblem:
 
     @cached_property
     def past_waypoints(self) -> MissionProblem | None:
-        """The same mission with exact waypoint passages; None if they are exact already.
+        """An easier mission with exact waypoint passages; None if the passages are exact already.
 
-        Waypoints lose their radius and speed limit, which makes a first solve easier.
+        The waypoints have no radius and no speed limit, which makes a first solve easier.
         """
         plain = with_plain_passages(self.told)
         return None if plain is None else MissionProblem(self.problems, plain, self.search)
 
     @cached_property
     def steady(self) -> SteadyFlight:
-        """Steady flight (hover, cruise) of the vehicle in the wind of the mission."""
+        """Calculator of steady flight (hover, cruise) of the vehicle in the wind of the mission."""
         flown = {name: self.arguments[name] for name in ("parameters", "horizon")}
         return SteadyFlight(self.told, self.problem.dynamics(**flown))
 
     def hover_energy(self, solution: Solution) -> float:
-        """Return the energy of hovering for the duration of a solution [J].
+        """Return the energy of hovering in still air for the duration of a solution [J].
 
-        NaN if the vehicle cannot hover.
+        The result is NaN if the vehicle cannot hover.
         """
         held = trajectories_of(solution)
         known = dict(zip(held.state_names, held.states[0].tolist(), strict=True))
@@ -306,9 +313,10 @@ class MissionProblem:
         return power * (end - start)
 
     def keep_usable(self, finished: Solution) -> None:
-        """Offer the solution of a finished mesh to the search as a usable plan.
+        """Offer the solution on a finished mesh to the search as a usable plan.
 
-        A usable plan is one that simulation confirms at lower accuracy than requested.
+        A usable plan is a plan that simulation confirms at lower accuracy than requested. The mesh
+        refinement calls this function after each mesh.
         """
         search = self.search
         if search is None:

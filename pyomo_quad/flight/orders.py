@@ -1,9 +1,9 @@
-"""Cheapest orders of places from a table of leg costs, and a lower bound for all orders.
+"""Cheapest orders of places from a table of leg costs, and a lower bound on the cost of all orders.
 
-A leg is the flight from one place to another. Row 0 of the table has the legs from the start, the
-last column the legs to the goal, and the other rows and columns the legs from and to the other
-places. The cost of a leg may depend on its direction. Derivation of the bound:
-docs/theory/orders.md, eqs. (2) to (5).
+A leg is the flight from one place to another. The table has the costs of the legs from the start in
+its first row, the costs of the legs to the goal in its last column, and the costs of the legs
+between the other places in between. The cost of a leg may depend on its direction. For the
+derivation of the bound, see docs/theory/orders.md, eqs. (2) to (5).
 """
 
 from dataclasses import dataclass
@@ -35,20 +35,21 @@ _ROUNDING = 1e-12
 
 @dataclass(frozen=True, kw_only=True)
 class OrderSearch:
-    """Result of the search for the order of the waypoints.
+    """Result of the search for the cheapest order of the waypoints of a mission.
 
     Attributes
     ----------
     order : tuple of int
-        The waypoints of the scenario in the order of the plan.
+        Indices of the scenario's waypoints, in the order in which the plan visits them.
     cost_J : float
-        Cost of this order [J]: the sum over its legs (flights between consecutive places) of the
-        energy of a flight from hover to hover, plus the price of time.
+        Cost of this order [J], the sum of the costs of its legs. A leg is the flight from one place
+        to the next, from hover to hover; its cost is the energy plus the price of time times the
+        duration.
     bound_J : float
         Lower bound on the cost of all orders [J]; for legs that were not solved it uses optimistic
         predictions.
     solved, legs : int
-        Number of legs solved, and number of all legs that any order may use.
+        Number of legs for which a flight was solved, and number of all legs that orders may use.
     """
 
     order: tuple[int, ...]
@@ -59,17 +60,17 @@ class OrderSearch:
 
     @property
     def name(self) -> str:
-        """Waypoint numbers in the chosen order, in words."""
+        """Order of the waypoints in words, as in "waypoints in order 2, 0, 1"."""
         return f"waypoints in order {', '.join(str(k) for k in self.order)}"
 
     @property
     def gap(self) -> float:
-        """Relative excess of the order's cost over the lower bound for all orders."""
+        """Relative difference between the order's cost and the lower bound on all orders."""
         return self.cost_J / self.bound_J - 1.0
 
     @property
     def line(self) -> str:
-        """Summary of the search for the order of the waypoints and its accuracy, in one line."""
+        """One line that summarises the search for the order of the waypoints, with its accuracy."""
         return (
             f"order of {len(self.order)} waypoints: the energies of its legs, planned one by one, "
             f"add up to at most {self.gap:.2%} above the best order; {self.solved} of {self.legs} "
@@ -86,8 +87,8 @@ def best_orders(costs: FloatArray, count: int) -> list[_Order]:
     Parameters
     ----------
     costs : ndarray, shape (n + 2, n + 2)
-        Cost of each leg (flight from one place to another), with the start in row 0 and the goal in
-        the last column; infinite if the leg is not allowed.
+        Cost of each leg (flight from one place to another). The legs from the start are in row 0,
+        the legs to the goal in the last column. The cost of a leg that is not allowed is infinite.
     count : int
         Number of orders to return; fewer are returned if fewer exist.
 
@@ -102,17 +103,19 @@ def best_orders(costs: FloatArray, count: int) -> list[_Order]:
 def cost_of(costs: FloatArray, order: _Order) -> float:
     """Return the cost of an order of places: the sum of the costs of its legs.
 
-    `costs` is the table of leg costs, with the start in row 0 and the goal in the last column.
+    `costs` is the table of leg costs, with the legs from the start in row 0 and the legs to the
+    goal in the last column. `order` has the indices of the places in between, from 0.
     """
     places = np.array([0, *(k + 1 for k in order), len(costs) - 1])
     return float(costs[places[:-1], places[1:]].sum())
 
 
 def exact_orders(costs: FloatArray, count: int) -> list[_Order]:
-    """Return the cheapest orders by dynamic programming (Held and Karp).
+    """Return the cheapest orders of the places between start and goal, by dynamic programming.
 
-    A state of the recursion consists of the set of places passed and the place passed last [1]_;
-    the `count` best orders of each state are kept. Parameters and result as for `best_orders`.
+    The method is that of Held and Karp [1]_. A state of the recursion consists of the set of places
+    passed and the place passed last; the `count` best orders of each state are kept. Parameters and
+    result are as for `best_orders`.
 
     .. [1] Held and Karp, "A dynamic programming approach to sequencing problems", SIAM J. 10
        (1962).
@@ -150,12 +153,12 @@ def _traced_back(came_from: NDArray[np.int32], passed: int, row: int, count: int
 
 
 def search_orders(costs: FloatArray, count: int) -> list[_Order]:
-    """Return the cheapest orders found by iterated local search.
+    """Return the cheapest orders of the places between start and goal that local search finds.
 
     A local change exchanges two neighbouring blocks of the order, which keeps the direction of
     flight within the blocks, or reverses a block [1]_. Each step of a descent takes the best of all
     local changes. Descents are repeated from perturbed copies of the best order; the random numbers
-    are the same in every call. Parameters and result as for `best_orders`.
+    are the same in every call. Parameters and result are as for `best_orders`.
 
     .. [1] Kanellakis and Papadimitriou, "Local search for the asymmetric traveling salesman
        problem", Operations Research 28 (1980).
@@ -177,10 +180,10 @@ def search_orders(costs: FloatArray, count: int) -> list[_Order]:
 
 
 def _without_infinities(costs: FloatArray) -> FloatArray:
-    """Return leg costs without infinite entries, for algorithms that need finite numbers.
+    """Return a table of leg costs in which infinite costs are replaced by large finite numbers.
 
-    A leg is the flight between two places. An infinite cost, of a leg that is not allowed, is
-    replaced by a number above the cost of any order.
+    Some algorithms need finite numbers. An infinite cost marks a leg (flight between two places)
+    that is not allowed; it is replaced by a number above the cost of any order of allowed legs.
     """
     finite = costs[np.isfinite(costs)]
     large = 1.0 + len(costs) * float(np.max(np.abs(finite), initial=0.0))
@@ -188,9 +191,10 @@ def _without_infinities(costs: FloatArray) -> FloatArray:
 
 
 def _neighbours(n: int) -> IntArray:
-    """Return all permutations of 0, 1, ... n - 1 that a single local change makes, one per row.
+    """Return all orders that a single local change makes from the order 0, 1, ..., n - 1.
 
-    A local change exchanges two neighbouring blocks or reverses a block.
+    A local change exchanges two neighbouring blocks of the order, or reverses a block. Each row of
+    the result is an order of n indices.
     """
     every = np.arange(n)
     rows = [
@@ -210,13 +214,21 @@ def _named(order: IntArray) -> _Order:
 
 
 def _cost(costs: FloatArray, orders: IntArray) -> FloatArray:
-    """Return the costs of several orders of places, each given as a row of indices."""
+    """Return the cost of each of several orders of places, shape (n_orders,).
+
+    `costs` is the table of leg costs, with the start in row 0 and the goal in the last column. Each
+    row of `orders` has the indices of the places between start and goal, from 1.
+    """
     between = costs[orders[:, :-1], orders[:, 1:]].sum(axis=1)
     return np.asarray(costs[0, orders[:, 0]] + between + costs[orders[:, -1], -1])
 
 
 def nearest_first(costs: FloatArray) -> IntArray:
-    """Return the greedy order of places: always to the nearest remaining place."""
+    """Return the greedy order of places, which always continues to the nearest remaining place.
+
+    `costs` is the table of leg costs or lengths, with the start in row 0 and the goal in the last
+    column. The result has the indices of the places between start and goal, from 1.
+    """
     order, left = [0], list(range(1, len(costs) - 1))
     while left:
         order.append(left.pop(int(np.argmin(costs[order[-1], left]))))
@@ -224,7 +236,11 @@ def nearest_first(costs: FloatArray) -> IntArray:
 
 
 def _descended(costs: FloatArray, neighbours: IntArray, order: IntArray) -> IntArray:
-    """Return the local optimum that steepest descent finds from an initial order."""
+    """Return the locally optimal order that steepest descent finds from an initial order.
+
+    `costs` is the table of leg costs, and `neighbours` the table of local changes from
+    `_neighbours`. The descent ends when no local change reduces the cost of the order.
+    """
     cost = _cost(costs, order[None])[0]
     while True:
         beside = order[neighbours]
@@ -236,10 +252,10 @@ def _descended(costs: FloatArray, neighbours: IntArray, order: IntArray) -> IntA
 
 
 def least_cost(costs: FloatArray, reached: float) -> float:
-    """Return a lower bound on the cost of every order.
+    """Return a lower bound on the cost of every order of the places between start and goal.
 
-    It is the larger of two bounds: the cheapest assignment of a successor to each place, and the
-    bound by spanning trees [1]_ for symmetric costs; see docs/theory/orders.md.
+    The result is the larger of two bounds: the cost of the cheapest assignment of a successor to
+    each place, and the bound by spanning trees [1]_ for symmetric costs; see docs/theory/orders.md.
 
     Parameters
     ----------
@@ -247,8 +263,8 @@ def least_cost(costs: FloatArray, reached: float) -> float:
         Cost of each leg (flight from one place to another), for at least one place between start
         and goal.
     reached : float
-        Cost of a known order. It is the target of the iteration that raises the tree bound, and the
-        result never exceeds it.
+        Cost of a known order. The iteration that raises the bound by trees uses it as its target,
+        and the result never exceeds it.
 
     .. [1] Held and Karp, "The traveling-salesman problem and minimum spanning trees", Operations
        Research 18 (1970).
@@ -263,13 +279,15 @@ def least_cost(costs: FloatArray, reached: float) -> float:
 
 
 def _made_symmetric(costs: FloatArray, finite: FloatArray) -> FloatArray:
-    """Return symmetric costs of legs, for a lower bound on the cost of all orders.
+    """Return leg costs that do not depend on direction, for the lower bound by spanning trees.
 
-    A leg is the flight from one place to another. A potential is a number for each place; the
-    difference of the potentials of its two ends is added to the cost of a leg. This changes the
-    cost of no order, see docs/theory/orders.md, eq. (3), and it removes most of the dependence of
-    costs on direction, which climbs and head winds cause. The symmetric cost is the cost in the
-    cheaper direction. Legs that are allowed in one direction only do not enter the potentials.
+    A leg is the flight from one place to another. Climbs and head winds make its cost depend on the
+    direction. To remove most of this dependence, each place gets a number, its potential, and the
+    difference of the potentials of its two ends is added to the cost of each leg. This does not
+    change the cost of any order; see docs/theory/orders.md, eq. (3). The symmetric cost of a leg is
+    then the cost in the cheaper direction. Legs that are allowed in one direction only do not
+    enter the potentials. `costs` is the table of leg costs, and `finite` the same table with large
+    numbers in place of infinite costs.
     """
     potential = np.zeros(len(costs))
     is_both = np.isfinite(costs + costs.T)[1:-1, 1:-1]
@@ -286,10 +304,11 @@ def _made_symmetric(costs: FloatArray, finite: FloatArray) -> FloatArray:
 def _tree_bound(costs: FloatArray, reached: float) -> float:
     """Return a lower bound on the cost of all orders, by minimum spanning trees.
 
-    In an order, each place between start and goal has two legs; in a spanning tree it may have
-    another number of legs. Multipliers penalise the difference, and subgradient steps maximise the
-    bound over the multipliers: see docs/theory/orders.md, eq. (5). `costs` are symmetric leg costs,
-    `reached` is the cost of a known order.
+    An order is a spanning tree in which each place between start and goal has two legs (flights
+    to another place). In the minimum spanning tree a place may have another number of legs.
+    Multipliers penalise the difference, and subgradient steps maximise the bound over the
+    multipliers: see docs/theory/orders.md, eq. (5). `costs` are symmetric leg costs, `reached` is
+    the cost of a known order.
     """
     degrees = np.full(len(costs), 2.0)
     degrees[[0, -1]] = 1.0
@@ -309,9 +328,10 @@ def _tree_bound(costs: FloatArray, reached: float) -> float:
 
 
 def _least_tree(costs: FloatArray) -> tuple[float, FloatArray]:
-    """Return the cost of the minimum spanning tree, and its number of legs at each place.
+    """Return the cost of the minimum spanning tree, and the number of its legs at each place.
 
-    The method is Prim's; see docs/theory/orders.md, eq. (4).
+    A leg connects two places; `costs` is the symmetric table of leg costs. The method is Prim's;
+    see docs/theory/orders.md, eq. (4).
     """
     n = len(costs)
     degrees, nearest, by = np.zeros(n), costs[0].copy(), np.zeros(n, dtype=int)

@@ -1,19 +1,22 @@
-"""Flights in the simulator RotorPy [1]_, under the package's controller and RotorPy's own.
+"""Flights in the simulator RotorPy [1]_, with this package's controller or RotorPy's own.
 
-The table shows which parameters of RotorPy (right) follow from the declared vehicle (left):
+RotorPy is independent of this package, so that its flights test plans and controllers. The declared
+vehicle is the vehicle of the scenario's Pyomo model. The table shows which parameters of RotorPy
+(right) follow from the declared vehicle (left):
 
 declared vehicle | RotorPy
 mass, inertias, thrust and drag torque over rotor speed squared | mass, Ixx.., k_eta, k_m
 places and spins of the rotors, derived from the declared mixer | rotor_pos, rotor_directions
 drag of rotors, translational lift, parasitic drag by axis | k_d, k_z, k_h, c_Dx..
-quadratic drag | added to c_Dx = c_Dy = c_Dz, on body axes
-linear drag | added to k_d = k_z, times four rotors at the speed of hover, at the rotors
+quadratic drag | added to c_Dx, c_Dy and c_Dz; acts along the body axes
+linear drag / (4 x rotor speed in hover) | added to k_d and k_z; acts at the rotors
 
 RotorPy's rotors have no inertia, so the gyroscopic moment and the reaction of the body to
 accelerating rotors are added to RotorPy's own moments. RotorPy's motors follow a command with a
 lag; at every time the command is chosen that produces the desired rotor acceleration. Energy is the
 integral of the declared power at RotorPy's rotor speeds. Features of RotorPy's own simulation that
-differ from the declared equations are off by default; `Habits` switches them on one at a time.
+differ from the declared equations are switched off by default; `Habits` switches them on one at a
+time.
 
 .. [1] Folk, Paulos and Kumar, "RotorPy: A Python-based Multirotor Simulator with Aerodynamics for
    Education and Research", arXiv 2306.04485.
@@ -90,7 +93,11 @@ _SIZE = 20
 
 
 class Pilot(StrEnum):
-    """Controller of a flight in RotorPy: adaptive, RotorPy's SE3, or none (open loop)."""
+    """Controller of a flight in RotorPy.
+
+    `ADAPTIVE` is the adaptive controller of this package, `SE3` is RotorPy's geometric controller,
+    and `OPEN_LOOP` applies the plan's controls without feedback.
+    """
 
     ADAPTIVE = "adaptive"
     SE3 = "se3"
@@ -99,7 +106,7 @@ class Pilot(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class BodyFrame:
-    """Body axes and rotor numbers of RotorPy, relative to the declared vehicle."""
+    """Body axes and rotor numbers of RotorPy's vehicle, relative to the declared vehicle."""
 
     turn: float = 0.0
     """Angle from the declared body x axis to RotorPy's [rad]."""
@@ -109,9 +116,9 @@ class BodyFrame:
 
 @dataclass(frozen=True, kw_only=True)
 class Habits:
-    """Differences of RotorPy's own simulation from the declared equations, as switches.
+    """Switches for features of RotorPy's own simulation that differ from the declared equations.
 
-    With the default values, RotorPy's vehicle obeys the declared equations.
+    With the default values, RotorPy's vehicle obeys the equations of the scenario's Pyomo model.
     """
 
     gravity: float | None = None
@@ -136,7 +143,7 @@ ACROSS = BodyFrame(turn=-pi / 4, order=(0, 3, 2, 1))
 
 
 def rotorpy_module(name: str) -> ModuleType:
-    """Import a module of RotorPy by its name within the package.
+    """Import a module of RotorPy; `name` is its name within the package.
 
     Raises
     ------
@@ -152,7 +159,11 @@ def rotorpy_module(name: str) -> ModuleType:
 
 
 def quad_parameters(scenario: Scenario, dynamics: Dynamics) -> dict[str, Any]:
-    """Return the vehicle of a scenario as RotorPy's parameter dictionary (`quad_params`)."""
+    """Return the vehicle of a scenario as RotorPy's parameter dictionary (`quad_params`).
+
+    `dynamics` has the equations of the vehicle, from which thrust and moments of the rotors
+    follow.
+    """
     vehicle, limits = scenario.vehicle, scenario.limits
     thrust, roll, pitch, yaw = mixer_matrix(dynamics)
     places = np.column_stack([-pitch / thrust, roll / thrust, np.zeros(len(thrust))])
@@ -245,11 +256,12 @@ class OutsidePlant:
         self._wind = _wind_of(scenario, dynamics)
 
     def started(self, x: FloatArray, own: Sequence[float]) -> FloatArray:
-        """Return the initial joint state from declared states and the control law's states.
+        """Return the initial joint state of a simulation.
 
-        `x` holds the declared states, shape (n_states,), and `own` the states of the control law.
-        The joint state has RotorPy's vector, the declared states that RotorPy lacks, the law's
-        states, and the energy.
+        `x` holds the initial declared states, those of the scenario's Pyomo model, shape
+        (n_states,). `own` holds the initial states of the control law. The joint state consists of
+        RotorPy's state vector, the declared states that RotorPy lacks, the law's states, and the
+        energy spent.
         """
         s = np.zeros(_SIZE)
         s[:6] = x[self._place]
@@ -260,10 +272,11 @@ class OutsidePlant:
         return np.array([*s, *x[self._others], *own, 0.0])
 
     def read(self, joint: FloatArray) -> FloatArray:
-        """Return the declared states, shape (n_states,), of a joint state.
+        """Return the declared states, shape (n_states,), from a joint state of the simulation.
 
-        The joint state has RotorPy's vector, the declared states that RotorPy lacks, the states of
-        the control law, and the energy.
+        Declared states are those of the scenario's Pyomo model. The joint state consists of
+        RotorPy's state vector, the declared states that RotorPy lacks, the states of the control
+        law, and the energy spent.
         """
         x = np.empty(len(self.dynamics.state_names))
         x[self._place] = joint[:6]
@@ -280,9 +293,10 @@ class OutsidePlant:
         return np.asarray(self._turn.apply(vector))
 
     def seen(self, x: FloatArray) -> dict[str, FloatArray]:
-        """Convert declared states to the dictionary that RotorPy's controllers read.
+        """Convert declared states to the state dictionary that RotorPy's controllers take as input.
 
-        Its keys are "x", "v", "q" (quaternion), "w" (body rates) and "rotor_speeds".
+        `x` holds the states of the scenario's Pyomo model. The keys of the result are "x", "v", "q"
+        (quaternion), "w" (body rates) and "rotor_speeds".
         """
         s = self.started(x, ())
         return {
@@ -294,16 +308,20 @@ class OutsidePlant:
         }
 
     def ours(self, theirs: FloatArray) -> FloatArray:
-        """Reorder one value per rotor from RotorPy's order of rotors to the declared order."""
+        """Reorder one value per rotor from RotorPy's order of the rotors to the declared order.
+
+        `theirs` has the values in RotorPy's order. The declared order is that of the scenario's
+        Pyomo model.
+        """
         ordered = np.empty_like(theirs)
         ordered[self._order] = theirs
         return ordered
 
     def own(self, joint: FloatArray) -> list[float]:
-        """Return the states of the control law from a joint state.
+        """Return the states of the control law from a joint state of the simulation.
 
-        The joint state has RotorPy's vector, the declared states that RotorPy lacks, the states of
-        the control law, and the energy.
+        The joint state consists of RotorPy's state vector, the declared states that RotorPy lacks,
+        the states of the control law, and the energy spent.
         """
         return joint[_SIZE + len(self._others) : -1].tolist()
 
@@ -316,7 +334,7 @@ class OutsidePlant:
             Time [s].
         joint : ndarray
             RotorPy's state vector, the declared states that RotorPy lacks, the states of the law,
-            and the energy.
+            and the energy spent.
         law : callable
             Control law: takes time, declared states and the law's own states; returns rotor
             accelerations [rad/s^2] and the rates of the law's states.
@@ -335,10 +353,11 @@ class OutsidePlant:
         return np.array([*slope, *declared[self._others], *own_rates, power])
 
     def _of_rotors(self, s: FloatArray, alpha: FloatArray) -> FloatArray:
-        """Return the moment of the rotors' gyroscopic effect and reaction on the body [N m].
+        """Return the moments on the body that RotorPy neglects, shape (3,) [N m].
 
-        `s` is RotorPy's state, `alpha` the rotor accelerations in RotorPy's order [rad/s^2]; the
-        result has shape (3,).
+        These are the gyroscopic moment of the spinning rotors, and the reaction to their angular
+        acceleration. `s` is RotorPy's state vector, `alpha` has the rotor accelerations in
+        RotorPy's order [rad/s^2].
         """
         directions = self._vehicle.rotor_dir
         spin, gathering = directions @ s[_SPEEDS], directions @ alpha
@@ -356,7 +375,9 @@ class OutsidePlant:
         integrator: str,
         tolerance: float,
     ) -> Flown:
-        """Simulate RotorPy's vehicle under a control law that is smooth between given times.
+        """Simulate RotorPy's vehicle under a control law.
+
+        The integration is restarted at the times at which the law may jump.
 
         Parameters
         ----------
@@ -364,7 +385,7 @@ class OutsidePlant:
             Control law: takes time, declared states and the law's own states; returns rotor
             accelerations [rad/s^2] and the rates of the law's states.
         start : ndarray, shape (n_states,)
-            Declared states at the start.
+            Declared states (those of the scenario's Pyomo model) at the start.
         own : sequence of float
             Initial values of the law's own states.
         borders : sequence of float
@@ -422,11 +443,12 @@ class OutsidePlant:
     def _slope(
         self, law: OutsideLaw, inside: float, last: float
     ) -> Callable[[float, FloatArray], FloatArray]:
-        """Return the right-hand side: time derivative of the joint state from time and joint state.
+        """Return the right-hand side for one period: joint state rates from time and joint state.
 
-        The function raises a SolveError if the vehicle tumbles in the time up to `last` [s]. The
-        law may jump at the start of the period; before the time `inside` [s] the function therefore
-        uses the law at `inside`.
+        The returned function raises a SolveError if the vehicle tumbles in the period, which ends
+        at the time `last` [s]. The law may jump at the start of the period; before the time
+        `inside` [s], which is just after the start, the function therefore evaluates the law at
+        `inside`.
         """
         guard = TumblingGuard("RotorPy", last - inside)
 
@@ -437,10 +459,10 @@ class OutsidePlant:
         return slope
 
     def _with_constant_command(self, law: OutsideLaw, t: float, joint: FloatArray) -> OutsideLaw:
-        """Return a law whose rotor command is constant: the command that ``law`` gives at time t.
+        """Return a law with constant rotor-speed commands: those that ``law`` gives at time t [s].
 
-        The motors follow the command with a lag. RotorPy simulates each period of its controller in
-        this way.
+        `joint` is the joint state at time t. The motors follow the commands with a lag. RotorPy
+        simulates each period of its controller in this way.
         """
         x, lag = self.read(joint), self.parameters["tau_m"]
         command = x[self._rotors] + lag * np.asarray(law(t, x, self.own(joint))[0], dtype=float)
@@ -474,10 +496,10 @@ def _wind_of(scenario: Scenario, dynamics: Dynamics) -> Callable[[float, FloatAr
 
 
 def refuse_pushing_wind(scenario: Scenario) -> None:
-    """Raise a ScenarioError for a wind that acts as an acceleration (`wind.coupling`).
+    """Raise a ScenarioError if the wind acts as an acceleration that does not depend on airspeed.
 
-    The paper (Yacef et al.) has such a wind, in eq. (9). In RotorPy, the wind acts only through the
-    airspeed.
+    In RotorPy the wind acts only through the airspeed. The paper (Yacef et al.) has a wind that
+    acts as an acceleration, in eq. (9); a scenario has it with `wind.coupling = "acceleration"`.
     """
     wind = scenario.wind
     is_steady = bool(wind.speed or wind.vertical)
@@ -494,16 +516,19 @@ def _blows(axis: WindAxis) -> bool:
 
 
 def outside_name(pilot: Pilot, followed: Reference) -> str:
-    """Return the name of a flight in RotorPy, such as "rotorpy/adaptive/plan"."""
+    """Return the name of a flight in RotorPy, such as "rotorpy/adaptive/plan".
+
+    `followed` is the reference that the controller `pilot` follows.
+    """
     return f"{PLANT}/{pilot.value}/{followed.value}"
 
 
 def fly_outside(
     plant: OutsidePlant, pilot: Pilot, reference: Reference, plan: Plan | None = None
 ) -> Flight:
-    """Simulate RotorPy's vehicle along a reference, or with the plan's controls in open loop.
+    """Simulate a mission with RotorPy's vehicle, and verify the flight by a second integrator.
 
-    As for every controlled flight, a second integrator verifies the result.
+    The vehicle follows a reference under feedback, or flies the plan's controls in open loop.
 
     Parameters
     ----------
@@ -514,8 +539,8 @@ def fly_outside(
     reference : Reference
         Path to follow.
     plan : Plan, optional
-        Plan to follow. Its costates give the energy needed to complete a flight that ends off the
-        goal.
+        Plan to follow. If the flight ends off the goal, the plan's costates give an estimate of the
+        energy that is needed to reach the goal.
 
     Returns
     -------
@@ -525,7 +550,7 @@ def fly_outside(
     Raises
     ------
     ScenarioError
-        If the reference or the pilot needs a plan and none is given.
+        If the reference or the controller needs a plan and none is given.
     SolveError
         If the flight is out of control.
     """
@@ -552,7 +577,7 @@ def fly_under(
     own: Sequence[float] = (),
     borders: Sequence[float] | None = None,
 ) -> Flight:
-    """Simulate RotorPy's vehicle under a control law, by two integrators that confirm each other.
+    """Simulate RotorPy's vehicle under a control law, by two integrators that must agree.
 
     Parameters
     ----------
@@ -564,8 +589,8 @@ def fly_under(
         Control law: takes time, declared states and the law's own states; returns rotor
         accelerations [rad/s^2] and the rates of the law's states.
     plan : Plan, optional
-        Plan whose initial state the flight starts from, and whose costates give the energy needed
-        to complete the flight.
+        Plan whose initial state is the initial state of the flight. Its costates give an estimate
+        of the energy that is needed to reach the goal from the end of the flight.
     own : sequence of float
         Initial values of the law's own states.
     borders : sequence of float, optional
@@ -610,9 +635,9 @@ def _adaptive(
 
 
 def se3_law(plant: OutsidePlant, path: ReferencePath, *, stiffness: float = 1.0) -> OutsideLaw:
-    """Return RotorPy's SE3 controller as a control law, with scaled position gains.
+    """Return RotorPy's geometric controller (SE3) as a control law, with scaled position gains.
 
-    Its commands are clipped to the limits of the rotors.
+    Its rotor commands are clipped to the limits of the rotors.
 
     Parameters
     ----------
@@ -649,12 +674,12 @@ def se3_law(plant: OutsidePlant, path: ReferencePath, *, stiffness: float = 1.0)
 
 
 def _open_loop(plan: Plan, plant: OutsidePlant) -> tuple[OutsideLaw, list[float]]:
-    """Return the plan's controls as a control law, and the boundaries of its mesh elements [s].
+    """Return the plan's controls as a control law, and the times between which it is smooth [s].
 
-    The law returns the planned rotor accelerations. If the motors of the simulator receive
-    rotor-speed commands at a fixed rate (`Habits.command_rate_hz` is given), the law adds the
-    acceleration that removes the difference between planned and actual rotor speed, so that the
-    command equals the planned rotor speed.
+    These times are the boundaries of the plan's mesh elements. The law returns the planned rotor
+    accelerations. If the motors of the simulator receive rotor-speed commands at a fixed rate
+    (`Habits.command_rate_hz` is given), the law adds the acceleration that removes the difference
+    between planned and actual rotor speed, so that the command equals the planned rotor speed.
     """
     held, rotors = plan.trajectories, rotor_columns(plant.dynamics)
     start, end = held.horizon

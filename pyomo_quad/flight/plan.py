@@ -1,4 +1,4 @@
-"""Plan of a scenario: the flight of least energy, and the file that stores it."""
+"""Plan of a scenario, that is its flight of least energy, and the file that stores the plan."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Trajectories:
     horizon : (float, float)
         Start and end time [s].
     state_names, control_names, costate_names : tuple of str
-        Names of the columns.
+        Names of the columns of `states`, `controls` and `costates`.
     states : ndarray, shape (n_points + 1, n_states)
         States at the nodes, which are the start and the collocation points.
     controls : ndarray, shape (n_points, n_controls)
@@ -94,16 +94,16 @@ class Trajectories:
         return np.clip((np.asarray(t, dtype=float) - start) / (end - start), 0.0, 1.0)
 
     def states_at(self, t: FloatArray) -> FloatArray:
-        """Evaluate the state polynomials at n given times [s]; the result is (n, n_states)."""
+        """Return the values of the state polynomials at n given times [s], shape (n, n_states)."""
         return interpolate(self.mesh, self.states, self.fractions(t), with_start=True)
 
     def controls_at(
         self, t: FloatArray, limits: tuple[FloatArray, FloatArray] | None = None
     ) -> FloatArray:
-        """Evaluate the control polynomials at n given times [s]; the result is (n, n_controls).
+        """Return the values of the control polynomials at n given times [s].
 
-        `limits` are lower and upper limits, each of shape (n_controls,), to which the values are
-        clipped; None for no clipping.
+        The result has shape (n, n_controls). It is clipped to `limits`, the lower and the upper
+        limits of the controls, each of shape (n_controls,); None for no clipping.
         """
         controls = interpolate(self.mesh, self.controls, self.fractions(t), with_start=False)
         return controls if limits is None else np.clip(controls, *limits)
@@ -115,15 +115,15 @@ class Trajectories:
 
     @property
     def node_times(self) -> FloatArray:
-        """Times of the nodes, the start and the collocation points [s], shape (n_points + 1,)."""
+        """Times of the nodes [s], shape (n_points + 1,): the start and the collocation points."""
         start, end = self.horizon
         return start + (end - start) * self.mesh.node_fractions
 
 
 def trajectories_of(solution: Solution) -> Trajectories:
-    """Return the states, controls, energy and costates of a solution of the engine, with names.
+    """Return states, controls, energy and costates of a solution, with the names of the columns.
 
-    Variables that equations determine (algebraic variables) are not among the controls.
+    Algebraic variables that equations determine are not controls, and are left out.
     """
     declared = solution.problem.compiled.declared
     costates = solution.costates
@@ -163,14 +163,16 @@ _WARM_START = "warm_start."
 class PlanStatus(StrEnum):
     """Outcome of planning a scenario, from verified to failed.
 
+    The simulated flight is a simulation of the planned controls without feedback.
+
     Attributes
     ----------
     VERIFIED
-        A simulated flight and the error estimate confirm the plan to the requested accuracy.
+        The simulated flight and the error estimate confirm the plan to the requested accuracy.
     USABLE
-        A simulated flight confirms, to the tolerances `USABLE`, that the plan arrives, keeps all
-        limits and spends the energy stated. The plan may not be optimal: `Plan.energy_uncertainty`
-        estimates how much energy another flight may save.
+        The simulated flight confirms, to the wider tolerances `USABLE`, that the plan arrives,
+        keeps all limits and spends the energy stated. The plan may not be optimal:
+        `Plan.energy_uncertainty` estimates how much energy another flight may save.
     SOLVED
         Ipopt converged, but the simulated flight does not confirm the plan.
     NOT_CONVERGED, INFEASIBLE, INTERRUPTED
@@ -196,7 +198,10 @@ _Error = Annotated[float, AllowInfNan()]
 
 
 class PlanRecord(Part):
-    """Contents of a plan file other than its arrays; `Plan` explains the attributes."""
+    """Attributes of a plan that a plan file stores as text; `Plan` explains them.
+
+    The arrays of the plan are stored separately.
+    """
 
     status: PlanStatus
     message: str
@@ -214,9 +219,10 @@ class PlanRecord(Part):
 
 
 class _About(Part):
-    """JSON schema of the text part of a plan file.
+    """Schema of the text part of a plan file, which is JSON.
 
-    It holds scenario, record, horizon, and the names of the columns of the arrays.
+    It has the scenario, the attributes of the plan, its horizon, and the names of the columns of
+    the arrays.
     """
 
     model_config = ConfigDict(ser_json_inf_nan="constants")
@@ -246,11 +252,12 @@ def write_plan_file(
     scenario : Scenario
         Scenario of the plan.
     record : PlanRecord
-        Attributes of the plan other than its arrays.
+        Attributes of the plan other than its arrays, as `PlanRecord` lists them.
     trajectories : Trajectories
         Arrays of the plan.
     warm_start : WarmStart or None
-        Initial point for another solve; left out if it contains infinite numbers.
+        Variables and multipliers from which another solve can start; not written if it contains
+        infinite numbers.
     """
     about = _About(
         format=_FORMAT,
@@ -417,14 +424,14 @@ class Plan(Summarised):
     message : str
         Reason why the solve ended, in one sentence.
     energy : float
-        Energy of the flight by the quadrature of the collocation scheme [J].
+        Energy of the flight [J], computed by the quadrature of the collocation scheme.
     hover_energy_J : float
         Energy of hovering for the same time [J].
     trajectories : Trajectories
         States, controls, energy and costates on the mesh.
     verification : Verification or None
-        Comparison with the simulated flight; None if the solve failed, so that nothing was
-        simulated.
+        Comparison of the plan with the simulation of its controls; None if the controls were not
+        simulated, for example because the solve failed.
     error_estimate : float
         Largest relative error of any state in any element of the mesh, estimated.
     history : tuple of MeshRecord
@@ -432,27 +439,27 @@ class Plan(Summarised):
     iterations : tuple of Iteration
         Ipopt's progress on the last mesh.
     attempts : tuple of str
-        Strategies that were tried, in order, if the first solve was not sufficient.
+        Planning strategies that were tried, in order, with their outcomes.
     failure : Failure or None
         Diagnosis of a failed solve.
     passing_times_s : tuple of float
         Time at which each waypoint is reached [s].
     timings : mapping
-        Seconds for build, compile, solve and verify.
+        Computing time [s] of each phase: build, compile, solve and verify.
     routes : tuple of TriedRoute
         The routes round keep-out zones that were tried, the shortest first.
     order_search : OrderSearch or None
         Result of the search for the order of the waypoints; None if the mission gives the order.
     warm_start : WarmStart or None
-        Initial point for another solve; stored by `save`.
+        Variables and multipliers from which another solve can start; stored by `save`.
     solution : Solution or None
-        The engine's own result; None when the plan was loaded from a file.
+        Result of the collocation engine; None if the plan was loaded from a file.
     flown : Flown or None
-        The simulated flight of the verification.
+        Samples of the simulated flight of the verification.
     risk : RiskTaken or None
-        Risk for which the plan was made, with margins and test flights. The risk is the share of
-        flights in turbulence that may break a limit. None for a plan without margins: it may use
-        all thrust, so that a controller has none left for corrections.
+        Risk for which the plan was made, with margins and test flights. The risk is the probability
+        that a flight in turbulence breaks a limit. None for a plan without margins: such a plan may
+        use all thrust, so that a controller has none left for corrections.
     """
 
     scenario: Scenario
@@ -492,7 +499,10 @@ class Plan(Summarised):
 
     @property
     def mission_flown(self) -> Scenario:
-        """Scenario with the plan's duration and passing times of waypoints filled in."""
+        """Scenario of the plan, in which the plan's times replace free times.
+
+        The times are the duration and the passing times of the waypoints.
+        """
         told = self.scenario
         if not told.mission.is_free and not told.mission.waypoints:
             return told
@@ -500,10 +510,11 @@ class Plan(Summarised):
 
     @property
     def risk_words(self) -> str:
-        """Risk and cost of the plan's margins in words, or a warning that it has no margins.
+        """Sentence on the risk of the plan and the energy that its margins cost.
 
-        The risk is the share of flights in turbulence that may break a limit. Margins are the
-        amounts by which the plan stays inside its limits.
+        For a plan without margins, it is a warning. The risk is the probability that a flight in
+        turbulence breaks a limit. Margins are the amounts by which limits were tightened for the
+        plan.
         """
         return PAPER_PLAN if self.risk is None else self.risk.words(self.energy)
 
@@ -521,7 +532,7 @@ class Plan(Summarised):
 
     @property
     def mesh(self) -> Mesh:
-        """Last mesh of the refinement."""
+        """Mesh of the plan, the last mesh of the refinement."""
         return self.trajectories.mesh
 
     @property
@@ -531,18 +542,26 @@ class Plan(Summarised):
 
     @property
     def is_flyable(self) -> bool:
-        """Whether simulation confirmed the plan, fully (verified) or at lower accuracy (usable)."""
+        """Whether simulation confirmed the plan to some accuracy.
+
+        This is the case for a verified plan (to the requested accuracy) and for a usable plan (to
+        the wider tolerances `USABLE`).
+        """
         return self.status in FLYABLE
 
     @property
     def figures_checked(self) -> Figures:
-        """Tolerances to which the plan was verified: of its requested accuracy, or `USABLE`."""
+        """Tolerances that the plan's simulation was compared with.
+
+        For a usable plan these are the tolerances `USABLE`, otherwise those of the accuracy that
+        the scenario requests.
+        """
         usable = self.status is PlanStatus.USABLE
         return USABLE if usable else FIGURES[self.scenario.solver.accuracy]
 
     @property
     def accuracy_reached(self) -> Accuracy | None:
-        """Highest accuracy that simulation and error estimate confirm, limited to the request.
+        """Highest accuracy that simulation and error estimate confirm, at most the requested one.
 
         None if they do not confirm even the lowest accuracy.
         """
@@ -555,12 +574,13 @@ class Plan(Summarised):
 
     @property
     def energy_uncertainty(self) -> float:
-        """Estimated share of the energy that a better flight nearby may save.
+        """Estimated fraction of the energy that a better flight near the plan may save.
 
         For a verified plan this is the error estimate, which covers the error of the energy. For
         any other plan it is the relative change of the energy from the second last to the last
-        mesh, but at least the tolerance of the accuracy `quick`, because two meshes may agree by
-        chance. It is infinite if there was only one mesh.
+        mesh. This change is replaced by the tolerance of the accuracy `quick` if it is smaller,
+        because two meshes may agree by chance. The uncertainty is infinite if there was only one
+        mesh.
         """
         if self.is_verified:
             return min(self.error_estimate, self.scenario.solver.tolerance)
@@ -577,7 +597,7 @@ class Plan(Summarised):
 
     @property
     def reached(self) -> str:
-        """Sentence on the progress of an interrupted search: mesh, energy, iteration, error."""
+        """Sentence on the progress of an unfinished search: mesh, energy, iteration and error."""
         asked = self.scenario.solver.tolerance
         parts = [
             f"mesh {max(len(self.history), 1)} with {self.mesh.points} points",
@@ -592,12 +612,12 @@ class Plan(Summarised):
 
     @cached_property
     def dynamics(self) -> Dynamics:
-        """Compiled equations of the plan, for simulations.
+        """Equations of the vehicle, compiled with the plan's parameters, for simulations.
 
         Raises
         ------
         ScenarioError
-            If the plan was loaded from a file, which holds no equations.
+            If the plan was loaded from a file, which does not contain equations.
         """
         if self.solution is None:
             raise ScenarioError(
@@ -607,23 +627,25 @@ class Plan(Summarised):
         return self.solution.dynamics
 
     def owed_energy(self, final: Mapping[str, float]) -> float:
-        """Estimate the energy to complete the mission from an end state off the goal [J].
+        """Estimate the energy still needed by a flight that ends off the goal [J].
 
-        The estimate is the sum over the states of the final costate times the deviation from the
-        planned final value. To first order, it is the energy that a mission to this end state would
-        save compared with the planned mission. If the least energy is a convex function of the end
-        state, the saving is at most this estimate. A flight's energy plus the estimate is therefore
-        at least the energy of the optimum, and at least the lower bound.
+        Each state contributes its final costate times the deviation of its final value from the
+        planned final value. To first order, the estimate is the energy that a mission to the
+        flight's final state would save compared with the planned mission. If the least energy is a
+        convex function of the final state, the saving is at most this estimate. The energy of the
+        flight plus the estimate is therefore at least the energy of the optimum, and at least the
+        lower bound.
 
         Parameters
         ----------
         final : mapping
-            State name -> final value; a state that the plan does not have adds nothing.
+            State name -> final value in the flight; a state that the plan does not have contributes
+            nothing.
 
         Returns
         -------
         float
-            Positive if the end state falls short of the planned end.
+            Positive if the final state falls short of the planned final state.
         """
         held = self.trajectories
         planned = dict(zip(held.state_names, held.states[-1].tolist(), strict=True))
@@ -637,8 +659,8 @@ class Plan(Summarised):
     def end_prices(self) -> dict[str, float]:
         """Costates at the end of the plan, by state name [J per unit of the state].
 
-        Each is the derivative of the energy to complete the mission by the final value of the
-        state.
+        Each costate is used as the derivative of the energy of the mission with respect to the
+        final value of the state; see `owed_energy`.
         """
         held = self.trajectories
         return dict(zip(held.costate_names, held.costates[-1].tolist(), strict=True))
@@ -649,7 +671,7 @@ class Plan(Summarised):
         Parameters
         ----------
         rate_hz : float, optional
-            Rows per second of dense output.
+            Rows per second; by default there is one row for each node of the mesh.
 
         Returns
         -------
@@ -659,7 +681,8 @@ class Plan(Summarised):
         Raises
         ------
         ScenarioError
-            If the rate is not positive, or the plan was loaded without its equations.
+            If the rate is not positive, or if the plan was loaded from a file, which does not
+            contain equations.
 
         Examples
         --------
@@ -675,7 +698,7 @@ class Plan(Summarised):
         Parameters
         ----------
         rate_hz : float, optional
-            Rows per second of dense output; by default one row for each node of the mesh.
+            Values per second; by default there is one value for each node of the mesh.
 
         Returns
         -------
@@ -695,11 +718,13 @@ class Plan(Summarised):
         return dataset_of(self.to_frame(rate_hz)).assign_attrs(told)
 
     def columns(self, times: FloatArray) -> dict[str, FloatArray]:
-        """Return the columns of `to_frame` at given times [s], by name."""
+        """Return the columns of `to_frame` at given times [s], as a mapping from name to values."""
         return flight_columns(*self._sampled(times))
 
     def times(self, rate_hz: float | None = None) -> FloatArray:
-        """Return the times of the rows of `to_frame` [s]: mesh nodes, or ``rate_hz`` rows a second.
+        """Return the times of the rows of `to_frame` [s].
+
+        These are the nodes of the mesh or, if ``rate_hz`` is given, ``rate_hz`` times per second.
 
         Raises
         ------
@@ -733,9 +758,10 @@ class Plan(Summarised):
     def at(self, t: Sequence[float] | FloatArray) -> pd.DataFrame: ...
 
     def at(self, t: float | Sequence[float] | FloatArray) -> pd.Series | pd.DataFrame:
-        """Return the row of `to_frame` at a time [s], or a frame of the rows at several times.
+        """Return the columns of `to_frame` at a time [s], or at several times.
 
-        The name of a row, and the index of a frame, is the time.
+        For a single time the result is a series whose name is the time; for several times it is a
+        frame whose index is the time.
 
         Raises
         ------
@@ -753,7 +779,7 @@ class Plan(Summarised):
         return frame.iloc[0] if np.ndim(t) == 0 else frame
 
     def flight(self, name: str = "optimal", samples: int = FLIGHT_SAMPLES) -> Flight:
-        """Return the plan as a `Flight`, with the result of its verification.
+        """Return the plan as a `Flight`, for comparison with simulated flights.
 
         Parameters
         ----------
@@ -765,8 +791,8 @@ class Plan(Summarised):
         Returns
         -------
         Flight
-            Result with the energy of the plan, and with the misses and violations of its simulated
-            flight.
+            Result with the energy and the table of the plan, and with the final deviations and
+            violations of the simulated flight of its verification.
         """
         verification = self.verification
         return Flight(
@@ -785,9 +811,10 @@ class Plan(Summarised):
         )
 
     def costate_frame(self) -> pd.DataFrame:
-        """Return costates and Hamiltonian at the collocation points as a table over "time_s".
+        """Return costates and Hamiltonian as a table, at the collocation points.
 
-        The costates are in J per unit of the state, the Hamiltonian in W.
+        The index is the time, "time_s". The costates are in J per unit of the state, the
+        Hamiltonian in W.
         """
         import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
@@ -820,7 +847,8 @@ class Plan(Summarised):
         Returns
         -------
         Picture
-            A notebook shows it; `Picture.save` writes it, `Picture.figure` is matplotlib's.
+            The figure. A notebook displays it; `Picture.save` writes it to a file, and
+            `Picture.figure` is the figure of matplotlib.
 
         Raises
         ------
@@ -847,7 +875,7 @@ class Plan(Summarised):
         Returns
         -------
         Path
-            The text, `report.md`.
+            Path of the report's text, `report.md`.
 
         Raises
         ------
@@ -862,7 +890,7 @@ class Plan(Summarised):
         return presenter().report_plan(self, folder, figures)
 
     def save(self, path: str | Path) -> None:
-        """Write the plan to a file that `load` reads: arrays and JSON, nothing pickled.
+        """Write the plan to a file that `load` reads: an archive of arrays and JSON, not a pickle.
 
         Parameters
         ----------
@@ -879,9 +907,10 @@ class Plan(Summarised):
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Read a plan from a file; the plan has no compiled equations and cannot be simulated.
+        """Read a plan from a file that `save` wrote.
 
-        Another solve can start from the plan read in the same way as from the original plan.
+        The file does not contain equations, so that the plan cannot be simulated. Another solve can
+        start from the plan in the same way as from the original plan.
 
         Parameters
         ----------

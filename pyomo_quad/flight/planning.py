@@ -1,4 +1,4 @@
-"""Planner: it compiles a scenario's problem, applies the strategies, and verifies the plan."""
+"""Planner, which compiles a scenario's problem, applies the strategies, and verifies the plan."""
 
 import time
 from collections.abc import Callable
@@ -25,19 +25,19 @@ Solve = Callable[[Scenario, Start | None, Search], Plan]
 
 
 class Planner(Problems):
-    """Solver of scenarios: compiles, solves and verifies, with cached compiled problems.
+    """Solver of scenarios, which makes verified plans and caches the compiled problems.
 
     Parameters
     ----------
     builder : callable, optional
-        Builds the Pyomo model of a scenario; `build_model` by default.
+        Takes a scenario and builds its Pyomo model; `build_model` by default.
     """
 
     def until_stopped(self) -> AbstractContextManager[Callable[[], bool]]:
-        """Return a context manager for several solves that reports whether the user stopped them.
+        """Return a context manager for a series of solves that the user may stop together.
 
-        Its value is a function without arguments, which returns True after the user stopped a
-        solve.
+        Its value is a function without arguments, which returns whether the user has stopped one of
+        the solves. In this class the function always returns False.
         """
         return nullcontext(lambda: False)
 
@@ -57,22 +57,22 @@ class Planner(Problems):
             Mission, vehicle, wind and settings.
         warm_start : Plan or WarmStart, optional
             A plan of a similar scenario, or a warm start stored in a plan file or by a sweep. Its
-            trajectory is the initial point; so are its multipliers, if both problems have the same
-            equations.
+            trajectory is the initial point of the solve. Its multipliers are used too, if both
+            problems have the same equations.
         progress : callable, optional
             Called at each Ipopt iteration; returning False stops the solve.
         show : callable, optional
-            Called at each iteration with the stage of the search and the best energy so far.
+            Called at each iteration with the `State` of the search, for a progress display.
 
         Returns
         -------
         Plan
             The plan with its status; a failed solve gives a plan with a failed status, not an
-            exception. A search may be stopped, may fail after it found usable plans, or may exceed
-            `solver.time_limit` (processor time, verification included). It then returns the best
-            usable plan, that is a plan which simulation confirms at lower accuracy; without a
-            usable plan the status is not converged.  Apart from the time limit, no result depends
-            on the speed of the machine.
+            exception. A usable plan is a plan that simulation confirms at lower accuracy than
+            requested. The best usable plan is returned if the search is stopped, if it fails
+            later, or if it exceeds `solver.time_limit` (processor time, verification included).
+            Without a usable plan, the plan returned has a failed status. Apart from the time limit,
+            no result depends on the speed of the machine.
         """
         scenario = with_return_flight(self, scenario)
         solve = self._solve_quickest if scenario.mission.aim is Aim.TIME else self._solve
@@ -89,7 +89,10 @@ class Planner(Problems):
             return search.ended(replace(plan, timings=timings))
 
     def _solve_in_best_order(self, scenario: Scenario, solve: Solve, search: Search) -> Plan:
-        """Solve a mission whose waypoints may be visited in any order, for the cheapest order."""
+        """Solve a mission whose waypoints may be visited in any order.
+
+        The result is the plan of the cheapest order found. `solve` makes a plan for a given order.
+        """
         orders = BestOrder(self, scenario, search)
         table = [
             Strategy(found.name, ROUTES, BestOrder.has_time, partial(BestOrder.fly, found=found))
@@ -99,10 +102,11 @@ class Planner(Problems):
         return orders.finish(solve)
 
     def _solve_quickest(self, scenario: Scenario, start: Start | None, search: Search) -> Plan:
-        """Solve for the flight of least energy in nearly the least duration of the mission.
+        """Solve for a flight in nearly the least duration of the mission.
 
-        Flights of decreasing durations are solved, each starting from the previous solution; the
-        plan is the last verified flight.
+        After the minimum-time problem, flights of least energy are solved for fixed durations that
+        decrease towards the least duration. Each solve starts from the previous solution. The plan
+        returned is the last verified flight.
         """
         told = scenario.as_forecast()
         shortest = shortest_flight(self.builder(told), told, search, is_exact=True)
@@ -140,7 +144,7 @@ def solve_scenario(
     scenario : Scenario
         Mission, vehicle, wind and settings.
     builder : callable, optional
-        Builds the Pyomo model of a scenario.
+        Takes a scenario and builds its Pyomo model; `build_model` by default.
     warm_start, progress
         As for `Planner.solve`.
 

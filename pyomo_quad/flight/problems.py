@@ -1,4 +1,4 @@
-"""Compiled problems of scenarios, and the dynamics for simulations made from them."""
+"""Compiled optimal control problems of scenarios, and their equations for simulations."""
 
 from __future__ import annotations
 
@@ -31,7 +31,11 @@ Builder = Callable[[Scenario], Any]
 
 
 def _start_key(scenario: Scenario) -> Scenario:
-    """Return a key that is equal for scenarios of fixed duration with equal initial states."""
+    """Return a key that is equal for scenarios whose problems have the same initial states.
+
+    It is meant for scenarios of fixed duration, and leaves out the duration, the wind and the
+    settings of baseline flights.
+    """
     timeless = scenario.mission.model_copy(update={"duration": 1.0})
     return guess_key(scenario).model_copy(update={"mission": timeless, "baseline": None})
 
@@ -41,16 +45,17 @@ _WIND = ("wind.velocity_x", "wind.velocity_y")
 
 
 class Problems:
-    """Compiler of scenarios; scenarios of the same structure share a cached compiled problem.
+    """Compiler of scenarios, which caches compiled problems.
 
-    Problems of the package's own model are shared by all planners of the process
-    (`caches.PROBLEMS`). Initial guess and scaling are always computed for the present scenario, so
-    that no result depends on earlier solves.
+    Scenarios of the same structure, which differ only in parameter values, share a compiled
+    problem. Problems of the package's own model are shared by all planners of the process
+    (`caches.PROBLEMS`). Initial guess and scaling are always computed for the scenario to be
+    solved, so that no result depends on earlier solves.
 
     Parameters
     ----------
     builder : callable, optional
-        Builds the Pyomo model of a scenario. A user's own builder is called again for every
+        Takes a scenario and builds its Pyomo model. A user's own builder is called again for every
         scenario, because its model may contain numbers of the scenario that are not parameters.
     """
 
@@ -70,12 +75,16 @@ class Problems:
         return self._builder is build_model
 
     def has_routes(self, scenario: Scenario) -> bool:
-        """Return whether zones or a wind field leave a mission several routes to compare."""
+        """Return whether a mission has several routes, round zones or through a wind field."""
         has_choice = bool(scenario.airspace.keep_out) or has_corridors(scenario)
         return self.is_declared and has_choice
 
     def problem_for(self, scenario: Scenario) -> tuple[Problem, dict[str, float]]:
-        """Return the compiled problem of a scenario, and the seconds of building and compiling."""
+        """Return the compiled problem of a scenario, and the time spent on it [s] by phase.
+
+        The phases are "build" (of the Pyomo model) and "compile"; both times are zero for a problem
+        from the cache.
+        """
         key = self._key(scenario)
         built_for, problem = self._problems.get(key) or (scenario, None)
         if problem is not None and guess_key(built_for) == guess_key(scenario):
@@ -103,7 +112,9 @@ class Problems:
     def steady_flight(
         self, scenario: Scenario, known: Mapping[str, float] | None = None
     ) -> SteadyFlight:
-        """Return the cached steady flight (hover, cruise) of a scenario's vehicle in still air.
+        """Return the calculator of steady flight of a scenario's vehicle in still air.
+
+        Steady flight is hover or cruise. The calculator is cached by scenario.
 
         `known` gives the initial values, by name, of those states of a user's own model that the
         mission does not define.
@@ -117,17 +128,17 @@ class Problems:
         return steady
 
     def parameters(self, scenario: Scenario) -> dict[str, float] | None:
-        """Return the parameter values of a scenario for its compiled problem, by full name.
+        """Return the values of the parameters of a scenario's compiled problem, by full name.
 
-        None for a user's own model.
+        The result is None for a user's own model.
         """
         return parameter_values(scenario) if self.is_declared else None
 
     def dynamics(self, scenario: Scenario) -> Dynamics:
         """Return the equations of a scenario's vehicle in its wind, for simulations.
 
-        The equations contain the limits for simulated flights. A simulated flight may use the
-        thrust that plans reserve for the controller.
+        They include the limits that apply to simulated flights: a simulated flight may use the
+        thrust that plans leave unused as a reserve for the controller.
         """
         _, problem = self._problems.get(self._key(scenario)) or (scenario, None)
         if problem is None or not self._starts_alike(scenario):
@@ -138,9 +149,9 @@ class Problems:
     def _starts_alike(self, scenario: Scenario) -> bool:
         """Return whether the cached problem of a scenario has the scenario's initial states.
 
-        That is the case if the cached problem was built for a scenario that differs only in a fixed
-        duration, in its wind or in its baselines. A wind measured over time is excluded, because
-        the model samples this wind at fractions of the duration.
+        This is the case if the cached problem was built for a scenario that differs only in a fixed
+        duration, in its wind, or in its settings of baseline flights. A wind measured over time is
+        excluded, because the model samples this wind at fractions of the duration.
         """
         built_for, _ = self._problems.get(self._key(scenario)) or (None, None)
         if built_for is None or not self.is_declared or scenario.wind.series is not None:
@@ -150,7 +161,7 @@ class Problems:
         return _start_key(built_for) == _start_key(scenario)
 
     def winds_at(self, scenario: Scenario, places: ArrayLike) -> FloatArray:
-        """Return the wind along world x and y at places at the start of the mission [m/s].
+        """Return the wind along world x and y at given places when the mission starts [m/s].
 
         `places` has shape (n, 3), m; the result has shape (n, 2).
         """

@@ -1,7 +1,7 @@
-"""Verification of a plan read from a file, without trust in the numbers that the file states.
+"""Verification of a plan that was read from a file, without relying on the file's own results.
 
 The initial state, final state and horizon of the plan must agree with the mission. The controls,
-simulated by SciPy through the scenario's own equations, must reproduce the states of the file.
+simulated by SciPy with the scenario's own equations, must reproduce the states of the file.
 """
 
 from dataclasses import replace
@@ -50,17 +50,17 @@ def refuse_unproven(
     *,
     is_code_allowed: bool = False,
 ) -> None:
-    """Raise an error for a plan that simulation with the mission's equations does not confirm.
+    """Raise an error if simulation with the mission's equations does not confirm a plan.
 
     Parameters
     ----------
     scenario : Scenario
         Scenario of the plan.
     planned : Trajectories
-        The plan. Columns of unknown names are ignored; a state that is missing starts as the
-        mission prescribes.
+        The plan. States that the equations do not have are ignored; a state that the plan does not
+        have starts from the value that the mission prescribes.
     energy : float
-        Energy of the whole flight [J].
+        Energy of the whole flight that the plan states [J].
     passing_times_s : tuple of float
         Time at which the plan passes each waypoint [s].
     allowed : Figures
@@ -69,7 +69,7 @@ def refuse_unproven(
     dynamics : Dynamics, optional
         The plan's equations, if available; otherwise the scenario is compiled.
     is_code_allowed : bool, optional
-        Whether the scenario's own model builder may be run.
+        Whether code of the user that builds the scenario's model may be run.
 
     Raises
     ------
@@ -107,7 +107,11 @@ def refuse_unproven(
 def _refuse_failed(
     scenario: Scenario, verification: Verification, energy: float, allowed: Figures
 ) -> None:
-    """Raise a ScenarioError if the simulated flight breaks limits, or its energy differs."""
+    """Raise a ScenarioError if the simulated flight violates a limit, or if its energy differs.
+
+    `verification` compares the simulated flight with the plan; `energy` is the energy that the plan
+    states [J].
+    """
     share = abs(verification.energy_difference_J) / max(1.0, abs(energy))
     passed = max(verification.passing_misses_m, default=0.0)
     failings = (
@@ -162,9 +166,10 @@ def _refuse_other_times(
 
 
 def in_order(scenario: Scenario, planned: Trajectories, dynamics: Dynamics) -> Trajectories:
-    """Return a plan with states and controls in the order of given dynamics.
+    """Return a plan with its states and controls in the order of given equations.
 
-    A state that the plan does not have is NaN after its initial value.
+    A state that the plan does not have gets the initial value that the mission prescribes, and is
+    NaN afterwards.
 
     Parameters
     ----------
@@ -212,7 +217,10 @@ def in_order(scenario: Scenario, planned: Trajectories, dynamics: Dynamics) -> T
 def _refuse_other_ends(
     scenario: Scenario, dynamics: Dynamics, states: FloatArray, allowed: Figures
 ) -> None:
-    """Raise a ScenarioError if initial or final state of a plan differ from the mission's."""
+    """Raise a ScenarioError if the initial or final state of a plan differs from the mission's.
+
+    `states` has the planned states at the nodes, shape (n_points + 1, n_states).
+    """
     for end, wanted, found in (
         ("start", declared_start(scenario, dynamics), states[0]),
         ("end", wanted_at_goal(scenario, dynamics), states[-1]),
@@ -235,7 +243,11 @@ def _refuse_other_ends(
 def _refuse_astray(
     scenario: Scenario, planned: Trajectories, dynamics: Dynamics, flown: Flown, allowed: Figures
 ) -> None:
-    """Raise a ScenarioError if simulating the controls does not reproduce a plan's states."""
+    """Raise a ScenarioError if the simulated states deviate from the states of the plan.
+
+    `flown` has the simulated states, which follow from the plan's controls. The tolerance
+    `allowed.miss` applies at all times.
+    """
     expected = planned.states_at(flown.t)
     worst, when, which = 0.0, 0.0, ""
     for k, name in enumerate(planned.state_names):

@@ -1,19 +1,19 @@
 """Reference paths: position and yaw as functions of time for the controller to follow.
 
-reference | path | meets at both ends
-step | the goal from the start | nothing: the path depends on the controller
+reference | path | conditions at start and goal
+step | constant position, equal to the goal from the start of the flight | none
 quintic | polynomial of degree 5 | position, zero velocity and acceleration
 minimum_snap | polynomial of degree 7 | position, zero velocity, acceleration and jerk
 plan | the optimal plan, as cubic splines through its samples | the states of the plan
-cruise | straight legs at a constant speed (module `routes`) | rest, as at every corner
+cruise | straight legs at a constant speed (module `routes`) | at rest, as at every corner
 
-The plan includes the effect of the forecast wind on the vehicle, so the controller adapts only to
-the difference from the forecast. The other references ignore the wind.
+The plan includes the effect of the forecast wind on the vehicle, so that the controller adapts only
+to the difference from the forecast. The other references ignore the wind.
 
 The quintic minimises the integral of the squared jerk; the polynomial of degree 7 minimises the
 integral of the squared snap [1]_. Both go straight from start to goal in the duration of the
-mission, or as splines of these degrees through its waypoints, and stay at the goal afterwards. Yaw
-has the same polynomials.
+mission. If the mission has waypoints, both are splines of these degrees through the waypoints.
+After the end they stay at the goal. Yaw follows the same polynomials.
 
 .. [1] Mellinger and Kumar, "Minimum snap trajectory generation and control for quadrotors",
    ICRA 2011.
@@ -39,7 +39,7 @@ _STEP = Polynomial((1,))
 
 
 class Setpoint(NamedTuple):
-    """Reference at one time: x, y, z [m] and yaw [rad] with their first two time derivatives."""
+    """Values of a reference path at one time: x, y, z and yaw with two time derivatives."""
 
     place: Sequence[float]
     """Position in world axes, m, and yaw, rad."""
@@ -60,12 +60,12 @@ _AT_REST = (0.0, 0.0, 0.0, 0.0)
 
 
 class StraightPath:
-    """Straight line from start to goal with a polynomial progress over time.
+    """Reference path on the straight line from start to goal, with a polynomial progress.
 
     Parameters
     ----------
     mission : Mission
-        The mission, with both ends and the duration.
+        The mission, which gives start, goal and duration.
     progress : Polynomial
         Travelled fraction of the line as a function of the elapsed fraction of the duration.
     """
@@ -94,7 +94,7 @@ class StraightPath:
 
 
 def quintic_progress(elapsed: FloatArray) -> FloatArray:
-    """Return the travelled fraction of a rest-to-rest motion of degree 5 (quintic polynomial).
+    """Return the travelled fraction of a motion from rest to rest along a quintic polynomial.
 
     `elapsed` holds fractions of the duration, from 0 to 1.
     """
@@ -109,7 +109,9 @@ def _horner(falling_coefficients: Sequence[float], x: float) -> float:
 
 
 class WaypointPath:
-    """Spline through timed waypoints, at rest at both ends and during hovers at waypoints.
+    """Reference path along a spline through the waypoints at their times.
+
+    The reference is at rest at the start, at the goal, and during hovers at waypoints.
 
     Parameters
     ----------
@@ -145,7 +147,11 @@ class WaypointPath:
 
 
 class _Steps:
-    """Reference that stays at a waypoint until it leaves, and then jumps to the next place."""
+    """Reference path that jumps from place to place.
+
+    It stays at each waypoint until the time at which the waypoint is left, and then jumps to the
+    next waypoint or to the goal.
+    """
 
     def __init__(self, mission: Mission) -> None:
         self._places, self._times = stops_of(mission)
@@ -158,7 +164,10 @@ class _Steps:
 
 
 def stops_of(mission: Mission) -> tuple[list[list[float]], list[float]]:
-    """Return position [m] and yaw [rad] of start, waypoints and goal, and their times [s].
+    """Return the places of a mission in order, and their times.
+
+    Each place is a list of position [m] and yaw [rad]; the places are start, waypoints and goal.
+    The times are in s.
 
     Raises
     ------
@@ -188,19 +197,19 @@ def step(mission: Mission) -> ReferencePath:
 
 
 def quintic(mission: Mission) -> ReferencePath:
-    """Return the rest-to-rest path of least squared jerk (degree 5 in time)."""
+    """Return the reference path from rest to rest of least squared jerk, of degree 5 in time."""
     return WaypointPath(mission, 2) if mission.waypoints else StraightPath(mission, _QUINTIC)
 
 
 def minimum_snap(mission: Mission) -> ReferencePath:
-    """Return the rest-to-rest path of least squared snap (degree 7 in time)."""
+    """Return the reference path from rest to rest of least squared snap, of degree 7 in time."""
     return WaypointPath(mission, 3) if mission.waypoints else StraightPath(mission, _MINIMUM_SNAP)
 
 
 class SampledPath:
-    """Path through samples, interpolated by polynomials of degree 5.
+    """Reference path through samples, interpolated by polynomials of degree 5.
 
-    Position, velocity and acceleration are continuous, and exact at the samples.
+    Position, velocity and acceleration are continuous, and equal the samples at their times.
 
     Parameters
     ----------
@@ -223,22 +232,22 @@ class SampledPath:
     def __call__(self, t: float) -> Setpoint:
         """Return the setpoint at time t [s].
 
-        Before the first and after the last sample, the path keeps the position and acceleration of
-        this sample, so that the setpoint of a controller that looks ahead does not change after the
-        end.
+        Before the first and after the last sample, the setpoint has the position and acceleration
+        of this sample and zero velocity. A controller that looks ahead needs a setpoint that does
+        not change after the end.
         """
         row, is_inside = self._row(t)
         return Setpoint(row[:4], row[4:8] if is_inside else _AT_REST, row[8:])
 
 
 class PlannedPath:
-    """Plan as a reference path: cubic splines through its samples, separate for each quantity.
+    """Plan as a reference path: a separate cubic spline through the samples of each quantity.
 
-    The polynomials of a plan satisfy its equations at the points of its mesh only. The second
-    derivative of the position therefore differs from the planned acceleration: an error of d metres
-    between two samples that are h seconds apart becomes an error of about 6 d/h^2. Therefore
-    velocities and accelerations are not derivatives of the position, but have their own splines
-    through planned values.
+    The polynomials of a plan satisfy its equations at the collocation points only. The second
+    derivative of the position between these points differs from the planned acceleration: an error
+    of d metres in the position between two samples that are h seconds apart becomes an error of
+    about 6 d/h^2 in the acceleration. Therefore velocities and accelerations are not derivatives of
+    the position, but have their own splines through planned values.
 
     Parameters
     ----------
@@ -268,8 +277,8 @@ class PlannedPath:
     def __call__(self, t: float) -> Setpoint:
         """Return the setpoint at time t [s].
 
-        Before the first and after the last sample, the path keeps the position and acceleration of
-        this sample, and all rates are zero.
+        Before the first and after the last sample, the setpoint has the position and acceleration
+        of this sample, and all rates are zero.
         """
         row, is_inside = self._row(t)
         moving = (row[4:8], row[12:]) if is_inside else (_AT_REST, _AT_REST)
@@ -277,9 +286,10 @@ class PlannedPath:
 
 
 class _Pieces:
-    """Piecewise polynomials of several quantities on common knots, evaluated in one product.
+    """Piecewise polynomials of several quantities over time, with common knots.
 
-    Evaluating all quantities together costs no more than evaluating one of them.
+    All quantities are evaluated by one matrix product, which costs no more than evaluating one of
+    them.
     """
 
     def __init__(self, knots: FloatArray, coefficients: Sequence[FloatArray]) -> None:

@@ -1,12 +1,12 @@
-"""Remaining mission of a flight, and its re-plans with soft limits.
+"""Solves of the remaining mission during a flight (re-planning), with soft limits.
 
 A re-plan is a new plan for the rest of the mission, made in flight.  It ends at the goal, or in the
 next hover at a waypoint, because later parts of the mission do not affect a hovering vehicle.  Its
 limits are soft: they may be violated at a penalty (`model.soft_limits`). They are tightened by the
 margins of the plan made before take-off (`flight.margins`).  The mesh has short elements at the
-present time, where a disturbance is corrected, and near the passages of waypoints, and long
-elements between.  The clearance from zones is three centimetres larger, to allow for the error of a
-coarse mesh.
+present time, where a disturbance is corrected, and near the passages of waypoints; it has long
+elements elsewhere.  The clearance from keep-out zones is three centimetres larger than the mission
+requires, to allow for the error of a coarse mesh.
 
 The remaining mission after each waypoint has its own equations, which are compiled and solved once
 before take-off. docs/theory/soft_limits.md, eqs. (1) to (3), derives the penalty and the state from
@@ -114,9 +114,10 @@ _SPARE_M = 0.03
 
 @dataclass(frozen=True, kw_only=True)
 class Belief:
-    """Estimated mass of the vehicle [kg] and estimated horizontal acceleration by the air [m/s^2].
+    """Estimates that a plan made in flight is based on: mass and acceleration by the air.
 
-    The acceleration is the part that the assumed wind does not explain.
+    `mass` is the mass of the vehicle with its payload at take-off [kg]. `unexplained` is the
+    horizontal acceleration that the air causes in addition to the assumed wind [m/s^2].
     """
 
     mass: float
@@ -125,7 +126,7 @@ class Belief:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Remainder:
-    """Rest of a mission after some of its waypoints, with its compiled problem.
+    """Rest of a mission after some of its waypoints, with its compiled optimal control problem.
 
     In flight, this problem is solved repeatedly for new plans (re-plans).
     """
@@ -146,9 +147,9 @@ class Remainder:
 
     @property
     def planned_until(self) -> float:
-        """Time [s] after which the plan is not replaced before the next waypoint or the end.
+        """Time from which on the plan is not replaced until the next waypoint or the end [s].
 
-        Shortly before a place that must be met exactly, a new plan would counteract every gust at
+        A new plan shortly before a place that must be met exactly would counteract every gust at
         any cost.
         """
         if not self.passages:
@@ -158,18 +159,18 @@ class Remainder:
         return self.passages[0] - min(near[0], near[1] * ahead)
 
     def timeline(self, t: float) -> Timeline:
-        """Return the times of the rest of the mission for a plan that starts at time t [s]."""
+        """Return the times of start, passages and end of a plan that starts at time t [s]."""
         return Timeline(
             fractions=np.array(self.problem.compiled.declared.clock.fractions),
             times=np.array([t, *self.passages, self.end]),
         )
 
     def mesh(self, t: float) -> Mesh:
-        """Return the mesh of a plan made in flight at time t [s] for the rest of the mission.
+        """Return the mesh of a plan made in flight for the rest of the mission, from time t [s].
 
-        It has short elements at the present time, the waypoints and the end. The mesh stays the
-        same until a fifth of the remaining time has passed; only then it is shortened, because a
-        solve on the same mesh can reuse the structure of the equations.
+        It has short elements at the present time, the waypoints and the end. A solve on the same
+        mesh as the previous solve can reuse the structure of the equations. Therefore the mesh is
+        shortened only each time a fifth of the remaining time has passed.
         """
         first = self.passages[0] if self.passages else self.end
         whole = first - self.begin
@@ -183,7 +184,7 @@ class Remainder:
         return Mesh.uniform(1, _DEGREE).with_breakpoints(fractions.tolist())
 
     def guess(self, t: float, known: Trajectories) -> dict[str, FloatArray]:
-        """Return samples of a known plan from time t [s] on, as the initial guess of a new plan."""
+        """Return the initial guess of a new plan: samples of a known plan from time t [s] on."""
         declared = self.problem.compiled.declared
         times = np.linspace(t, self.end, _GUESSED)
         states = zip(known.state_names, known.states_at(times).T, strict=True)
@@ -194,7 +195,10 @@ class Remainder:
 
 
 def _graded(start: float, stop: float) -> list[float]:
-    """Return times between two ends [s], dense near both ends and sparse in the middle."""
+    """Return the breakpoints of mesh elements between two times, without the two times [s].
+
+    The elements are short near `start` and `stop`, and long in the middle.
+    """
     half, widths = (stop - start) / 2, [_SHORT_S]
     if half < _SHORT_S:
         return []
@@ -206,18 +210,18 @@ def _graded(start: float, stop: float) -> list[float]:
 
 @dataclass(frozen=True, kw_only=True)
 class Course:
-    """Plan that the vehicle follows at present, with its reference path and assumptions.
+    """Plan that the vehicle follows in flight, with its reference path and its assumptions.
 
     Attributes
     ----------
     plan : Trajectories
         The plan.
-    path : SampledPath
+    path : PlannedPath
         The plan as a reference path of the controller.
     belief : Belief
-        Mass and wind that the plan assumes.
+        Mass and acceleration by the air that the plan assumes.
     estimate : ndarray, shape (3,)
-        Acceleration that the equations do not explain, estimated in flight [m/s^2]; `belief` was
+        Estimated acceleration that the plan's equations do not explain [m/s^2]; `belief` was
         computed from it.
     """
 
@@ -228,18 +232,19 @@ class Course:
 
 
 class Replanner:
-    """Solver of the remaining mission with the present estimates of mass and wind.
+    """Solver of the remaining mission in flight, with the present estimates of mass and wind.
 
     Parameters
     ----------
     scenario : Scenario
         The mission, and the vehicle as assumed by the controller.
     knowledge : Knowledge
-        Knowledge of the wind in the re-plans: the actual wind, an estimate, or none.
+        Knowledge of the wind in the re-plans: the actual wind, the forecast corrected by an
+        estimate, or the forecast alone.
     planner : Planner
         Planner that compiles the equations.
     margins : mapping, optional
-        Scenario field -> amount by which plans tighten it.
+        Scenario field -> amount by which its limit is tightened for the plans.
 
     Raises
     ------
@@ -318,9 +323,10 @@ class Replanner:
     def prepare(self, plan: Trajectories) -> None:
         """Solve the remaining mission at take-off and after each waypoint, for later warm starts.
 
-        The penalty on violations of soft limits is increased until new plans from the states of the
-        first plan violate no limit, if possible. A penalty above the norm of the multipliers is
-        exact: a solution that can keep all limits then keeps them.
+        Each solve starts from a state of `plan`, the plan made before take-off. If its solution
+        violates a soft limit, the penalty on violations is increased and the solve is repeated. A
+        penalty above the norm of the multipliers is exact: with it, the solution violates no limit
+        if a solution without violation exists.
         """
         for rest in self.remainders:
             (state,), usual = self._states(plan, rest.begin), self._price
@@ -336,9 +342,7 @@ class Replanner:
     def solve(
         self, t: float, state: FloatArray, belief: Belief, *, is_patient: bool = False
     ) -> Solution:
-        """Solve the remaining mission from a given state at a given time.
-
-        The solution is a new plan in flight (re-plan).
+        """Solve the remaining mission from a given state, for a new plan in flight (re-plan).
 
         Parameters
         ----------
@@ -413,10 +417,10 @@ class Replanner:
         solution : Solution
             The re-plan.
         belief : Belief
-            Mass and wind that it assumes.
+            Mass and acceleration by the air that the re-plan assumes.
         estimate : ndarray, shape (3,)
-            Acceleration that the equations do not explain, estimated in flight [m/s^2]; `belief`
-            was computed from it.
+            Estimated acceleration that the equations do not explain [m/s^2]; `belief` was computed
+            from it.
         """
         plan, rest = trajectories_of(solution), self.at(solution.horizon[0])
         flow = rest.problem.dynamics(parameters=self._with(belief, rest), horizon=plan.horizon)
@@ -429,11 +433,11 @@ class Replanner:
         return Course(plan=plan, path=path, belief=self.belief, estimate=np.zeros(3))
 
     def is_off(self, course: Course, t: float, state: FloatArray) -> bool:
-        """Return whether a flight has used up the margin of any limit.
+        """Return whether a flight has used up its margin from any limit.
 
-        The margin is the amount by which the plan stays inside the limit; it is used up if the
-        flight is nearer to the limit than its plan by more than this amount. `state` is the
-        measured state at time t [s].
+        A margin is the amount by which a limit was tightened for the plan. It is used up if the
+        flight is nearer to the limit than its plan by more than this amount. `course` has the plan,
+        and `state` is the measured state at time t [s], shape (n_states,).
         """
         now, limits = np.array([t]), self.dynamics.control_limits(HELD_BREACH)
         planned = self._states(course.plan, t)
@@ -453,13 +457,14 @@ class Replanner:
     ) -> FloatArray:
         """Predict the state from which the next re-plan (new plan in flight) starts.
 
-        If the flight is near its plan, the result is the state of the plan: the controller corrects
-        the deviation, and a re-plan from the measured state would follow each lag of the vehicle.
-        Otherwise, position and velocity are moved from the plan towards the measured values, just
-        as far as needed to bring the flight near the re-plan. Attitude and rotor speeds are taken
-        from the plan, and changed to include the acceleration that the controller has learnt to add
-        against the wind; without this change, the re-plan would begin with a turn to the new
-        attitude.
+        If the flight is near its plan, the result is the planned state. The controller corrects the
+        deviation in this case; a re-plan from the measured state would follow each lag of the
+        vehicle. If the flight is not near its plan, position and velocity are moved from the plan
+        towards the measured values, just as far as needed to bring the flight near the re-plan.
+
+        Attitude and rotor speeds are those of the plan, changed by the amount that balances the
+        estimated unexplained acceleration. Without this change, the re-plan would begin with a turn
+        to the balancing attitude.
 
         Parameters
         ----------
@@ -494,10 +499,11 @@ class Replanner:
     def _balance_added_acceleration(
         self, state: FloatArray, setpoint: Setpoint, unexplained: FloatArray
     ) -> None:
-        """Change attitude and rotor speeds of a planned state to balance an added acceleration.
+        """Change a planned state so that the thrust balances an additional acceleration.
 
-        `state` is changed in place. `unexplained` is the acceleration that the plan does not
-        include, shape (3,) [m/s^2].
+        Attitude and rotor speeds in `state` are changed in place. `setpoint` is the plan's setpoint
+        at the time of the state, and `unexplained` the acceleration that the plan does not include,
+        shape (3,) [m/s^2].
         """
         weight = np.array([0.0, 0.0, self._scenario.gravity])
         given = np.array(setpoint.acceleration[:3]) + weight
@@ -508,21 +514,27 @@ class Replanner:
         state[rotor_columns(self.dynamics)] *= sqrt(norm(balancing) / norm(given))
 
     def _states(self, plan: Trajectories, *times: float) -> FloatArray:
-        """Return a plan's states at given times [s], in the order of the dynamics."""
+        """Return a plan's states at given times [s], shape (n_times, n_states).
+
+        They are in the order of `dynamics`.
+        """
         names = list(plan.state_names)
         columns = [names.index(name) for name in self.dynamics.state_names]
         return plan.states_at(np.array(times))[:, columns]
 
 
 def breach_of(solution: Solution) -> float:
-    """Return the largest violation of a soft limit in a solution, in the unit of the limit."""
+    """Return the largest violation of a soft limit in a re-plan's solution, in the limit's unit."""
     declared, held = solution.problem.compiled.declared, solution.trajectory.statics.tolist()
     named = zip(declared.statics, held, strict=True)
     return max(number for slot, number in named if slot.component in BREACHES)
 
 
 def _remainders(believed: Scenario) -> tuple[Remainder, ...]:
-    """Return the rest of the mission after 0, 1, 2, ... waypoints, with compiled problems."""
+    """Return the rest of a mission after its first 0, 1, 2, ... waypoints, with compiled problems.
+
+    `believed` is the mission with the wind and the vehicle that plans assume.
+    """
     mission, times = believed.mission, believed.nominal_times
     ahead = [_ahead(believed, k) for k in range(len(mission.waypoints) + 1)]
     key = structure_key(believed)
@@ -550,8 +562,8 @@ def _ahead(believed: Scenario, k: int) -> Scenario:
     """Return the mission that remains after its first k waypoints, for re-plans in flight.
 
     If the vehicle still has to hover at a waypoint, the remaining mission ends some time after the
-    start of this hover, and its goal is the waypoint's position: a hovering vehicle does not depend
-    on the later parts of the mission.
+    start of the next hover. Its goal is the position of this waypoint, because the later parts of
+    the mission do not affect a hovering vehicle.
     """
     mission = believed.mission
     left = mission.waypoints[k:]
@@ -574,7 +586,10 @@ def _compiled(left: Scenario) -> Problem:
 
 
 def with_mass(scenario: Scenario, belief: Belief) -> Scenario:
-    """Return the scenario with the estimated mass of the vehicle and its payload at take-off."""
+    """Return the scenario with the estimated mass of the vehicle.
+
+    `belief.mass` is the estimated mass with the payload at take-off; the payload is unchanged.
+    """
     vehicle = scenario.vehicle
     learnt = vehicle.model_copy(update={"mass": belief.mass - vehicle.payload})
     return scenario.model_copy(update={"vehicle": learnt})

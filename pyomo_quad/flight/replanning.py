@@ -1,27 +1,29 @@
 """Re-planning in flight (model-predictive control) by repeated solves of the remaining mission.
 
-At constant intervals, the rest of the mission is solved again for least energy (a re-plan). The
-solve starts from the state that the vehicle will have when the solve is done, and is warm-started
-from the previous re-plan (see `flight.remaining`). The adaptive controller follows each plan until
-the next is available. Before the first re-plan, and from the middle of each hover at a waypoint to
-the next re-plan, the controller follows the plan made before take-off.
+At constant intervals, the rest of the mission is solved again for least energy; the new plan is
+called a re-plan. It starts from the state that the vehicle is predicted to have when the solve is
+done, and its solve is warm-started from the previous re-plan (see `flight.remaining`). The adaptive
+controller follows each plan until the next plan is available. Before the first re-plan it follows
+the plan made before take-off. It follows this plan also during hovers at waypoints: from one second
+after the start of the hover, or from the middle of a short hover, to the next re-plan.
 
-If the flight is near its plan, a re-plan starts at the state of the plan, because the controller
-corrects the deviation. Otherwise it starts at the state nearest to the plan from which the
-controller can still correct the rest (tube-based predictive control). The limits are soft
-(violations are penalised), so that a re-plan exists from every state from which rotors and battery
-can reach the goal. If a solve fails nevertheless, the vehicle follows the previous plan as long as
-the flight keeps the margins of the limits. If it does not, the solve is repeated with as many
-iterations as it needs, so that the new plan is late.
+If the flight is near its plan, a re-plan starts from the planned state, because the controller
+corrects the deviation. Otherwise it starts between the planned and the measured state, at such a
+distance from the measured state that the controller can still correct the deviation (tube-based
+predictive control). The limits are soft (violations are penalised), so that a re-plan exists from
+every state from which rotors and battery can reach the goal. If a solve fails nevertheless, the
+vehicle follows the previous plan, provided that the flight has not used up the margins of the
+limits. If it has used up a margin, the solve is repeated with a much larger number of iterations,
+so that the new plan is late.
 
 The last seconds before the goal, a waypoint or a hover are not planned again. A plan that must meet
 a place exactly within seconds would counteract every gust at any cost, although the gust may have
 changed again by then. Waypoints are passed at their times.
 
 A wind that differs from the forecast, or a mass that differs from the assumed mass, causes an
-acceleration that the equations do not explain.  The identifier of the adaptive law estimates it,
-and the plans include it.  Its vertical part is attributed to the mass, even if an updraft causes
-it; the rest is attributed to the wind.
+acceleration that the equations do not explain.  The adaptation law of the controller estimates this
+acceleration, and the re-plans include it.  The vertical part is attributed to the mass, even if an
+updraft causes it; the rest is attributed to the wind.
 """
 
 from collections.abc import Callable
@@ -84,15 +86,16 @@ _TOLERANCE = 1e-6
 def replanned_name(knowledge: Knowledge) -> str:
     """Return the name of a flight with re-planning, such as "mpc/told".
 
-    In such a flight, the plan is replaced repeatedly by a new plan. `knowledge` says whether the
-    planner uses the actual wind, an estimate of the wind, or no wind.
+    In such a flight, the plan is replaced repeatedly by a new plan. `knowledge` states on which
+    wind the new plans are based: the actual wind ("told"), the forecast corrected by an estimate,
+    or the forecast alone.
     """
     return f"mpc/{knowledge.value}"
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Leg:
-    """Part of a flight during which the vehicle follows one plan, until a new plan replaces it."""
+    """Part of a flight, from `start` to `end` [s], in which the vehicle follows one plan."""
 
     course: Course
     start: float
@@ -104,7 +107,7 @@ class _Leg:
 
 
 class _Observer:
-    """Estimator of the acceleration that the equations do not explain.
+    """Estimator of the acceleration that the equations of a plan do not explain.
 
     It applies the adaptation law of the controller to the measured states.
     """
@@ -129,13 +132,14 @@ class _Observer:
 
     @property
     def estimate(self) -> FloatArray:
-        """Estimated acceleration that the equations do not explain, shape (3,) [m/s^2]."""
+        """Present estimate of the unexplained acceleration, shape (3,) [m/s^2]."""
         return self._states[-3:].copy()
 
     def belief(self, flown: Flown) -> Belief:
-        """Return the mass and horizontal acceleration that explain the present estimate.
+        """Return the mass and the horizontal acceleration that explain the present estimate.
 
-        `flown` is the last part of the flight; its final acceleration is used.
+        The vertical part of the estimated acceleration is attributed to the mass. `flown` is the
+        last simulated part of the flight; the thrust at its end relates acceleration and mass.
         """
         last = flown.t[-1:], flown.states[-1:], flown.controls[-1:]
         acceleration = self._dynamics.table(_SLOPES, *last)[0]
@@ -167,7 +171,7 @@ class _Observer:
 
 
 class _Aircraft:
-    """Simulated vehicle in the actual wind, with its controller."""
+    """Simulated vehicle in the actual wind, with its adaptive controller."""
 
     def __init__(self, scenario: Scenario, replanner: Replanner, dynamics: Dynamics) -> None:
         self.dynamics = dynamics
@@ -177,15 +181,25 @@ class _Aircraft:
         self._measured = [dynamics.state_names.index(n) for n in replanner.dynamics.state_names]
 
     def measured(self, state: FloatArray) -> FloatArray:
-        """Return the states that the vehicle measures, without the states of the turbulence."""
+        """Return the states that the vehicle measures, in the order of the plans' equations.
+
+        `state` is a state vector of the simulated vehicle, which may include states of the
+        turbulence.
+        """
         return state[self._measured]
 
     def seen(self, flown: Flown) -> Flown:
-        """Return a part of the flight with only the states that the vehicle measures."""
+        """Return a simulated part of the flight with only the states that the vehicle measures.
+
+        States of the turbulence are left out.
+        """
         return replace(flown, states=flown.states[:, self._measured])
 
     def fly(self, leg: _Leg, state: FloatArray, integrator: Integrator) -> ClosedLoopFlight:
-        """Simulate one part of the flight from a state, along the plan of the part."""
+        """Simulate one part of the flight, in which the controller follows one plan.
+
+        `leg` is the part with its plan, and `state` the initial state of the vehicle.
+        """
         believed = with_mass(self._scenario, leg.course.belief)
         return fly(
             dynamics=self.dynamics,
@@ -199,7 +213,7 @@ class _Aircraft:
 
 
 class _ReplannedFlight:
-    """Simulation of a flight whose plan is repeatedly solved again from the measured state."""
+    """Simulation of a flight in which new plans are solved from the measured state at intervals."""
 
     def __init__(
         self,
@@ -230,7 +244,7 @@ class _ReplannedFlight:
         self.resolves: list[Resolve] = []
 
     def fly(self) -> None:
-        """Simulate the whole mission, with a new plan at each interval."""
+        """Simulate the whole mission; at each interval, a new plan replaces the present plan."""
         measured_at = self._settings.interval
         hovering_at = inf
         for rest in self._replanner.remainders:
@@ -246,10 +260,10 @@ class _ReplannedFlight:
         self._advance(self._end)
 
     def _replan(self, measured_at: float) -> float:
-        """Solve from a measurement while the flight goes on; return the time of the new plan [s].
+        """Solve for a new plan from a measured state, and simulate the flight during the solve.
 
-        `measured_at` is the time of the measurement [s]. If the solve fails, the present plan
-        stays.
+        `measured_at` is the time of the measurement [s]. If the solve fails, the vehicle continues
+        with the present plan. The result is the time at which the solve is done aboard [s].
         """
         meant_for = measured_at + self._settings.solve_time
         estimate, belief = np.zeros(3), self._replanner.belief
@@ -285,7 +299,7 @@ class _ReplannedFlight:
     def _solved(
         self, t: float, state: FloatArray, belief: Belief, *, is_patient: bool = False
     ) -> Solution | None:
-        """Return the solution of the remaining mission from a state; None if the solve fails."""
+        """Solve the remaining mission from a state at time t [s]; None if the solve fails."""
         try:
             solution = self._replanner.solve(t, state, belief, is_patient=is_patient)
         except TranscriptionError:
@@ -293,7 +307,10 @@ class _ReplannedFlight:
         return solution if solution.is_converged else None
 
     def _advance(self, end: float) -> None:
-        """Simulate the flight along the present plan until a time [s], and update the estimates."""
+        """Simulate the flight along the present plan until the time `end` [s].
+
+        The estimate of the unexplained acceleration is updated with this part of the flight.
+        """
         if end - self._t > _SHORTEST * self._end:
             along, aside, upwards = (self._observer.estimate - self._course.estimate).tolist()
             leg = _Leg(
@@ -312,9 +329,10 @@ class _ReplannedFlight:
         self._t = end
 
     def flown_twice(self) -> list[tuple[Flown, Flown]]:
-        """Simulate each part again with the other integrator, from the same initial state.
+        """Simulate each part of the flight again with a second integrator, for verification.
 
-        The whole flight cannot be simulated a second time for comparison, because each plan made in
+        A part begins with a new plan; both simulations of the part start from the same state. The
+        whole flight cannot be simulated a second time for comparison, because each plan made in
         flight depends on the rounding errors of the measured state. A second flight that followed
         the recorded plans would have no feedback from its own state to the plans, and would deviate
         from the recorded flight within seconds.
@@ -359,14 +377,16 @@ def fly_replanned(
     scenario : Scenario
         The mission, and the vehicle as assumed by controller and re-plans.
     knowledge : Knowledge
-        Knowledge of the wind in the re-plans: the actual wind, an estimate, or none.
+        Knowledge of the wind in the re-plans: the actual wind, the forecast corrected by an
+        estimate, or the forecast alone.
     dynamics : Dynamics
         The simulated vehicle, in the actual wind.
     planner : Planner
         Planner that compiles the equations.
     plan : Plan, optional
-        Plan made before take-off. Its costates give the energy needed to complete the flight from
-        its end state, and its margins apply to the re-plans.
+        Plan made before take-off; without it, the mission is planned first. Its margins apply to
+        the re-plans. If the flight ends off the goal, its costates give an estimate of the energy
+        that is needed to reach the goal.
     computer : callable, optional
         Takes the processor time of a solve on this machine [s] and returns the time that the solve
         takes aboard [s]; by default the time that the scenario states, or the processor time.

@@ -1,11 +1,12 @@
 """Airspeed and battery currents of a vehicle's steady return flight.
 
-The charge that a mission must reserve for a return to the start or to a rally point follows from
-airspeed and currents. The airspeed is the one that takes the least charge per metre over the ground
-against the wind at the start of the mission. The current is evaluated at this airspeed and at the
-lowest state of charge that the return may reach, because the current is greatest then. Over
-terrain the return begins with a climb; its current is the greater of the current of a vertical
-climb in still air and the current of a climb at the airspeed of the return.
+A mission may reserve battery charge for a return to the start or to a rally point. The reserve is
+computed from the airspeed and the battery currents of the return. The airspeed minimises the charge
+per metre over the ground, against the wind at the start of the mission. The current is evaluated at
+this airspeed and at the lowest state of charge that the return may reach, because the current is
+greatest there. Over terrain the return begins with a climb. The current of the climb is the greater
+of the current of a vertical climb in still air and the current of a climb at the airspeed of the
+return.
 """
 
 from typing import TYPE_CHECKING
@@ -29,10 +30,11 @@ _SECONDS_PER_HOUR = 3600.0
 
 
 def with_return_flight(problems: "Problems", scenario: Scenario) -> Scenario:
-    """Return the scenario with airspeed and currents of the return flight filled in.
+    """Return the scenario with airspeed and battery currents of the return flight filled in.
 
-    A scenario is returned unchanged if it reserves no charge for a return, or if it gives all
-    values. The current of the climb is filled in over terrain only.
+    Values that the scenario gives are kept. The scenario is returned unchanged if it reserves no
+    charge for a return, or if it gives all values. The current of the climb is needed over terrain
+    only.
 
     Raises
     ------
@@ -58,7 +60,10 @@ def with_return_flight(problems: "Problems", scenario: Scenario) -> Scenario:
 
 
 def _cheapest(scenario: Scenario, steady: SteadyFlight, wind: float) -> float:
-    """Return the airspeed of least charge per metre over the ground in a head wind [m/s]."""
+    """Return the airspeed of least battery charge per metre over the ground [m/s].
+
+    `wind` is the head wind [m/s].
+    """
 
     def cost(airspeed: float) -> float:
         try:
@@ -81,8 +86,9 @@ def _cheapest(scenario: Scenario, steady: SteadyFlight, wind: float) -> float:
 def climb_current(scenario: Scenario, steady: SteadyFlight, airspeed: float) -> float:
     """Return the battery current [A] of the return flight's climb at the lowest charge allowed.
 
-    The result is the greater of the currents at airspeed zero and at the given airspeed [m/s]. In
-    a climb, power falls and then rises with airspeed, so no airspeed between the two takes more.
+    The result is the greater of two currents: at zero airspeed and at the given airspeed [m/s].
+    With increasing airspeed, the power of a climb first falls and then rises, so that no airspeed
+    between the two needs a greater current.
 
     Raises
     ------

@@ -1,11 +1,13 @@
-"""Plans with a stated risk: margins for turbulence and uncertain parameters, found by iteration.
+"""Plans that keep an allowed risk, with margins for turbulence and uncertain parameters.
 
-The risk is the probability that a flight breaks any limit; a margin is the amount by which a plan
-stays inside a limit.  First a plan is made with margins. The covariance of flights about this plan
-gives the margins that the allowed risk requires. Both steps are repeated until the margins agree;
-each repetition solves the same compiled problem on the same mesh again.  Then simulated flights in
-turbulence test the plan, and the margin of each limit that they break too often is increased.  The
-last plan is refined and verified. See docs/theory/risk.md, eqs. (7) to (9).
+The risk is the probability that a flight in turbulence breaks any limit; a margin is the amount by
+which a limit is tightened for the plan.  The margins are found by iteration.  The covariance of
+flights about a plan gives the margins that the allowed risk requires, and a new plan is solved with
+these margins.  Both steps are repeated until the margins agree; each repetition solves the same
+compiled problem on the same mesh again.  The plan is then refined and verified, and simulated
+flights in turbulence test it.  If the test flights break a limit too often, the margin on this
+limit is increased and the plan is solved, refined and tested again. See docs/theory/risk.md, eqs.
+(7) to (9).
 """
 
 from collections import Counter
@@ -93,11 +95,12 @@ _OWN_MODEL = "margins are computed for the built-in model only, not for a user's
 
 
 def risk_asked(scenario: Scenario) -> float:
-    """Return the largest allowed probability of a broken limit; 1 if any risk is allowed.
+    """Return the allowed risk of a plan: the largest probability that a flight breaks a limit.
 
-    It is the risk that the scenario states. An optimal plan of free duration uses the full thrust
-    of the rotors, so that no controller can follow it. If the scenario states no risk, a plan of
-    free duration therefore gets the risk `_USUAL_RISK`, except with the paper's equations.
+    It is the risk that the scenario states. If the scenario states no risk, the result is 1, which
+    allows any risk and needs no margins. A plan of free duration is an exception and gets the risk
+    `_USUAL_RISK`, except with the paper's equations: without margins, such a plan uses the full
+    thrust of the rotors, so that no controller can follow it.
     """
     stated = scenario.mission.risk
     if stated is not None:
@@ -109,17 +112,17 @@ def risk_asked(scenario: Scenario) -> float:
 def plan_at_risk(
     scenario: Scenario, planner: Planner, *, progress: Progress | None = None, **solve: Any
 ) -> Plan:
-    """Solve a scenario with margins such that flights keep its stated risk.
+    """Solve a scenario for a plan whose margins are large enough for the allowed risk.
 
     The risk is the probability that a flight in turbulence breaks any limit; margins are the
-    amounts by which the plan stays inside its limits.
+    amounts by which limits are tightened for the plan.
 
     Parameters
     ----------
     scenario : Scenario
-        The mission; its `mission.risk` states the risk.
+        The mission; its `mission.risk` states the allowed risk.
     planner : Planner
-        Solves the plans.
+        Planner that solves the scenario.
     progress : callable, optional
         Called at each Ipopt iteration; returning False stops the solve.
     **solve
@@ -128,9 +131,9 @@ def plan_at_risk(
     Returns
     -------
     Plan
-        Plan with its attribute `risk` set. For a scenario that allows any risk it is the plan of
-        `Planner.solve`. If the risk cannot be reached, or the search is stopped, it is the plan of
-        least risk that was found.
+        Plan whose attribute `risk` records margins and test flights. For a scenario that allows any
+        risk it is the plan of `Planner.solve`, without margins. If the allowed risk cannot be
+        reached, or if the search is stopped, it is the plan of least risk that was found.
     """
     with planner.until_stopped() as is_stopped:
         paper = planner.solve(scenario, progress=progress, **solve)
@@ -164,7 +167,7 @@ def _again(
     progress : callable or None
         Called at each Ipopt iteration.
     is_rough : bool
-        Whether to solve on the mesh of the plan alone, without verification.
+        Whether to solve on the mesh of the plan only, without refinement and verification.
 
     Returns
     -------
@@ -190,20 +193,21 @@ def _again(
 
 @dataclass(frozen=True, kw_only=True)
 class _Tried:
-    """Plan with margins, and the predicted statistics of flights that follow it.
+    """Plan with margins, and the predicted statistics of flights in turbulence that follow it.
 
     Attributes
     ----------
     plan : Plan
-        The plan, for the scenario without margins.
+        The plan. Its scenario has the original limits, although it was solved with tightened
+        limits.
     margins : mapping
-        Scenario field -> amount by which the plan tightens it.
+        Scenario field -> amount by which its limit was tightened for the plan.
     spread : Spread
-        Distribution of flights about the plan.
+        Normal distribution of the states of flights about the plan.
     near : tuple of LimitDistance
-        Distance of flights from each limit over time.
+        Statistics of the distance of flights from each limit over time.
     missed : tuple of Miss
-        Distance of flights from goal and waypoints.
+        Samples of the distance of flights from goal and waypoints, and of the speed there.
     """
 
     plan: Plan
@@ -214,22 +218,26 @@ class _Tried:
 
     @property
     def predicted(self) -> float:
-        """Upper bound on the probability that a flight breaks any limit (Boole's inequality)."""
+        """Upper bound on the probability that a flight breaks any limit.
+
+        It is the sum of the probabilities for the single limits (Boole's inequality), at most 1.
+        """
         by_limits = sum(limit.present_probability for limit in self.near)
         return float(min(by_limits + sum(miss.probability for miss in self.missed), 1.0))
 
     @property
     def missing_places(self) -> float:
-        """Probability that a flight misses goal or waypoints for lack of thrust.
+        """Probability that a flight misses the goal or a waypoint for lack of thrust.
 
-        It counts the misses that no margin on a scenario field makes rarer, such as a miss of the
-        goal. They become rarer only if the plan leaves the rotors a reserve of thrust.
+        It includes only limits that no margin on a scenario field can make easier to keep, such as
+        the distance from the goal at the end. A flight breaks them less often only if the plan
+        leaves the rotors a reserve of thrust.
         """
         return sum(miss.probability for miss in self.missed if not miss.field)
 
     @property
     def astray(self) -> float:
-        """Distance between the goal and the end of the mean flight, without gusts [m]."""
+        """Distance between the goal and the end of the mean flight, which has no gusts [m]."""
         columns = [self.spread.dynamics.state_names.index(name) for name in POSITION_STATES]
         goal = np.array(self.plan.scenario.mission.goal.position)
         return float(np.linalg.norm(self.spread.states[-1, columns] - goal))
@@ -242,11 +250,11 @@ class _Tested:
     Attributes
     ----------
     tried : _Tried
-        The plan.
+        The plan with its margins.
     seed : int
-        Seed of the winds.
+        Seed of the random winds and parameters.
     counts : Counter
-        Number of flights that broke each limit, by limit in words.
+        Name of a limit in words -> number of flights that broke it.
     failed, flown : int
         Number of flights that broke any limit, and number of all flights.
     """
@@ -261,15 +269,15 @@ class _Tested:
 class _Search:
     """Iterative search for the margins of one scenario, starting from its plan without margins.
 
-    Margins are the amounts by which the plan stays inside its limits, so that flights in turbulence
-    break a limit with at most the allowed probability (the risk).
+    Margins are the amounts by which limits are tightened for the plan. They are to be so large that
+    flights in turbulence break a limit with at most the allowed probability (the risk).
 
     Parameters
     ----------
     paper : Plan
         Plan without margins.
     planner : Planner
-        Solves the plans.
+        Planner that solves the scenario with tightened limits.
     progress : callable, optional
         Called at each Ipopt iteration.
     is_stopped : callable, optional
@@ -296,10 +304,10 @@ class _Search:
             self._in_turbulence = self._in_turbulence.model_copy(update={"wind": wind})
 
     def best(self) -> Plan:
-        """Return the plan with margins that keeps the risk, or else the plan of least risk.
+        """Return a plan with margins that keeps the allowed risk, or else the plan of least risk.
 
-        The risk is the probability that a flight in turbulence breaks any limit, margins are the
-        amounts by which the plan stays inside its limits.
+        The risk is the probability that a flight in turbulence breaks any limit. Margins are the
+        amounts by which limits are tightened for the plan.
         """
         tried = self._verified(self._settled(self._followed(self._tried(self._paper, {}))))
         found: list[_Tested] = []
@@ -322,7 +330,7 @@ class _Search:
     def unfinished(self, why: str) -> Plan:
         """Return the last flyable plan of a search that ended early, with the reason ``why``.
 
-        No test flights confirm its risk, the probability that a flight breaks a limit.
+        No test flights confirm the risk of this plan, the probability that a flight breaks a limit.
         """
         plan, margins = self._last
         taken = RiskTaken(
@@ -338,16 +346,16 @@ class _Search:
         return replace(plan, risk=taken)
 
     def _stated(self, tried: _Tried, counts: Counter[str], failed: int) -> Plan:
-        """Return the tried plan with a record of its risk, from its test flights.
+        """Return a plan with a record of its risk, which states the results of its test flights.
 
         The risk is the probability that a flight in turbulence breaks any limit.
 
         Parameters
         ----------
         tried : _Tried
-            Plan with margins.
+            The plan with its margins.
         counts : Counter
-            Number of test flights that broke each limit, by limit in words.
+            Name of a limit in words -> number of test flights that broke it.
         failed : int
             Number of test flights that broke any limit.
         """
@@ -368,10 +376,10 @@ class _Search:
         return replace(tried.plan, risk=taken)
 
     def _verified(self, tried: _Tried) -> _Tried:
-        """Refine a plan with margins, and verify it by simulation.
+        """Refine the mesh of a plan with margins, and verify the plan by simulation.
 
-        Margins are the amounts by which the plan stays inside its limits; the refined mesh keeps
-        the margins also between the collocation points.
+        Margins are the amounts by which limits are tightened for the plan. A plan without margins
+        is returned unchanged.
         """
         if not tried.margins:
             return tried
@@ -387,7 +395,8 @@ class _Search:
     def _for_original_scenario(self, plan: Plan, margins: Mapping[str, float]) -> Plan:
         """Return a plan made with tightened limits as a plan of the original scenario.
 
-        The returned plan has the scenario and the passing times of waypoints without margins.
+        The returned plan has the original limits, and the original passing times of waypoints.
+        `margins` maps scenario fields to the amounts by which their limits were tightened.
         """
         times = passing_times(self._scenario, plan.passing_times_s, margins.get(HOLD, 0.0))
         return replace(plan, scenario=self._scenario, passing_times_s=times)
@@ -401,12 +410,13 @@ class _Search:
         )
 
     def _planned(self, last: _Tried, margins: Mapping[str, float]) -> _Tried | None:
-        """Solve the scenario tightened by margins, warm-started from another plan.
+        """Solve the scenario with limits tightened by margins, warm-started from another plan.
 
         Returns
         -------
         _Tried or None
-            Unrefined plan with the statistics of its flights; None if the solve fails.
+            The plan on the mesh of `last`, not refined, with the predicted statistics of flights
+            that follow it; None if the solve fails.
         """
         held = tightened(self._scenario, margins)
         if self._scenario.mission.aim is Aim.TIME:
@@ -419,10 +429,12 @@ class _Search:
         return self._tried(self._for_original_scenario(plan, margins), margins)
 
     def _followed(self, tried: _Tried) -> _Tried:
-        """Return a plan that the controller can follow to its goal, with the least reserve needed.
+        """Return a plan that leaves the controller enough thrust and tilt to follow it to the goal.
 
-        The reserve is the part of thrust and tilt that a plan leaves to the controller. If flights
-        miss the goal with every reserve, the result is the plan whose flights miss it least often.
+        If flights of the plan `tried` miss the goal too often, plans are solved that leave a part
+        of thrust and tilt as a reserve for the controller. The least sufficient reserve is found by
+        bisection. The result is the cheapest plan whose flights arrive. If flights miss the goal
+        with every reserve, the result is the plan whose flights miss it least often.
         """
         if self._is_followed(tried):
             return tried
@@ -446,10 +458,11 @@ class _Search:
         return is_there and tried.astray <= _ASTRAY_M
 
     def _reserve(self, share: float) -> dict[str, float]:
-        """Return the margins that leave a fraction of rotor speed, thrust and tilt unused.
+        """Return margins with which a plan leaves a reserve of rotor speed, thrust and tilt.
 
-        Margins are amounts by which limits are tightened; ``share`` is the fraction. If the
-        duration is free, its lower limit is raised too.
+        Margins are amounts by which limits are tightened for the plan. Each margin is the fraction
+        ``share`` of the largest margin with which the mission may be feasible. If the duration is
+        free, its lower limit is raised too.
         """
         margins = {name: share * greatest_margin(self._scenario, name) for name in AUTHORITY}
         for name, more in self._steeper_than_the_controller().items():
@@ -476,10 +489,10 @@ class _Search:
         }
 
     def _settled(self, tried: _Tried) -> _Tried:
-        """Repeat a plan with new margins until they agree with the spread of flights about it.
+        """Solve with new margins repeatedly, until they agree with the covariance of flights.
 
-        Margins are the amounts by which the plan stays inside its limits; the spread is the
-        covariance of flights in turbulence.
+        The covariance of flights in turbulence about a plan determines the margins that the allowed
+        risk requires. Margins are the amounts by which limits are tightened for the plan.
         """
         for _ in range(_PLANS):
             wanted = self._margins(tried)
@@ -492,12 +505,13 @@ class _Search:
         return tried
 
     def _margins(self, tried: _Tried) -> dict[str, float]:
-        """Return the margins with which flights about a plan would keep the allowed risk.
+        """Return the margins that the allowed risk requires, from predicted statistics of flights.
 
-        Margins are the amounts by which the plan stays inside its limits; the risk is the
-        probability that a flight in turbulence breaks any limit. The probabilities of missing the
-        goal, and of breaking limits that need no margin, are first subtracted from the allowed
-        risk. The rest is divided equally among the limits that need a margin.
+        Margins are the amounts by which limits are tightened for the plan; the risk is the
+        probability that a flight in turbulence breaks any limit. First, two probabilities are
+        subtracted from the allowed risk: the probability of missing the goal, and the probability
+        of breaking limits that need no margin. The rest is divided equally among the limits that
+        need a margin.
         """
         held = tried.margins
         alone = {a: a.probability(held.get(a.field, 0.0), 0.0) for a in tried.near}
@@ -525,10 +539,10 @@ class _Search:
         return margins
 
     def _agree(self, kept: Mapping[str, float], wanted: Mapping[str, float]) -> bool:
-        """Return whether the margins of a plan are close to the margins that its flights need.
+        """Return whether the margins of a plan are close to the margins that the risk requires.
 
-        `kept` has the margins of the plan, `wanted` the margins that its flights need. Both map a
-        scenario field to the amount by which the plan stays inside the limit.
+        `kept` has the margins of the plan, `wanted` the margins that the covariance of its flights
+        requires. Both map a scenario field to the amount by which its limit is tightened.
         """
         for name in {*kept, *wanted}:
             one, other = kept.get(name, 0.0), wanted.get(name, 0.0)
@@ -543,9 +557,9 @@ class _Search:
     def _tested(self, tried: _Tried, seed: int, *, is_whole: bool = False) -> _Tested:
         """Simulate test flights of a plan in turbulence, and count the limits that they break.
 
-        If more of the first flights break a limit than the risk allows for all flights together,
-        the plan has failed, and the remaining flights are not simulated, unless `is_whole` asks for
-        all flights. `seed` is the seed of the winds.
+        A part of the flights is simulated first. If more of them break a limit than the risk allows
+        for all flights together, the plan has failed, and the other flights are not simulated.
+        `is_whole` requires the simulation of all flights. `seed` is the seed of the random winds.
         """
         first = slice(0, _FLIGHTS if is_whole else min(_FIRST_FLIGHTS, _FLIGHTS))
         broken = self._flown(tried, seed, first)
@@ -562,21 +576,22 @@ class _Search:
     def _flown(
         self, tried: _Tried, seed: int, chosen: slice = slice(None)
     ) -> list[tuple[str, ...]]:
-        """Simulate test flights of a plan in turbulence; return the limits that each breaks.
+        """Simulate test flights of a plan in turbulence; return the limits that each flight breaks.
 
         Parameters
         ----------
         tried : _Tried
-            Plan with margins.
+            The plan with its margins.
         seed : int
-            Seed of the winds.
+            Seed of the random winds and parameters.
         chosen : slice, optional
-            Which of the test flights are simulated, by position; all by default.
+            Indices of the test flights to simulate; all by default.
 
         Returns
         -------
         list of tuple of str
-            The limits that each flight breaks, in words; empty for a flight that keeps all limits.
+            For each flight, the names in words of the limits that it breaks; an empty tuple for a
+            flight that keeps all limits.
         """
         expected = as_expected(replace(tried.plan, scenario=self._in_turbulence).mission_flown)
         dynamics, draws = draw(self._planner, expected, _FLIGHTS, seed)
@@ -587,11 +602,11 @@ class _Search:
     def _grown(self, tried: _Tried, counts: Mapping[str, int], flown: int) -> dict[str, float]:
         """Return larger margins for the limits that test flights break too often.
 
-        `counts` has the number of test flights that broke each limit, by limit in words; `flown` is
-        the number of test flights. Margins are the amounts by which the plan stays inside its
-        limits. A flight that misses the goal had too little thrust to correct the effect of a gust;
-        therefore the margins of thrust and tilt grow, and a free duration that was lengthened for
-        the reserve of thrust grows with them.
+        Margins are the amounts by which limits are tightened for the plan. `counts` maps the name
+        of a limit in words to the number of test flights that broke it; `flown` is the number of
+        test flights. A flight that misses the goal had too little thrust to correct the effect of a
+        gust. If too many flights miss the goal, the margins on thrust and tilt therefore become
+        larger, and so does a free duration that was lengthened for the reserve of thrust.
         """
         allowed = self._risk * flown / max(len(counts), 1)
         fields: set[str] = set()
@@ -628,7 +643,11 @@ class _Search:
         return margins
 
     def _advice(self, tried: _Tried, limiting: tuple[str, ...]) -> str:
-        """Return advice to the user on how to keep the limit that is broken most often."""
+        """Return advice to the user on how to change the mission so that flights keep its limits.
+
+        `limiting` has the limits that test flights broke most often, in words; the advice concerns
+        the first of them.
+        """
         first = limiting[0] if limiting else ""
         if first.startswith(("keep-out", "floor", "ceiling")):
             return "start, waypoints and goal farther from it, or a lower limits.speed_max"
@@ -675,10 +694,11 @@ def _missed_least(tried: _Tried) -> tuple[float, float]:
 
 
 def _planned_at(plan: Plan, spread: Spread) -> tuple[FloatArray, FloatArray]:
-    """Return states and controls of a plan at the n times of its flights' covariance.
+    """Return the planned states and controls at the n times of the covariance of flights.
 
-    The shapes are (n, n_states) and (n, n_controls). The states are in the order of the dynamics of
-    `spread`.
+    The shapes are (n, n_states) and (n, n_controls). The states are in the order of
+    `spread.dynamics`; states that the plan does not have, such as those of the turbulence, are
+    zero.
     """
     held, dynamics = plan.trajectories, spread.dynamics
     names = list(held.state_names)

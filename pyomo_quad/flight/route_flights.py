@@ -1,9 +1,10 @@
 """Solves along candidate routes: cost estimates, coarse solves, and refinement of the best.
 
-A journey is a route for each leg of a mission, from one waypoint to the next.  The energy of steady
-flight estimates the cost of each journey, and journeys with a much higher estimate are left out.
-All others are solved on one coarse mesh. The best journeys are solved again on the next mesh, and
-the best of these solutions are refined to the tolerance.
+A journey is a sequence of routes, one for each leg of a mission from one waypoint to the next.  The
+energy of steady flight is an estimate of the cost of each journey; journeys whose estimate is much
+higher than the least are left out.  The mission is solved along each other journey on one coarse
+mesh. The best of these solutions are solved again on the next mesh, and the best of the new
+solutions are refined to the tolerance.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -56,8 +57,8 @@ class RouteFlights:
     mission : MissionProblem
         Compiled problem of the mission.
     known : Solution, optional
-        Solution on one mesh along the shortest journey (a route from each waypoint to the next), if
-        it has been computed already.
+        Solution on one mesh along the shortest journey, if it has been computed already. A journey
+        is a sequence of routes, one for each leg from one waypoint to the next.
     """
 
     _near_on_first = _NEAR_ON_FIRST
@@ -72,12 +73,12 @@ class RouteFlights:
             self._near_on_first *= _ALIKE
 
     def best(self, most: int | None = None) -> tuple[Solution, tuple[TriedRoute, ...]]:
-        """Solve along the shortest routes; return the best solution and the results of all routes.
+        """Solve the mission along its candidate routes; return the best solution and all results.
 
         Parameters
         ----------
         most : int, optional
-            Largest number of routes; by default all candidates.
+            Largest number of routes, the shortest first; by default all candidates.
 
         Returns
         -------
@@ -95,18 +96,18 @@ class RouteFlights:
         return self.compared(journeys)
 
     def compared(self, journeys: Sequence[Journey]) -> tuple[Solution, tuple[TriedRoute, ...]]:
-        """Solve along given journeys on one mesh and refine the best; return it with all results.
+        """Solve the mission along given journeys on one mesh, and refine the best solutions.
 
-        A journey is a route for each leg, from one waypoint to the next. If the solutions of two
-        journeys coincide on this mesh or the next, as for the journeys over and beside a sphere,
-        the longer journey is left out.
+        A journey is a sequence of routes, one for each leg from one waypoint to the next. Two
+        journeys may lead to the same solution, such as journeys over and beside a sphere. The
+        longer journey is then left out.
 
         Returns
         -------
         Solution
             The best solution, refined to the mission's tolerance.
         tuple of TriedRoute
-            Result of each journey.
+            Result of the solve along each journey.
         """
         flown: list[tuple[Journey, Solution]] = []
         for journey in journeys:
@@ -133,18 +134,19 @@ class RouteFlights:
         )
 
     def _near(self, known: dict[int, Solution]) -> list[int]:
-        """Solve the best solutions again on a finer mesh; return those near the least energy.
+        """Solve again on a finer mesh along the cheapest journeys; return the best of them.
 
         Parameters
         ----------
         known : dict
-            Solutions by number of the journey (a route for each leg of the mission). The mapping is
-            changed in place: finer solutions replace coarse solutions, and duplicates are removed.
+            Number of a journey (a route for each leg of the mission) -> its solution. The mapping
+            is changed in place: finer solutions replace coarse solutions, and duplicates are
+            removed.
 
         Returns
         -------
         list of int
-            Numbers of the journeys near the least energy, the cheapest first.
+            Numbers of the journeys whose cost is near the least, the cheapest first.
         """
         near = _nearest(known, self._near_on_first, self._most(_MOST_ON_NEXT, self._near_on_first))
         if len(near) < 2:
@@ -160,18 +162,18 @@ class RouteFlights:
     def _most(self, most: int, error: float) -> int:
         """Return the largest number of journeys to solve on a finer mesh: ``most``, or only one.
 
-        One is enough if the energies of the journeys have a relative error (`error`) within the
-        accuracy asked for: any other journey that is near the least energy then saves less than
-        this accuracy.
+        `error` is the relative error of the energies on the present mesh. If it is within the
+        tolerance of the mission, one journey is enough: any other journey whose energy is near the
+        least then saves less than the tolerance.
         """
         return 1 if error <= self._tolerance else most
 
     def _refined(self, known: Mapping[int, Solution], near: list[int]) -> dict[int, Solution]:
         """Return the best solutions refined to the tolerance, by number of the journey.
 
-        If the refinement of all of them fails, further solutions are refined until one succeeds. A
-        journey is a route for each leg of the mission. `near` holds the numbers of the best
-        journeys.
+        A journey is a route for each leg of the mission. `known` has the coarse solutions by
+        number, and `near` the numbers of the best journeys. If the refinement fails for all of
+        them, further solutions are refined until one refinement succeeds.
         """
         refined: dict[int, Solution] = {}
         others = [k for k in _cheapest(known) if k not in near and known[k].status.is_solved]
@@ -184,28 +186,28 @@ class RouteFlights:
         return refined
 
     def energy_of(self, solution: Solution) -> float:
-        """Return the energy of a solution [J], without the price of time and the battery's loss.
+        """Return the energy of a solution [J], which may differ from the objective of the solve.
 
-        The objective of the solve may contain both in addition to the energy.
+        The objective may also contain the price of time and the loss in the battery.
         """
         return energy_of(self._scenario, solution)
 
     def as_flown(self, journey: Journey, solution: Solution) -> Journey:
-        """Return a journey, corrected for the sides on which its solution passes the zones.
+        """Return a journey with the sides on which its solution really passes the zones.
 
-        A solution may pass a zone on another side than its initial guess. A journey is a route for
-        each leg of the mission, from one waypoint to the next. If the solve failed, the journey is
-        returned unchanged.
+        A solution may pass a keep-out zone on another side than its initial guess. A journey is a
+        route for each leg of the mission, from one waypoint to the next. If the solve failed, the
+        journey is returned unchanged.
         """
         is_flown = solution.status.is_solved
         return journey_as_flown(self._scenario, journey, solution) if is_flown else journey
 
     def _journeys(self, most: int | None) -> tuple[Journey, ...]:
-        """Return the candidate journeys of the mission, at most ``most``.
+        """Return the candidate journeys along which the mission is solved, at most ``most``.
 
-        A journey is a route for each leg, from one waypoint to the next. The shortest journeys come
-        first; in a wind field, the journeys of least cost in steady flight come first. Journeys of
-        high estimated cost are left out, except for accuracy `proof`.
+        A journey is a sequence of routes, one for each leg from one waypoint to the next. The
+        shortest journeys come first; in a wind field, the journeys of least cost in steady flight
+        come first. Journeys of high estimated cost are left out, except for accuracy `proof`.
         """
         told = self._scenario
         journeys = find_journeys(told.airspace, told.mission.positions)[:most]
@@ -219,9 +221,10 @@ class RouteFlights:
     def _cost_per_metre(self, shortest: Journey) -> Callable[[FloatArray], float]:
         """Return a function that gives the cost per metre of steady flight in a direction [J/m].
 
-        The direction is a unit vector, shape (3,). The ground speed is the same in all directions:
-        the length of the shortest journey divided by the duration or, if the duration is free, the
-        speed of least cost.
+        The cost is the energy plus the price of time. The function takes the unit vector of the
+        direction, shape (3,). It uses the same ground speed for all directions. If the duration is
+        fixed, the speed is the length of the shortest journey divided by the duration; if the
+        duration is free, it is the speed of least cost.
         """
         told, steady = self._scenario, self._mission.steady
         mission = told.mission
@@ -244,10 +247,10 @@ class RouteFlights:
     def fly(self, journey: Journey) -> Solution:
         """Solve the mission on one mesh from an initial guess along a journey.
 
-        A journey is a route for each leg of the mission, from one waypoint to the next. If the
-        solve fails, it is repeated from a solution that passes exactly through the waypoints. All
-        further journeys are then solved from such a solution at once, because the difficulty does
-        not depend on the journey.
+        A journey is a sequence of routes, one for each leg from one waypoint to the next. If the
+        solve fails, it is repeated from the solution of an easier mission, in which the vehicle
+        passes exactly through the waypoints. For all further journeys the easier mission is then
+        solved first, because the difficulty does not depend on the journey.
         """
         if self._known is not None:
             known, self._known = self._known, None
@@ -268,7 +271,10 @@ class RouteFlights:
         return self.fly(journey)
 
     def refine(self, flown: Solution, meshes: int | None) -> Solution:
-        """Refine a solution on at most ``meshes`` meshes; if None, to the mission's tolerance."""
+        """Refine the mesh of a solution and solve again, on at most ``meshes`` meshes.
+
+        If ``meshes`` is None, the mesh is refined to the mission's tolerance.
+        """
         mission = self._mission
         if self._scenario.solver.max_refinements == 0 and not mission.easier:
             return flown
@@ -294,15 +300,15 @@ def promising(
 ) -> tuple[Journey, ...]:
     """Return the journeys whose estimated cost is near the least.
 
-    A journey is a route for each leg of the mission, from one waypoint to the next.
+    A journey is a sequence of routes, one for each leg from one waypoint to the next.
 
     Parameters
     ----------
     journeys : sequence of tuple of Route
-        Each journey has a route for every leg of the mission.
+        The journeys to compare.
     cost_per_metre : callable
-        Energy per metre of steady flight along a direction (unit vector); infinite if there is no
-        steady flight.
+        Takes the unit vector of a direction; returns the cost per metre of steady flight in this
+        direction [J/m], infinite if there is no steady flight.
     """
     known: dict[tuple[float, ...], float] = {}
 
@@ -337,14 +343,14 @@ def guess_along(
     journey : tuple of Route
         A route for each leg of the mission.
     times : sequence of float
-        Times at which each waypoint is reached and left, and the end [s].
+        Times at which each waypoint is reached and left, in order, and the end time [s].
     is_open : bool, optional
-        Whether the end time is free; the guess is then a function of the fraction of the horizon.
+        Whether the end time is free. The values under "time" are then fractions of the horizon.
 
     Returns
     -------
     dict
-        Samples, shape (n,), under the key "time" and under the names of the states.
+        "time" -> times of the samples [s], shape (n,), and name of a state -> its samples.
     """
     begun = (0.0, *times[1::2])
     instants, places = [], []
@@ -363,17 +369,17 @@ def guess_along(
 
 
 def journey_as_flown(told: Scenario, journey: Journey, solution: Solution) -> Journey:
-    """Return a journey with the sides of zones on which a solution passes.
+    """Return a journey with the sides on which a solution really passes the zones.
 
-    A solve may end on another side of a zone than its initial guess. A journey is a route for each
-    leg of the mission, from one waypoint to the next.
+    A solution may pass a keep-out zone on another side than its initial guess. A journey is a route
+    for each leg of the mission, from one waypoint to the next.
 
     Parameters
     ----------
     told : Scenario
         The mission.
     journey : tuple of Route
-        The journey along which the initial guess led.
+        The journey of the initial guess.
     solution : Solution
         Result of the solve.
     """
@@ -409,7 +415,11 @@ def _is_same(one: Solution, other: Solution) -> bool:
 
 
 def _nearest(known: Mapping[int, Solution], share: float, most: int) -> list[int]:
-    """Return the numbers of solutions with costs within a fraction of the least, cheapest first."""
+    """Return the numbers of the solutions whose cost is near the least, the cheapest first.
+
+    `known` maps numbers to solutions. A cost is near the least if it exceeds it by at most the
+    fraction `share`. At most `most` numbers are returned.
+    """
     costs = {k: _cost(s) for k, s in known.items() if s.status.is_solved}
     least = min(costs.values(), default=inf)
     order = sorted(costs, key=lambda k: costs[k])
@@ -421,5 +431,5 @@ def _cost(solution: Solution) -> float:
 
 
 def _cheapest(known: Mapping[int, Solution]) -> list[int]:
-    """Return the numbers of solutions sorted by cost, the cheapest first."""
+    """Return the numbers of all solutions, sorted by cost, the cheapest first."""
     return sorted(known, key=lambda k: _cost(known[k]))

@@ -1,14 +1,15 @@
-"""Shortest routes round zones and over terrain, one per homotopy class, and cruise along a route.
+"""Shortest routes round keep-out zones and over terrain, and flights of an autopilot along a route.
 
-Points round every obstructing zone are joined where the straight line between them is free;
-Dijkstra's algorithm finds the shortest path through them. A zone between start and goal is passed
-on the left or right, over or under it. The shortest route passes each zone on some side.  All other
-routes are divided into classes [1]_: the class of a zone has the routes that pass this zone on
-another side than the shortest route, but all zones before it on the same side. The shortest route
-of each class is found in the same way, so that all routes follow in order of length.
+Routes belong to the same homotopy class if they pass every zone on the same side: left, right, over
+or under. A route is a path in a graph. The nodes of the graph are points round each zone in the
+way, and its edges are the straight lines between nodes that no zone blocks. Dijkstra's algorithm
+finds the shortest path, which is the shortest route of all.  The other routes are then divided into
+sets [1]_: the set of a zone has the routes that pass this zone on another side than the shortest
+route, but all zones before it on the same side. The shortest route of each set is found in the same
+way, and its set is divided again, so that the routes follow in order of length.
 
-Cruise is the flight of an autopilot: one speed and straight legs with limited jerk.  Each leg is
-flown from rest to rest in the seven phases of [2]_: the jerk is j, 0, -j to reach the speed, 0
+Cruise is the flight of an autopilot along straight legs at one speed, with limited jerk.  Each leg
+is flown from rest to rest in the seven phases of [2]_: the jerk is j, 0, -j to reach the speed, 0
 along the leg, and -j, 0, j to stop.  A leg that is too short for the speed has no cruise phase and
 a lower peak speed; if it is also too short for the largest acceleration, it has a lower peak
 acceleration.
@@ -60,7 +61,7 @@ _LONGEST = 2.0
 
 @dataclass(frozen=True, kw_only=True)
 class Route:
-    """Polygonal route from a start to a goal.
+    """Route of straight lines from a start to a goal.
 
     Attributes
     ----------
@@ -87,7 +88,10 @@ class Route:
 
     @property
     def name(self) -> str:
-        """Sides on which the route passes the zones, in words, such as "left of church"."""
+        """Name of the route: its label, or the sides on which it passes the zones.
+
+        Examples are "left of church", "over hill" and, without zones, "straight".
+        """
         words = (
             f"{side.value} of {zone}" if side in _BESIDE else f"{side.value} {zone}"
             for zone, side in self.sides
@@ -95,7 +99,10 @@ class Route:
         return self.label or ", ".join(words) or "straight"
 
     def places_at(self, shares: FloatArray) -> FloatArray:
-        """Return the points of the route at n fractions of its length, shape (n, 3) [m]."""
+        """Return the points at n fractions of the route's length, shape (n, 3) [m].
+
+        `shares` has the fractions, shape (n,), from 0 at the start to 1 at the goal.
+        """
         steps = np.linalg.norm(np.diff(self.places, axis=0), axis=1)
         reached = np.concatenate([[0.0], np.cumsum(steps)])
         at = np.asarray(shares) * reached[-1]
@@ -110,12 +117,13 @@ def find_routes(
 ) -> tuple[Route, ...]:
     """Return the shortest route of each homotopy class between two places, the shortest first.
 
-    Routes of different classes pass the zones on different sides.
+    Routes of different classes pass at least one keep-out zone on different sides. Routes more than
+    twice as long as the shortest route are left out.
 
     Parameters
     ----------
     airspace : Airspace
-        Zones, clearance, fence, floor and terrain.
+        Keep-out zones, clearance from them, fence, floor and terrain.
     start, goal : (float, float, float)
         Ends of the routes [m].
     most : int, optional
@@ -146,10 +154,10 @@ def find_routes(
 
 
 def zones_that_block(airspace: Airspace, start: Place, goal: Place) -> tuple[str, ...]:
-    """Return the names of zones that leave no route between two places.
+    """Return the names of keep-out zones because of which there is no route between two places.
 
-    If removing a single zone is enough to open a route, the result names all zones of which this is
-    true. Otherwise it names a set of zones that must all be removed together.
+    If there is a single zone whose removal opens a route, the result names all zones of which this
+    is true. Otherwise it names a set of zones that must all be removed to open a route.
     """
     zones = airspace.keep_out
 
@@ -169,7 +177,10 @@ def zones_that_block(airspace: Airspace, start: Place, goal: Place) -> tuple[str
 
 
 def no_way(airspace: Airspace, start: Place, goal: Place) -> str:
-    """Return a message for the user that names the zones which block every route to a goal."""
+    """Return a message for the user that names the zones which block every route to a goal.
+
+    `start` and `goal` are the ends of the leg [m].
+    """
     names = zones_that_block(airspace, start, goal)
     told = [name for name in ("floor", "ceiling") if getattr(airspace, name) is not None]
     rooms = "".join(f", or move airspace.{name}" for name in told)
@@ -193,12 +204,12 @@ Journey = tuple[Route, ...]
 def find_journeys(airspace: Airspace, stops: Sequence[Place]) -> tuple[Journey, ...]:
     """Return the shortest journeys through all stops, at most `MOST_ROUTES`.
 
-    A journey is a route for each leg from one stop to the next.
+    A journey is a sequence of routes, one for each leg from one stop to the next.
 
     Parameters
     ----------
     airspace : Airspace
-        Zones to avoid.
+        Keep-out zones, clearance from them, fence, floor and terrain.
     stops : sequence of (float, float, float)
         Start, waypoints and goal [m].
 
@@ -223,20 +234,23 @@ def find_journeys(airspace: Airspace, stops: Sequence[Place]) -> tuple[Journey, 
 
 
 def length_of(journey: Journey) -> float:
-    """Return the length of a journey [m], the sum over its routes between waypoints."""
+    """Return the length of a journey [m], the sum of the lengths of its routes.
+
+    A journey is a sequence of routes, one for each leg from one waypoint to the next.
+    """
     return sum(route.length for route in journey)
 
 
 class NoRouteError(Exception):
-    """Error: zones block every route between two consecutive stops of a mission."""
+    """Error raised if zones block every route between two consecutive stops of a mission."""
 
 
 def with_plain_passages(told: Scenario) -> Scenario | None:
-    """Return the mission with exact waypoint passages at any speed.
+    """Return an easier mission, in which waypoints are passed exactly and at any speed.
 
-    Waypoints lose their radius and speed limit, which makes a first solve easier: the gradient of
-    such a limit vanishes where the limited distance or speed is zero. The result is None if no
-    waypoint has a radius or a speed limit.
+    The waypoints have no radius and no speed limit. This makes a first solve easier, because the
+    gradient of such a limit vanishes where the limited distance or speed is zero. The result is
+    None if no waypoint of the mission has a radius or a speed limit.
     """
     at_ease = {"radius": 0.0, "speed_max": None}
     waypoints = tuple(w.model_copy(update=at_ease) for w in told.mission.waypoints)
@@ -247,16 +261,16 @@ def with_plain_passages(told: Scenario) -> Scenario | None:
 
 
 class _Graph:
-    """Visibility graph: points round the zones, and the free straight lines between them.
+    """Visibility graph: points round keep-out zones, and the free straight lines between them.
 
     Parameters
     ----------
     airspace : Airspace
-        Zones, clearance, fence, floor and terrain.
+        Keep-out zones, clearance from them, fence, floor and terrain.
     ends : ndarray, shape (2, 3)
         Start and goal [m].
     relevant : list of KeepOut
-        The zones to avoid; the caller checks all other zones.
+        The zones that block lines of the graph; the caller checks routes against all other zones.
     """
 
     def __init__(self, airspace: Airspace, ends: FloatArray, relevant: list[KeepOut]) -> None:
@@ -314,9 +328,10 @@ class _Graph:
                     kept[number] = frozenset({side})
 
     def _shortest(self, allowed: tuple[frozenset[int], ...]) -> tuple[float, list[int]] | None:
-        """Return length and nodes of the shortest path that passes each zone on its allowed sides.
+        """Return length [m] and nodes of the shortest path that passes zones on allowed sides only.
 
-        None if there is no such path.
+        `allowed` has, for each zone of the graph, the indices of the allowed members of `Side`. The
+        result is None if there is no such path.
         """
         is_open = np.ones(len(self._first), dtype=bool)
         for crossings, sides in zip(self._crossings, allowed, strict=True):
@@ -333,7 +348,10 @@ class _Graph:
         return float(lengths[1]), nodes[::-1]
 
     def _sides_of(self, nodes: list[int]) -> list[int]:
-        """Return the index of the side on which a path passes each zone; -1 for no passage."""
+        """Return the side on which a path passes each zone of the graph, as an index into `Side`.
+
+        `nodes` has the nodes of the path. The index is -1 for a zone that the path does not pass.
+        """
         number = {pair: k for k, pair in enumerate(zip(self._first, self._last, strict=True))}
         lines = [number[min(pair), max(pair)] for pair in pairwise(nodes)]
         sides = []
@@ -345,17 +363,17 @@ class _Graph:
 
 @dataclass(frozen=True, kw_only=True)
 class TriedRoute:
-    """Result of the solve along one route.
+    """Result of solving a mission along one of its candidate routes.
 
     Attributes
     ----------
     name : str
-        Sides on which the zones are passed, in words.
+        Name of the route, which states the sides on which it passes the zones.
     length_m : float
-        Length of the shortest route in its class.
+        Length of the route made of straight lines, which was the initial guess.
     energy_J : float or None
-        Energy of the optimal flight along the route [J]. Unless `is_refined`, it is the energy on a
-        coarse mesh. None if the solve failed.
+        Energy of the optimal flight along the route [J], on a coarse mesh if `is_refined` is False.
+        None if the solve failed.
     is_refined : bool
         Whether the flight was solved to the mission's tolerance.
     is_kept : bool
@@ -452,10 +470,10 @@ def cruise_at(
     settling_s: float = 0.0,
     least_s: float = 0.0,
 ) -> Scenario:
-    """Return the mission with the passing times of an autopilot's cruise.
+    """Return the mission with the times of an autopilot's cruise: passing times and duration.
 
-    The vehicle hovers at the goal for `settling_s`, or longer, if the flight would otherwise last
-    less than `least_s`.
+    Cruise is flight along straight legs at one speed. At the end the vehicle hovers at the goal for
+    `settling_s`, or for longer if the flight would otherwise last less than `least_s`.
 
     Parameters
     ----------
@@ -483,7 +501,7 @@ def cruise_at(
 
 
 def cruise(scenario: Scenario) -> SampledPath:
-    """Return the path of an autopilot's cruise over time, as a reference for the controller.
+    """Return the reference path of an autopilot's cruise: straight legs at one speed.
 
     Raises
     ------
@@ -517,13 +535,15 @@ def cruise(scenario: Scenario) -> SampledPath:
 
 
 def _legs(scenario: Scenario) -> list[list[tuple[FloatArray, SpeedProfile]]]:
-    """Return the straight pieces of an autopilot's cruise between consecutive waypoints.
+    """Return the straight pieces of an autopilot's cruise, for each leg of the mission.
+
+    A leg leads from one waypoint to the next. It has several pieces if it leads round zones.
 
     Returns
     -------
     list of list of (ndarray, SpeedProfile)
-        For each leg, its straight pieces round zones; each piece has a displacement, shape (3,)
-        [m], and a motion from rest to rest.
+        For each leg, its pieces; each piece has a displacement, shape (3,) [m], and a motion from
+        rest to rest.
     """
     airspace, settings = scenario.airspace, own_cruise(scenario)
     limits = settings.speed, settings.acceleration, settings.jerk
@@ -552,8 +572,8 @@ def _legs(scenario: Scenario) -> list[list[tuple[FloatArray, SpeedProfile]]]:
 def reached(scenario: Scenario) -> CruiseSettings:
     """Return cruise settings with the largest speed and acceleration that a cruise really reaches.
 
-    Legs may be too short to reach the speed and acceleration that the scenario sets. The returned
-    settings, with the jerk of the scenario, give the same flight.
+    The legs of the mission may be too short for the speed and acceleration that the scenario sets.
+    The returned settings, with the jerk of the scenario, result in the same flight.
     """
     profiles = [profile for pieces in _legs(scenario) for _, profile in pieces]
     return CruiseSettings(
@@ -564,7 +584,7 @@ def reached(scenario: Scenario) -> CruiseSettings:
 
 
 def own_cruise(scenario: Scenario) -> CruiseSettings:
-    """Return the settings of the cruise in a scenario with a single cruise speed.
+    """Return the settings of an autopilot's cruise, for a scenario with a single cruise speed.
 
     Raises
     ------

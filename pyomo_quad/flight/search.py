@@ -1,7 +1,7 @@
-"""Progress of a search for a plan: stage, processor time and best usable plan so far.
+"""Progress of a search for a plan: stage, processor time, and the best usable plan found so far.
 
-A usable plan is one that simulation confirms at lower accuracy than requested; a search that is
-stopped returns it.
+A usable plan is a plan that simulation confirms at lower accuracy than requested. A search that is
+stopped returns the best usable plan.
 """
 
 from __future__ import annotations
@@ -53,15 +53,15 @@ class State:
     stage : Stage
         Present stage.
     energy_J : float
-        Least energy found so far [J]; infinite before the first solution.
+        Energy of the last solution on a finished mesh [J]; infinite before the first solution.
     uncertainty : float
-        Relative change of the least energy from the second last to the last mesh; infinite if there
-        was only one mesh.
+        Relative change of this energy from the second last to the last mesh; infinite if there was
+        only one mesh.
     spent_s : float
         Processor time since the search began [s].
     has_usable : bool
-        Whether there is a plan that simulation confirms at lower accuracy, which is returned if the
-        search is stopped now.
+        Whether a usable plan was found, which is returned if the search is stopped now. A usable
+        plan is a plan that simulation confirms at lower accuracy than requested.
     iteration : Iteration
         Present iteration of Ipopt.
     """
@@ -75,9 +75,10 @@ class State:
 
 
 class Search:
-    """Progress callback of a search's solves: it stops them in time and keeps the best usable plan.
+    """Progress callback of the solves in a search for a plan.
 
-    A usable plan is one that simulation confirms at lower accuracy than requested.
+    It stops solves at the time limit, and stores the best usable plan. A usable plan is a plan that
+    simulation confirms at lower accuracy than requested.
 
     Parameters
     ----------
@@ -91,11 +92,11 @@ class Search:
     stage : Stage
         Present stage.
     record : list of str
-        Outcomes of the strategies carried out so far.
+        Names and outcomes of the planning strategies carried out so far.
     usable : Plan or None
         The best usable plan so far.
     work : int
-        Sum over all iterations of Ipopt of the number of mesh points. It measures the cost of the
+        Number of mesh points, summed over all iterations of Ipopt. It measures the cost of the
         search independently of the speed and the load of the machine.
     """
 
@@ -117,7 +118,10 @@ class Search:
 
     @property
     def effort(self) -> int:
-        """Work since the last `begin_effort`: sum over Ipopt's iterations of the mesh points."""
+        """Work since the last call of `begin_effort`.
+
+        It is the number of mesh points, summed over Ipopt's iterations.
+        """
         return self.work - self._effort_from
 
     @property
@@ -125,22 +129,25 @@ class Search:
         return self.work - self._patient_from
 
     def restart_patience(self) -> None:
-        """Set the work counted towards the first usable plan back to zero.
+        """Reset the count of the work that a search does before it computes usable plans.
 
-        A usable plan is one that simulation confirms at lower accuracy than requested. To save
+        A usable plan is a plan that simulation confirms at lower accuracy than requested. To save
         time, a search computes usable plans only after it has done a certain amount of work.
         """
         self._patient_from = self.work
 
     def begin_effort(self, limit: float) -> None:
-        """Reset the effort counter, and set the effort `limit` at which solves are stopped.
+        """Reset the effort counter, and set the limit on the effort at which solves are stopped.
 
-        The effort is the sum over Ipopt's iterations of the number of mesh points.
+        The effort is the number of mesh points, summed over Ipopt's iterations.
         """
         self._effort_from, self._most_effort = self.work, limit
 
     def __call__(self, iteration: Iteration) -> bool:
-        """Count an iteration of Ipopt; return False beyond a limit, so that Ipopt stops."""
+        """Count an iteration of Ipopt; return whether Ipopt may continue.
+
+        The result is False beyond the time limit or the limit on the effort.
+        """
         self.work += iteration.mesh_points
         if self._show is not None:
             self._show(
@@ -194,7 +201,11 @@ class Search:
         self._energy = energy_J
 
     def keep(self, plan: Plan) -> None:
-        """Keep a plan if simulation confirms it at lower accuracy, and it is the best so far."""
+        """Store a plan as the best usable plan if it is usable and better than the stored plan.
+
+        A usable plan is a plan that simulation confirms at lower accuracy than requested. The
+        better of two plans is the plan with the smaller uncertainty of the energy.
+        """
         found = as_usable(plan)
         if not found.is_flyable:
             return
@@ -204,8 +215,9 @@ class Search:
     def ended(self, plan: Plan) -> Plan:
         """Return the result of the search: the last plan or, if that fails, the best usable plan.
 
-        A usable plan is one that simulation confirms at lower accuracy than requested. It replaces
-        a last plan that simulation does not confirm, unless the mission is proven infeasible.
+        A usable plan is a plan that simulation confirms at lower accuracy than requested. It
+        replaces a last plan that simulation does not confirm, unless the mission is proven
+        infeasible.
         """
         plan = as_usable(self._given_up(replace(plan, attempts=tuple(self.record))))
         if plan.is_flyable or plan.status is PlanStatus.INFEASIBLE or self.usable is None:
@@ -227,9 +239,10 @@ class Search:
         )
 
     def _given_up(self, plan: Plan) -> Plan:
-        """Return a plan with its status set to not converged, if time ran out before any result.
+        """Return a plan with its status set to not converged if time ran out without a result.
 
-        A result is a flyable plan or a proof of infeasibility.
+        Results are a plan that simulation confirms and a proof of infeasibility; a plan with a
+        result is returned unchanged.
         """
         if not self.deadline.is_over or plan.is_flyable or plan.status is PlanStatus.INFEASIBLE:
             return plan
@@ -259,7 +272,7 @@ def as_usable(plan: Plan) -> Plan:
 
 
 def _proven(plan: Plan) -> str:
-    """Return a sentence that says to which accuracy simulation confirms a usable plan."""
+    """Return a sentence that states how closely the simulation of a usable plan agrees with it."""
     found = plan.verification
     if found is None:
         return ""
@@ -273,7 +286,10 @@ def _proven(plan: Plan) -> str:
 
 
 def accuracy_words(plan: Plan) -> str:
-    """Return a text with the requested and reached accuracy, and the energy's uncertainty."""
+    """Return a text that states the requested and the reached accuracy of a plan.
+
+    It also states the uncertainty of the energy, if that is known.
+    """
     asked, reached = plan.scenario.solver.accuracy, plan.accuracy_reached
     known = plan.energy_uncertainty
     words = f"accuracy requested: {asked.value}; reached: {'none' if reached is None else reached}"

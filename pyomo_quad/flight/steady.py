@@ -1,8 +1,8 @@
-"""Steady flight from the compiled equations: hover, trim and battery load.
+"""Steady flight of a vehicle, computed from its compiled equations: hover, trim and battery load.
 
-A trim consists of the states and controls with which the compiled equations keep all states
-constant except the position, which moves at a given velocity. All quantities come from the compiled
-equations, so that a user's own model is treated in the same way.
+A trim consists of the states and controls with which all states are constant except the position,
+which changes at a given velocity. Every quantity is computed with the compiled equations, so that a
+user's own model is treated in the same way as the package's model.
 
 The lower bound of the energy uses the momentum balance and the power of this module: see
 docs/theory/bound.md, eqs. (1) and (6).
@@ -58,7 +58,10 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, kw_only=True)
 class Trim:
-    """Steady flight at a velocity: states and controls in the order of the dynamics, and power."""
+    """Steady flight at a constant velocity: states, controls and power [W].
+
+    States and controls have the order of the dynamics.
+    """
 
     states: FloatArray
     controls: FloatArray
@@ -67,7 +70,7 @@ class Trim:
 
 @dataclass(frozen=True, kw_only=True)
 class HoverState:
-    """Hover in still air at the start of the mission: rotor speeds and power."""
+    """Hover in still air with the battery in its initial state: rotor speed, power and battery."""
 
     rotor_speed_rad_per_s: float
     thrust_N: float
@@ -84,9 +87,9 @@ class SteadyFlight:
     Parameters
     ----------
     scenario : Scenario
-        The scenario, with the initial position and state of charge.
+        The scenario, which gives the initial position and state of charge.
     dynamics : Dynamics
-        The equations, with the wind of the flight; `Planner.steady_flight` uses still air.
+        The compiled equations, with the wind of the flight; `Planner.steady_flight` uses still air.
     known : mapping, optional
         State name -> initial value, for states of a user's own model that the mission does not
         define.
@@ -109,17 +112,18 @@ class SteadyFlight:
     def trim(self, velocity: ArrayLike = _STILL, near: Trim | None = None) -> Trim:
         """Return the steady flight at a velocity over ground.
 
-        Position and heading are taken from the mission's start. Some states can never be at rest
-        because the flight uses them up, such as the charge drawn: the mission fixes them at the
-        start and leaves them free at the end. They keep their initial values. All other states, and
-        the controls, are solved for.
+        The states and controls are solved for, with exceptions. Position and heading are those of
+        the mission's start. States that a flight uses up, such as the charge drawn, can never be
+        constant; they keep their initial values. Such a state is recognised because the mission
+        fixes it at the start and leaves it free at the end.
 
         Parameters
         ----------
         velocity : array_like, shape (3,), optional
-            Velocity in world axes [m/s]; hover by default. In still air it equals the airspeed.
+            Velocity over ground in world axes [m/s]; by default zero (hover). In still air it is
+            also the velocity relative to the air.
         near : Trim, optional
-            Initial guess: a trim at a similar velocity.
+            Trim at a similar velocity, as the initial guess.
 
         Returns
         -------
@@ -129,7 +133,7 @@ class SteadyFlight:
         Raises
         ------
         SolveError
-            If the equations have no such steady flight.
+            If the equations have no steady flight at this velocity.
         """
         names, t = list(self._dynamics.state_names), self._dynamics.start
         used_up = set(self._dynamics.states_used_up)
@@ -174,15 +178,19 @@ class SteadyFlight:
         return Trim(states=states, controls=controls, power_W=float(power))
 
     def reading(self, names: tuple[str, ...], trim: Trim) -> FloatArray:
-        """Return the values of n named model components in a steady flight, shape (n,)."""
+        """Return the values of n components of the model in a steady flight, shape (n,).
+
+        `names` has the full names of the components, such as "battery.current".
+        """
         return self._rows(tuple((n, None) for n in names), trim.states[None], trim.controls[None])[
             0
         ]
 
     def held_in(self, trim: Trim) -> dict[str, float]:
-        """Return the states that a steady flight keeps constant, except the velocity, by name.
+        """Return the quantities that a steady flight keeps constant, by name, except the velocity.
 
-        These are attitude, body rates and rotor speeds, and the induced velocity if modelled.
+        These are attitude, body rates and rotor speeds, and the induced velocity if the model has
+        it.
         """
         moved = {*self._dynamics.states_used_up, *POSITION_STATES, *VELOCITY_STATES}
         named = dict(zip(self._dynamics.state_names, trim.states.tolist(), strict=True))
@@ -198,7 +206,7 @@ class SteadyFlight:
     def charge_rates(
         self, trim: Trim, drawn: FloatArray, circuit: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the charge rate and remaining power of a steady flight at given charges drawn.
+        """Return the charge rate and the power reserve of a steady flight at given charges drawn.
 
         Parameters
         ----------
@@ -207,8 +215,8 @@ class SteadyFlight:
         drawn : ndarray, shape (n,)
             Charge drawn from the full pack [A h].
         circuit : ndarray, shape (n, n_circuit), optional
-            Relaxation voltage [V] and temperature [K] of the battery, as far as the model has them;
-            by default their initial values.
+            Relaxation voltage [V] and temperature [K] of the battery at these charges, as far as
+            the model has these states; by default their initial values.
 
         Returns
         -------
@@ -227,14 +235,14 @@ class SteadyFlight:
         return rate, reserve
 
     def endurance(self, trim: Trim, depth: float, samples: int) -> float:
-        """Return how long a full battery sustains a steady flight, to a depth of discharge [s].
+        """Return the time for which a full battery sustains a steady flight [s].
 
         Parameters
         ----------
         trim : Trim
             The steady flight.
         depth : float
-            Fraction of the capacity to draw.
+            Fraction of the battery's capacity that is drawn (depth of discharge).
         samples : int
             Number of states of charge at which the current is evaluated.
 
@@ -252,7 +260,7 @@ class SteadyFlight:
 
     @property
     def _circuit(self) -> list[int]:
-        """Indices of relaxation voltage and temperature among the states, if modelled."""
+        """Indices of the battery's relaxation voltage and temperature among the states, if any."""
         return [k for k, n in enumerate(self._dynamics.state_names) if n in CIRCUIT_STATES]
 
     def _circuit_under_load(self, trim: Trim, drawn: FloatArray) -> FloatArray | None:
@@ -294,7 +302,7 @@ class SteadyFlight:
 
     @cached_property
     def hover(self) -> HoverState:
-        """Hover state of a quadrotor with the battery in its initial state."""
+        """Hover in still air, with the battery in its initial state."""
         names = (
             *("rotors.total_thrust", "battery.current", "battery.voltage"),
             "battery.greatest_power",
@@ -311,18 +319,25 @@ class SteadyFlight:
         )
 
     def thrust(self, speed: ArrayLike) -> FloatArray:
-        """Return the total thrust [N] for equal rotor speeds [rad/s]."""
+        """Return the total thrust [N] if all rotors turn at the same speed.
+
+        `speed` has rotor speeds [rad/s]; the result has the same shape.
+        """
         return self._over_speeds("rotors.total_thrust", speed)
 
     def power(self, speed: ArrayLike) -> FloatArray:
-        """Return the total power [W] for equal, constant rotor speeds [rad/s]."""
+        """Return the total power [W] if all rotors turn at the same, constant speed.
+
+        `speed` has rotor speeds [rad/s]; the result has the same shape.
+        """
         return self._over_speeds("power.total", speed)
 
     def uncredited_power(self, speed: ArrayLike) -> FloatArray:
-        """Return the total power [W] for equal, constant rotor speeds, negative values included.
+        """Return the total power [W] if all rotors turn at the same, constant speed.
 
         If braking returns no energy, the model replaces a negative power by zero (see
-        `model.power`). This method returns the power before the replacement.
+        `model.power`). Unlike `power`, this method returns the value before the replacement, which
+        may be negative. `speed` has rotor speeds [rad/s].
         """
         rotors = range(_FIRST_ROTOR, _FIRST_ROTOR + len(self._rotors))
         if not self._dynamics.has(_UNCREDITED):
@@ -330,18 +345,21 @@ class SteadyFlight:
         return np.sum([self._over_speeds(_UNCREDITED, speed, index=j) for j in rotors], axis=0)
 
     def power_of_accelerating(self, speed: ArrayLike) -> FloatArray:
-        """Return the part of the power that is proportional to rotor acceleration, per rad/s^2.
+        """Return the power for accelerating the rotors, per rotor acceleration [J s/rad].
 
-        The unit is J s/rad; all rotors accelerate together. This part of the power is stored in the
-        rotors and returned when they slow down. Losses that do not depend on the sign of the
-        acceleration are excluded.
+        All rotors turn at the speed `speed` [rad/s] and have the same acceleration. This part of
+        the power is stored in the rotors and returned when they slow down. Losses that do not
+        depend on the sign of the acceleration are excluded.
         """
         name = _UNCREDITED if self._dynamics.has(_UNCREDITED) else "power.rotor_power"
         up, down = (self.rotor_value(name, speed, sign) for sign in (1.0, -1.0))
         return len(self._rotors) * (up - down) / 2.0
 
     def power_at_thrust(self, thrust: float) -> float:
-        """Return the power [W] of steady flight at a total thrust [N], not negative."""
+        """Return the power [W] of equal, constant rotor speeds that give a total thrust [N].
+
+        A negative thrust counts as zero.
+        """
         if thrust <= 0.0:
             return float(self.power(0.0))
         return float(self.power(self._speed_where(self.thrust, thrust)))
@@ -358,9 +376,10 @@ class SteadyFlight:
         return self._over_speeds(name, speeds, accelerations, index=_FIRST_ROTOR)
 
     def yaw_moment(self, odd_speed: float, even_speed: float) -> float:
-        """Return the yaw moment [N m] at one speed of rotors 1 and 3 and another of 2 and 4.
+        """Return the yaw moment [N m] if odd rotors turn at one speed and even rotors at another.
 
-        Both speeds are constant, in rad/s.
+        `odd_speed` is the constant speed of rotors 1 and 3, `even_speed` the constant speed of
+        rotors 2 and 4 [rad/s].
         """
         states = self._start.copy()
         states[self._rotors[::2]], states[self._rotors[1::2]] = odd_speed, even_speed
@@ -385,7 +404,8 @@ class SteadyFlight:
     def stored_energy(self, depth: float, samples: int) -> float:
         """Return the energy in a full battery down to a depth of discharge, without losses [J].
 
-        `depth` is the fraction of the capacity to draw, `samples` the number of quadrature points.
+        `depth` is the fraction of the capacity that is drawn, `samples` the number of quadrature
+        points.
         """
         states = np.tile(self._start, (samples, 1))
         column = self._dynamics.state_names.index(CHARGE_STATE)
@@ -410,7 +430,11 @@ class SteadyFlight:
         return float(rates[self._dynamics.state_names.index(CHARGE_STATE)])
 
     def _speed_where(self, reading: object, wanted: float) -> float:
-        """Return the common rotor speed [rad/s] at which an increasing quantity reaches a value."""
+        """Return the rotor speed [rad/s] at which an increasing quantity has a wanted value.
+
+        `reading` is a function that takes the speed, equal on all rotors, and returns the quantity,
+        such as the total thrust, which must increase with the speed. `wanted` is the value.
+        """
 
         def excess(speed: float) -> float:
             return float(reading(speed)) - wanted  # type: ignore[operator]
@@ -450,12 +474,13 @@ class SteadyFlight:
 
 
 class MomentumDemand:
-    """Thrust vector that the momentum balance requires for a motion.
+    """Calculator of the thrust vector that a motion of the vehicle requires (momentum balance).
 
-    With the rotors stopped, only weight and air accelerate the vehicle; the thrust must supply the
-    rest of a motion's acceleration. The balance does not depend on the attitude. If it is linear in
-    the velocity, the equation for each axis is thrust(t) = mass * acceleration + drag * velocity +
-    standing(t), where `standing` is the part of weight and wind.
+    The acceleration by weight and air follows from the compiled equations with the rotors stopped.
+    The thrust must supply the rest of the motion's acceleration. The balance does not
+    depend on the attitude. If it is linear in the velocity, the thrust along each world axis is
+    mass * acceleration + drag * velocity + standing(t), where `standing` is the thrust that weight
+    and wind require at zero velocity.
 
     Parameters
     ----------
@@ -523,7 +548,10 @@ class MomentumDemand:
 
 
 def battery_shortfalls(scenario: Scenario, steady: SteadyFlight) -> tuple[str, ...]:
-    """Return the reasons why the battery cannot supply a hover of the mission's duration."""
+    """Return the reasons why the battery cannot supply a hover of the mission's duration, in words.
+
+    The result is empty if it can. `steady` gives power and charge rate of the hover.
+    """
     hover = steady.hover
     pack = scenario.battery
     cells = f"battery {pack.use}, {pack.cells_series} x {pack.cells_parallel} cells"

@@ -1,9 +1,9 @@
-"""Planning strategies: one ordered table, applied by one loop.
+"""Planning strategies, in a table in the order in which they are tried.
 
 A strategy is one way to obtain a plan or to improve it, such as a solve from another initial guess.
 It has a name, the stage of the search to which it belongs, the condition under which it applies,
-its action, and its budget: how often it may be repeated while its condition holds. The record of
-the search, which `Plan.attempts` prints, holds the outcome of each action. An action without
+its action, and the largest number of times that it is repeated while its condition holds. The
+outcome of each action is a line in the record of the search, `Plan.attempts`. An action without
 outcome adds no line and is not repeated.
 """
 
@@ -25,7 +25,7 @@ Subject = TypeVar("Subject")
 
 
 class Strategy(NamedTuple, Generic[Subject]):
-    """Row of a strategy table: name, condition, action and budget.
+    """Planning strategy: a row of the table of strategies, with its condition and its action.
 
     Attributes
     ----------
@@ -34,10 +34,11 @@ class Strategy(NamedTuple, Generic[Subject]):
     stage : Stage
         Stage of the search that a progress display shows.
     applies : callable
-        Takes the subject (the candidate plan that the strategies improve); returns whether the
-        strategy applies.
+        Takes the subject, that is the object which the strategies improve, such as a candidate
+        plan; returns whether the strategy applies.
     act : callable
-        Takes the subject and improves it; returns the outcome for the record, or None.
+        Takes the subject and improves it; returns the outcome as text for the record of the search,
+        or None.
     repeats : int
         Largest number of times that the strategy is carried out in a row.
     """
@@ -59,7 +60,7 @@ def carry_out(table: Sequence[Strategy[Subject]], subject: Subject, search: Sear
     subject
         Object that the strategies improve, such as a `Candidate`.
     search : Search
-        Holds the record and the stage.
+        Progress of the search, in which the stage and the outcomes are recorded.
     """
     for strategy in table:
         for _ in range(strategy.repeats):
@@ -112,9 +113,10 @@ _WITHIN_PACK = f"power limited to {100.0 * GIVEN_SHARE:.0f} % of the pack's grea
 
 
 def _hold_pack(candidate: Candidate) -> str:
-    """Plan the mission again within the power that the battery can give.
+    """Plan the mission of a candidate again, within the power that the battery can give.
 
-    The result is the outcome for the record of the search. No further retries follow.
+    The result is the outcome for the record of the search. If this plan fails too, no retries with
+    other initial guesses follow.
     """
     return candidate.hold_pack(lambda gentler: carry_out((*FIRST, *PROOF), gentler, gentler.search))
 

@@ -56,8 +56,9 @@ _MOST = 0.5
 
 def _opts(o):
     import os, json
-    e=json.loads(os.environ.get("TIGHT","{}"))
-    return replace(o, extra=(*o.extra,*e.items()))
+
+    e = json.loads(os.environ.get("TIGHT", "{}"))
+    return replace(o, extra=(*o.extra, *e.items()))
 
 
 def within_limits(
@@ -102,7 +103,7 @@ def within_limits(
         found = mission.solve(
             _changed(numbers, changes),
             tolerance=None,
-            options=_opts(mission.arguments['options']),
+            options=_opts(mission.arguments["options"]),
             mesh=split_elements(last.mesh, broken),
             warm_start=last,
         )

@@ -1,8 +1,9 @@
-"""Order of waypoints: energies of legs, cheapest orders, and full solves of the best orders.
+"""Search for the cheapest order of the waypoints of a mission, from the energies of its legs.
 
-A leg is the flight from one place of the mission to another, from hover to hover. A solve gives the
-energy of the legs between neighbouring places and of the legs of the cheapest orders.  The energies
-of all other legs are predicted from these, see docs/theory/orders.md, eq. (1).
+A leg is the flight from one place of the mission to another, from hover to hover. The legs between
+neighbouring places and the legs of the cheapest orders are solved for their energies.  The energies
+of all other legs are predicted from the solved ones, see docs/theory/orders.md, eq. (1). Then the
+whole mission is solved for the best few orders.
 """
 
 from __future__ import annotations
@@ -76,15 +77,15 @@ def in_order(scenario: Scenario, order: Sequence[int]) -> Scenario:
 
 
 class LegTable:
-    """Energies of the hover-to-hover flights (legs) between all places of a mission.
+    """Table of the costs of the flights from hover to hover (legs) between all places of a mission.
 
     Parameters
     ----------
     scenario : Scenario
         The mission.
     solve : callable
-        Solves a scenario without waypoints on a mesh; its arguments are the scenario, the mesh, and
-        the shortest route round the zones, or None if no zone is in the way. Returns a Solution.
+        Solves for a leg: takes a scenario without waypoints, the mesh, and the shortest route round
+        the zones, or None if no zone is in the way; returns a `Solution`.
     """
 
     def __init__(self, scenario: Scenario, solve: LegSolver) -> None:
@@ -102,8 +103,8 @@ class LegTable:
     def legs(self) -> tuple[_Leg, ...]:
         """Legs (flights between two places) that an order may use and that zones leave open.
 
-        Empty if zones enclose a place. Each leg is a pair of indices of places; the start is 0 and
-        the goal the last.
+        Each leg is a pair of indices of places; the start has index 0, the goal the last index. The
+        result is empty if zones leave no way to visit all places.
         """
         return () if isinf(self._usual) else tuple(self._ways)
 
@@ -114,17 +115,21 @@ class LegTable:
 
     @property
     def lengths(self) -> FloatArray:
-        """Length of the shortest route between any two places [m], infinite without a route."""
+        """Lengths of the shortest routes between all pairs of places [m], infinite without a route.
+
+        The shape is (n_places, n_places), with the start first and the goal last.
+        """
         return self._table({leg: way.length for leg, way in self._ways.items()})
 
     def costs(self) -> FloatArray:
         """Return the cost of each leg [J]: solved, or an optimistic prediction.
 
         A leg is the flight from one place to another, from hover to hover. Its cost is the energy
-        plus the price of time. The prediction for unsolved legs is the regression of
-        docs/theory/orders.md, eq. (1), minus twice its cross-validated root mean square error. For
-        a leg whose solve failed, nothing is subtracted: the time that the leg got may be too short
-        from hover to hover, but long enough for a flight that does not stop at its ends.
+        plus the price of time times the duration. The prediction for unsolved legs is the
+        regression of docs/theory/orders.md, eq. (1), minus twice its cross-validated root mean
+        square error. For a leg whose solve failed, the error is not subtracted: the duration of
+        the leg may be too short for a flight from hover to hover, but long enough for a flight that
+        does not stop at the ends of the leg.
 
         Returns
         -------
@@ -153,10 +158,10 @@ class LegTable:
         return self._table(self._known | dict(zip(missing, predicted.tolist(), strict=True)))
 
     def solve_for(self, legs: Iterable[_Leg]) -> bool:
-        """Solve the given legs that were not tried yet; return whether there were any.
+        """Solve the given legs that were not tried before; return whether there were such legs.
 
-        A leg is the flight between two places of the mission from hover to hover, given by their
-        indices.
+        A leg is the flight between two places of the mission from hover to hover, given by the
+        indices of the two places.
         """
         missing = [leg for leg in dict.fromkeys(legs) if leg not in self._known]
         missing = [leg for leg in missing if leg not in self._failed]
@@ -179,9 +184,10 @@ class LegTable:
         return self._solve(alone, _LEG_MESH, way if way.sides else None)
 
     def _features(self, leg: _Leg) -> list[float]:
-        """Return the regressors that predict the energy of a flight between two places.
+        """Return the regressors that predict the energy of a leg (flight between two places).
 
-        See docs/theory/orders.md, eq. (1).
+        They are functions of length, direction, height and detour of the leg; see
+        docs/theory/orders.md, eq. (1).
         """
         here, there = (np.array(self._scenario.mission.positions[k]) for k in leg)
         (dx, dy, dz), height = there - here, float(here[2] + there[2]) / 2.0
@@ -201,25 +207,29 @@ class LegTable:
 def find_orders(
     scenario: Scenario, solve: LegSolver, count: int = BEST_FEW
 ) -> tuple[OrderSearch, ...]:
-    """Search for the cheapest orders of waypoints by the energies of their legs.
+    """Search for the cheapest orders of the waypoints of a mission, by the costs of their legs.
 
-    A leg is the flight between two places. Up to `orders.MOST_EXACT` waypoints the search goes on
-    until no unsolved leg could lead to a cheaper order, even with its optimistic prediction.
+    A leg is the flight between two places, from hover to hover. The legs of the cheapest orders are
+    solved, which changes their costs, until all legs of the cheapest orders have been solved. The
+    costs of unsolved legs are optimistic predictions, so that no unsolved leg could then lead to a
+    cheaper order. With more than `orders.MOST_EXACT` waypoints, the search also ends after a fixed
+    number of rounds.
 
     Parameters
     ----------
     scenario : Scenario
         The mission.
     solve : callable
-        Solves a leg; its arguments are a scenario without waypoints, a mesh, and the shortest route
-        round the zones, or None if no zone is in the way. Returns a Solution.
+        Solves for a leg: takes a scenario without waypoints, a mesh, and the shortest route round
+        the zones, or None if no zone is in the way; returns a `Solution`.
     count : int, optional
         Number of orders to return.
 
     Returns
     -------
     tuple of OrderSearch
-        The orders found, the cheapest first; only the given order if zones enclose a place.
+        The orders found, the cheapest first. If zones leave no way to visit all places, only the
+        order in which the scenario lists the waypoints.
     """
     table = LegTable(scenario, solve)
     n = len(scenario.mission.waypoints)
@@ -253,7 +263,10 @@ def find_orders(
 
 
 def legs_expected(waypoints: int) -> int:
-    """Return the least number of legs that a search for the order of waypoints will solve."""
+    """Return the least number of legs that a search for the order of waypoints will solve.
+
+    A leg is the flight between two places; `waypoints` is the number of waypoints.
+    """
     every = waypoints * (waypoints + 1)
     first = _NEAREST * (waypoints + 1) + _OF_ALL_LENGTHS
     return every if every <= _FEW_LEGS else min(every, first)
@@ -264,10 +277,10 @@ def _legs_of(order: Sequence[int]) -> list[_Leg]:
 
 
 def _first_legs(lengths: FloatArray) -> list[_Leg]:
-    """Return the legs to solve first.
+    """Return the legs (pairs of indices of places) that are solved first.
 
-    These are the legs between nearest places, the legs of the shortest order, and a sample of all
-    lengths.
+    These are the legs between nearest places, the legs of the shortest order, and legs of many
+    different lengths. `lengths` has the lengths of all legs [m], infinite without a route.
     """
     near = [(k, int(j)) for k, row in enumerate(lengths) for j in np.argsort(row)[:_NEAREST]]
     (shortest,) = best_orders(lengths, 1)
@@ -278,7 +291,10 @@ def _first_legs(lengths: FloatArray) -> list[_Leg]:
 
 
 def _shortest_ways(scenario: Scenario) -> dict[_Leg, Route]:
-    """Return the shortest route between each two places that an order may connect."""
+    """Return the shortest route for each leg (pair of places) that an order may use.
+
+    Legs for which zones block every route are left out.
+    """
     places, ways = scenario.mission.positions, {}
     last = len(places) - 1
     for here, there in permutations(range(len(places)), 2):
@@ -295,11 +311,11 @@ class BestOrder:
     Parameters
     ----------
     problems : Problems
-        Compiled problems.
+        Compiler of scenarios, which caches compiled problems.
     scenario : Scenario
         The mission, whose waypoints may be visited in any order.
     search : Search
-        Stops the solves at the time limit.
+        Progress callback that stops the solves at the time limit.
     """
 
     def __init__(self, problems: Problems, scenario: Scenario, search: Search) -> None:
@@ -308,7 +324,10 @@ class BestOrder:
         self._flown: list[tuple[float, OrderSearch, Solution | None]] = []
 
     def candidates(self) -> tuple[OrderSearch, ...]:
-        """Return the cheapest orders of the waypoints by the energies of their legs."""
+        """Return the cheapest orders of the waypoints, by the costs of their legs.
+
+        A leg is the flight between two places, from hover to hover.
+        """
         return find_orders(self._scenario.as_forecast(), self._leg)
 
     def has_time(self) -> bool:
@@ -316,7 +335,13 @@ class BestOrder:
         return not self._flown or not self._search.deadline.is_over
 
     def fly(self, found: OrderSearch) -> str:
-        """Solve the mission in one order on a coarse mesh; return its cost or status in words."""
+        """Solve the mission for one order of the waypoints on a coarse mesh.
+
+        Returns
+        -------
+        str
+            The cost of the solution [J] or, if the solve failed, its status, in words.
+        """
         solution = self._roughly(in_order(self._scenario, found.order))
         is_flown = solution.status.is_solved
         cost = solution.objective if is_flown else inf
@@ -324,9 +349,10 @@ class BestOrder:
         return f"{cost:.6g} J on a first mesh" if is_flown else solution.status.value
 
     def finish(self, solve: Callable[[Scenario, Start | None, Search], Plan]) -> Plan:
-        """Return the plan of the cheapest order of the waypoints, refined and verified.
+        """Return the plan for the cheapest order of the waypoints, refined and verified.
 
-        `solve` takes a scenario, a start (or None) and the search; it returns a verified plan.
+        `solve` takes the scenario in this order, an initial point for the search (or None) and the
+        search; it returns a verified plan.
         """
         _, best, begun = min(self._flown, key=lambda entry: entry[0])
         ordered = in_order(self._scenario, best.order)
@@ -338,10 +364,12 @@ class BestOrder:
         return replace(plan, order_search=best if best.legs else None)
 
     def _leg(self, alone: Scenario, mesh: Mesh, route: Route | None) -> Solution:
-        """Solve the flight between two places on one mesh, with an initial guess along the route.
+        """Solve for the flight between two places on one mesh.
 
-        `route` leads round the zones; None for a straight flight, which starts from the model's
-        guess. A guess from the solution of another leg would take as many iterations.
+        `alone` is the scenario of this flight, without waypoints. `route` leads round the zones and
+        is the initial guess; if it is None, the flight is straight and the solve starts from the
+        model's own initial guess. An initial guess from the solution of another leg would need as
+        many iterations.
         """
         mission, guess = MissionProblem(self._problems, alone, self._search), None
         if route is not None:
@@ -350,7 +378,10 @@ class BestOrder:
         return mission.solve(mesh=mesh, tolerance=None, guess=guess, options=options)
 
     def _roughly(self, ordered: Scenario) -> Solution:
-        """Return the solution of the mission with ordered waypoints, on a coarse mesh."""
+        """Return the solution of the mission on a coarse mesh, for one order of the waypoints.
+
+        `ordered` is the scenario with its waypoints in this order.
+        """
         told = ordered.as_forecast()
         once = {"solver": told.solver.model_copy(update={"max_refinements": 0})}
         mission = MissionProblem(self._problems, told.model_copy(update=once), self._search)

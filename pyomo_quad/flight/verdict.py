@@ -45,9 +45,9 @@ def plan_of(
     scenario : Scenario
         The scenario that was solved.
     solution : Solution
-        Result of the engine, of any status.
+        Result of the collocation engine, of any status.
     timings : dict
-        Seconds spent so far, by phase, such as build and compile.
+        Computing time so far [s] by phase, such as "build" and "compile".
     hover_energy : float
         Energy of hovering for the same time [J].
 
@@ -83,9 +83,9 @@ def horizon_of(scenario: Scenario) -> tuple[float, float] | None:
 
 
 def energy_of(scenario: Scenario, solution: Solution) -> float:
-    """Return the energy of a solution, without the price of time and the battery's loss [J].
+    """Return the energy of a solution [J], which may differ from the objective of the solve.
 
-    The objective of the solve may contain both in addition to the energy.
+    The objective may also contain the price of time and the loss in the battery.
     """
     if not scenario.mission.is_free and scenario.mission.aim is Aim.ENERGY:
         return solution.objective

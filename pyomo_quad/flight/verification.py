@@ -61,7 +61,9 @@ def fly_controls(
     method: str = "DOP853",
     integration: float = _PROOF.integration,
 ) -> Flown:
-    """Simulate piecewise polynomial controls in open loop, clipped to their limits.
+    """Simulate the controls of a plan in open loop.
+
+    The controls are piecewise polynomials on a mesh. They are clipped to their limits.
 
     Parameters
     ----------
@@ -76,8 +78,9 @@ def fly_controls(
     horizon : (float, float)
         Start and end time [s].
     samples_per_element : int or sequence of ndarray, optional
-        Number of equally spaced samples in each element; or, for each element, the fractions of the
-        element at which there are samples, increasing and ending with 1.
+        Number of equally spaced samples in each mesh element. Alternatively, an array for each
+        element with the fractions of the element at which samples are taken, increasing and ending
+        with 1.
     method : str, optional
         Method of `scipy.integrate.solve_ivp`.
     integration : float, optional
@@ -145,8 +148,9 @@ def rates_in_element(
 ) -> Rates:
     """Return the right-hand side for one mesh element, in which the controls are smooth.
 
-    Before the time `inside` [s] the right-hand side uses the time `inside`, because the controls
-    may jump at the start of the element.
+    The controls may jump at the start of the element. Before the time `inside` [s], which is just
+    after the start, the right-hand side is therefore evaluated at `inside`. `control` gives the
+    controls at a time [s].
     """
 
     def rates(t: float, y: FloatArray) -> FloatArray:
@@ -176,7 +180,7 @@ _STANDSTILL_V = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class Verification:
-    """Results of the simulation of a plan's controls, compared with the plan.
+    """Comparison of a plan with the simulation of its controls without feedback.
 
     Attributes
     ----------
@@ -185,27 +189,31 @@ class Verification:
     terminal_miss_m : float
         Distance between the simulated and the planned final position.
     worst_miss : str
-        State whose miss is largest, relative to the larger of 1 and the value of the state.
+        State whose final value deviates most from the plan, relative to the larger of 1 and the
+        value of the state.
     max_violation, worst_constraint : float, str
-        Largest relative violation of a limit along the flight, and the limit's name.
+        Largest violation of a limit along the flight, relative to the larger of 1 and the limit,
+        and the name of this limit.
     broken_limits : tuple of str
         Every limit violated by more than the tolerance, with the amount.
     energy_difference_J, flown_energy_J : float
         Simulated minus planned energy, and simulated energy.
     passing_misses_m : tuple of float
-        Excess of the flight's distance from each waypoint over the allowed distance.
+        For each waypoint, the distance by which the flight passes outside its radius [m].
     battery_imbalance : float
-        Largest fraction of the power, or of the charge, drawn that the pack cannot give.
+        Largest fraction of the required power, or of the required charge, that the battery cannot
+        give.
     voltage_lacking : float
-        Largest fraction of a motor's voltage that the pack cannot give; negative if the pack gives
-        more than needed.
+        Largest fraction of a motor's voltage that the battery cannot give; negative if the battery
+        gives more than needed.
     is_verified : bool
-        Whether all of the above are within the tolerances of the required accuracy.
+        Whether all deviations and shortfalls are within the tolerances of the required accuracy.
     is_usable : bool
-        Whether all of the above are within the tolerances of a usable plan.
+        Whether all deviations and shortfalls are within the tolerances of a usable plan, which are
+        wider.
     reached : Accuracy or None
-        The highest accuracy, up to the required one, whose tolerances all of the above meet; None
-        if they meet none.
+        The highest accuracy, up to the required accuracy, whose tolerances all deviations and
+        shortfalls meet; None if there is no such accuracy.
     """
 
     terminal_miss: Mapping[str, float]
@@ -230,7 +238,7 @@ class Verification:
 
     @property
     def shortfall(self) -> str:
-        """Shortfall of the battery and its remedy in one line, empty without a shortfall."""
+        """One line on the shortfall of the battery and its remedy; empty without a shortfall."""
         if self.battery_imbalance > BALANCE_TOLERANCE:
             return (
                 f"battery: the pack lacks {100.0 * self.battery_imbalance:.3g} % of the power or "
@@ -265,7 +273,7 @@ def voltage_lacking(dynamics: Dynamics, flown: Flown) -> float:
 def wind_lacking(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> str:
     """Return a message if a flight leaves the wind field of its plan; empty otherwise.
 
-    The message is always empty for a model without positions.
+    The field is limited in space and time. A model without positions cannot leave it.
     """
     if not set(POSITION_STATES) <= set(dynamics.state_names):
         return ""
@@ -276,9 +284,9 @@ def wind_lacking(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> str:
 def shares_lacking(dynamics: Dynamics, flown: Flown) -> tuple[float, float]:
     """Return the largest fractions of power and of charge in a flight that the battery lacks.
 
-    The model's equations stay finite beyond the battery's greatest power and below an empty
-    battery, but a real vehicle cannot fly in these conditions. For a model without a battery, both
-    fractions are zero.
+    The model's equations give finite values even if the power exceeds the battery's greatest power
+    or the battery is empty, but a real vehicle cannot fly in these conditions. For a model without
+    a battery, both fractions are zero.
     """
     if not has_balance(dynamics):
         return 0.0, 0.0
@@ -286,17 +294,20 @@ def shares_lacking(dynamics: Dynamics, flown: Flown) -> tuple[float, float]:
 
 
 def has_balance(dynamics: Dynamics) -> bool:
-    """Return whether the model has a battery, so that its power balance can be checked."""
+    """Return whether the model has a battery whose power balance can be checked.
+
+    The balance is between the power drawn and the product of the battery's voltage and current.
+    """
     return all(dynamics.has(name) for name in _BALANCE)
 
 
 def balance_lacking(balance: FloatArray) -> tuple[float, float]:
-    """Return the largest missing fractions of power and of charge (see `shares_lacking`).
+    """Return the largest fractions of power and of charge that the battery lacks in a flight.
 
     Parameters
     ----------
     balance : ndarray, shape (n, 4)
-        Samples of `BALANCE_KEYS`: power, voltage, current, state of charge.
+        Samples of `BALANCE_KEYS`: power [W], voltage [V], current [A], state of charge [%].
     """
     power, voltage, current, charge = balance.T
     lacking = np.abs(power - voltage * current) / np.maximum(1.0, np.abs(power))
@@ -320,12 +331,12 @@ def samples_of_path(
     airspace: Airspace | None,
     spacing: float,
 ) -> list[FloatArray]:
-    """Return times of samples in each element, dense where zones or ground are near.
+    """Return where to sample a simulated flight in each mesh element, to check limits on position.
 
-    Where the path between two nodes may reach a zone, samples are at most `spacing` [m] apart.
-    Where the path may reach a limit of the height above ground, the distance between samples is a
-    small fraction of a cell of the terrain grid, because the limit is one polynomial surface in
-    each cell.
+    The samples are dense near zones and ground. Where the path between two nodes may reach a zone,
+    samples are at most `spacing` [m] apart. Over terrain, where the path may reach a limit on the
+    height above ground, the distance between samples is a small fraction of a cell of the terrain
+    grid, because the limit is one polynomial surface in each cell.
 
     Parameters
     ----------
@@ -373,7 +384,10 @@ def samples_of_path(
 
 @dataclass(frozen=True, kw_only=True)
 class Passage:
-    """Waypoint that a flight must pass within a radius [m] at a time [s]."""
+    """Waypoint that a flight must pass within a radius [m] at a time [s].
+
+    `position` has the coordinates of the waypoint [m].
+    """
 
     time_s: float
     position: tuple[float, float, float]
@@ -381,7 +395,7 @@ class Passage:
 
 
 def _passing_miss(dynamics: Dynamics, flown: Flown, passage: Passage) -> float:
-    """Return by how much a flight misses a waypoint: distance beyond the allowed radius [m]."""
+    """Return the distance by which a flight passes outside the radius of a waypoint [m], or 0."""
     nearest = int(np.argmin(np.abs(flown.t - passage.time_s)))  # an element ends there
     columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
     off = np.linalg.norm(flown.states[nearest, columns] - passage.position)
@@ -417,9 +431,9 @@ def verify_controls(
     energy : float
         Planned energy [J].
     airspace : Airspace, optional
-        Airspace whose zones and terrain are checked with dense samples.
+        Airspace; near its zones and its terrain, the flight is sampled densely.
     passages : sequence of Passage, optional
-        Waypoints that the flight should pass, with times.
+        Waypoints that the flight must pass, with their times.
     accuracy : Accuracy, optional
         The required accuracy, which sets the tolerances of the verification and of the simulation,
         and the sampling of the flight.
@@ -517,9 +531,12 @@ def compared(
 
 @dataclass(frozen=True, kw_only=True)
 class _Found:
-    """Largest errors of a simulated flight: miss, limit violation, energy and battery shortfall.
+    """Largest errors of a simulated flight compared with its plan.
 
-    All are relative, with the larger of 1 and the value as the reference.
+    `miss` is the deviation of a final state or of a waypoint passage, `breach` the violation of a
+    limit, and `energy` the deviation of the energy, each relative to the larger of 1 and the value;
+    deviations at waypoints are in m. `lacking` is the missing fraction of battery power, charge or
+    voltage.
     """
 
     miss: float
@@ -528,12 +545,15 @@ class _Found:
     lacking: float
 
     def reached(self, asked: Accuracy) -> Accuracy | None:
-        """Return the highest accuracy, up to the requested one, whose tolerances are met."""
+        """Return the highest accuracy, at most the accuracy `asked`, whose tolerances are met.
+
+        None if there is no such accuracy.
+        """
         met = [a for a in Accuracy if asked.meets(a) and self.meets(FIGURES[a])]
         return met[-1] if met else None
 
     def meets(self, figures: Figures) -> bool:
-        """Return whether the errors of the flight are within given tolerances."""
+        """Return whether the errors of the flight are within the tolerances `figures`."""
         return bool(
             self.miss <= figures.miss
             and self.breach <= figures.breach

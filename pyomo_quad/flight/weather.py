@@ -1,7 +1,7 @@
-"""Vehicle in the actual wind of simulated flights, with turbulence and forecast errors.
+"""Equations of the vehicle in the wind of simulated flights, with turbulence and random errors.
 
-The wind, the mass and the hover power are known only approximately before a flight. Each error is
-an independent normal random number with the standard deviation stated in the scenario.
+The wind, the mass and the hover power are known only approximately before a flight. The errors are
+independent normal random numbers with standard deviations that the scenario states.
 """
 
 from math import cos, hypot, sin
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def vehicle_flown(planner: Planner, scenario: Scenario) -> Dynamics:
-    """Return the dynamics of the vehicle in the actual wind with its turbulence.
+    """Return the equations of the vehicle in the actual wind and its turbulence, for simulation.
 
     Parameters
     ----------
@@ -37,8 +37,8 @@ def vehicle_flown(planner: Planner, scenario: Scenario) -> Dynamics:
     Returns
     -------
     Dynamics
-        Dynamics with the states of the turbulence filters; without turbulence, the planner's own
-        dynamics.
+        Equations that include the states of the filters which model turbulence; without turbulence,
+        the planner's own equations.
     """
     if scenario.wind.turbulence is None:
         return planner.dynamics(scenario)
@@ -53,8 +53,8 @@ def vehicle_flown(planner: Planner, scenario: Scenario) -> Dynamics:
 def draw(planner: Planner, scenario: Scenario, count: int, seed: int) -> tuple[Dynamics, Draws]:
     """Draw random winds, masses and powers for many simulated flights.
 
-    If the scenario states the error of its forecast, each flight has its own wind, scattered about
-    the forecast; otherwise all flights have the actual wind.
+    If the scenario states the error of its wind forecast, each flight has its own wind, which is
+    the forecast plus a random error; otherwise all flights have the actual wind.
 
     Parameters
     ----------
@@ -70,10 +70,10 @@ def draw(planner: Planner, scenario: Scenario, count: int, seed: int) -> tuple[D
     Returns
     -------
     Dynamics
-        The vehicle without errors and gusts.
+        Equations of the vehicle without errors and gusts.
     Draws
-        Parameter values and gusts of each flight. They depend on the seed and the number of the
-        flight, but not on the number of flights or the duration.
+        Parameter values and gusts of each flight. They depend on the seed and on the index of the
+        flight, but not on the number of flights or on the duration.
     """
     told = scenario.as_forecast().wind
     if told.speed_deviation or told.direction_deviation:
@@ -120,22 +120,23 @@ def problem_in_turbulence(scenario: Scenario) -> Problem:
 
 
 def as_expected(scenario: Scenario) -> Scenario:
-    """Return the scenario with forecast wind and turbulence, the conditions that plans expect."""
+    """Return the scenario in the conditions that plans expect: forecast wind and its turbulence."""
     told = scenario.as_forecast()
     turbulence = {"turbulence": scenario.wind.turbulence}
     return told.model_copy(update={"wind": told.wind.model_copy(update=turbulence)})
 
 
 def unknowns(planner: Planner, scenario: Scenario) -> tuple[dict[str, float], ...]:
-    """Return for each uncertain quantity the parameter changes of one standard deviation.
+    """Return the effect of one standard deviation of each uncertain quantity on parameters.
 
-    The quantities are speed and direction of the wind, mass, and hover power. Quantities without a
-    standard deviation in the scenario are left out.
+    The uncertain quantities are speed and direction of the wind, mass, and hover power. Quantities
+    for which the scenario states no standard deviation are left out.
 
     Returns
     -------
     tuple of dict
-        Full name of a parameter of `problem_in_turbulence` -> change to add.
+        For each quantity, full name of a parameter of `problem_in_turbulence` -> change of its
+        value.
     """
     told = scenario.as_forecast()
     along, aside = mean_wind(told).tolist()

@@ -1,10 +1,10 @@
-"""Geometry of keep-out zones beside a leg: intersections, passing sides, and points round a zone.
+"""Geometry of keep-out zones near a leg: intersections, sides of passage, and points round a zone.
 
 A leg is the line between two waypoints. The side on which a route passes a zone is determined where
 the route crosses a vertical plane across the leg. The plane goes through the middle of the part of
-the leg inside the zone or, if the leg is outside, through the point of the leg nearest to the zone.
-Such a plane separates the start of the leg from its goal, and always cuts the zone. A plane through
-the centre of the zone need not separate them.
+the leg that is inside the zone or, if the leg is outside, through the point of the leg nearest to
+the zone. This plane separates the start of the leg from its goal, and always cuts the zone. A plane
+through the centre of the zone may fail to separate start and goal.
 """
 
 from collections.abc import Sequence
@@ -65,9 +65,10 @@ def zones_hit(zones: Sequence[KeepOut], places: FloatArray, clearance: float) ->
 def are_blocked(
     zone: KeepOut, starts: FloatArray, ends: FloatArray, clearance: float
 ) -> NDArray[np.bool_]:
-    """Return which of n straight lines intersect a zone with its clearance.
+    """Return which of n straight lines intersect a keep-out zone enlarged by its clearance.
 
-    `starts` and `ends` have shape (n, 3), m; the result has shape (n,).
+    `starts` and `ends` are the ends of the lines, shape (n, 3), and `clearance` is the distance
+    kept from the zone, all in m. The result has shape (n,).
     """
     entered, left = _spans_inside(zone, starts, ends, clearance)
     return np.asarray(np.minimum(left, 1.0) - np.maximum(entered, 0.0) > ROUNDING)
@@ -76,10 +77,11 @@ def are_blocked(
 def _spans_inside(
     zone: KeepOut, starts: FloatArray, ends: FloatArray, clearance: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the fractions of n extended straight lines at which they enter and leave a zone.
+    """Return where n straight lines enter and leave a keep-out zone enlarged by its clearance.
 
-    Both arrays have shape (n,). If a line misses the zone, its second fraction is smaller than the
-    first.
+    The results are fractions of each line, 0 at its start and 1 at its end. They may be outside 0
+    to 1, because the lines are extended beyond both ends. Both arrays have shape (n,). If a line
+    misses the zone, its second fraction is smaller than its first.
     """
     entered, left = np.full(len(starts), -inf), np.full(len(starts), inf)
     for ball in zone.balls:
@@ -91,9 +93,12 @@ def _spans_inside(
 def _span_inside(
     ball: Ball, starts: FloatArray, ends: FloatArray, clearance: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the fractions of n extended straight lines at which they enter and leave a ball.
+    """Return where n straight lines enter and leave a ball enlarged by a clearance.
 
-    Both arrays have shape (n,). If a line misses the ball, its fractions are 1 and 0.
+    The ball is a building block of a zone: a disc, an interval or a sphere in some of the
+    coordinates. The results are fractions of each line, 0 at its start and 1 at its end. They may
+    be outside 0 to 1, because the lines are extended beyond both ends. Both arrays have shape (n,).
+    If a line misses the ball, its fractions are 1 and 0.
     """
     away = ball.coordinates(starts) - ball.centre
     along = ball.coordinates(ends - starts)
@@ -113,14 +118,14 @@ def _span_inside(
 def sides_passed(
     zone: KeepOut, ends: FloatArray, clearance: float, starts: FloatArray, stops: FloatArray
 ) -> NDArray[np.intp]:
-    """Return the index of the `Side` on which each straight line passes a zone.
+    """Return the side on which each of n straight lines passes a keep-out zone.
 
     Parameters
     ----------
     zone : KeepOut
         The zone.
     ends : ndarray, shape (2, 3)
-        Ends of the leg (line between two waypoints) beside which the zone lies [m].
+        Ends of the leg (line between two waypoints) near which the zone lies [m].
     clearance : float
         Distance kept from the zone [m].
     starts, stops : ndarray, shape (n, 3)
@@ -163,9 +168,11 @@ class _Section(NamedTuple):
 
 
 def _section(zone: KeepOut, ends: FloatArray, clearance: float) -> _Section | None:
-    """Return the cross-section of a zone where a leg passes it; None near the ends of the leg.
+    """Return the cross-section of a keep-out zone in the vertical plane across a passing leg.
 
-    A leg is the line between two waypoints, `ends`, shape (2, 3).
+    A leg is the line between two waypoints, `ends`, shape (2, 3). The plane is at the place where
+    the leg is inside the zone or nearest to it. The result is None if this place is an end of the
+    leg.
     """
     share, reach = _passage(zone, ends, clearance)
     if not ROUNDING < share < 1.0 - ROUNDING:
@@ -180,11 +187,11 @@ def _section(zone: KeepOut, ends: FloatArray, clearance: float) -> _Section | No
 
 
 def _passage(zone: KeepOut, ends: FloatArray, clearance: float) -> tuple[float, float]:
-    """Return where a leg passes a zone, as a fraction of the leg, and the clearance used.
+    """Return the place at which a leg passes a keep-out zone, and the clearance used [m].
 
-    A leg is the line between two waypoints. The fraction is the middle of the part of the leg that
-    is nearer to the zone than the clearance. If the whole leg is farther away, the clearance is
-    enlarged until it just reaches the leg.
+    A leg is the line between two waypoints, `ends`, shape (2, 3). The place is a fraction of the
+    leg: the middle of the part that is nearer to the zone than the clearance. If the whole leg is
+    farther away, the clearance is enlarged until it just reaches the leg.
     """
 
     def span(reach: float) -> tuple[float, float]:
@@ -208,7 +215,8 @@ def _chord(
 ) -> tuple[FloatArray, float]:
     """Return the middle, shape (3,), and half the length of the part of a line inside a zone [m].
 
-    The line passes ``place`` in ``direction``; ``reach`` is the clearance round the zone.
+    The line passes through ``place`` in the direction of the unit vector ``direction``; ``reach``
+    is the clearance round the zone [m].
     """
     (first,), (last,) = _spans_inside(zone, place[None], (place + direction)[None], reach)
     return place + (first + last) / 2 * direction, float(last - first) / 2
@@ -230,10 +238,10 @@ def _frame(ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _places_along(zone: KeepOut, reach: float, near: FloatArray) -> FloatArray:
-    """Return points on the outline of a zone enlarged by ``reach``, shape (m, 2) [m].
+    """Return points on the outline of a polygonal zone enlarged by ``reach`` [m], shape (m, 2) [m].
 
     They are the corners of the outline and, on each edge, the points nearest to the places
-    ``near``.
+    ``near``, shape (n, 3) [m].
     """
     ring = zone.ring(reach)
     following = np.roll(ring, -1, axis=0)
@@ -245,7 +253,7 @@ def _places_along(zone: KeepOut, reach: float, near: FloatArray) -> FloatArray:
 
 
 def places_beside(zone: KeepOut, clearance: float, ends: FloatArray) -> FloatArray:
-    """Return points round a zone through which routes may pass.
+    """Return points round a keep-out zone, which are nodes of the graph of routes.
 
     Straight lines between neighbouring points keep the clearance from the zone.
 
@@ -256,11 +264,12 @@ def places_beside(zone: KeepOut, clearance: float, ends: FloatArray) -> FloatArr
     clearance : float
         Distance kept from the zone [m].
     ends : ndarray, shape (2, 3)
-        Ends of the leg (line between two waypoints) beside which the zone lies [m].
+        Ends of the leg (line between two waypoints) near which the zone lies [m].
 
     Returns
     -------
     ndarray, shape (n, 3)
+        The points [m].
     """
     reach = clearance + MARGIN_M
     share, _ = _passage(zone, ends, clearance)

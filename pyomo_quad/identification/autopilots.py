@@ -29,8 +29,8 @@ from pyomo_quad.identification.columns import (
 from pyomo_quad.scenario import ScenarioError
 from pyomo_quad.scenario.wind import SEA_LEVEL_DENSITY
 
-# Logs of the PX4 autopilot: unit of time, topics, and fields; where a name has changed, that of the
-# newest firmware comes first.
+# Logs of the PX4 autopilot: unit of time, topics, and fields. Where a name has changed, the name in
+# the newest firmware comes first.
 Topic = dict[str, FloatArray]
 _MICROSECONDS = 1e-6
 _POSITION, _BATTERY, _LANDED = "vehicle_local_position", "battery_status", "vehicle_land_detected"
@@ -142,7 +142,10 @@ def read_ulog(file: Path) -> pd.DataFrame:
 
 
 def _field(topics: dict[str, Topic], topic: str, *names: str) -> FloatArray:
-    """Return a field of a PX4 topic, under the first of several names that the log has."""
+    """Return the values of one field of a PX4 topic, a table of a log.
+
+    Versions of PX4 name the field differently: the first of `names` that the topic has is used.
+    """
     if topic not in topics:
         raise ScenarioError(f"has no topic {topic}; log it.")
     for name in names:
@@ -223,7 +226,11 @@ def read_ardupilot(file: Path) -> pd.DataFrame:
 
 
 def _first_of(message: pd.DataFrame, name: str, *needed: str) -> pd.DataFrame:
-    """Return the rows of a message that its first sensor or filter instance has written."""
+    """Return the rows of an ArduPilot message that its first sensor or filter instance has written.
+
+    `name` is the name of the message, for an error text, and `needed` are the fields that it must
+    have.
+    """
     if not {"TimeUS", *needed} <= set(message):
         raise ScenarioError(
             f"has no message {name} with {', '.join(needed)}; log it (LOG_BITMASK)."

@@ -171,7 +171,7 @@ class Identification:
         return np.hypot(north, east) * self.scenario.vehicle.anemometer_factor
 
     def excess(self, slowest: float, fastest: float) -> float:
-        """Return the mean difference of measured and computed power in a range of airspeeds.
+        """Return the mean of measured minus computed power over the rows in a range of airspeeds.
 
         Parameters
         ----------
@@ -181,8 +181,7 @@ class Identification:
         Returns
         -------
         float
-            Mean of measured minus computed power over the rows in cruise [W]; NaN without such
-            rows.
+            Mean difference over the rows in cruise [W]; NaN without such rows.
         """
         is_between = (slowest <= self.airspeeds) & (self.airspeeds < fastest)
         is_meant = (self.frame[PHASE] == CRUISE).to_numpy() & is_between
@@ -299,11 +298,11 @@ class Fit:
         return np.column_stack(columns) if columns else np.zeros((len(at), 0))
 
     def drawn_anew(self, values: FloatArray) -> FloatArray:
-        """Return the parameters of bootstrap fits, for the uncertainty of the fit.
+        """Repeat the fit for random draws of the flights (bootstrap), to estimate its uncertainty.
 
         For each draw, as many flights as the log has are chosen at random, with replacement, and
-        the parameters are fitted to them robustly. The computed power is linearised about the fit
-        to all flights, which is exact for parameters that enter linearly.
+        the parameters are fitted to them by robust least squares. The computed power is linearised
+        about the fit to all flights, which is exact for parameters that enter linearly.
 
         Parameters
         ----------
@@ -334,12 +333,12 @@ class Fit:
         return np.array(found)
 
     def applied(self, values: FloatArray) -> Scenario:
-        """Return the scenario with fitted values of the vehicle's parameters."""
+        """Return the scenario whose vehicle has the given values of the fitted fields `names`."""
         named = zip(self.names, values.tolist(), strict=True)
         return self._scenario.with_values({f"vehicle.{name}": value for name, value in named})
 
     def parameter(self, name: str, values: FloatArray, deviations: FloatArray) -> FittedParameter:
-        """Return the result for one field of the vehicle; unfitted fields keep their value.
+        """Return the result for one field of the vehicle; an unfitted field keeps its value.
 
         Parameters
         ----------
@@ -416,7 +415,8 @@ def undetermined(fit: Fit) -> tuple[str, ...]:
     """Return the names of the parameters that the flights do not determine.
 
     A parameter is not determined if changes of the other parameters can compensate the effect of
-    its change on the power. The weakest parameter is removed until all others are determined.
+    its change on the power. The parameter whose effect is compensated best is removed, until all
+    remaining parameters are determined.
 
     Parameters
     ----------
@@ -535,7 +535,10 @@ def identify(
 
 
 def _cautions(scenario: Scenario, fit: Fit, values: FloatArray, draws: FloatArray) -> Iterator[str]:
-    """Yield warnings if the rows are too few, or too far apart in time for their motion."""
+    """Yield warnings if the log has too few rows, or if its rows are too far apart in time.
+
+    Rows are too far apart if a fit to every second row gives clearly different parameters.
+    """
     frame = fit.frame
     flights, rows = frame[FLIGHT].nunique(), len(frame)
     if rows < _FEW_ROWS or flights < _FEW_FLIGHTS:
@@ -583,7 +586,10 @@ def _parameters(
 
 
 def _base_source(scenario: Scenario, field: str) -> str:
-    """Return the source of a number in the file of the vehicle before the fit."""
+    """Return where the value of a vehicle's field before the fit comes from, in words.
+
+    For a vehicle of the library it is the source that the vehicle's file states for the field.
+    """
     vehicle, kind = scenario.vehicle.use, "vehicles"
     if vehicle in library_names(kind):
         return library_entry(kind, vehicle).sources.get(field, "default")
@@ -591,7 +597,7 @@ def _base_source(scenario: Scenario, field: str) -> str:
 
 
 def changes(identification: Identification) -> Mapping[str, tuple[float, str]]:
-    """Return the fitted fields of the vehicle that the flights determine.
+    """Return the fields of the vehicle that the flights determine, with their fitted values.
 
     Parameters
     ----------

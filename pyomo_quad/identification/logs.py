@@ -302,7 +302,11 @@ def _is_number(kind: pa.DataType) -> bool:
 
 
 def _refuse_kind(name: str, kind: pa.DataType, *, is_text: bool) -> None:
-    """Raise an error for a Parquet column that holds neither numbers nor permitted text."""
+    """Raise an error if a Parquet column has a type that is not permitted.
+
+    A column must hold numbers; with `is_text` it may also hold text. `name` is the column's name,
+    and `kind` its type.
+    """
     held = kind.value_type if types.is_dictionary(kind) else kind
     is_string = types.is_string(held) or types.is_large_string(held)
     if _is_number(kind) or (is_text and is_string):
@@ -371,7 +375,11 @@ def _complaints(frame: pd.DataFrame) -> Iterator[str]:
 
 
 def _unit_complaints(frame: pd.DataFrame) -> Iterator[str]:
-    """Yield a message for each quantity of a flight that seems to be in thousandths of its unit."""
+    """Yield a message for each quantity that seems to be logged in thousandths of its unit.
+
+    An example is a power in milliwatts. The median of the quantity over a flight is then larger
+    than any plausible value in the expected unit.
+    """
     for flight, rows in frame.groupby(FLIGHT, sort=False):
         for name, (most, thousandths) in _MOST.items():
             usual = float(rows[name].median()) if name in frame else 0.0

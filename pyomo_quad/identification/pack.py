@@ -141,7 +141,7 @@ class _Flown(NamedTuple):
 
 
 class Record:
-    """Powers and cell voltages of flights on a common time grid.
+    """Measured powers and cell voltages of all flights on a common time grid.
 
     Parameters
     ----------
@@ -196,7 +196,7 @@ class Record:
         return np.asarray(current.sum(axis=0) * self.step / 3600.0)
 
     def part(self, chosen: NDArray[np.int64]) -> "Record":
-        """Return the record of some of the flights, given by their numbers."""
+        """Return a record with some of the flights; `chosen` holds their numbers, from 0."""
         part = object.__new__(Record)
         part.step, part.reading, part.cells = self.step, self.reading, self.cells
         part.names = [self.names[k] for k in chosen]
@@ -208,12 +208,18 @@ class Record:
     def after_reading(self, rows: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Select the rows that follow the first seconds under load.
 
-        The first seconds under load determine the pack's resistance, so these rows are left out.
+        The voltages in the first seconds under load determine the pack's resistance, so these rows
+        are excluded from the errors of the computed voltage.
 
         Parameters
         ----------
         rows : ndarray of bool, shape (n_times, n_flights)
             Rows to select from.
+
+        Returns
+        -------
+        ndarray of bool, shape (n_times, n_flights)
+            The selected rows.
         """
         return rows & (np.arange(len(self.power)) >= self.reading)[:, None]
 
@@ -246,7 +252,7 @@ class Circuit:
         self.start = np.log(_as_given(scenario))
 
     def numbers(self, values: FloatArray, factor: FloatArray) -> dict[str, FloatArray]:
-        """Return the circuit's parameters for each flight.
+        """Return the values of the battery model's parameters for each flight.
 
         Parameters
         ----------
@@ -258,7 +264,7 @@ class Circuit:
         Returns
         -------
         dict
-            Values for the flights, by the model's name of the parameter.
+            Name of the model's parameter -> its value for each flight, shape (n_flights,).
         """
         told = dict(zip(FITTED.values(), np.exp(values).tolist(), strict=True))
         told[_DEPENDENT_PARAMETER] = self._full - told[FITTED["E0"]]
@@ -269,7 +275,7 @@ class Circuit:
     def voltages(
         self, record: Record, values: FloatArray, factor: FloatArray, count: int
     ) -> tuple[FloatArray, FloatArray]:
-        """Simulate the first rows of all flights.
+        """Simulate the cell voltages of all flights, from the start for a number of time steps.
 
         Parameters
         ----------
@@ -280,7 +286,7 @@ class Circuit:
         factor : ndarray, shape (n_flights,)
             Factor on the resistance of each flight's pack.
         count : int
-            Number of rows.
+            Number of time steps (rows of the record).
 
         Returns
         -------
@@ -308,7 +314,7 @@ class Circuit:
         return voltage, open_circuit
 
     def whole(self, record: Record, values: FloatArray, factor: FloatArray) -> FloatArray:
-        """Return the computed cell voltage at every row of the record [V].
+        """Return the computed cell voltage [V] of all flights at all times of the record.
 
         The shape is (n_times, n_flights).
 
@@ -356,12 +362,22 @@ class Circuit:
         return np.interp(-at_rest, -curve, self._charges)
 
     def factors(self, record: Record, values: FloatArray) -> FloatArray:
-        """Determine the factor on the resistance of each flight's pack, from its first load.
+        """Determine the factor on each pack's resistance from the first seconds under load.
+
+        The packs of the flights differ in age and temperature. The factor is chosen so that the
+        mean computed voltage of these seconds equals the mean measured voltage.
+
+        Parameters
+        ----------
+        record : Record
+            Measured powers and voltages.
+        values : ndarray, shape (n,)
+            Logarithms of the fitted fields.
 
         Returns
         -------
         ndarray, shape (n_flights,)
-            Factors on the resistance that the fitted fields give.
+            Factors, relative to the resistance that the fitted fields give.
         """
         factor = np.ones(len(record.names))
         for _ in range(_READINGS):
@@ -374,7 +390,11 @@ class Circuit:
         return factor
 
     def residuals(self, record: Record, values: FloatArray) -> FloatArray:
-        """Return computed minus measured cell voltage in all rows after the first load [V]."""
+        """Return computed minus measured cell voltage [V], without the first seconds under load.
+
+        The first seconds determine the factor on the resistance of each flight's pack. `values` are
+        the logarithms of the fitted fields.
+        """
         factor = self.factors(record, values)
         computed = self.whole(record, values, factor)
         return (computed - record.voltage)[record.after_reading(record.is_logged)]
@@ -549,7 +569,9 @@ def _with_fitted(scenario: Scenario, fitted: dict[str, float]) -> Scenario:
 
 
 def _error_per_cell(record: Record, computed: FloatArray, axis: int | None = None) -> Any:  # noqa: ANN401
-    """Return the root mean square error of voltages in flight, after the first load [mV per cell].
+    """Return the root mean square error of computed voltages in flight [mV per cell].
+
+    The first seconds under load are excluded, because they determine the resistance of the pack.
 
     Parameters
     ----------
@@ -566,7 +588,11 @@ def _error_per_cell(record: Record, computed: FloatArray, axis: int | None = Non
 
 
 def _rows(record: Record, computed: FloatArray) -> pd.DataFrame:
-    """Return a table of measured and computed cell voltage [V] over time, flight by flight."""
+    """Return measured and computed cell voltage [V] over time in one table, flight by flight.
+
+    `computed` has the shape (n_times, n_flights); times at which a flight has no record are left
+    out.
+    """
     flights = np.broadcast_to(np.array(record.names, dtype=object), record.power.shape)
     times = np.broadcast_to(record.step * np.arange(len(computed))[:, None], record.power.shape)
     kept = record.is_logged.T

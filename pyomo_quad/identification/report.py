@@ -214,7 +214,10 @@ def vehicle_file(changed: Mapping[str, tuple[float, str]], base: str, battery: s
 
 
 def _toml_lines(table: Mapping[str, Any], path: str = "") -> Iterator[str]:
-    """Yield lines of TOML with dotted keys, one for each number with its source."""
+    """Yield the lines of a nested table in TOML, one for each number together with its source.
+
+    Keys are dotted; `path` is the key of the table itself.
+    """
     for name, content in table.items():
         key = f"{path}{name}"
         if isinstance(content, Mapping) and "value" not in content:

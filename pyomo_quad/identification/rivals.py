@@ -86,7 +86,7 @@ def _extrapolation(number: int) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Measure:
-    """One kind of error of the identified model, compared with the best published model.
+    """Comparison of the identified model with the best published model, for one kind of error.
 
     Attributes
     ----------

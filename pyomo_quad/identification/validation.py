@@ -198,7 +198,10 @@ def trials(frame: pd.DataFrame, fitted: Fitted) -> tuple[Trial, ...]:
 
 
 def cruise_speeds(frame: pd.DataFrame) -> FloatArray:
-    """Return the usual ground speed in cruise of each row's flight, in steps of 2 m/s.
+    """Return for each row the usual ground speed in cruise of the row's flight [m/s].
+
+    It is the 90 % quantile over the flight's cruise, rounded to steps of 2 m/s. Flights are grouped
+    by this speed, for example into slow and fast flights.
 
     Parameters
     ----------

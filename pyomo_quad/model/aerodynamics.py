@@ -2,17 +2,16 @@
 
 There are two couplings of the wind to the vehicle:
 
-`acceleration` is eq. (9) of the paper (Yacef et al.) as printed, which adds the wind velocity to an
-acceleration.
-The implied coefficient of 1 1/s is declared with its unit. The vehicle's own velocity does not
-enter.
+`acceleration` is eq. (9) of the paper (Yacef et al.) as printed: the wind velocity, times an
+implied coefficient of 1 1/s, is added to the acceleration of the vehicle. The vehicle's own
+velocity does not enter.
 
 `drag` is the force opposite to the airspeed, the velocity relative to the wind: linear (rotor drag)
 plus quadratic (parasitic drag), isotropic, and valid at the few m/s of these missions. This
 coupling is the default of a vehicle that has drag.
 
-With either coupling, the following forces depend on the airspeed in body axes, if the vehicle has
-their coefficients:
+With either coupling, the following forces act in addition. They depend on the airspeed v in body
+axes and on the rotor speed omega; k_d, k_z, k_h and c_i are the coefficients:
 
 name | force on the vehicle | source
 rotor_drag_plane | -k_d omega v along x and y, at each rotor | Mellinger (2012)
@@ -164,10 +163,12 @@ _Rules = dict[str, tuple[Callable[[Block, float], NumericExpression], str]]
 
 
 def _wind_acceleration(updraft: Expression | None) -> _Rules:
-    """Return the wind forces of eq. (9) as printed, by name: a Pyomo rule and its documentation.
+    """Return the wind forces of eq. (9) as Pyomo rules, with their documentation texts.
 
-    The printed equation adds the wind velocity times 1 1/s to the acceleration. `updraft` is the
-    vertical wind over time, or None for a horizontal wind.
+    The equation, as printed in the paper (Yacef et al.), adds the wind velocity times 1 1/s to the
+    acceleration. The keys of the result are the names of the forces along the world axes:
+    `force_x`, `force_y` and `force_z`. `updraft` is the vertical wind over time, or None for a
+    horizontal wind.
     """
 
     def force_x(b: Block, t: float) -> NumericExpression:
@@ -217,9 +218,11 @@ def _declare_airspeed(b: Block, m: ConcreteModel) -> None:
 
 
 def _drag(b: Block, m: ConcreteModel) -> _Rules:
-    """Declare the drag coefficient and return rule and documentation of each drag force.
+    """Declare the drag coefficient, and return the drag forces along the world axes.
 
-    The coefficient is drag over airspeed [kg/s]; the forces are named by world axis, as `force_x`.
+    The drag coefficient, drag divided by airspeed [kg/s], is declared in the block `b` as an
+    expression over time. The forces are returned as Pyomo rules with their documentation texts; the
+    keys are their names, `force_x`, `force_y` and `force_z`.
     """
 
     @b.Expression(m.time, doc="drag over airspeed [kg/s]")
@@ -320,8 +323,9 @@ def _declare_rotor_moments(b: Block, m: ConcreteModel) -> None:
 def _declare_sum(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the sum of the aerodynamic forces along each body axis and each world axis [N].
 
-    The sum along the world axes has the forces that are declared in world axes already (the printed
-    wind acceleration or the isotropic drag), and the forces along the body axes, rotated.
+    The sum along a body axis consists of the rotor forces and the parasitic drag. The sum along a
+    world axis consists of these forces, rotated to world axes, and of the force that has been
+    declared in world axes already: the wind force of eq. (9) or the isotropic drag.
     """
     by_axis = any(scenario.vehicle.parasitic_drag)
     has_rotor_forces = scenario.vehicle.has_rotor_forces

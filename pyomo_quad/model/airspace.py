@@ -1,4 +1,4 @@
-"""The airspace: floor, ceiling, fence, edges of the data, and keep-out zones.
+"""The airspace: floor, ceiling, fence, edges of terrain and wind data, and keep-out zones.
 
 symbol | name | unit | meaning
 c_k | centre[zone, ball, axis] | m | centre of ball k of a zone, on the axes of the ball
@@ -8,9 +8,10 @@ c | clearance | m | distance kept from every zone
 d_k | beyond[zone, ball] | m | distance from the surface of the ball minus the clearance
 w | edge_width | m | width over which two faces of a zone are blended
 
-A zone is the intersection of balls (`scenario.airspace.Ball`): a disk and an interval of height for
-a cylinder, three intervals for a box, an interval across each edge and an interval of height for a
-convex polygon. A place is outside the zone if it is outside at least one of the balls, that is if
+A zone is the intersection of balls (`scenario.airspace.Ball`), where a ball has one axis (an
+interval) or two (a disk). A cylinder is a disk and an interval of height. A box is three intervals.
+A convex polygon is an interval across each edge, and an interval of height. A place is outside the
+zone if it is outside at least one of the balls, that is if
 the largest of the d_k is positive. A smooth lower bound replaces this maximum, so that no place
 inside a zone is allowed. Near an edge, where two of the d_k agree to about w, places up to 0.14 w =
 70 mm outside the zone (0.28 w = 140 mm at the corners of a box) are forbidden too. Elsewhere the
@@ -197,10 +198,10 @@ _OF_ZONES = (
 
 
 def declare_airspace(m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare floor, ceiling, fence, edges of the data and keep-out zones as path constraints.
+    """Declare the limits of the airspace as path constraints in block `airspace`.
 
-    The constraints are declared in block `airspace`. A limit that the scenario does not set is not
-    declared.
+    The limits are floor, ceiling, fence, the edges of the terrain and wind data, and keep-out
+    zones. A limit that the scenario does not set is not declared.
 
     Parameters
     ----------
@@ -252,9 +253,12 @@ def declare_airspace(m: ConcreteModel, scenario: Scenario) -> None:
 def _inside(
     edges: Mapping[str, tuple[int, float, float]], end: str, b: Block, edge: str, t: float
 ) -> RelationalExpression:
-    """Return the limit that the vehicle is on the inner side of an edge of a grid.
+    """Return the constraint that the vehicle is on the inner side of an edge of a data grid.
 
-    `end` is the name of the parameter that holds the edges' coordinates.
+    The grid is the grid of the terrain or of a wind field. `edges` holds for each edge, by name:
+    the axis across the edge (0, 1 or 2 for x, y or z), the side (1 for an upper limit, -1 for a
+    lower limit) and the coordinate. `end` is the name of the model's parameter that holds these
+    coordinates [m], `edge` the name of the edge.
     """
     axis, side, _ = edges[edge]
     out = b.parent_block().rigid_body.component(AXES[axis])[t] - b.component(end)[edge]
@@ -292,9 +296,11 @@ def _distance_outside(away: Any, radius: Any, rounding: Any) -> Any:
 
 
 def _largest(distances: Sequence[Any], width: Any) -> Any:
-    """Return a smooth lower bound of the largest of several distances.
+    """Return a smooth lower bound of the largest of several distances [m].
 
-    A place is outside a zone if the largest of its distances from the zone's balls is positive.
+    The distances are the signed distances of a place from the balls of a zone. The place is outside
+    the zone if the largest of them is positive. `width` [m] is the difference between two distances
+    below which the maximum is smoothed.
     """
     return reduce(lambda one, other: saturated(one, other, width), distances)
 
@@ -321,7 +327,11 @@ def _refuse_touching(scenario: Scenario) -> None:
 
 
 def _smoothed_distance(zone: KeepOut, clearance: float, place: Sequence[float]) -> float:
-    """Return the distance of a place from a zone, smoothed as in the path constraint [m]."""
+    """Return the distance of a place from a zone, less the clearance [m].
+
+    The distance is smoothed in the same way as in the path constraint of the zone. It is negative
+    inside the zone.
+    """
     distances = [
         _distance_outside(
             float(np.sum((ball.coordinates(place) - ball.centre) ** 2)),

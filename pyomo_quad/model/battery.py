@@ -18,10 +18,11 @@ the pack. Declared units convert the ampere-seconds of eq. (4) to ampere-hours.
 
 Assumptions: no self-discharge, no entropic heat, an open-circuit voltage that does not depend on
 the temperature; without `battery.relaxation` and `battery.thermal` no recovery and no temperature
-either. Two guards keep the equations finite where the paper's equations are undefined: eq. (5) has
-a pole at an empty cell, and no current delivers more than the pack's greatest power, U^2/4R. Above
-a fifth of the charge and below nine tenths of that power, both guards are exact to rounding. A
-negative `power_reserve` or state of charge shows that the pack cannot fly the mission.
+either. Two guards (smooth lower limits) keep the equations finite where the paper's equations are
+undefined: eq. (5) has a pole at an empty cell, and no current delivers more than the pack's
+greatest power, U^2/4R. Above a fifth of the charge and below nine tenths of the greatest power, the
+guards change no result by more than rounding. A negative `power_reserve` or state of charge shows
+that the pack cannot fly the mission.
 
 If the polarisation voltage k / SoC can exceed the other terms of e_m, the voltage vanishes before
 the pack is empty. The greatest power is then negative, and the flights are limited to e_m >= 0.
@@ -84,7 +85,10 @@ def _parameters(scenario: Scenario) -> tuple[Parameter, ...]:
 
 
 def may_lose_voltage(scenario: Scenario) -> bool:
-    """Return whether the open-circuit voltage of eq. (5) can vanish before the battery is empty."""
+    """Return whether the open-circuit voltage of eq. (5) can vanish before the battery is empty.
+
+    If it can, `declare_battery` limits the flight to voltages that are not negative.
+    """
     least_share = GUARD_FLOOR - DIP * GUARD_WIDTH
     return scenario.battery.K / least_share >= scenario.battery.E0
 
@@ -95,7 +99,7 @@ def build_pack(scenario: Scenario) -> ConcreteModel:
     Parameters
     ----------
     scenario : Scenario
-        Scenario of which the model declares only the battery.
+        Scenario with the battery; the rest of the scenario is not used.
 
     Returns
     -------
@@ -257,7 +261,8 @@ def _declare_voltage(b: Block, m: ConcreteModel) -> None:
 def _charge_of_new_cell(b: Block, t: float) -> NumericExpression:
     """Return the charge drawn from an unaged cell at the battery's present state of charge [A h].
 
-    The constants of eq. (5) apply to an unaged cell, which has a larger capacity.
+    The constants of eq. (5) apply to an unaged cell. An unaged cell has a larger capacity, so that
+    more charge has been drawn from it at the same state of charge.
     """
     charge = b.charge_drawn[t] / b.cells_parallel
     return charge if b.component("capacity_factor") is None else charge / b.capacity_factor

@@ -156,7 +156,11 @@ def _vehicle_in_the_wind(scenario: Scenario) -> ConcreteModel:
 
 
 def _declare_flight(m: ConcreteModel, scenario: Scenario) -> None:
-    """Complete a model with forces and wind: balances, power, battery, limits and objective."""
+    """Complete a model that has forces and wind: declare all its remaining parts.
+
+    The remaining parts are the balances of forces and moments, the power, the battery, the limits,
+    the conditions at start and goal, and the objective.
+    """
     declare_balances(m, scenario)
     power.declare_power(m, scenario)
     _declare_cost_and_limits(m, scenario)

@@ -266,9 +266,10 @@ def declare_duration(m: ConcreteModel, scenario: Scenario) -> None:
 def _declare_end(
     b: Block, m: ConcreteModel, end: str, t: float, rotor_speed: NumericExpression
 ) -> None:
-    """Declare hover at one end of the flight: place, heading, rest and rotor speed at time t.
+    """Declare the conditions of hover at one end of the flight, at time t.
 
-    `end` is "start" or "goal".
+    The conditions are on position and heading, on velocity, tilt and body rates, which are zero,
+    and on the rotor speeds, which equal `rotor_speed` [rad/s]. `end` is "start" or "goal".
     """
     said = "x(t_0) = x_0" if end == "start" else "x(t_f) = x_f"
 
@@ -290,7 +291,10 @@ def _declare_end(
 
 
 def _goal_of_turning(b: Block) -> tuple[Any, ...]:
-    """Return the goal conditions on yaw and yaw rate, which a constant heading makes redundant."""
+    """Return the conditions on yaw and yaw rate at the goal.
+
+    They are deactivated in a mission with constant heading, which makes them redundant.
+    """
     return b.goal_place["psi"], b.goal_rest["r"]
 
 
@@ -333,7 +337,10 @@ def start_where_measured(m: ConcreteModel) -> None:
 
 
 def _start_measured(b: Block, start: float, state: Var) -> None:
-    """Declare a mutable parameter and a condition that equates it to a state's initial value."""
+    """Declare a parameter for a state's measured value, and a condition at the start of the flight.
+
+    The condition equates the initial value of the state to the mutable parameter.
+    """
     beside_time = [index[:-1] for index in state if isinstance(index, tuple) and index[-1] == start]
     sets = (beside_time,) if beside_time else ()
     measured = Param(

@@ -193,7 +193,7 @@ DIP = 0.14
 def saturated(
     value: NumericExpression, floor: NumericExpression, width: NumericExpression
 ) -> NumericExpression:
-    """Return a smooth max(value, floor) that equals the value to rounding well above the floor.
+    """Return a smooth max(value, floor) that equals the value, except for rounding, far above it.
 
     Parameters
     ----------
@@ -202,7 +202,7 @@ def saturated(
     width : expression
         Width of the transition, in the same unit. If the value is ten widths above the floor, the
         result equals the value to 2e-8 of the width. Near the floor, the result may be less than
-        the floor by `DIP` times the width.
+        the floor by 0.14 times the width (the constant `DIP`).
 
     Returns
     -------

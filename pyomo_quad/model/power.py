@@ -38,18 +38,18 @@ P_e | electronics_power | W | power drawn by all but the motors
 rho, A | air_density, disc_area | kg/m3, m2 | of the air and of all discs together
 
 Induced velocity: Glauert (1926), v_i sqrt(v_p^2 + (v_a + v_i)^2) = v_h^2. For a rotor that descends
-into its own wake, the equation has no solution, or three. A term in the descent rate alone, tau
-v_a^2 under the root, leaves exactly one solution for tau > 1/8. With the tau used here, v_i stays
-within 0.13 v_h of the curve that Leishman (2006), eq. (2.96), fits to measurements on descending
-rotors down to v_a = -0.5 v_h, and within 0.4 v_h down to -1.5 v_h. Beyond -1.66 v_h the air flows
-upwards through the rotor.
+into its own wake, the equation has no solution, or three. In descent, a term a v_a^2 is therefore
+added under the root, with a number a (tau in the theory page, not the torque). With a >= 1/8 there
+is exactly one solution. With a = 1/7.67, used here, v_i stays within 0.13 v_h of the curve that
+Leishman (2006), eq. (2.96), fits to measurements on descending rotors down to v_a = -0.5 v_h, and
+within 0.4 v_h down to -1.5 v_h. Beyond -1.66 v_h the air flows upwards through the rotor.
 
 Profile power: P_0 = c_0 T^(3/2) / sqrt(rho A) (1 + K mu^2), with mu = v_p / (omega R). The profile
 power depends on the thrust and not on the rotor speed, so that c_0 is valid for any payload and
 density. K = 4.65 is Bennett's, in Leishman (2006), section 5.4.
 
-Rotor acceleration takes the power stored in the rotor, I_r omega alpha, plus the copper loss of the
-torque I_r alpha.
+Accelerating a rotor takes the power that is stored in the rotor, I_r omega alpha, plus the copper
+loss of the torque I_r alpha, where I_r is the rotor's inertia.
 
 The model is validated with 120 flights of a DJI Matrice 100: payloads of 0 to 0.5 kg, airspeeds to
 16 m/s, climb to 4 m/s, descent to 3.5 m/s (`reports/m100`). Faster descent is theory only. In
@@ -85,7 +85,7 @@ _COLUMNS = ("a", "b", "c")
 # hover, 0.0187 N m and 0.14.
 TORQUE_FLOOR_WIDTH = 1e-4 * _TORQUE
 EFFICIENCY_FLOOR_WIDTH = 1e-3
-# Widths [W] of the smoothed corner at zero power with which solves start before the requested one.
+# Widths [W] of the smoothed corner at zero power for the first solves, before the requested width.
 _WIDER_SMOOTHINGS_W = (10.0, 3.0, 1.0, 0.3)
 
 
@@ -201,7 +201,11 @@ _RotorRule = Callable[[Block, int, float], NumericExpression]
 def _power_of_each_rotor(
     m: ConcreteModel, name: str, *, doc: str
 ) -> Callable[[_RotorRule], _RotorRule]:
-    """Return a decorator that declares a rule as the power of each rotor, `power.<name>` [W]."""
+    """Return a decorator that declares a rule as the power of each rotor, `power.<name>` [W].
+
+    The rule takes the block `power`, the rotor's number and the time. `doc` is the documentation
+    text of the declared expression.
+    """
 
     def declare(rule: _RotorRule) -> _RotorRule:
         m.power.add_component(name, Expression(m.rotors.rotor, m.time, rule=rule, doc=doc))
@@ -261,8 +265,9 @@ def declare_constant_efficiency_power(m: ConcreteModel, name: str) -> None:
 def declare_efficiency_power(m: ConcreteModel, name: str) -> None:
     """Declare the power model `efficiency`: shaft power divided by f_r(tau, omega), eq. (8).
 
-    f_r is the efficiency polynomial of the paper (Yacef et al.) in torque and rotor speed, with its
-    coefficients as recovered. Below some 780 rad/s, f_r has zeros at moderate braking torque. The
+    f_r is the efficiency polynomial of the paper (Yacef et al.) in torque tau and rotor speed
+    omega. Its coefficients were recovered from two public re-implementations of the paper's model.
+    Below some 780 rad/s, f_r has zeros at moderate braking torque. The
     polynomial is therefore evaluated at a torque of at least `torque_floor`, and its value is
     bounded below by `efficiency_floor`. Unless regeneration is enabled, braking returns nothing and
     the power is not negative. The power is not convex in the rotor acceleration: below 858 rad/s,
@@ -333,7 +338,11 @@ def declare_motor_power_with_friction(m: ConcreteModel, name: str) -> None:
 
 
 def _declare_floor(m: ConcreteModel) -> None:
-    """Declare the rotor power as a smooth max(P, 0), since braking returns no energy."""
+    """Declare the power of each rotor as a smooth max(P, 0), for a mission without regeneration.
+
+    P is the power of the chosen power model. It is negative if a rotor brakes, but without
+    regeneration braking returns no energy.
+    """
     b = m.power
 
     @b.Expression(m.rotors.rotor, m.time, doc="Yacef et al., eq. (8): power of one rotor [W]")

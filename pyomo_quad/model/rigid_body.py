@@ -85,14 +85,18 @@ def declare_balances(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _straight_line(start: float, goal: float, duration: float) -> Callable[[Block, float], float]:
-    """Return an initial guess of a state that changes linearly in time from start to goal."""
+    """Return a Pyomo rule for the initial guess of a state: linear in time from start to goal.
+
+    `duration` [s] is the duration of the flight in the guess.
+    """
     return lambda _b, t: start + (goal - start) * t / duration
 
 
 def _from_place_to_place(scenario: Scenario, axis: int) -> Callable[[Block, float], float]:
-    """Return an initial guess of one coordinate, linear in time between start, waypoints and goal.
+    """Return a Pyomo rule for the initial guess of one coordinate of the position [m].
 
-    `axis` is 0, 1 or 2 for x, y or z. During a hover at a waypoint the coordinate is constant.
+    The guess is linear in time between start, waypoints and goal, and constant during a hover at a
+    waypoint. `axis` is 0, 1 or 2 for x, y or z.
     """
     places = [position[axis] for position in scenario.mission.positions]
     times = [0.0, *scenario.nominal_times]
@@ -138,7 +142,10 @@ def _declare_translation(b: Block, m: ConcreteModel) -> None:
 
 
 def turning(b: Block, t: float) -> NumericExpression:
-    """Return the yaw rate about the vertical times cos(pitch), from the body rates [rad/s]."""
+    """Return the rate of the yaw angle times cos(pitch), from the body rates [rad/s].
+
+    The result is q sin(phi) + r cos(phi). A mission with constant heading limits its magnitude.
+    """
     return b.q[t] * sin(b.phi[t]) + b.r[t] * cos(b.phi[t])
 
 

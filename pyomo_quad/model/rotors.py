@@ -166,7 +166,11 @@ def _declare_mixer(b: Block, m: ConcreteModel) -> None:
 
 
 def _declare_mixer_of_places(b: Block, m: ConcreteModel) -> None:
-    """Declare thrust and moments for any planar rotor layout; eq. (7) is a special case."""
+    """Declare thrust and moments for any planar rotor layout; eq. (7) is a special case.
+
+    Thrust, moments and speed imbalance are sums over the rotors, with the position and the
+    direction of rotation of each rotor.
+    """
 
     @b.Expression(b.rotor, m.time, doc="thrust of one rotor [N]")
     def rotor_thrust(b: Block, j: int, t: float) -> NumericExpression:

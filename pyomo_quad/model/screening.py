@@ -20,7 +20,11 @@ from pyomo.repn import generate_standard_repn
 
 
 class Severity(StrEnum):
-    """Severity of a finding: flight impossible, vehicle unphysical, or a second look advised."""
+    """Severity of a finding about a model or scenario.
+
+    The finding shows that the flight is impossible, or that the vehicle is unphysical, or it
+    advises the user to check a declaration (caution).
+    """
 
     IMPOSSIBLE = "impossible"
     UNPHYSICAL = "unphysical"
@@ -145,7 +149,10 @@ def _is_enclosed(intervals: list[_Interval]) -> bool:
 
 
 def _intervals(model: ConcreteModel) -> dict[str, list[_Interval]]:
-    """Return the intervals from bounds and single-variable limits, by the name of the variable."""
+    """Return the intervals that bounds and constraints permit, by the name of the variable.
+
+    Only inequality constraints with a single variable are considered.
+    """
     found = defaultdict[str, list[_Interval]](list)
     for variable in _variables(model):
         for data in variable.values():

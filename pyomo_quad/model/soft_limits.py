@@ -122,7 +122,8 @@ def soften(m: ConcreteModel, scenario: Scenario) -> None:
 def _soften_limit(b: Block, limit: Constraint) -> None:
     """Replace a path constraint by a soft constraint for each of its limits, lower and upper.
 
-    The violation is a single variable: the largest violation over time.
+    A soft constraint may be violated at a penalty. The violation is a single variable: the largest
+    violation over time.
     """
     name, stated = limit.name, function_of(limit)
     unit = units.get_units(limit[next(iter(limit))].body)

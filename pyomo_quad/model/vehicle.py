@@ -71,7 +71,7 @@ def declare_vehicle(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _loads(scenario: Scenario) -> tuple[int, ...]:
-    """Return the indices of the waypoints at which a payload is released."""
+    """Return the indices, from 0, of the waypoints at which a payload is released."""
     return tuple(k for k, waypoint in enumerate(scenario.mission.waypoints) if waypoint.release > 0)
 
 

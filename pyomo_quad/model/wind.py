@@ -246,7 +246,10 @@ def _declare_height(b: Block, m: ConcreteModel) -> None:
 
 
 def _declare_profile(b: Block, m: ConcreteModel, law: WindLaw) -> None:
-    """Declare the ratio of the wind at the vehicle's height to the wind at the reference height."""
+    """Declare the ratio of the wind at the vehicle's height to the wind at the reference height.
+
+    `law` selects the power law or the logarithmic law, which the docstring of this module gives.
+    """
 
     def power(b: Block, t: float) -> NumericExpression:
         return (b.height[t] / b.reference_height) ** b.exponent
@@ -312,9 +315,11 @@ def _add_velocity(
     rule: Callable[[Block, float], NumericExpression],
     said: str = "wind",
 ) -> None:
-    """Declare the wind along a world axis from a rule for the wind at the reference height.
+    """Declare the wind along the world axis `name` as an expression over time [m/s].
 
-    `said` begins the documentation text of the declared expression, as in "wind along world x".
+    `rule` is a Pyomo rule for the wind at the reference height. The declared wind is converted to
+    the vehicle's height by the wind profile, if there is one. `said` begins the documentation text
+    of the declared expression, as in "wind along world x".
     """
 
     def velocity(b: Block, t: float) -> NumericExpression:
@@ -369,10 +374,11 @@ def _measured(components: Sequence[str], b: Block, t: float) -> NumericExpressio
 
 
 def _declare_shapes(b: Block, m: ConcreteModel, heights: FloatArray) -> None:
-    """Declare the basis functions of height whose weighted sum is the wind measured over heights.
+    """Declare the basis functions of the spline over height for a wind measured at some heights.
 
-    These are the basis functions of a cubic not-a-knot spline. Below the lowest and above the
-    highest measured height the wind is constant, with the same smoothing as a profile.
+    The spline is a cubic not-a-knot spline in the height, a weighted sum of the basis functions.
+    Below the lowest and above the highest of `heights` [m], at which the wind was measured, it is
+    constant, with the same smoothing as a wind profile.
     """
     shares, functions = _shares(heights), _truncated_powers(_shares(heights))
 
@@ -397,7 +403,11 @@ def _shares(heights: FloatArray) -> FloatArray:
 
 
 def _shapes(heights: FloatArray) -> FloatArray:
-    """Return the basis functions of height (columns) at the measured heights (rows)."""
+    """Return the matrix of the values of the spline's basis functions at the measured heights.
+
+    Rows are the heights at which the wind was measured, columns the basis functions of the cubic
+    spline over height.
+    """
     shares = _shares(heights)
     return np.column_stack([[f(share) for share in shares] for f in _truncated_powers(shares)])
 
@@ -405,9 +415,9 @@ def _shapes(heights: FloatArray) -> FloatArray:
 def _truncated_powers(shares: FloatArray) -> list[Callable[[Any], Any]]:
     """Return the truncated power basis of a cubic spline in height.
 
-    The functions are the powers of the height up to the third and, for each inner height, the cube
-    of the distance above it, zero below. `shares` are the measured heights, scaled to the range
-    from 0 to 1.
+    `shares` are the heights at which the wind was measured, scaled to the range from 0 to 1. The
+    functions are the powers of the scaled height h up to the third and, for each inner knot k of
+    the spline, max(h - k, 0)^3.
     """
     degree = min(_CUBIC, len(shares) - 1)
     begun = [partial(_power_from, float(share)) for share in shares[2:-2]]
@@ -450,9 +460,10 @@ class _OverTime:
         self._rows = slice(max(first - _ROWS_BESIDE, 0), last + _ROWS_BESIDE)
 
     def rule(self, _b: Block, t: Any) -> Any:
-        """Return the speed at a time in flight, as a number, or as a Pyomo expression of a symbol.
+        """Return the wind speed at a time in flight [m/s], as a Pyomo rule.
 
-        The speed is in m/s, without Pyomo unit.
+        The result is a number if `t` is a number, and a Pyomo expression if `t` is a symbol. It
+        has no Pyomo unit. The block `_b` is not used.
         """
         if isinstance(t, int | float):
             return float(self._spline(self._until(t, self._end)))

@@ -111,7 +111,11 @@ def _arguments(b: Block, grid: WindGrid, t: float) -> list[Any]:
 
 
 def _clipped_to_axis(argument: Any, axis: FloatArray, unit: Any) -> Any:
-    """Clip a coordinate smoothly to the range of a grid axis."""
+    """Return a coordinate, clipped smoothly to the range of a grid axis.
+
+    `argument` is the coordinate as a Pyomo expression, `axis` the coordinates of the grid points,
+    and `unit` their Pyomo unit.
+    """
     width = _PASSING_STEPS * float(np.diff(axis).min()) * unit
     first, last = float(axis[0]) * unit, float(axis[-1]) * unit
     above = first + smooth_positive(argument - first, width)
@@ -203,10 +207,13 @@ def wind_corners(scenario: Scenario) -> FloatArray:
 
 
 def _control_points(axis: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the control points of the cubic spline through values along their first array axis.
+    """Return the control points (Bernstein coefficients) of the cubic spline through `values`.
 
-    The four control points of a cell, or Bernstein coefficients, are the values at both ends, and
-    these plus and minus a third of the step times the slope. Cell follows cell.
+    The spline runs along the first array axis of `values`, at the coordinates `axis`. A cell is the
+    interval between two neighbouring coordinates. It has four control points: the value at its left
+    end; that value plus a third of the cell's width times the slope there; the value at its right
+    end minus a third of the width times the slope there; and the value at its right end. The first
+    array axis of the result holds the four control points of each cell, one cell after another.
     """
     from scipy.interpolate import make_interp_spline  # noqa: PLC0415  for fields alone
 
@@ -223,10 +230,11 @@ def _control_points(axis: FloatArray, values: FloatArray) -> FloatArray:
 
 
 def _near_wind(grid: WindGrid, shape: Sequence[int]) -> NDArray[np.bool_]:
-    """Return for each control point of a field whether its cell has wind at one corner or more.
+    """Return for each control point of a wind field whether the wind is known near it.
 
-    ``shape`` is that of the control points: components, then four points for each cell along each
-    axis.
+    The wind is known near a control point if the grid has a value at one corner or more of the
+    point's cell. `shape` is the shape of the array of control points: the number of wind
+    components, then for each axis of the grid four times its number of cells.
     """
     near: NDArray[np.bool_] = np.asarray(np.isfinite(grid.components).all(axis=0))
     for number, count in enumerate(shape[1:]):

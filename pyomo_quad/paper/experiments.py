@@ -70,9 +70,10 @@ def paper_scenario(experiment: Experiment, values: Mapping[str, Any] | None = No
 
 @dataclass(frozen=True, kw_only=True)
 class BaselineCase:
-    """Settings of a flight under the adaptive controller.
+    """Settings of a flight of an experiment of Yacef et al. under the adaptive controller.
 
-    These are the experiment (calm air or wind), the power model and the reference trajectory.
+    The settings are the experiment (calm air or wind), the power model and the reference
+    trajectory.
     """
 
     experiment: Experiment
@@ -94,7 +95,7 @@ class BaselineFlight:
 
 
 def baseline_cases(*, is_quick: bool = False) -> tuple[BaselineCase, ...]:
-    """List the settings of the report's flights under the adaptive controller.
+    """List the settings of the flights under the adaptive controller in the report on Yacef et al.
 
     Parameters
     ----------
@@ -110,7 +111,10 @@ def baseline_cases(*, is_quick: bool = False) -> tuple[BaselineCase, ...]:
 
 
 def fly_baseline_case(case: BaselineCase) -> BaselineFlight:
-    """Simulate a flight of an experiment of Yacef et al. under the adaptive controller."""
+    """Simulate a flight of an experiment of Yacef et al. under the adaptive controller.
+
+    `case` gives the experiment, the power model and the reference trajectory.
+    """
     scenario = paper_scenario(case.experiment, {"power.model": case.power_model})
     dynamics = Planner().dynamics(scenario)
     return BaselineFlight(
@@ -122,8 +126,8 @@ def fly_baseline_case(case: BaselineCase) -> BaselineFlight:
 def full_speed_energy(experiment: Experiment) -> float:
     """Return the energy of an experiment with all rotors at full speed throughout [J].
 
-    The power is computed with the efficiency f_r of Yacef et al. To use more energy, the rotors
-    would have to accelerate and brake all the time.
+    The power is computed with the efficiency f_r of motor and rotor of Yacef et al. To use more
+    energy, the rotors would have to accelerate and brake all the time.
 
     Parameters
     ----------
@@ -151,10 +155,10 @@ _COARSE: dict[str, Any] = {"solver.elements": 20, "solver.max_refinements": 0}
 
 @dataclass(frozen=True, kw_only=True)
 class FlightCase:
-    """Settings of an optimal flight: experiment, power model, wind and battery.
+    """Settings of an optimal flight of Yacef et al.: experiment, power model, wind and battery.
 
-    The paper of Yacef et al. leaves open how the wind acts, in which unit its frequencies are, and
-    which battery is meant; each combination is a case.
+    Their paper leaves open how the wind acts, in which unit its frequencies are, and which battery
+    is meant. Each combination of these choices is a case.
     """
 
     experiment: Experiment
@@ -192,8 +196,8 @@ class PaperFlight:
     flight : Flight
         The planned flight.
     status : PlanStatus
-        Status of the solve. With the efficiency f_r a flight may be verified although the solve
-        does not prove that it is optimal.
+        Status of the solve. Under the efficiency f_r of Yacef et al., a flight may be verified
+        although the solve does not prove that it is optimal.
     hover_energy_J : float
         Energy of hovering for the same time under the same power model.
     end_prices : mapping
@@ -208,7 +212,7 @@ class PaperFlight:
 
 
 def flight_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
-    """List the settings of both experiments under every power model.
+    """List the settings of both experiments of Yacef et al. under every power model.
 
     Parameters
     ----------

@@ -37,8 +37,9 @@ _HEADROOM = 0.6  # space above the energy of hovering [kJ]
 def draw_floors(study: PaperStudy) -> Figure:
     """Draw the least energy of any flight against the bound on the rotor acceleration.
 
-    There is one curve for each interpretation of the efficiency f_r of Yacef et al.: with lower
-    limits (regularised), and as the bare polynomial (literal).
+    The energy is computed with the efficiency f_r of motor and rotor of Yacef et al. There is one
+    curve for each interpretation of f_r: with lower limits on torque and efficiency (regularised),
+    and as the bare polynomial (literal).
 
     Parameters
     ----------
@@ -90,7 +91,10 @@ def paper_drawings(study: PaperStudy) -> tuple[Drawing, ...]:
 
 
 def floor_drawing(study: PaperStudy) -> Drawing:
-    """Return the figure of the least energy of any flight under the efficiency f_r."""
+    """Return the figure of the least energy of any flight under the efficiency f_r.
+
+    f_r is the efficiency of motor and rotor of Yacef et al.
+    """
     return Drawing(
         name="floors",
         title="Least energy under f_r",

@@ -56,10 +56,11 @@ class EnergyChain:
 
     @property
     def created(self) -> float:
-        """Shaft energy in excess of the energy that leaves the windings [J].
+        """Shaft energy in excess of the electrical energy that leaves the motors' windings [J].
 
-        It is not physical. It arises because the printed torque constant k_t exceeds 1/k_v, so that
-        the shaft power tau omega exceeds the electromotive force times the current.
+        This energy is not physical. It arises because the torque constant k_t that Yacef et al.
+        print exceeds 1/k_v, so that the shaft power (torque times speed) exceeds the electromotive
+        force times the current.
         """
         return self.shaft - self.passed
 
@@ -113,7 +114,10 @@ def energy_chain(flown: PaperFlight) -> EnergyChain:
 def draw_loss_chain(
     chain: EnergyChain, sampled: EfficiencyMap, flown: PaperFlight, bound: float
 ) -> Figure:
-    """Draw the chain of losses of a flight, and below it the flight on the map of f_r.
+    """Draw the chain of losses of a flight, and below it the flight on the efficiency map.
+
+    The chain leads from the battery over resistances and windings to the rotors. The map shows f_r,
+    the efficiency of motor and rotor of Yacef et al., over rotor speed and torque.
 
     Parameters
     ----------
@@ -156,7 +160,10 @@ def draw_loss_chain(
 
 
 def _draw_chain(axes: Axes, chain: EnergyChain) -> None:
-    """Draw each energy of the chain as a bar, and between the bars the losses."""
+    """Draw a flight's energies along the chain of losses as bars, and between the bars the losses.
+
+    The chain leads from the battery over resistances and windings to the rotors.
+    """
     lowest = min(chain.passed, chain.shaft)
     margin = _CHAIN_MARGIN * (chain.drawn - lowest)
     left = lowest - margin

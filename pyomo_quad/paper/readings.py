@@ -29,10 +29,11 @@ _NO_FLOOR = -1e3
 
 
 class Reading(StrEnum):
-    """Interpretation of the efficiency f_r of motor and rotor where it is small or negative.
+    """Interpretation of the efficiency f_r of Yacef et al. where it is small or negative.
 
-    `REGULARISED` limits torque and efficiency from below, and braking returns no energy. `LITERAL`
-    uses the bare polynomial, and braking returns energy.
+    f_r is the efficiency of motor and rotor, a polynomial. `REGULARISED` limits torque and
+    efficiency from below, and braking returns no energy. `LITERAL` uses the bare polynomial, and
+    braking returns energy.
     """
 
     REGULARISED = "regularised"
@@ -41,10 +42,12 @@ class Reading(StrEnum):
     def values(self) -> dict[str, Any]:
         """Return the scenario fields that select this interpretation of the efficiency f_r.
 
+        f_r is the efficiency of motor and rotor of Yacef et al.
+
         Returns
         -------
         dict
-            Values by dotted path.
+            Value of each field, by its dotted path.
         """
         return {
             "power.model": PowerModel.EFFICIENCY,
@@ -52,14 +55,18 @@ class Reading(StrEnum):
         }
 
     def planner(self) -> Planner:
-        """Return a planner whose model uses this interpretation of the efficiency f_r."""
+        """Return a planner whose model uses this interpretation of the efficiency f_r.
+
+        f_r is the efficiency of motor and rotor of Yacef et al.
+        """
         return Planner(literal_model if self is Reading.LITERAL else model_without_battery)
 
 
 def model_without_battery(scenario: Scenario) -> "ConcreteModel":
-    """Build a mission's model without battery.
+    """Build a mission's Pyomo model without the battery.
 
-    The battery's current is undefined for some values of the efficiency f_r of Yacef et al.
+    The energy does not depend on the battery. With the efficiency f_r of Yacef et al., the
+    battery's current is undefined for some values of f_r.
     """
     m = build_model(scenario)
     m.del_component(m.battery)
@@ -69,7 +76,8 @@ def model_without_battery(scenario: Scenario) -> "ConcreteModel":
 def literal_model(scenario: Scenario) -> "ConcreteModel":
     """Build a mission's model in which the efficiency f_r is the bare polynomial.
 
-    The package's usual model limits the torque and the efficiency from below.
+    f_r is the efficiency of motor and rotor of Yacef et al. The package's usual model limits the
+    torque and the efficiency from below.
 
     Parameters
     ----------
@@ -94,7 +102,10 @@ _OPTIONS = SolverOptions(tolerance=1e-6, max_iterations=100)
 
 @dataclass(frozen=True, kw_only=True)
 class MeshTrial:
-    """Settings of a solve on a fixed mesh with an interpretation of the efficiency f_r.
+    """Settings of a solve on a fixed mesh, for one interpretation of the efficiency f_r.
+
+    f_r is the efficiency of motor and rotor of Yacef et al. The report compares the energies of the
+    solves on several meshes.
 
     Attributes
     ----------
@@ -124,15 +135,16 @@ class TrialOutcome:
     Attributes
     ----------
     trial : MeshTrial
-        Settings of the solve.
+        Settings of the solve: interpretation of the efficiency f_r of Yacef et al., bound, and
+        mesh.
     has_converged : bool
         Whether the solver converged.
     energy_J : float
         Energy by the quadrature on the mesh.
     flown_energy_J : float
-        Energy when the controls are simulated; NaN if the efficiency f_r passes zero in flight.
+        Energy when the controls are simulated; NaN if f_r reaches zero in flight.
     miss_m : float
-        Distance from the goal when the controls are simulated.
+        Distance from the goal at the end of this simulation.
     """
 
     trial: MeshTrial
@@ -145,6 +157,9 @@ class TrialOutcome:
 def mesh_trials(*, is_quick: bool = False) -> tuple[MeshTrial, ...]:
     """List the settings of all solves on fixed meshes.
 
+    They combine each interpretation of the efficiency f_r of Yacef et al. with several bounds on
+    the rotor acceleration and several meshes.
+
     Parameters
     ----------
     is_quick : bool, optional
@@ -155,7 +170,7 @@ def mesh_trials(*, is_quick: bool = False) -> tuple[MeshTrial, ...]:
 
 
 def run_trial(trial: MeshTrial) -> TrialOutcome:
-    """Solve the experiment in calm air on one mesh, and simulate the controls.
+    """Solve the experiment of Yacef et al. in calm air on one mesh, and simulate the controls.
 
     Parameters
     ----------
@@ -185,13 +200,24 @@ def run_trial(trial: MeshTrial) -> TrialOutcome:
 
 
 def _fly(scenario: Scenario, solution: Solution, priced: Dynamics) -> tuple[float, float]:
-    """Simulate the controls of a solution.
+    """Simulate the controls of a solution, and compute the energy under the efficiency f_r.
+
+    f_r is the efficiency of motor and rotor of Yacef et al. The motion is simulated with another
+    power model, because it does not depend on the power.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Scenario of the solve.
+    solution : Solution
+        Result of the solve, with the controls.
+    priced : Dynamics
+        Equations with f_r, from which the power is computed.
 
     Returns
     -------
     tuple of float
-        Energy [J], NaN if the efficiency f_r passes zero, and distance from the goal at the end
-        [m].
+        Energy [J], NaN if f_r reaches zero, and distance from the goal at the end [m].
     """
     # The motion is independent of the power model; the motors' power is finite everywhere.
     steerable = scenario.with_values({"power.model": PowerModel.MOTOR, "power.regeneration": True})

@@ -68,7 +68,8 @@ TIMES_NAME = "timings.json"
 def write_paper_report(folder: Path, study: PaperStudy, figures: Figures = Figures.SVG) -> None:
     """Write the report on the paper of Yacef et al.: `report.md`, tables and figures.
 
-    Equal results give files with the same bytes, apart from the wall times in a file of their own.
+    Equal results give files with the same bytes. Only the wall times differ; they are in a separate
+    file.
 
     Parameters
     ----------
@@ -102,7 +103,11 @@ def write_paper_report(folder: Path, study: PaperStudy, figures: Figures = Figur
 
 
 def _equations() -> Iterator[dict[str, Any]]:
-    """Yield the model's equations for the flight in wind in groups, each equation once."""
+    """Yield the model's equations for the flight in wind, in groups, for the report.
+
+    Each group holds the equations of one variant of the model (power model, effect of the wind)
+    that no earlier group contains.
+    """
     seen: set[str] = set()
     groups: tuple[tuple[str | None, PowerModel | None, dict[str, Any]], ...] = (
         ("The second experiment, under the electrical power of the motors", None, {}),
@@ -120,7 +125,7 @@ def _equations() -> Iterator[dict[str, Any]]:
 
 
 def examination(study: PaperStudy) -> dict[str, Any]:
-    """Compare the study's results with the claims of Yacef et al.
+    """Compare the study's results with the claims of Yacef et al., for the report.
 
     Returns
     -------
@@ -160,8 +165,8 @@ def _bound_of_printed_optimum(study: PaperStudy) -> float:
     """Return the bound on the rotor acceleration that the printed optimum of Yacef et al. implies.
 
     The least energy of any flight under the bare polynomial of the efficiency f_r falls as the
-    bound rises. At the returned bound [rad/s²] it equals the energy that Yacef et al. print for
-    their optimum.
+    bound rises. At the returned bound [rad/s²] this least energy equals the energy that Yacef et
+    al. print for their optimal flight.
     """
     bounds, energies = study.floors[Reading.LITERAL].T
     finite = np.isfinite(energies)
@@ -169,7 +174,11 @@ def _bound_of_printed_optimum(study: PaperStudy) -> float:
 
 
 def _adaptive(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
-    """Return numbers to compare with the energy that Yacef et al. print for adaptive control."""
+    """Return numbers to compare with the energy that Yacef et al. print for adaptive control.
+
+    They are energies of an experiment: of hovering, of simulated flights under the adaptive
+    controller, and with all rotors at full speed.
+    """
     has_jump = any(flown.case.reference is Reference.STEP for flown in study.baselines)
     references = Reference.QUINTIC, Reference.STEP if has_jump else Reference.QUINTIC
     smooth, jump = (
@@ -191,7 +200,11 @@ def _adaptive(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
 
 
 def _saving(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
-    """Return the saving of the optimum over the adaptive controller on a smooth reference."""
+    """Return the energy saving of the optimal flight of an experiment, for the report.
+
+    The saving is over the adaptive controller on a smooth reference trajectory, under the motors'
+    electrical power and under the efficiency f_r of Yacef et al.
+    """
     by_motor, by_efficiency = (
         paper.baseline_row(study, paper.find_baseline(study, experiment, model, Reference.QUINTIC))
         for model in (PowerModel.MOTOR, PowerModel.EFFICIENCY)

@@ -44,7 +44,7 @@ class RotorMap:
     torque, power : ndarray, shape (n, k)
         Torque [N m] and power [W] of one rotor.
     efficiency : ndarray, shape (n, k)
-        f_r; 1 if the model has no efficiency.
+        Efficiency f_r of motor and rotor of Yacef et al.; 1 if the model has no efficiency.
     """
 
     speed: FloatArray
@@ -117,10 +117,10 @@ def envelope_at(x: FloatArray, y: FloatArray, at: float) -> FloatArray:
 def chattering_floors(
     reading: Reading, bounds: tuple[float, ...] = BOUNDS + _HIGHER_BOUNDS
 ) -> FloatArray:
-    """Compute lower bounds on the energy of any flight in calm air under f_r.
+    """Compute lower bounds on the energy of any flight in calm air under the efficiency f_r.
 
-    f_r is the efficiency of Yacef et al. The rotors may alternate between speeds and accelerations
-    arbitrarily fast.
+    f_r is the efficiency of motor and rotor of Yacef et al. The rotors may alternate between speeds
+    and accelerations arbitrarily fast ("chattering").
 
     Parameters
     ----------
@@ -132,7 +132,8 @@ def chattering_floors(
     Returns
     -------
     ndarray, shape (len(bounds), 2)
-        Bound [rad/s²] and least energy [J]; minus infinity where f_r passes zero.
+        Bound on the rotor acceleration [rad/s²], and least energy [J]; minus infinity where f_r
+        reaches zero.
     """
     scenario = paper_scenario(Experiment.CALM, reading.values())
     largest = max(bounds)
@@ -149,12 +150,14 @@ def chattering_floors(
 def floor_energy(scenario: Scenario, sampled: RotorMap, bound: float) -> float:
     """Compute a lower bound on the energy of any flight whose rotor acceleration is bounded.
 
+    The rotors may alternate between speeds and accelerations arbitrarily fast.
+
     Parameters
     ----------
     scenario : Scenario
         Scenario with vehicle and duration.
     sampled : RotorMap
-        Power and efficiency of one rotor.
+        Power and efficiency f_r of one rotor.
     bound : float
         Bound on the absolute rotor acceleration [rad/s²].
 
@@ -173,9 +176,10 @@ def floor_energy(scenario: Scenario, sampled: RotorMap, bound: float) -> float:
 
 
 def critical_acceleration(samples: int = 151) -> tuple[float, float]:
-    """Find the least bound on the rotor acceleration at which the efficiency f_r reaches zero.
+    """Find the weakest braking of a rotor at which the efficiency f_r reaches zero.
 
-    f_r is the efficiency of motor and rotor of Yacef et al., as a bare polynomial.
+    f_r is the efficiency of motor and rotor of Yacef et al., as a bare polynomial. If the rotor
+    acceleration may exceed this value, the energy has no minimum.
 
     Parameters
     ----------
@@ -185,8 +189,8 @@ def critical_acceleration(samples: int = 151) -> tuple[float, float]:
     Returns
     -------
     bound, speed : float
-        Smallest absolute acceleration at which f_r is zero [rad/s²], and the rotor speed at which
-        this happens [rad/s].
+        Smallest absolute acceleration of braking at which f_r is zero [rad/s²], and the rotor speed
+        at which this happens [rad/s].
     """
     scenario = paper_scenario(Experiment.CALM, Reading.LITERAL.values())
     dynamics = Reading.LITERAL.planner().dynamics(scenario)
@@ -199,7 +203,7 @@ def critical_acceleration(samples: int = 151) -> tuple[float, float]:
 
 
 def _last_zero(braking: FloatArray, efficiency: FloatArray) -> float:
-    """Return the weakest braking at which a sampled efficiency is zero [rad/s²].
+    """Return the weakest braking at which a sampled efficiency of the rotor is zero [rad/s²].
 
     The result is a rotor acceleration, negative because the rotor brakes; it is minus infinity if
     the efficiency is positive at all samples.
@@ -241,7 +245,10 @@ class EfficiencyMap:
 
 
 def sample_efficiency_map() -> EfficiencyMap:
-    """Sample the recovered efficiency f_r over rotor speed and torque, for a figure."""
+    """Sample the efficiency f_r of Yacef et al. over rotor speed and torque, for a figure.
+
+    Their paper does not print f_r; the polynomial was recovered from public re-implementations.
+    """
     scenario = paper_scenario(Experiment.CALM, Reading.LITERAL.values())
     dynamics = Reading.LITERAL.planner().dynamics(scenario)
     speed = np.linspace(0.0, scenario.limits.rotor_speed_max, _MAP_SPEEDS)

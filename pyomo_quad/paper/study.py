@@ -46,7 +46,7 @@ class PackFacts:
     cells_series, cells_parallel : int
         Numbers of cells.
     power_model : PowerModel
-        Power model of the hover.
+        Power model with which the power of hovering is computed.
     stored_energy_J : float
         Energy without load, from full to 1 % of the charge.
     hover_energy_J, hover_power_W : float
@@ -108,6 +108,8 @@ WORKERS = 2
 class PaperStudy:
     """All results of the study that reproduces the experiments of Yacef et al.
 
+    f_r is the efficiency of motor and rotor in their paper.
+
     Attributes
     ----------
     flights, wind_flights, battery_flights : tuple of PaperFlight
@@ -118,9 +120,8 @@ class PaperStudy:
     packs : tuple of PackFacts
         Energy and power of the batteries.
     floors : dict
-        For each interpretation of the efficiency f_r, an array with two columns: a bound on the
-        rotor acceleration [rad/s²], and the least energy [J] that any flight within this bound can
-        take.
+        For each interpretation of f_r, an array with two columns: a bound on the rotor acceleration
+        [rad/s²], and the least energy [J] that any flight within this bound can take.
     critical_acceleration, critical_speed : float
         Rotor acceleration [rad/s²] and speed [rad/s] at which f_r first reaches zero.
     efficiency_map : EfficiencyMap

@@ -40,10 +40,10 @@ _PRINTED_HOVER_SPEED = 912.0  # rad/s, section IV
 
 
 def implied_wind_optimum() -> float:
-    """Return the energy [J] of the optimal flight in wind that the printed saving implies.
+    """Return the energy [J] of the optimal flight in wind that the saving in Yacef et al. implies.
 
-    Yacef et al. print only the saving, a reduction relative to their flight under the adaptive
-    controller.
+    For the flight in wind, their paper prints the energy under the adaptive controller and the
+    saving relative to it, but not the energy of the optimal flight.
     """
     return ADAPTIVE_ENERGY[2] * (1 - SAVING[2] / 100)
 
@@ -66,7 +66,7 @@ def _used(values: dict[str, object], field: str) -> float:
 
 
 def corrections(study: PaperStudy) -> dict[str, Any]:
-    """Return the numbers that show errors and gaps in the paper of Yacef et al.
+    """Return the numbers with which the report shows errors and gaps in the paper of Yacef et al.
 
     Returns
     -------

@@ -86,7 +86,9 @@ class SteadyCurve:
     def best_over_ground(
         self, wind: float = 0.0, angle: float = 0.0, price_of_time: float = 0.0
     ) -> "GroundSpeed":
-        """Return the ground speed with the least energy per metre on a course.
+        """Return the ground speed with the least energy per metre on a course in a wind.
+
+        With a price of time, the energy per metre includes the price of the flight time.
 
         Parameters
         ----------
@@ -96,7 +98,7 @@ class SteadyCurve:
             Angle between the course and the direction to which the wind blows [rad]; 0 is a tail
             wind.
         price_of_time : float, optional
-            Value of one second, added to the power [W].
+            Value of one second of flight, added to the power [W].
 
         Returns
         -------
@@ -314,7 +316,22 @@ def _winds(curve: SteadyCurve, winds: Sequence[float]) -> pd.DataFrame:
 
 
 def _reach(curve: SteadyCurve, wind: float, towards: float) -> pd.DataFrame:
-    """Return the distance out and back on one battery charge, for each course [m]."""
+    """Return the distance that the vehicle can fly out and back on one battery charge [m].
+
+    Parameters
+    ----------
+    curve : SteadyCurve
+        Power and endurance over airspeed.
+    wind : float
+        Speed of the wind [m/s].
+    towards : float
+        Direction to which the wind blows [rad].
+
+    Returns
+    -------
+    DataFrame
+        One row for each course: ground speeds out and back [m/s], and the distance.
+    """
     rows = []
     for course in np.linspace(0.0, 2.0 * np.pi, _DIRECTIONS, endpoint=False):
         legs = [

@@ -3,11 +3,13 @@
 The flight is straight and level, at the height of the start and at the ground speed of least energy
 per metre in the local wind. Over terrain the vehicle climbs where its height above the ground ahead
 would fall below the floor of the airspace (the least height above ground). It does not descend on
-the way out, and returns at the same heights. A climb takes charge but brings no progress. The
-boundary ends where the terrain ends. Each metre uses the fraction 1 / range of the battery charge,
-where range is the distance [m] that the vehicle flies on a full battery in the local wind. The
-boundary is reached where the sum of these fractions is 1. The sum is taken over the way out and, if
-the vehicle returns, also over the way back. Keep-out zones are ignored.
+the way out, and returns at the same heights. A climb takes charge but brings no progress.
+
+Each metre uses the fraction 1 / range of the battery charge, where range is the distance [m] that
+the vehicle flies on a full battery in the local wind. The boundary of the reach on a course is
+where the sum of these fractions is 1. The sum is taken over the way out and, if the vehicle
+returns, also over the way back. The boundary does not extend beyond the terrain or the wind field.
+Keep-out zones are ignored.
 """
 
 import json
@@ -58,7 +60,7 @@ class Reach:
     scenario : Scenario
         Scenario with vehicle, start and wind.
     has_return : bool
-        Whether the charge also suffices for the way back.
+        Whether the charge must also suffice for the flight back to the start.
     boundary : DataFrame
         One row for each course: course [deg from x, counter-clockwise], distance and position [m],
         and whether the wind field or the terrain ends before the battery is empty.
@@ -73,14 +75,14 @@ class Reach:
 
 
 def find_reach(scenario: Scenario, *, has_return: bool) -> Reach:
-    """Compute how far one battery charge takes a vehicle on each course from its start.
+    """Compute how far a vehicle flies on one battery charge, on each course from its start.
 
     Parameters
     ----------
     scenario : Scenario
         Scenario with vehicle, battery, start and wind.
     has_return : bool
-        Whether the charge must also suffice for the way back.
+        Whether the charge must also suffice for the flight back to the start.
 
     Raises
     ------
@@ -142,7 +144,10 @@ def _heights(scenario: Scenario, along: FloatArray, headings: FloatArray) -> Flo
 
 
 def _is_within_terrain(scenario: Scenario, places: FloatArray) -> NDArray[np.bool_]:
-    """Return which places, shape (..., 3), lie over the terrain; all places if there is none."""
+    """Return whether each place lies over the terrain; True for all places if there is no terrain.
+
+    `places` holds positions [m], shape (..., 3).
+    """
     within, ground = np.ones(places.shape[:-1], dtype=bool), scenario.airspace.ground
     for axis, side, end in () if ground is None else ground.edges.values():
         within &= side * (places[..., axis] - end) <= 0.0
@@ -150,10 +155,9 @@ def _is_within_terrain(scenario: Scenario, places: FloatArray) -> NDArray[np.boo
 
 
 def _share_per_climb(scenario: Scenario, steady: SteadyFlight, curve: SteadyCurve) -> float:
-    """Return the share of the battery charge that a metre of climb uses [1/m]; 0 without terrain.
+    """Return the share of the battery charge that one metre of climb uses [1/m]; 0 without terrain.
 
-    Rate and current of the climb are computed as for the return flight of a mission
-    (`climb_current`).
+    Rate and current of the climb are those of the return flight of a mission (`climb_current`).
     """
     if scenario.airspace.ground is None:
         return 0.0
@@ -168,18 +172,18 @@ def _share_per_climb(scenario: Scenario, steady: SteadyFlight, curve: SteadyCurv
 def _shares(
     curve: SteadyCurve, winds: FloatArray, courses: FloatArray, *, has_return: bool
 ) -> FloatArray:
-    """Return the share of the battery charge that a metre uses, at each place of each course.
+    """Return the share of the battery charge that one metre of flight uses, along each course.
 
     Parameters
     ----------
     curve : SteadyCurve
         Power and endurance over airspeed.
     winds : ndarray, shape (n_courses, n_steps, 2)
-        Wind at the places [m/s].
+        Wind at the places along each course [m/s].
     courses : ndarray, shape (n_courses, 1)
         Courses from x, counter-clockwise [rad].
     has_return : bool
-        Whether the metre is also flown back.
+        Whether each metre is also flown back; the share then includes the way back.
 
     Returns
     -------
@@ -196,20 +200,21 @@ def _shares(
 def _share_per_metre(
     curve: SteadyCurve, winds: FloatArray
 ) -> Callable[[FloatArray, FloatArray], FloatArray]:
-    """Return a function for the share of the battery charge that a metre over ground uses [1/m].
+    """Return a function for the share of the battery charge used per metre over ground [1/m].
 
     Parameters
     ----------
     curve : SteadyCurve
         Power and endurance over airspeed.
     winds : ndarray
-        Wind speeds that occur [m/s], whose range is tabulated.
+        Wind speeds that occur [m/s]. The function interpolates between values for speeds in their
+        range.
 
     Returns
     -------
     callable
-        Function of wind speed [m/s] and of the angle between course and wind [rad]; infinite where
-        the wind is too strong for the course.
+        Function of the wind speed [m/s] and of the angle between course and wind [rad]; infinite
+        where the wind is too strong for the course.
     """
     low, high = float(winds.min()), float(winds.max())
     count = max(2, int(np.ceil((high - low) / _WIND_STEP_M_S)) + 1)
@@ -237,7 +242,7 @@ def _boundary_on(
     is_known: NDArray[np.bool_],
     start: FloatArray,
 ) -> dict[str, Any]:
-    """Return the row of the boundary on one course.
+    """Return how far the vehicle flies on one course, as a row of `Reach.boundary`.
 
     Parameters
     ----------
@@ -245,9 +250,10 @@ def _boundary_on(
         Direction from x, counter-clockwise [rad].
     along : ndarray, shape (n_steps,)
         Distances from the start [m].
-    share, climbed : ndarray, shape (n_steps,)
-        Share of the battery charge that a metre at each distance uses [1/m], and share that all
-        climbs up to this distance use.
+    share : ndarray, shape (n_steps,)
+        Share of the battery charge that one metre of flight uses at each distance [1/m].
+    climbed : ndarray, shape (n_steps,)
+        Share of the battery charge that all climbs up to each distance use.
     is_known : ndarray of bool, shape (n_steps,)
         Whether wind and ground are known at each distance.
     start : ndarray, shape (3,)

@@ -174,9 +174,8 @@ def draw_polar(polar: Polar) -> Figure:
 def draw_winds(polar: Polar) -> Figure:
     """Draw best ground speed and least energy per metre over the direction of the wind.
 
-    The best ground speed is the speed with the least energy per metre over ground.
-
-    Each curve is one wind speed; the angle is between the course and the direction of the wind.
+    The best ground speed is the speed with the least energy per metre over ground. Each curve is
+    one wind speed. The angle is between the course and the direction of the wind.
     """
     figure, (left, right) = full_width(3.3, (1, 2), top=0.9, bottom=0.26, wspace=0.25)
     speeds = polar.winds[WIND].unique().tolist()

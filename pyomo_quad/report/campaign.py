@@ -26,12 +26,14 @@ def write_campaign(
 ) -> dict[str, Any]:
     """Write the report of a campaign: table (CSV), `summary.json`, figure and text.
 
+    A campaign repeats missions on one battery charge until no further flight is possible.
+
     Parameters
     ----------
     folder : Path
         Existing empty folder that receives the files.
     campaign : Campaign
-        Flights of one or more battery charges.
+        Flights on one or more battery charges.
     figures : Figures, optional
         Which figures to draw, and in which file formats.
 
@@ -68,8 +70,9 @@ def write_campaign(
 def campaign_summary(campaign: Campaign) -> dict[str, Any]:
     """Return the results of a campaign as a dictionary for `summary.json`.
 
-    It holds the number of flights per battery charge, the reason for the end of each charge, total
-    duration [s] and energy [J], and the scenarios.
+    A campaign repeats missions on one or more battery charges. The dictionary holds the number of
+    flights on each charge, the reason why no further flight was possible, the total duration [s]
+    and energy [J], and the scenarios.
     """
     plans = [flight.plan for flight in campaign.flights]
     return {
@@ -86,15 +89,15 @@ def campaign_summary(campaign: Campaign) -> dict[str, Any]:
 
 
 def campaign_words(campaign: Campaign) -> list[str]:
-    """Return one sentence for each battery charge of a campaign.
+    """Return one sentence for each battery charge of a campaign of repeated missions.
 
-    The sentence gives the number of flights, their total time and energy, and the reason why no
-    further flight was possible.
+    The sentence gives the number of flights on the charge, their total time and energy, and the
+    reason why no further flight was possible.
 
     Parameters
     ----------
     campaign : Campaign
-        Flights of one or more battery charges.
+        Flights on one or more battery charges.
     """
     said = []
     for charge, (count, ending) in enumerate(
@@ -111,14 +114,16 @@ def campaign_words(campaign: Campaign) -> list[str]:
 
 
 def draw_campaign(campaign: Campaign) -> Figure:
-    """Draw a campaign: state of charge and lowest pack voltage of each flight, in two panels.
+    """Draw state of charge and lowest pack voltage of each flight of a campaign, in two panels.
 
-    Each battery charge has its own line. Dashed lines mark the limits.
+    A campaign repeats missions on one or more battery charges. The state of charge is drawn at the
+    start and at the end of each flight. Each battery charge has its own line. Dashed lines mark the
+    lowest permitted state of charge and, if the mission limits it, the lowest permitted voltage.
 
     Parameters
     ----------
     campaign : Campaign
-        Flights of one or more battery charges.
+        Flights on one or more battery charges.
     """
     figure, panels = panel_grid(2, 1, panel_height=1.7, left=0.6, legend_entries=campaign.charges)
     charge_panel, voltage_panel = panels[:, 0]

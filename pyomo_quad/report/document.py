@@ -146,11 +146,12 @@ def write_page(
     drawn : iterable of Drawing
         The figures of the report.
     is_good : bool
-        Whether the box with the verdict has the colour of a success.
+        Whether the box with the report's main result has the colour of a success.
     views : mapping of str to str
-        HTML to show above a figure, by the figure's name.
+        HTML elements to insert above figures, by the name of the figure; for example the
+        interactive player of the flights.
     data : str
-        JSON data of the interactive player of flights; empty without a player.
+        JSON data of the flights for the interactive player; empty for a page without player.
     """
     from pyomo_quad.report.page import render_html  # noqa: PLC0415  a solve writes no page
 

@@ -30,11 +30,12 @@ _NUMBER_ROOM = 1.28  # the axis is longer than the longest bar, to fit the numbe
 
 
 def draw_energy_split(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figure:
-    """Draw two bar charts of flights: the total energy, and the enlarged difference.
+    """Draw two bar charts of flights: the total energies, and the energies above hovering.
 
-    The left panel shows the total energy, and in grey the energy of hovering for the same time. The
-    right panel shows the energy above hovering or, if the durations of the flights differ, the
-    difference from the first flight's energy.
+    The left panel shows the total energy of each flight and, in grey, the energy of hovering for
+    the same time. The right panel shows the energy above hovering (energy of the flight less energy
+    of hovering) on a larger scale. If the durations of the flights differ, it shows the difference
+    from the first flight's energy instead.
 
     Parameters
     ----------
@@ -72,11 +73,13 @@ def draw_energy_split(flights: Sequence[StyledFlight], hover_energy_J: float) ->
 
 
 def draw_energy_by_scenario(comparison: pd.DataFrame) -> Figure:
-    """Draw the energy of each flight as a bar, one panel for each scenario, on a common scale.
+    """Draw the energy of each flight as a bar, in one panel for each scenario.
 
-    The bars show the energy above hovering if the flights of each scenario have equal durations.
-    Otherwise they show the total energy, because flights of different durations would be ranked by
-    duration. Flights that did not arrive are pale.
+    All panels have the same energy scale. If the flights of each scenario have equal durations, the
+    bars show the energy above hovering: the energy of the flight less the energy of hovering for
+    the same time. Otherwise the bars show the total energy, because energies above hovering cannot
+    be compared between flights of different durations. Flights that did not reach the goal are
+    pale.
 
     Parameters
     ----------
@@ -130,7 +133,7 @@ def bar_look(flight: StyledFlight) -> dict[str, Any]:
 
 
 def annotate_bars(axes: Axes, values: Sequence[float]) -> None:
-    """Print each value to the right of its horizontal bar, with room for the numbers.
+    """Print each value to the right of its horizontal bar, and extend the axis to fit the numbers.
 
     Parameters
     ----------

@@ -50,9 +50,10 @@ def write_ensemble(
     folder : Path
         Existing empty folder that receives the files.
     flown : Ensemble
-        Flights of one mission in random winds.
+        Flights of one mission, each in its own random wind.
     savings : sequence of Saving, optional
-        Energy savings over other flights in the same winds.
+        Energy savings of these flights compared with other flights in the same winds, such as the
+        flights of an autopilot. Each item also holds these other flights.
     figures : Figures, optional
         Which figures to draw, and in which file formats.
 
@@ -85,12 +86,13 @@ def ensemble_drawings(
     Parameters
     ----------
     flown : Ensemble
-        Flights of one mission in random winds.
+        Flights of one mission, each in its own random wind.
     savings : sequence of Saving
-        Energy savings over other flights in the same winds; their energies are drawn too.
+        Energy savings compared with other flights in the same winds. The figure of the energies
+        also shows these other flights.
     margin : float, optional
-        Distance from zones [m] by which the plan was tightened, drawn on both sides of the planned
-        path; 0 for none.
+        Safety margin [m]: distance from keep-out zones that the plan keeps in addition to the
+        scenario's clearance. It is drawn on both sides of the planned path; 0 for no margin.
     """
     shown = min(SHOWN_PATHS, flown.count)
     paths = f"Paths of {shown} flights, and the path to follow."
@@ -106,17 +108,17 @@ def ensemble_drawings(
 
 
 def draw_many_paths(flown: Ensemble, margin: float = 0.0) -> Figure:
-    """Draw the paths of some flights of an ensemble, and their reference path, in two views.
+    """Draw the paths of some flights of an ensemble, and the path that all of them follow.
 
-    The views are from above and from the front.
+    One panel shows the paths from above, one from the front.
 
     Parameters
     ----------
     flown : Ensemble
-        Flights of one mission in random winds.
+        Flights of one mission, each in its own random wind.
     margin : float, optional
-        Distance from zones [m] by which the plan was tightened, drawn on both sides of the
-        reference path; 0 for none.
+        Safety margin [m]: distance from keep-out zones that the plan keeps in addition to the
+        scenario's clearance. It is drawn on both sides of the path to follow; 0 for no margin.
     """
     figure, panels = panel_grid(2, 1, panel_height=2.5, legend_entries=2, share_time=False)
     tracks = [flown.flown.tracks[f"{axis}_m"][:, :SHOWN_PATHS] for axis in "xyz"]
@@ -145,7 +147,10 @@ def draw_many_paths(flown: Ensemble, margin: float = 0.0) -> Figure:
 
 
 def _beside(path: FloatArray, off: float) -> FloatArray:
-    """Return a path in a plane, shape (n, 2), shifted to its left by the distance `off`."""
+    """Shift a path in a plane, shape (n, 2), to its left by the distance `off`.
+
+    `draw_many_paths` draws the shifted path to show a safety margin beside the path to follow.
+    """
     along = np.gradient(path, axis=0)
     length = np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
     return path + off * np.column_stack([-along[:, 1], along[:, 0]]) / length
@@ -157,9 +162,10 @@ def draw_energies(flown: Ensemble, savings: Sequence[Saving]) -> Figure:
     Parameters
     ----------
     flown : Ensemble
-        Flights of one mission in random winds.
+        Flights of one mission, each in its own random wind.
     savings : sequence of Saving
-        Other flights in the same winds, each of which has its own histogram.
+        Energy savings compared with other flights in the same winds. Each item holds these other
+        flights (`Saving.rival`), whose energies are drawn as a further histogram.
     """
     kinds = [flown, *(saving.rival for saving in savings)]
     figure, ((axes,),) = panel_grid(
@@ -186,14 +192,15 @@ _PANELS = (
 
 
 def draw_bands(flown: Ensemble) -> Figure:
-    """Draw quantities of an ensemble over time: the median, and a band of 90 % of flights.
+    """Draw four quantities of an ensemble of flights over time: the median, and a 90 % band.
 
-    The four panels show distance from the reference path, speed, tilt and energy.
+    The band lies between the 5 % and 95 % quantiles over the flights. The quantities are distance
+    from the reference path, speed, tilt and energy.
 
     Parameters
     ----------
     flown : Ensemble
-        Flights of one mission in random winds.
+        Flights of one mission, each in its own random wind.
     """
     figure, panels = panel_grid(2, 2, panel_height=1.9)
     t, color = flown.flown.t, SERIES_STYLES[0].color

@@ -143,7 +143,7 @@ def draw_battery(flights: Sequence[StyledFlight]) -> Figure:
 
 
 def draw_controls(flights: Sequence[StyledFlight]) -> Figure:
-    """Draw the angular acceleration of each rotor over time, one panel per rotor on one scale.
+    """Draw the angular acceleration of each rotor over time, one panel per rotor, all to one scale.
 
     Parameters
     ----------
@@ -252,7 +252,10 @@ def draw_energy(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figur
 
 
 def draw_above_hover(axes: Axes, flights: Sequence[StyledFlight], hover_power_W: float) -> None:
-    """Draw the energy of flights over time, less the energy of hovering until the same time.
+    """Draw the energy above hovering of flights over time in a panel.
+
+    The energy above hovering at a time is the energy that the flight has used until then, less the
+    energy of hovering for the same time.
 
     Parameters
     ----------
@@ -272,12 +275,14 @@ def draw_above_hover(axes: Axes, flights: Sequence[StyledFlight], hover_power_W:
 
 
 def cut_flights(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
-    """Return the flights with short power peaks that the power panel cuts off.
+    """Return the flights whose power has short peaks beyond the axis of the power panel.
+
+    The axis does not extend to short peaks that would flatten all curves.
 
     Parameters
     ----------
     flights : sequence of StyledFlight
-        Flights drawn in one panel; the first is the plan, which is never cut off.
+        Flights drawn in one panel; the first is the plan, which always lies inside the axis.
     """
     window = _power_window(flights)
     if window is None:
@@ -294,7 +299,10 @@ def cut_flights(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
 def coinciding_flights(
     flights: Sequence[StyledFlight], hover_power_W: float
 ) -> tuple[StyledFlight, ...]:
-    """Return the flights whose curve of energy above hovering coincides with the first flight's.
+    """Return the flights whose curve of energy above hovering lies on the first flight's curve.
+
+    Energy above hovering is the energy used until a time, less the energy of hovering until then.
+    The figure's caption names these flights, because their curves cannot be distinguished.
 
     Parameters
     ----------
@@ -318,9 +326,10 @@ def coinciding_flights(
 
 
 def _power_window(flights: Sequence[StyledFlight]) -> tuple[float, float] | None:
-    """Return the range [W] of the power panel's axis if short peaks would flatten the curves.
+    """Return the least and the greatest power [W] on the power panel's axis, without short peaks.
 
-    None if the axis can show all values.
+    Short peaks of flights other than the plan are excluded if they would flatten all curves. The
+    result is None if the axis can show all powers.
     """
     optimum, *others = powers = [POWER.of(flight.frame) for flight in flights]
     ends = [optimum.min(), optimum.max()]
@@ -336,7 +345,11 @@ def _power_window(flights: Sequence[StyledFlight]) -> tuple[float, float] | None
 
 
 def _cut_peaks(axes: Axes, flights: Sequence[StyledFlight]) -> None:
-    """Exclude short peaks from the power panel's axis if they would flatten the curves."""
+    """Limit the power panel's axis so that short power peaks lie beyond it.
+
+    This is done only if the peaks would flatten all curves. The title then says that peaks are cut
+    off.
+    """
     window = _power_window(flights)
     if window is not None:
         axes.set_ylim(*window)
@@ -569,14 +582,14 @@ _FORECAST = LineStyle(color=MUTED, dashes=(4.5, 1.6))
 
 
 def draw_wind(planned: StyledFlight, flown: StyledFlight | None = None) -> Figure:
-    """Draw the wind's components along x and y over time, with the forecast if there is one.
+    """Draw the horizontal wind over time: the wind that the plan was made for, and the true wind.
 
     Parameters
     ----------
     planned : StyledFlight
         The plan, whose table has the wind that it was planned for.
     flown : StyledFlight, optional
-        A flight in the true wind, if the plan was made for a forecast.
+        A flight in the true wind, if the plan was made for a forecast of another wind.
     """
     figure, panels = panel_grid(1, 2, panel_height=1.5, legend_entries=0 if flown is None else 2)
     forecast = [] if flown is None else [("forecast", planned, _FORECAST)]

@@ -183,7 +183,10 @@ def refuse_output_folder(path: str | Path) -> None:
 
 
 def discard_unfinished() -> None:
-    """Remove the unfinished output files and folders of this process, before it is ended."""
+    """Remove the unfinished output files and folders of this process.
+
+    The function is called before the process is terminated.
+    """
     for begun in _unfinished:
         _discard(begun)
 
@@ -195,9 +198,9 @@ def _discard(begun: Path) -> None:
 
 @contextmanager
 def _until_finished(begun: Path) -> Iterator[None]:
-    """Context manager: remove a temporary file or folder after the block.
+    """Context manager: remove a temporary file or folder after the ``with`` block.
 
-    It is also removed if the process is terminated, because `discard_unfinished` then removes it.
+    If the process is terminated inside the block, `discard_unfinished` removes the file or folder.
     """
     _unfinished.add(begun)
     try:
@@ -223,7 +226,10 @@ def final_folder(path: str | Path) -> Path:
 
 
 def _unused(path: Path) -> Path:
-    """Return the path if nothing exists there; raise FileExistsError otherwise."""
+    """Return a path, or raise FileExistsError if a file or folder with this path exists.
+
+    `output_folder` thus checks the path of its temporary folder before it creates the folder.
+    """
     if os.path.lexists(path):
         raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST))
     return path
@@ -263,12 +269,13 @@ def _lock(final: Path, path: str | Path) -> Iterator[None]:
 
 
 def _finish_swap(final: Path, path: str | Path, aside: Path) -> None:
-    """Replace the final folder by the finished new folder, if this package has written one.
+    """Move a finished new output folder to its final path, if there is such a folder.
 
-    The finished new folder is hidden beside the final folder, with a name that contains "ready".
-    First the old folder is renamed to `aside`, then the new folder is renamed to `final`. If a run
-    is killed between the two renames, no final folder exists, and the next run does the second
-    rename.
+    A new folder that is to replace an old one is first renamed to a hidden name that contains
+    "ready", beside the final folder. This function renames the old folder to `aside`, then the new
+    folder to `final`. If a run is killed between the two renamings, no final folder exists, and the
+    next run does the second renaming. A hidden folder that no run of this package made is not
+    moved.
 
     Parameters
     ----------
@@ -302,7 +309,10 @@ def _remove_leftovers(final: Path) -> None:
 
 
 def _is_of_a_run(folder: Path) -> bool:
-    """Return whether this package made a hidden folder, which then contains a manifest."""
+    """Return whether a run of this package made a folder: the folder then contains a manifest.
+
+    The check prevents that a user's own folder with a temporary name is moved or deleted.
+    """
     return not folder.is_symlink() and (folder / MANIFEST_NAME).is_file()
 
 

@@ -220,9 +220,9 @@ def comparison_drawings(
 
 
 def _not_comparable(flights: Sequence[StyledFlight], compared: Sequence[StyledFlight]) -> str:
-    """Return the caption's sentence that names the flights without an energy bar.
+    """Return the caption's sentence that names the flights without a bar in the chart of energies.
 
-    Empty if all flights have a bar.
+    The flights `compared` have a bar. The sentence is empty if all `flights` have one.
     """
     rest = [flight for flight in flights if flight not in compared]
     return _naming("Without a bar, because they missed the goal or broke a limit", rest)
@@ -282,7 +282,10 @@ def drawings_of_run(result: "RunResult") -> tuple[Drawing, ...]:
 
 
 def _in_turbulence(often: "InTurbulence", plan: "Plan") -> Iterator[Drawing]:
-    """Yield the figures of many flights in turbulence, renamed to begin with ``turbulence_``."""
+    """Yield the figures of a plan's simulated flights in turbulence, for the report of a run.
+
+    `often` holds the flights. The names of the figures begin with ``turbulence_``.
+    """
     margin = 0.0 if plan.risk is None else plan.risk.margins.get("airspace.clearance", 0.0)
     for drawing in ensemble_drawings(often.flown, often.savings, margin):
         yield replace(drawing, name=f"turbulence_{drawing.name}")
@@ -378,9 +381,10 @@ def _zones(mission: "Scenario") -> str:
 
 
 def _has_way(scenario: "Scenario") -> bool:
-    """Return whether a report shows the speed over path length.
+    """Return whether a report has the figure of speed over path length.
 
-    It does for missions with waypoints, keep-out zones, a speed limit or a free duration.
+    The figure is shown for missions with waypoints, keep-out zones, a speed limit or a free
+    duration.
     """
     mission, airspace = scenario.mission, scenario.airspace
     has_more = mission.is_free or mission.waypoints or airspace.keep_out
@@ -416,7 +420,10 @@ def _heights(flights: Sequence[StyledFlight], mission: "Scenario") -> Drawing:
 
 
 def left_out(flights: Sequence[StyledFlight]) -> str:
-    """Return the caption's sentences on paths that are not drawn or leave the figure; or "".
+    """Return the caption's sentences on paths that are not drawn or extend beyond the figure.
+
+    A path is not drawn if it cannot be distinguished from the plan's path. The text is empty if all
+    paths are drawn completely.
 
     Parameters
     ----------
@@ -477,9 +484,10 @@ def _wind(optimum: StyledFlight, blowing: StyledFlight | None) -> tuple[Drawing,
 
 
 def _own_floors(flights: Sequence[StyledFlight]) -> str:
-    """Return the caption's warning if the durations of flights differ; "" if they are equal.
+    """Return a warning for the caption of energy curves if the durations of the flights differ.
 
-    Energies above hovering cannot be compared between flights of different durations.
+    Energies above hovering cannot be compared between flights of different durations. The text is
+    empty if the durations are equal.
     """
     if have_equal_durations(flights):
         return ""
@@ -490,7 +498,10 @@ def _own_floors(flights: Sequence[StyledFlight]) -> str:
 
 
 def _cut(flights: Sequence[StyledFlight]) -> str:
-    """Return the caption's sentence on power peaks that the panel cuts off, or ""."""
+    """Return the caption's sentence on short power peaks beyond the axis of the power panel.
+
+    The sentence is empty if the panel shows all powers.
+    """
     if POWER.name not in flights[0].frame:
         return ""
     peaks = [
@@ -502,9 +513,9 @@ def _cut(flights: Sequence[StyledFlight]) -> str:
 
 
 def _coinciding(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
-    """Return the caption's sentence on flights whose energy curve the plan's curve covers.
+    """Return the caption's sentence on flights whose energy curve lies under the plan's curve.
 
-    Empty if all curves can be seen.
+    The sentence is empty if all curves can be distinguished.
     """
     if ENERGY.name not in flights[0].frame:
         return ""
@@ -525,7 +536,10 @@ def _undercut(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
 
 
 def _not_drawn(flights: Sequence[StyledFlight], drawn: Sequence[StyledFlight]) -> str:
-    """Return the caption's sentence that names the flights a figure leaves out; "" if none."""
+    """Return the caption's sentence that names the flights missing from a figure.
+
+    `drawn` are the flights that the figure shows. The sentence is empty if it shows all `flights`.
+    """
     return _naming("Not drawn", [flight for flight in flights if flight not in drawn])
 
 
@@ -546,7 +560,11 @@ def _columns(*groups: Iterable[Column]) -> tuple[str, ...]:
 
 
 def _naming(words: str, flights: Sequence[StyledFlight], sign: str = ":") -> str:
-    """Return a sentence that ends with the names of flights, empty without any."""
+    """Return a sentence for a caption that ends with the names of flights.
+
+    An example is " Not drawn: A and B.". `words` is the beginning of the sentence, and `sign` the
+    punctuation before the names. The result is empty if there are no flights.
+    """
     return f" {words}{sign} {_listed(flights)}." if flights else ""
 
 

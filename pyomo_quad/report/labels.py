@@ -23,9 +23,10 @@ _HALO = withStroke(linewidth=1.6, foreground="white")
 
 @dataclass(frozen=True, kw_only=True)
 class Label:
-    """Text beside a point of a figure, in data coordinates.
+    """Text label for a point of a figure; x and y are the point's data coordinates.
 
-    If `is_centred`, the text may also cover its point, as the name of a zone does.
+    The label is placed beside its point. If `is_centred`, it may also be placed on the point, like
+    the name of a zone in the middle of the zone.
     """
 
     text: str
@@ -36,10 +37,11 @@ class Label:
 
 
 def write_labels(axes: Axes, labels: Sequence[Label]) -> None:
-    """Print labels into a panel, each at the side of its point where it covers least.
+    """Print labels into a panel, each beside its point where it covers the least.
 
-    The candidates are ten places around each point, tried label by label. The limits of the axes
-    must be final. The point of each label counts as a marker that no label may cover.
+    For each label in turn, ten places around its point are compared. The chosen place covers no
+    other label and no other label's point if possible, and as few points of curves as possible. The
+    limits of the axes must be final.
 
     Parameters
     ----------
@@ -83,7 +85,10 @@ def write_labels(axes: Axes, labels: Sequence[Label]) -> None:
 
 
 def _shifts(size: FloatArray) -> Iterable[FloatArray]:
-    """Yield positions of a label's middle relative to its point [points], the preferred first."""
+    """Yield ten possible offsets from a point to the middle of its label [points], the best first.
+
+    `size` is the width and height of the label [points].
+    """
     half = size / 2 + _GAP
     for across, up in ((0.0, 1.0), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, 1), (1, -1), (-1, -1)):
         yield np.array([across, up]) * half
@@ -92,7 +97,10 @@ def _shifts(size: FloatArray) -> Iterable[FloatArray]:
 
 
 def _curves(axes: Axes) -> FloatArray:
-    """Return the points of all curves in a panel, in pixels, shape (n, 2)."""
+    """Return the points of all curves in a panel, in pixels, shape (n, 2).
+
+    Labels are placed so that they cover few of these points.
+    """
     points = [np.empty((0, 2))]
     for line in axes.get_lines():
         held = np.asarray(line.get_xydata(), dtype=float)

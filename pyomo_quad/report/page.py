@@ -32,13 +32,14 @@ def render_html(
     markdown : str
         Text of the report, as `render_markdown` returns it.
     is_good : bool
-        Whether the box with the verdict has the colour of a success.
+        Whether the box with the report's main result has the colour of a success.
     pictures : mapping of str to bytes
         SVG or PNG data of each figure of the report, by name.
     views : mapping of str to str
-        HTML to show above a figure, by the figure's name; not printed on paper.
+        HTML elements to insert above figures, by the name of the figure; for example the
+        interactive player of the flights. They are not printed on paper.
     data : str
-        JSON data of the interactive player of flights; empty without a player.
+        JSON data of the flights for the interactive player; empty for a page without player.
 
     Returns
     -------
@@ -66,12 +67,18 @@ _PROGRAM = Path(__file__).with_name("page.js")
 
 
 def _label(inline: Token) -> str:
-    """Return the text of a line of Markdown without formatting, escaped for HTML."""
+    """Return the text of a line of Markdown without its formatting, escaped for HTML.
+
+    The text is a label for screen readers or an entry in the table of contents.
+    """
     return escape("".join(child.content for child in inline.children or ()))
 
 
 def _role(tokens: Sequence[Token], at: int) -> str:
-    """Return the HTML role of a Markdown paragraph in a report.
+    """Return the function of a Markdown paragraph in the HTML report.
+
+    `tokens` are the markdown-it tokens of the report; `at` is the index of the token that opens the
+    paragraph.
 
     Returns
     -------
@@ -98,10 +105,11 @@ _JOINT_OF_CODE = pattern(r"(?<=\w[._/\]])(?=\w)(?<!\d.)")
 
 
 class _PageRenderer(RendererHTML):
-    """Markdown-to-HTML renderer with captions inside figures and tables, and a verdict box.
+    """Markdown-to-HTML renderer that puts captions into figures and tables.
 
-    The methods override rules of markdown-it; each is named after the kind of token that it
-    renders.
+    A block quote of the report becomes the coloured box with the report's main result. Each section
+    becomes an element that the reader can fold. The methods override rules of markdown-it; each is
+    named after the kind of token that it renders.
     """
 
     def paragraph_open(self, tokens: Sequence[Token], idx: int, _: object, env: EnvType) -> str:
@@ -194,7 +202,10 @@ def _is_h2(token: Token) -> bool:
 
 
 def _end_of_section(before: Sequence[Token]) -> str:
-    """Return the HTML tag that closes the section that the given tokens left open; or ""."""
+    """Return the HTML tag that closes the section before a new heading; "" if no section is open.
+
+    `before` are the markdown-it tokens before the heading.
+    """
     if any(map(_is_h2, before)):
         return "</details>\n"
     has_top = any(token.type == "blockquote_close" for token in before)
@@ -202,7 +213,11 @@ def _end_of_section(before: Sequence[Token]) -> str:
 
 
 def _has_view(tokens: Sequence[Token], at: int, views: Mapping[str, str]) -> bool:
-    """Return whether a section has a figure with a view above it, such as the flight player."""
+    """Return whether a report section has a figure with an interactive view (a flight player).
+
+    `at` is the index of the token that opens the section's heading. `views` holds the HTML of each
+    view by the name of its figure.
+    """
     end = next((k for k in range(at + 1, len(tokens)) if _is_h2(tokens[k])), len(tokens))
     children = (child for token in tokens[at:end] for child in token.children or ())
     return any(child.type == "image" and _name(child) in views for child in children)

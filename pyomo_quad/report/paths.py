@@ -84,7 +84,7 @@ _SAME_PLACE = 0.01
 def distinct_paths(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
     """Return the plan and the flights whose paths differ visibly from the plan's path.
 
-    The first of the given flights is the plan.
+    Figures draw only these paths. The first of the given flights is the plan.
     """
     return (flights[0], *_further(flights, COINCIDENT))
 
@@ -156,7 +156,7 @@ def draw_map(flights: Sequence[StyledFlight], mission: Scenario) -> Figure:
 
 
 def mean_wind_of(flight: StyledFlight) -> np.ndarray:
-    """Return the mean wind that a flight meets, components along x and y [m/s].
+    """Return the mean wind along a flight, components along x and y [m/s].
 
     Zero if the flight's table has no columns of the wind.
     """
@@ -196,7 +196,7 @@ def _draw_wind_field(axes: Axes, grid: WindGrid, scale: float) -> None:
     """Draw the horizontal wind of a gridded field as arrows, with a key for their length.
 
     The arrows show the first height and the first time of the field. On a fine grid, only every
-    second, third, ... grid point has an arrow.
+    second, third, ... grid point has an arrow. The field's velocities are multiplied by `scale`.
     """
     every_x, every_y = (1 + len(axis) // _MOST_ARROWS for axis in (grid.x, grid.y))
     components = grid.components[:2].reshape(2, len(grid.x), len(grid.y), -1)
@@ -264,7 +264,10 @@ def draw_space(
 
 
 def leaving_paths(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
-    """Return the flights whose paths are so far from the plan's path that they leave the figure."""
+    """Return the flights whose paths are so far from the plan's path that they leave the figure.
+
+    The first of the given flights is the plan.
+    """
     return _further(flights, ASTRAY)
 
 
@@ -276,7 +279,11 @@ def _further(flights: Sequence[StyledFlight], share: float) -> tuple[StyledFligh
 
 
 def _limits(flights: Sequence[StyledFlight], mission: Scenario | None) -> np.ndarray:
-    """Return the range of each axis of a figure of paths, shape (3, 2), in m."""
+    """Return the range of each axis of a figure of paths, shape (3, 2), in m.
+
+    The ranges include the path of the plan (the first flight), all paths near it, and the parts of
+    the mission's airspace near them.
+    """
     astray = leaving_paths(flights)
     points = np.concatenate([_track(flight) for flight in flights if flight not in astray])
     low, high = points.min(axis=0), points.max(axis=0)
@@ -291,7 +298,7 @@ def _track(flight: StyledFlight) -> np.ndarray:
 
 
 def _distance(flight: StyledFlight, time: np.ndarray, track: np.ndarray) -> float:
-    """Return a flight's largest distance [m] from another track at equal times.
+    """Return the largest distance [m] between a flight and another track at equal times.
 
     Parameters
     ----------
@@ -320,7 +327,11 @@ def _inside(points: np.ndarray, limits: np.ndarray) -> np.ndarray:
 
 
 def _with_airspace(limits: np.ndarray, airspace: Airspace) -> np.ndarray:
-    """Extend the axis limits of a figure to show near zones, the floor and the ceiling."""
+    """Extend the axis limits of a figure of paths towards keep-out zones, floor and ceiling.
+
+    The extension is limited, so that distant zones do not make the paths small. `limits` and the
+    result hold the least and the greatest x, y and z in m, shape (3, 2).
+    """
     room = _AROUND * float(np.ptp(limits, axis=1).max())
     furthest = limits + room * np.array([-1.0, 1.0])
     wanted = limits.copy()

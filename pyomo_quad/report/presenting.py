@@ -82,7 +82,7 @@ class DrawnFigure:
 
 
 def refuse_other_endings(file: Path, name: str) -> None:
-    """Raise an error if a file name does not end in .png, .svg or .pdf.
+    """Raise an error if the file name of a figure does not end in .png, .svg or .pdf.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ def report_plan(plan: "Plan", folder: str | Path, figures: str) -> Path:
     folder : str or Path
         Folder that appears when the report is complete; an earlier report there is replaced.
     figures : str
-        Which figures to write: a value of `Figures`.
+        Formats of the figures: "svg", "png", "all" or "none", the values of `Figures`.
     """
     chosen = _figures(figures)
     with output_folder(folder) as aside:
@@ -194,7 +194,7 @@ def report_run(result: "RunResult", folder: str | Path, figures: str) -> Path:
     folder : str or Path
         Folder that appears when the report is complete; an earlier report there is replaced.
     figures : str
-        Which figures to write: a value of `Figures`.
+        Formats of the figures: "svg", "png", "all" or "none", the values of `Figures`.
     """
     chosen = _figures(figures)
     with output_folder(folder) as aside:

@@ -233,7 +233,7 @@ def write_compare_report(
     comparison : DataFrame
         One row for each flight of each scenario, with the columns of `ComparisonColumn`.
     is_good : bool
-        Whether all plans were verified; sets the colour of the page's verdict.
+        Whether all plans were verified; sets the colour of the box with the page's main result.
     figures : Figures, optional
         Which figures to draw, and in which file formats.
     """
@@ -260,7 +260,7 @@ def _title(plan: "Plan") -> str:
 
 
 def _plan_values(plan: "Plan") -> dict[str, Any]:
-    """Return the template variables that describe a plan."""
+    """Return the variables of the report's template that describe a plan."""
     columns = plan.columns(np.linspace(*plan.trajectories.horizon, FLIGHT_SAMPLES))
     figures = plan.figures_checked
     return {
@@ -291,8 +291,9 @@ def _plan_values(plan: "Plan") -> dict[str, Any]:
 class FreeClimb:
     """Climb whose potential energy exceeds all the energy that the flight uses above hovering.
 
-    This is physically impossible and shows a limitation of power models that do not depend on the
-    airspeed; the report warns of it.
+    Energy above hovering is the energy of the flight less the energy of hovering for the same time.
+    Such a climb is physically impossible. It shows a limitation of power models that do not depend
+    on the airspeed; the report warns of it.
 
     Attributes
     ----------
@@ -313,6 +314,7 @@ class FreeClimb:
 def _free_climb(plan: "Plan") -> FreeClimb | None:
     """Return the mission's climb if its potential energy exceeds the energy used above hovering.
 
+    Energy above hovering is the energy of the plan less the energy of hovering for the same time.
     The result is None for power models that depend on the airspeed and so account for the energy of
     a climb: these are `momentum` and, possibly, a user's model. It is also None if the mission
     releases parcels on the way, because the parcels do not climb to the goal.
@@ -371,7 +373,9 @@ def _wind_words(columns: Mapping[str, np.ndarray]) -> str:
 
 
 def _battery_use(plan: "Plan", columns: Mapping[str, np.ndarray]) -> dict[str, float | None]:
-    """Return a plan's path length and battery use, and the range on a full charge.
+    """Return a plan's path length and battery use, and time and distance on a full charge.
+
+    `columns` are the columns of the plan's trajectory table.
 
     Returns
     -------
@@ -396,7 +400,10 @@ def _battery_use(plan: "Plan", columns: Mapping[str, np.ndarray]) -> dict[str, f
 
 
 def _comparison_values(comparison: "pd.DataFrame") -> dict[str, Any]:
-    """Return the template variables that describe a comparison table."""
+    """Return the variables of the report's template that describe a comparison of flights.
+
+    `comparison` has one row for each flight, with the columns of `ComparisonColumn`.
+    """
     return {
         "column": ComparisonColumn,
         "rows": comparison.to_dict("records"),
@@ -410,7 +417,10 @@ def _comparison_values(comparison: "pd.DataFrame") -> dict[str, Any]:
 
 
 def _run_values(result: "RunResult", replanned: "pd.DataFrame") -> dict[str, Any]:
-    """Return the template variables that describe a run, except the variables of its plan."""
+    """Return the variables of the report's template that describe a run, except its plan.
+
+    `replanned` is the table of the flights whose plan was solved again during the flight.
+    """
     comparison, certificate = result.comparison, result.certificate
     by_name = comparison.set_index(ComparisonColumn.FLIGHT, drop=False).to_dict("index")
     followed, fair = by_name.get(baseline_name(Reference.PLAN)), by_name.get(FAIR_BASELINE)
@@ -453,7 +463,7 @@ def _run_values(result: "RunResult", replanned: "pd.DataFrame") -> dict[str, Any
 
 
 def _is_good(result: "RunResult") -> bool:
-    """Return whether the verdict of a run is good.
+    """Return whether a run succeeded, so that its report shows the main result in green.
 
     The plan must be verified; if it was made for a wind forecast, all flights must arrive.
     """
@@ -463,30 +473,34 @@ def _is_good(result: "RunResult") -> bool:
 
 
 def prepare_figures(figures: Figures) -> None:
-    """Import matplotlib and the module of figures ahead of use, unless no figures are wanted.
+    """Import matplotlib and the module of figures before use, unless no figures are wanted.
 
-    A command calls this function while other processes compute.
+    A command calls this function while other processes compute, which saves time afterwards.
     """
     if figures is not Figures.NONE:
         _gallery()
 
 
 def _gallery() -> ModuleType:
-    """Import the module of figures on first use, because matplotlib takes longer than a solve."""
+    """Import the module `gallery`, which lists the figures of reports, and return it.
+
+    The import is delayed until the first use, because matplotlib takes longer to import than a
+    solve takes.
+    """
     from pyomo_quad.report import gallery  # noqa: PLC0415
 
     return gallery
 
 
 def _from_gallery(listed: Callable[[ModuleType], Iterable[Drawing]]) -> Iterator[Drawing]:
-    """Yield the figures that a function of the gallery lists.
+    """Yield the figures that a function of the module `gallery` lists.
 
-    The gallery is imported when the first figure is requested, so that a report without figures
-    does not import matplotlib.
+    The module is imported when the first figure is requested, so that a report without figures does
+    not import matplotlib.
 
     Parameters
     ----------
     listed : callable
-        Function of the gallery module that returns the figures.
+        Receives the module `gallery` and returns the figures.
     """
     yield from listed(_gallery())

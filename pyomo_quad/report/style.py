@@ -110,7 +110,7 @@ class LineStyle:
         return {"color": self.color, "linestyle": pattern, "linewidth": self.width}
 
 
-#: Styles of curves that are not flights, such as those of a sweep.
+#: Styles of curves that are not flights, such as the curves of a sweep.
 SERIES_STYLES = (
     LineStyle(color=_BLUE, marker="o", width=1.9),
     LineStyle(color=_VERMILION, dashes=(4.5, 1.6), marker="s", hatch="///"),
@@ -193,10 +193,10 @@ def save_figure(
 
 
 def _drawn(draw: Callable[[], Figure]) -> Figure:
-    """Draw a figure, with fixed label positions on unlabelled axes.
+    """Call a function that draws a figure, and return the figure.
 
-    Otherwise matplotlib computes positions for empty labels, which takes a tenth of the drawing
-    time.
+    Axes without labels get fixed label positions. Otherwise matplotlib computes positions for the
+    empty labels, which takes a tenth of the drawing time.
     """
     figure = draw()
     for axes in figure.axes:
@@ -348,16 +348,16 @@ def draw_panels(
 
 
 def keep_span(panels: Iterable[Axes], smallest_span: float) -> None:
-    """Give panels a common vertical scale of at least a given range.
+    """Give panels a common vertical scale that covers at least a given range.
 
-    The least range keeps numerical noise from filling a panel whose curve is constant.
+    This least range keeps numerical noise from filling a panel whose curve is constant.
 
     Parameters
     ----------
     panels : iterable of Axes
         Panels, after drawing.
     smallest_span : float
-        Least difference between the ends of the axis, in the printed unit.
+        Least difference between the upper and the lower end of the axis, in the unit of the axis.
     """
     panels = tuple(panels)
     ends = np.array([axes.dataLim.intervaly for axes in panels])
@@ -421,7 +421,7 @@ class StyledFlight:
 
 
 def plan_flight(plan: "Plan") -> "Flight":
-    """Return the planned flight, named "best iterate" if the solve failed."""
+    """Return the planned flight for figures, named "best iterate" if the solve failed."""
     return plan.flight() if plan.verification is not None else plan.flight(_FAILED_PLAN)
 
 
@@ -483,10 +483,11 @@ def have_equal_durations(flights: Sequence[StyledFlight]) -> bool:
 
 
 def fair_pair(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
-    """Return the plan and the baseline that the energy saving refers to.
+    """Return the plan and the baseline flight with which the plan's energy is compared.
 
     The plan is the first of the given flights. The baseline, `FAIR_BASELINE`, follows a smooth
-    reference trajectory; if it was not flown, the plan is returned alone.
+    reference trajectory that is made without the plan. If no such flight was simulated, the plan is
+    returned alone.
 
     Parameters
     ----------

@@ -251,12 +251,12 @@ def run_summary(result: "RunResult", *, wall_s: Mapping[str, float]) -> dict[str
 
 
 def summary_text(summary: Mapping[str, Any]) -> str:
-    """Return a summary as indented JSON text."""
+    """Return the summary of a report as indented JSON text."""
     return json.dumps(summary, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
-    """Write a summary as `summary.json` into a folder."""
+    """Write the summary of a report as `summary.json` into a folder."""
     (folder / SUMMARY_NAME).write_text(summary_text(summary), encoding="utf-8")
 
 
@@ -309,7 +309,9 @@ _LARGEST_FILE = 256 * 1024 * 1024
 
 
 def read_report(folder: Path, table: str = PLAN_NAME) -> tuple[dict[str, Any], "pd.DataFrame"]:
-    """Read summary and trajectory table of a report folder, which may come from a stranger.
+    """Read summary and trajectory table of a report folder, and check the table.
+
+    The table is checked because the folder may come from an unknown source.
 
     Parameters
     ----------
@@ -347,16 +349,19 @@ AIMS_NAME = "energy_and_charge.csv"
 def read_front(folder: Path) -> "pd.DataFrame | None":
     """Read the energy-time front (least energy against duration) of a report folder.
 
+    Each point of the front is the optimal flight for one price of time: the energy that one second
+    is worth.
+
     Parameters
     ----------
     folder : Path
-        Folder of the report, which may come from a stranger.
+        Folder of the report, which may come from an unknown source.
 
     Returns
     -------
     DataFrame or None
-        One row for each flight, optimal for one price of time (value of a second), with the columns
-        of `FrontColumn`; None if the report has no front.
+        One row for each price of time, with the columns of `FrontColumn`; None if the report has no
+        front.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """Scenarios: complete descriptions of missions, read from TOML files and validated.
 
 A scenario holds vehicle, battery, wind, mission, airspace, limits and settings of the solver.
-Values that its file leaves out come from a library of vehicles, batteries and winds.
+Values that the file leaves out come from a library of vehicles, batteries and winds.
 """
 
 from pyomo_quad.scenario.description import FieldDescription, describe_fields, field_unit

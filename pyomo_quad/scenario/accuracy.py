@@ -1,7 +1,7 @@
 """Accuracy levels of a plan: tolerances of its energy, states and limits.
 
-A vehicle model predicts power to about 2 %. `quick` and `standard` therefore suffice for missions
-that are flown; `proof` is for studies that compare small differences.
+A vehicle model predicts power to about 2 %. The levels `quick` and `standard` therefore suffice for
+real flights; the level `proof` is for studies that compare small differences of energy.
 """
 
 from collections.abc import Mapping
@@ -11,14 +11,14 @@ from types import MappingProxyType
 
 
 class Accuracy(StrEnum):
-    """Levels of accuracy that a plan may be required to have, in ascending order."""
+    """Accuracy that a scenario requires of its plan; the levels are listed in ascending order."""
 
     QUICK = "quick"
     STANDARD = "standard"
     PROOF = "proof"
 
     def meets(self, asked: "Accuracy") -> bool:
-        """Return whether this accuracy is at least as high as the accuracy `asked`."""
+        """Return whether this level is at least as accurate as the required level, `asked`."""
         order = list(Accuracy)
         return order.index(self) >= order.index(asked)
 
@@ -30,15 +30,17 @@ class Figures:
     Attributes
     ----------
     energy : float
-        Relative tolerance of three quantities: the plan's energy compared with the least energy,
-        the energy of the simulation compared with the plan's energy, and the error of the states to
-        which the mesh is refined.
+        Relative tolerance of three quantities: the difference between the plan's energy and the
+        least energy, the difference between the energies of simulation and plan, and the
+        collocation error of the states, at which mesh refinement stops.
     miss : float
-        Deviation of each final state, and of the passage of waypoints, when the controls are
-        simulated without feedback. Its unit is m, m/s or rad; for a state of magnitude above 1, the
-        deviation is divided by this magnitude.
+        Largest deviation of each final state from the mission's goal, and of the position from
+        each waypoint at the time of passing, when the controls are simulated without feedback. The
+        unit is that of the state: m, m/s or rad. For a state of magnitude above 1, the deviation
+        is divided by this magnitude.
     breach : float
-        Violation of a limit between collocation points, relative to the larger of 1 and the limit.
+        Largest violation of a limit between collocation points, divided by the limit's magnitude
+        or by 1, whichever is larger.
     integration : float
         Relative and absolute tolerance of the simulation. This tolerance is far below the other
         tolerances, because errors of a flight without feedback grow about a millionfold in half a

@@ -50,14 +50,14 @@ class Ball(NamedTuple):
     ----------
     axes : tuple of int
         Coordinates in which the distance is measured: 0 for x, 1 for y, 2 for z. Empty for an
-        interval across an edge of a polygon.
+        interval along the normal of a polygon's edge.
     centre : tuple of float
         Centre in these coordinates [m].
     radius : float
         Radius, or half the length of the interval [m].
     normal : tuple of float or None
-        For an interval across an edge: horizontal unit vector normal to the edge, along which the
-        coordinate is measured.
+        For an interval along the normal of a polygon's edge: this normal, a horizontal unit vector.
+        None for all other balls.
     """
 
     axes: tuple[int, ...]
@@ -122,6 +122,9 @@ _STRAIGHT = 1e-9
 def turns_of(corners: Sequence[tuple[float, float]]) -> list[float]:
     """Return twice the signed area of the triangle at each corner of a polygon.
 
+    The sum of the areas is positive if the corners are in counter-clockwise order; an area of zero
+    shows that a corner is on the straight line between its two neighbours.
+
     Parameters
     ----------
     corners : sequence of (float, float)
@@ -142,14 +145,14 @@ def turns_of(corners: Sequence[tuple[float, float]]) -> list[float]:
 
 
 def is_convex(polygon: Any) -> bool:  # noqa: ANN401  shapely has no types that mypy reads here
-    """Return whether a polygon of shapely is convex, to rounding."""
+    """Return whether a polygon (a shapely object) is convex, apart from rounding errors."""
     return bool(polygon.convex_hull.area - polygon.area <= _STRAIGHT * polygon.area)
 
 
 def _refuse_folded(corners: Sequence[tuple[float, float]], what: str) -> None:
     """Raise ValueError unless the corners, in the given order, form a convex polygon.
 
-    The text `what`, the subject of the sentence, begins the error's message.
+    The error message begins with the text `what`, which names the polygon.
     """
     from shapely import Polygon  # noqa: PLC0415  for polygons alone
 
@@ -165,12 +168,13 @@ def _refuse_folded(corners: Sequence[tuple[float, float]], what: str) -> None:
 def _edges_of(
     corners: Sequence[tuple[float, float]],
 ) -> Iterator[tuple[tuple[float, float], float, float]]:
-    """Yield, for each edge of a polygon, its unit normal and the polygon's extent along it.
+    """Yield the unit normal of each edge of a polygon, and the polygon's extent along the normal.
 
     Yields
     ------
     tuple
-        Unit normal, and the least and greatest coordinate of the polygon along the normal [m].
+        Unit normal (x, y), and the least and greatest coordinate of the polygon along the normal
+        [m]. The normal points outwards if the corners are in counter-clockwise order.
     """
     for (x0, y0), (x1, y1) in pairwise((*corners, corners[0])):
         length = hypot(x1 - x0, y1 - y0)
@@ -183,8 +187,9 @@ def _edges_of(
 def _across_edges(corners: Sequence[tuple[float, float]]) -> Iterator[Ball]:
     """Yield, for each edge of a convex polygon, the slab between the edge and the farthest corner.
 
-    The slab is a `Ball` in one coordinate, measured along the edge's normal. Two parallel edges
-    have the same slab, which is yielded only once.
+    A slab is the space between two parallel vertical planes. It is represented by a `Ball` in one
+    coordinate, measured along the edge's normal. Two parallel edges have the same slab, which is
+    yielded only once. The intersection of all slabs is the polygon.
     """
     seen: list[tuple[float, float]] = []
     for normal, low, high in _edges_of(corners):
@@ -275,9 +280,9 @@ class KeepOut(Part):
         return (round_part, _interval(2, self.bottom, self.top))
 
     def ring(self, beyond: float = 0.0) -> "FloatArray":
-        """Return the corners of the zone's polygon, with its edges moved outwards.
+        """Return the corners of the zone's polygon after moving its edges outwards.
 
-        Corners between two edges on one line are left out.
+        Corners on the straight line between their two neighbours are left out.
 
         Parameters
         ----------
@@ -307,8 +312,8 @@ class KeepOut(Part):
     def depth(self, places: "ArrayLike") -> "FloatArray":
         """Return the depth of places inside the zone [m], negative outside.
 
-        Inside, the depth is the distance to the nearest face. Outside, the distance beyond each
-        face is computed, and the depth is minus the largest of these distances.
+        Inside the zone, the depth is the distance to the nearest face. Outside the zone, the depth
+        is minus the largest distance by which the place is beyond a face.
 
         Parameters
         ----------
@@ -330,10 +335,10 @@ def _interval(axis: int, low: float, high: float) -> Ball:
 
 
 class KeepIn(Part):
-    """Fence on the ground; at every height the flight must stay inside the fence.
+    """Fence: a polygon in x and y, inside which the flight must stay at every height.
 
-    The fence is convex. A concave fence is replaced by its convex hull, with keep-out zones for the
-    parts of the hull outside of the fence.
+    The polygon is convex. A concave fence in a scenario file is replaced by its convex hull, and
+    the parts of the hull outside of the fence become keep-out zones.
     """
 
     corners: tuple[Corner, ...] = quantity(
@@ -380,7 +385,7 @@ class KeepIn(Part):
 
 
 class TerrainGrid(Part):
-    """Heights of the ground on a rectilinear grid, read from the file of `airspace.terrain`."""
+    """Heights of the ground on a rectilinear grid, read from the file named `airspace.terrain`."""
 
     x: tuple[Number, ...] = quantity("m", "places along world x, rising")
     y: tuple[Number, ...] = quantity("m", "places along world y, rising")
@@ -407,11 +412,15 @@ class TerrainGrid(Part):
         return _surface(self, side)
 
     def surface_of_ways(self, home: tuple[float, float, float]) -> "Surface":
-        """Return a smooth surface that bounds the ground on all straight ways to a home.
+        """Return a smooth surface of the heights that clear the terrain on straight flights home.
 
-        The height of the surface at a place is at least the height of the ground at every point of
-        the straight way from that place to the home, a position x, y, z [m] whose height z is
-        ignored.
+        At every place, the height of the surface is at least the height of the ground anywhere
+        below the straight horizontal line from this place to the home.
+
+        Parameters
+        ----------
+        home : tuple of float
+            Position x, y, z to which the vehicle returns [m]; z is ignored.
         """
         return _surface_of_ways(self, home)
 
@@ -422,7 +431,7 @@ class TerrainGrid(Part):
 
     @property
     def edges(self) -> dict[str, tuple[int, float, float]]:
-        """The four edges of the grid, by name ("west", "east", "south", "north").
+        """Position of the grid's four edges, by name ("west", "east", "south", "north").
 
         Each value gives the axis (0 for x, 1 for y), the side (-1 for the lower end, 1 for the
         upper) and the coordinate of the edge on that axis [m].
@@ -509,15 +518,16 @@ class Airspace(Part):
     def height_above_ground(self, place: "ArrayLike", side: int = 1) -> "FloatArray":
         """Return the height of places above a smooth surface close to the ground [m].
 
-        Without terrain the ground is the plane z = 0.
+        The floor (least allowed height) and the ceiling (greatest allowed height) are measured
+        from such smooth surfaces. Without terrain the ground is the plane z = 0.
 
         Parameters
         ----------
         place : array_like, shape (..., 3)
             Positions x, y, z [m].
         side : int, default 1
-            1 for the surface that is nowhere below the ground, from which the floor is counted; -1
-            for the surface that is nowhere above, from which the ceiling is counted.
+            1 for the surface that is nowhere below the ground, from which the floor is measured; -1
+            for the surface that is nowhere above the ground, from which the ceiling is measured.
 
         Returns
         -------
@@ -532,7 +542,10 @@ class Airspace(Part):
         return np.asarray(held[..., 2] - self.ground.surface(side).at(held))
 
     def distance_to_height_limits(self, places: "ArrayLike") -> "FloatArray":
-        """Return the distance of places to the nearer of floor and ceiling [m], negative outside.
+        """Return the distance of places to the nearer height limit [m], negative outside.
+
+        The height limits are the floor (least allowed height) and the ceiling (greatest allowed
+        height).
 
         Parameters
         ----------
@@ -554,8 +567,8 @@ class Airspace(Part):
     def complaints(self, place: Sequence[float]) -> Iterator[str]:
         """Yield one message for each reason why a place is outside the airspace.
 
-        A message is the end of a sentence that begins with the name of the place. The message says
-        which limit the place violates and what to change.
+        A message completes a sentence that begins with the name of the place. The message states
+        which limit the place violates and what the user can change.
 
         Parameters
         ----------
@@ -588,6 +601,9 @@ class Airspace(Part):
                 yield f"is inside keep-out {near} by {depth:.3g} m; move one of them"
 
     def with_clearance(self, zone: KeepOut) -> str:
-        """Return the name of a zone for messages, followed by the clearance if it is positive."""
+        """Return a zone's name for messages, followed by the clearance unless it is zero.
+
+        The clearance is the distance that the flight must keep from every keep-out zone.
+        """
         near = f" with its clearance of {self.clearance:g} m" if self.clearance else ""
         return f"{zone.name}{near}"

@@ -43,7 +43,7 @@ class Relaxation(Part):
 
 
 class Thermal(Part):
-    """Temperature of a cell, modelled as one heat capacity that the cell's losses heat."""
+    """Thermal model of a cell: a heat capacity, heated by the cell's losses and cooled by air."""
 
     heat_capacity: Number = quantity(
         "J/K",
@@ -79,7 +79,7 @@ class Thermal(Part):
 
     @property
     def start(self) -> float:
-        """Temperature at the start [K], by default the temperature of the surrounding air."""
+        """Cell temperature at the start of the flight [K], by default the ambient temperature."""
         return (
             self.ambient_temperature
             if self.initial_temperature is None

@@ -34,7 +34,7 @@ class FieldDescription:
     unit : str
         SI unit; empty if the field has none.
     origin : str
-        Where the value comes from: ``default``, ``library NAME``, ``scenario``, ``--set`` or
+        Source of the value: ``default``, ``library NAME``, ``scenario``, ``--set`` or
         ``file NAME``.
     meaning : str
         Meaning of the field, in one line.
@@ -103,7 +103,18 @@ def field_unit(path: str) -> str:
 
 
 def _origin(provenance: Mapping[str, str], path: FieldPath) -> str:
-    """Return the origin of a field's value, or of the list that contains the field."""
+    """Return the origin of a field's value, such as "default" or "library dji_phantom_2".
+
+    If no origin is recorded for the field itself, the origin of the list or table that contains
+    the field is returned.
+
+    Parameters
+    ----------
+    provenance : mapping
+        Recorded origins, by dotted path.
+    path : tuple of str and int
+        Path of the field.
+    """
     held = (provenance.get(spell(path[:length])) for length in range(len(path), 0, -1))
     return next(filter(None, held), "default")
 
@@ -134,7 +145,7 @@ _LIMITS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusi
 
 @dataclass(frozen=True, kw_only=True)
 class WritableField:
-    """Row of the printed table of a file format's fields; every attribute is text."""
+    """Description of a field that users may write in a scenario or study file, as text."""
 
     path: str
     unit: str
@@ -185,7 +196,7 @@ def editor_schema(model: type[BaseModel], title: str, required: tuple[str, ...])
 
 
 def writable_fields(model: type[BaseModel]) -> tuple[WritableField, ...]:
-    """List the fields that a scenario or study file may have, in the order of the schema.
+    """Describe the fields that a scenario or study file may have, in the order of the schema.
 
     Parameters
     ----------
@@ -195,7 +206,7 @@ def writable_fields(model: type[BaseModel]) -> tuple[WritableField, ...]:
     Returns
     -------
     tuple of WritableField
-        Rows of the printed table of fields.
+        Descriptions, one for each row of the documentation's table of fields.
     """
     schema = model.model_json_schema()
     return tuple(_writable(schema, schema.get("$defs", {}), ""))
@@ -204,7 +215,15 @@ def writable_fields(model: type[BaseModel]) -> tuple[WritableField, ...]:
 def _alternative_notations(name: str, field: dict[str, Any]) -> dict[str, Any]:
     """Return the JSON Schema of a field's alternative notations, by key; empty if it has none.
 
-    A place may be given by latitude and longitude, a wind by the direction that it comes from.
+    A place may be given by latitude and longitude; the direction of a wind may be given as the
+    direction from which the wind blows.
+
+    Parameters
+    ----------
+    name : str
+        Name of the field.
+    field : dict
+        JSON Schema of the field.
     """
     found: dict[str, Any] = {}
     if field.get("unit") == "rad" and name == "direction":
@@ -218,7 +237,17 @@ def _alternative_notations(name: str, field: dict[str, Any]) -> dict[str, Any]:
 
 
 def _unit_keys(name: str, field: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return the keys that give a field in another unit, each with the unit in words."""
+    """Return the keys by which a file may give a field in other units, each with the unit's name.
+
+    For example, `roll_max_deg` gives the field `roll_max`, in radians, in degrees.
+
+    Parameters
+    ----------
+    name : str
+        Name of the field.
+    field : mapping
+        JSON Schema of the field.
+    """
     degrees = [(f"{name}{DEGREES}", "degrees")] if field.get("unit") == "rad" else []
     return degrees + [(key, key.partition("_")[2]) for key in field.get("unit_keys", {})]
 
@@ -287,7 +316,7 @@ def _allowed(field: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
 
 
 def _is_ranged(field: Mapping[str, Any], option: Mapping[str, Any]) -> bool:
-    """Return whether a field's plausible range applies to one of the types that it allows.
+    """Return whether a field's plausible range applies to one of the field's allowed types.
 
     The range applies to numbers and lists of numbers, not to words such as "free".
 
@@ -326,12 +355,12 @@ def _range(sound: Mapping[str, Any], option: Mapping[str, Any]) -> str:
 
 
 def _allowed_values(option: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
-    """Return in words the values that a field allows, for one of its types.
+    """Return in words the values that a field accepts, for one of the field's allowed types.
 
     Parameters
     ----------
     option : mapping
-        JSON Schema of this type, such as a number, a list or an enumeration.
+        JSON Schema of the type: a number, a list or an enumeration, for example.
     definitions : mapping
         JSON Schemas to which `option` may refer, by name.
     """
@@ -357,7 +386,7 @@ _SCHEMA_LINE = "#:schema ./scenario.schema.json\n"
 
 
 def shipped_scenarios() -> Mapping[str, Path]:
-    """Return the files of the shipped scenarios by name, short names such as `paper` included."""
+    """Return the path of each shipped scenario by its name, or by a short name such as `paper`."""
     place = next(place for place in _PLACES if place.is_dir())
     found = {f.stem: f for f in sorted(place.glob("*.toml")) if not f.stem.startswith(_STUDY)}
     return {short: found[name] for short, name in _SHORT_NAMES.items() if name in found} | found
@@ -384,7 +413,7 @@ def files_beside(template: str) -> dict[str, Path]:
 
 
 def refuse_no_name(text: str) -> None:
-    """Raise an error if a text cannot be the name of a scenario or vehicle.
+    """Raise an error unless a text is a valid name of a scenario or vehicle.
 
     Raises
     ------

@@ -3,9 +3,9 @@
 The frame of a mission is east-north-up ("enu"): x is east, y north and z up from the origin, in
 metres, and z = 0 is the plane that is tangent to the earth at the origin. The earth's surface lies
 below this plane: by 8 cm at 1 km, by 8 m at 10 km. Latitude and longitude refer to WGS 84. All
-altitudes of a mission must have the same reference level, usually the sea. PROJ (`topocentric`)
-converts between the coordinates; converting a place and converting it back moves it by at most 0.01
-mm.
+altitudes of a mission must have the same reference level, usually the sea. The library PROJ
+(conversion `topocentric`) converts between the coordinates; converting a place and converting it
+back moves it by at most 0.01 mm.
 """
 
 from collections.abc import Mapping
@@ -33,7 +33,7 @@ _HEIGHT = "height"
 
 
 class Frame(StrEnum):
-    """Orientation of the world axes on earth; `ENU`: x east, y north, z up."""
+    """Orientation of the world axes on earth. `ENU` means x east, y north and z up."""
 
     ENU = "enu"
 
@@ -117,7 +117,7 @@ def local_place(
         `latitude` and `longitude` [deg] and, for three coordinates, `altitude` above the sea or
         `height` above the origin [m].
     where : str
-        Start of messages: the file and the field.
+        Beginning of error messages: the file and the field.
     origin : GeodeticOrigin or None
         Position of x = y = z = 0 on earth.
     count : int

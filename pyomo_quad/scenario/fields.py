@@ -1,7 +1,7 @@
 """Declaration of scenario fields with unit, meaning and plausible range; access by dotted path.
 
-Fields are in nested tables, as in TOML. A path such as `mission.goal.position[2]` is a tuple of
-keys and list indices.
+Fields are in nested tables, as in TOML. A dotted path such as `mission.goal.position[2]` locates a
+field; in the program it is a tuple of keys and list indices.
 """
 
 import re
@@ -42,10 +42,10 @@ _ONE_LINE = r"^[^\x00-\x1f\x7f-\x9f\u2028\u2029]*$"
 
 
 class Sound(NamedTuple):
-    """Plausible range of a scenario field with a number, and the reason for the range in words.
+    """Plausible range of a numeric scenario field, and the reason for the range in words.
 
-    A number outside the range is refused: it is a typing error or has a wrong unit, and might cause
-    overflow.
+    A number outside the range is refused, because it is a typing error or has a wrong unit, and
+    might cause overflow.
 
     Attributes
     ----------
@@ -54,14 +54,14 @@ class Sound(NamedTuple):
     because : str
         Reason, for messages and for the table of fields.
     sign : str
-        Bound at 0 that applies besides the range: "gt" (above 0), "ge" (0 or above) or none.
+        Bound at 0 that applies in addition to the range: "gt" (greater than 0), "ge" (at least 0)
+        or "" (none).
     """
 
     low: float
     high: float
     because: str
     sign: str = ""
-    """Bound at 0 that holds whatever is plausible: `gt`, `ge`, or none."""
 
 
 def positive(low: float, high: float, because: str) -> Sound:
@@ -110,8 +110,9 @@ class Part(BaseModel):
     def _record(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Serialise the table for a record, such as the scenario in the summary of a report.
 
-        Fields that older records lack are left out while they have their default, so that records
-        of unchanged scenarios remain equal.
+        A field that is newer than some stored records is left out if its value is the default.
+        The record of an unchanged scenario therefore equals the record that an earlier version
+        stored.
         """
         written: dict[str, Any] = dump(self)
         for name, field in type(self).model_fields.items():
@@ -122,7 +123,7 @@ class Part(BaseModel):
 
 
 def number_in_text(text: str) -> float:
-    """Convert the text of a number, in ASCII notation, ignoring surrounding blanks.
+    """Convert the text of a number, written in ASCII, to a float; surrounding blanks are ignored.
 
     Returns
     -------
@@ -162,13 +163,15 @@ def quantity(
     description : str
         Meaning of the field, in one line.
     default : object, optional
-        Value if neither scenario nor library gives one; without it the field is required.
+        Value if neither scenario nor library gives a value; without a default the field is
+        required.
     allowed : str, optional
-        Allowed texts in words, if the field has a pattern that is hard to read.
+        Description of the allowed texts, for a field whose texts must match a regular expression.
     example : str, optional
         Example value in TOML, for the message on a missing field.
     other_names : tuple of str, optional
-        Keys that users may write by mistake for this field; the message then names the field.
+        Keys that users may write by mistake for this field, such as `time` for `duration`; the
+        error message then names the field.
     sound : Sound, optional
         Plausible range of the number.
     is_late : bool, optional
@@ -176,8 +179,8 @@ def quantity(
         is read with the field's default, and new records leave the field out while its value is the
         default.
     initial : object, optional
-        Value that a scenario gets if its file leaves the field out, where this differs from
-        `default`; `default` then is only the value of stored scenarios (records) without the field.
+        Value that a scenario gets if its file leaves the field out, if this value differs from
+        `default`. Then `default` applies only to stored scenarios (records) without the field.
     unit_keys : mapping, optional
         Further keys by which a file may give the field in another unit; each with the factor from
         that unit to `unit`.
@@ -238,12 +241,19 @@ def unit_of(model: type[BaseModel], name: str) -> str:
 
 
 def allowed_text(model: type[BaseModel], name: str) -> str:
-    """Return the allowed texts of a table's field, in words.
+    """Return the description of the texts that a field accepts, for error messages.
+
+    Parameters
+    ----------
+    model : type of BaseModel
+        Model of the table that has the field.
+    name : str
+        Name of the field.
 
     Returns
     -------
     str
-        Words that follow "must be" in a message; empty if the field declares none.
+        Words that follow "must be" in a message; empty if the field has no such description.
     """
     return str(_declared_with(model, name, "allowed"))
 
@@ -323,13 +333,13 @@ _STEP = re.compile(r"([A-Za-z0-9_-]+)((?:\[[0-9]{1,3}\])*)")
 
 
 def parse_path(text: str) -> FieldPath | None:
-    """Split a path such as `mission.goal.position[2]` into keys and indices.
+    """Split a field's path such as `mission.goal.position[2]` into keys and list indices.
 
     Returns
     -------
     tuple of str and int, or None
-        The steps, such as ``("mission", "goal", "position", 2)``; None if the text is not a path or
-        has more steps than any field.
+        Keys and indices, such as ``("mission", "goal", "position", 2)``; None if the text is not a
+        path, or is longer than the path of any field.
     """
     steps: list[str | int] = []
     for part in text.strip().split("."):
@@ -344,7 +354,7 @@ def parse_path(text: str) -> FieldPath | None:
 
 
 def spell(path: FieldPath) -> str:
-    """Write a path's keys and indices as text, such as `mission.goal.position[2]`."""
+    """Return a path, given as keys and list indices, as text: `mission.goal.position[2]`."""
     text = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in path)
     return text.removeprefix(".")
 
@@ -401,7 +411,10 @@ def is_number(value: object) -> TypeGuard[float]:
 
 
 def value_at(tree: Any, *place: str | int) -> Any:  # noqa: ANN401  before validation
-    """Return the value at a path of nested tables and lists; None if the path does not exist."""
+    """Return the value at a path in nested tables and lists; None if the path does not exist.
+
+    The path `place` consists of table keys and list indices.
+    """
     for step in place:
         is_listed = isinstance(tree, list | tuple) and isinstance(step, int) and step < len(tree)
         tree = tree.get(step) if isinstance(tree, Mapping) else tree[step] if is_listed else None
@@ -409,7 +422,10 @@ def value_at(tree: Any, *place: str | int) -> Any:  # noqa: ANN401  before valid
 
 
 def table_at(tree: Any, *place: str | int) -> Mapping[str, Any]:  # noqa: ANN401  before validation
-    """Return the table at a path of nested tables; empty if there is no table."""
+    """Return the table at a path in nested tables and lists; an empty table if there is none.
+
+    The path `place` consists of table keys and list indices.
+    """
     found = value_at(tree, *place)
     return found if isinstance(found, Mapping) else {}
 

@@ -1,8 +1,8 @@
 """Zones with polygonal ground plan: division into convex parts, and import from GeoJSON.
 
-Keep-out zones must be convex: the model requires a place to be beyond at least one face of a zone,
-and only for convex zones are these exactly the places outside of the zone.  A concave polygon is
-divided into convex zones NAME-1, NAME-2 and so on, which share edges without gaps.  A concave fence
+Keep-out zones must be convex: the model requires each place of the flight to be beyond at least one
+face of a zone, and only for a convex zone is this equivalent to being outside. A concave polygon is
+divided into convex zones NAME-1, NAME-2 and so on, which share edges without gaps. A concave fence
 is replaced by its convex hull, and the parts of the hull outside of the fence become keep-out zones
 fence-1, fence-2 and so on.
 """
@@ -27,9 +27,9 @@ _Ring = list[tuple[float, float]]
 
 
 def in_convex_parts(airspace: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the table `airspace` with its concave polygons divided into convex parts.
+    """Return a scenario's table `airspace` with concave polygons divided into convex parts.
 
-    Invalid polygons are not changed; the validation of the scenario refuses them later.
+    Invalid polygons are not changed; the later validation of the scenario rejects them.
 
     Parameters
     ----------
@@ -68,9 +68,10 @@ def _parts_of_zone(zone: Mapping[str, Any]) -> list[Any]:
 
 
 def _polygon_of(written: Any) -> Any:  # noqa: ANN401  before validation, and see `is_convex`
-    """Return the polygon (of shapely) with the corners that a scenario file gives.
+    """Convert corners as written in a scenario file to a shapely polygon.
 
-    None if the corners are not pairs of numbers, or the outline crosses itself or encloses no area.
+    The result is None if the corners are not pairs of numbers, or if the outline crosses itself or
+    encloses no area.
     """
     from shapely import Polygon  # noqa: PLC0415  for polygons alone
 
@@ -121,7 +122,7 @@ def convex_parts(polygon: Any) -> list[_Ring]:  # noqa: ANN401  see `is_convex`
 
 
 def _plain(polygon: Any) -> _Ring:  # noqa: ANN401  see `is_convex`
-    """Return a polygon's corners, except corners on the straight line between two neighbours."""
+    """Return a polygon's corners, without corners on the line between their two neighbours."""
     ring = [(float(x), float(y)) for x, y in polygon.exterior.coords[:-1]]
     extent = polygon.area
     kept = []
@@ -133,7 +134,7 @@ def _plain(polygon: Any) -> _Ring:  # noqa: ANN401  see `is_convex`
 
 
 def _cut_off(polygon: Any) -> tuple[_Ring, list[_Ring]]:  # noqa: ANN401  see `is_convex`
-    """Return the convex hull of a polygon, and convex parts of the hull outside the polygon."""
+    """Return a polygon's convex hull, and the hull's part outside the polygon, in convex parts."""
     from shapely import Polygon  # noqa: PLC0415  see `_polygon_of`
 
     hull = polygon.convex_hull
@@ -153,7 +154,7 @@ def read_footprints(file: Path, place: str, origin: GeodeticOrigin | None) -> li
         the property `top` (or `height`), and may have `bottom` (or `min_height`), both in m above
         the origin, and `name`.
     place : str
-        Start of messages: the field that names the file.
+        Beginning of error messages: the scenario field that names the file.
     origin : GeodeticOrigin or None
         Position of x = y = z = 0 on earth.
 
@@ -197,7 +198,7 @@ def read_footprints(file: Path, place: str, origin: GeodeticOrigin | None) -> li
 
 
 def _as_name(text: str) -> str:
-    """Convert a text to a valid name of a zone; other characters become underscores."""
+    """Convert a text to a valid zone name; characters not allowed in names become underscores."""
     kept = "".join(c if c.isascii() and (c.isalnum() or c in "_.-") else "_" for c in text)
     return kept[:40] if kept[0].isalnum() else f"zone{kept[:36]}"
 
@@ -232,7 +233,10 @@ def _height(
 
 
 def _polygons(feature: Any, where: str) -> Iterator[list[Any]]:  # noqa: ANN401  untrusted
-    """Yield the rings of each polygon of a GeoJSON feature, the outer ring first."""
+    """Yield the rings (closed outlines) of each polygon of a GeoJSON feature, the outer one first.
+
+    Error messages begin with the text `where`.
+    """
     geometry = feature.get("geometry") if isinstance(feature, Mapping) else None
     told = geometry if isinstance(geometry, Mapping) else {}
     kind, held = told.get("type"), told.get("coordinates")
@@ -245,7 +249,17 @@ def _polygons(feature: Any, where: str) -> Iterator[list[Any]]:  # noqa: ANN401 
 
 
 def _in_metres(rings: list[Any], origin: GeodeticOrigin, where: str) -> Any:  # noqa: ANN401
-    """Return the polygon of an outer ring and holes, x and y from the origin [m]."""
+    """Convert a polygon's rings, in degrees, to a shapely polygon in metres from the origin.
+
+    Parameters
+    ----------
+    rings : list
+        Rings of a GeoJSON polygon (longitude, latitude): the outline, then any holes.
+    origin : GeodeticOrigin
+        Position of x = y = 0 on earth.
+    where : str
+        Beginning of error messages: the file and the feature.
+    """
     from shapely import Polygon  # noqa: PLC0415  see `_polygon_of`
 
     found = []

@@ -1,7 +1,7 @@
 """Reading of data on a rectilinear grid, such as wind or terrain, from NetCDF, CSV or Parquet.
 
-The file may come from a stranger: it is read as data only, is bounded in size, and is checked
-completely before use.
+The file may come from an untrusted source. It is therefore read as data only, is bounded in size,
+and is checked completely before use.
 """
 
 from collections.abc import Mapping
@@ -53,7 +53,7 @@ _SKEW = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class Quantity:
-    """Description of a physical quantity that files give on a grid, such as wind or height.
+    """Names and units by which files give a physical quantity on a grid, such as wind or height.
 
     Attributes
     ----------
@@ -112,7 +112,7 @@ def read_gridded(file: Path, place: str, quantity: Quantity) -> Gridded:
         NetCDF with names and units of the CF conventions, or a CSV or Parquet table with one row
         for each grid point. x and y may be longitude and latitude.
     place : str
-        Start of messages: the field that names the file.
+        Beginning of error messages: the scenario field that names the file.
     quantity : Quantity
         Names and units of the quantity in files.
 
@@ -143,9 +143,9 @@ def read_gridded(file: Path, place: str, quantity: Quantity) -> Gridded:
 def in_metres(field: Gridded, origin: GeodeticOrigin | None, place: str) -> Gridded:
     """Convert the axes of gridded data to metres from the mission's origin.
 
-    Longitude and latitude are converted along the middle lines of the grid.  Meridians converge
-    toward the poles; therefore a grid is refused if it spans so much of the earth that it is skewed
-    in metres.
+    Longitude and latitude are converted along the middle lines of the grid. Meridians converge
+    toward the poles; a grid is refused if it spans so much of the earth that this convergence
+    noticeably skews the grid in metres.
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ def in_metres(field: Gridded, origin: GeodeticOrigin | None, place: str) -> Grid
     origin : GeodeticOrigin or None
         Position of x = y = z = 0 on earth.
     place : str
-        Start of messages: the field that names the file.
+        Beginning of error messages: the scenario field that names the file.
     """
     axes = dict(field.axes)
     if field.is_above_sea and origin is not None:
@@ -246,8 +246,8 @@ def _listed(axes: tuple[str, ...]) -> str:
 def _named(variables: Mapping[Any, Any], names: tuple[str, ...]) -> Any:  # noqa: ANN401
     """Return the variable of a NetCDF file that has one of the given names, or None.
 
-    A given name is compared with a variable's attribute `standard_name` and with its own name.
-    Earlier names have precedence.
+    Each name is compared with the attribute `standard_name` and with the name of every variable.
+    Names that come first in the list have precedence.
     """
     held = list(variables.values())
     for name in names:
@@ -328,7 +328,7 @@ def _from_table(file: Path, place: str, quantity: Quantity) -> Gridded:
 
 
 def _check_columns(columns: list[str], place: str, quantity: Quantity) -> None:
-    """Raise an error if a table lacks a column of the quantity, or has an unknown column."""
+    """Raise an error if a file's table lacks a required column or has an unknown column."""
     here, beside = list(_AXIS_COLUMNS.values())[:2], quantity.columns[quantity.needed :]
     known = (*(_AXIS_COLUMNS[axis] for axis in quantity.axes), *quantity.columns)
     needed = (*here, *quantity.columns[: quantity.needed])
@@ -347,9 +347,10 @@ def _check_columns(columns: list[str], place: str, quantity: Quantity) -> None:
 
 
 def _rising(field: Gridded, place: str) -> Gridded:
-    """Sort the grid points of gridded data, and drop axes of height or time with a single point.
+    """Sort gridded data by ascending axes; drop a height or time axis with a single point.
 
-    Raises ScenarioError for a file without x or y, or with too many values.
+    Raises a ScenarioError, whose message begins with `place`, if the data lack the axis x or y or
+    have too many values.
     """
     axes, components = dict(field.axes), field.components
     for lacking in (axis for axis in PLACE_AXES if axis not in axes):
@@ -369,14 +370,14 @@ def _rising(field: Gridded, place: str) -> Gridded:
 
 
 def check_axes(axes: Mapping[str, FloatArray], place: str) -> None:
-    """Raise an error if an axis of gridded data has too few, too distant or repeated points.
+    """Raise an error if an axis of gridded data has too few, repeated or implausibly large values.
 
     Parameters
     ----------
     axes : mapping
         Ascending grid points of each axis by name, in SI units.
     place : str
-        Start of messages: the field that names the file.
+        Beginning of error messages: the scenario field that names the file.
     """
     for name, points in axes.items():
         most, unit = (LATEST_TIME, "s") if name == "time" else (_FARTHEST_M, "m")

@@ -191,13 +191,24 @@ def _parsed(overrides: Sequence[str]) -> dict[FieldPath, Any]:
 
 
 def assignments_of(tables: Mapping[str, Any], source: str) -> dict[FieldPath, Any]:
-    """Return the value of each field that a mapping gives, by nested tables or by dotted paths.
+    """Return the fields and values of a mapping whose keys are nested tables or dotted paths.
+
+    Parameters
+    ----------
+    tables : mapping
+        Nested as in a scenario file, or dotted path -> value, or both mixed.
+    source : str
+        Beginning of error messages: the name of the scenario or of the overrides.
+
+    Returns
+    -------
+    dict
+        Value of each field, by its path as a tuple of keys and list indices.
 
     Raises
     ------
     ScenarioError
-        If the tables are nested too deep, or a path cannot be the path of a field. The message
-        begins with `source`.
+        If the tables are nested too deep, or a key is not a valid path of a field.
     """
     refuse_deep(tables, source)
     assignments: dict[FieldPath, Any] = {}

@@ -1,4 +1,4 @@
-"""Error messages about a user's input, one line each: field, value found, values allowed."""
+"""Error messages about a user's input, one line each: field, value found and allowed values."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
@@ -52,10 +52,10 @@ def complaints(
     prefix: FieldPath = (),
     spared: Sequence[FieldPath] = (),
 ) -> list[tuple[FieldPath, str]]:
-    """Convert the validation errors of pydantic to messages of one line.
+    """Convert pydantic's validation errors of a table to messages of one line each.
 
-    Unknown keys come first. An unknown key is probably a misspelt field. If a required field seems
-    to be misspelt, only the unknown key is reported, and not the missing field.
+    Messages about unknown keys come first. An unknown key is often a misspelt field. If an unknown
+    key resembles a missing required field, only the unknown key is reported.
 
     Parameters
     ----------
@@ -66,8 +66,8 @@ def complaints(
     prefix : tuple, optional
         Path of the table in the file, put before the paths in messages.
     spared : sequence of tuple, optional
-        Paths in which missing and contradictory fields are not reported, because the source of
-        their values has already failed.
+        Paths below which missing and contradictory fields are not reported, because a file or
+        library entry that should supply their values has already caused an error.
 
     Returns
     -------
@@ -103,17 +103,18 @@ _MOST_LINES = 20
 
 
 def listed(lines: Sequence[str]) -> str:
-    """Join messages, one per line; from the twenty-first on, messages are only counted."""
+    """Join messages, one per line; only the first 20 are listed, and the rest are counted."""
     more = len(lines) - _MOST_LINES
     left_out = [f"... and {more} more."] if more > 0 else []
     return "\n".join([*lines[:_MOST_LINES], *left_out])
 
 
 def _without_branches(path: FieldPath, model: type[BaseModel]) -> FieldPath:
-    """Return the path of an error of pydantic without names of types, which the file lacks.
+    """Return the path of a pydantic error without the type name that pydantic may append.
 
     For a field that accepts a number or a word, such as `mission.duration`, pydantic reports an
-    error for each type, and adds the type's name to the path.
+    error for each type, and appends the type's name to the field's path. The scenario file has no
+    such key.
     """
     table, _ = declared_place(model, path[:-1])
     last = path[-1] if path else None
@@ -154,7 +155,7 @@ def printable(text: str) -> str:
 
 
 def field_paths(model: type[BaseModel], prefix: FieldPath = ()) -> Iterator[FieldPath]:
-    """Yield the paths of all fields of a table and of the tables in it.
+    """Yield the paths of all fields of a table, including the fields of nested tables.
 
     Parameters
     ----------
@@ -174,7 +175,7 @@ def field_paths(model: type[BaseModel], prefix: FieldPath = ()) -> Iterator[Fiel
 def declared_place(
     model: type[BaseModel], place: Sequence[str | int]
 ) -> tuple[type[BaseModel], str]:
-    """Find the table that a path leads to, and the unit of its last field.
+    """Find the innermost table on a path, and the unit of the field at the end of the path.
 
     Parameters
     ----------
@@ -186,7 +187,7 @@ def declared_place(
     Returns
     -------
     tuple of (type, str)
-        Model of the innermost table on the path, and the unit string of the field in it.
+        Model of the innermost table, and unit string of the last field.
     """
     table, unit = model, ""
     for step in place:
@@ -265,13 +266,16 @@ def _unknown_key(
 
 
 def _meant(table: type[BaseModel], unknown: str) -> list[str]:
-    """Return the fields, or keys in other units, that an unknown key probably stands for."""
+    """Return the keys of a table that a user probably meant by an unknown key.
+
+    The keys include keys for other units, such as `roll_max_deg`.
+    """
     meant = [name for name in table.model_fields if unknown in other_names_of(table, name)]
     return meant or get_close_matches(unknown, [*table.model_fields, *unit_keys_of(table)], n=1)
 
 
 def _example(model: type[BaseModel], name: str) -> str:
-    """Return an example value of a field in TOML; for a table, its required fields."""
+    """Return an example value of a field in TOML; for a table, of its required fields."""
     nested = table_of(model, name)
     if nested is None:
         return example_of(model, name)
@@ -283,7 +287,7 @@ def _example(model: type[BaseModel], name: str) -> str:
 
 
 def table_of(model: type[BaseModel], name: str) -> type[BaseModel] | None:
-    """Return the class of the table, or of the tables in a list, that a field holds.
+    """Return the model class of the table, or list of tables, that is a field's value.
 
     Parameters
     ----------
@@ -295,7 +299,7 @@ def table_of(model: type[BaseModel], name: str) -> type[BaseModel] | None:
     Returns
     -------
     type of BaseModel or None
-        None if the field holds anything else.
+        None if the field's value is neither a table nor a list of tables.
     """
     field = model.model_fields.get(name)
     annotation: Any = field.annotation if field is not None else None
@@ -312,7 +316,7 @@ class PyomoQuadError(Exception):
 
 
 class ScenarioError(PyomoQuadError, ValueError):
-    """Error: a scenario, or a file that it refers to, has an invalid value."""
+    """Error: a scenario, or a file to which the scenario refers, has an invalid value."""
 
 
 class FeasibilityError(PyomoQuadError, ValueError):
@@ -329,8 +333,8 @@ def refuse(place: str, reason: str) -> NoReturn:
     Parameters
     ----------
     place : str
-        Start of the message: the field that names the file.
+        Beginning of the error message: the scenario field that names the file.
     reason : str
-        The fault and its remedy, as the rest of the sentence.
+        Rest of the message: the fault of the file, and what the user can do.
     """
     raise ScenarioError(f"{place}; {reason}.") from None

@@ -47,24 +47,24 @@ class Aim(StrEnum):
 
 
 class Order(StrEnum):
-    """Order in which the waypoints are passed: as given, or with the least energy."""
+    """Order in which the waypoints are passed: the given order, or the order of least energy."""
 
     GIVEN = "given"
     BEST = "best"
 
 
 class Yaw(StrEnum):
-    """Whether the heading of the vehicle may change in flight: free, or kept constant."""
+    """Constraint on the heading in flight: free to change, or kept constant."""
 
     FREE = "free"
     KEPT = "kept"
 
 
 class Waypoint(Part):
-    """Place to pass between start and goal.
+    """Place that the flight must pass between start and goal.
 
-    A waypoint may prescribe the distance within which the flight must pass, a time of hovering, a
-    heading, a largest speed, a time of passing and a release of payload.
+    A waypoint may prescribe the largest distance at which it counts as passed, a time of hovering,
+    a heading, a largest speed, a time of passing and a release of payload.
     """
 
     position: Triple = quantity(
@@ -103,7 +103,11 @@ class Waypoint(Part):
 
 
 class ReturnFlight(Part):
-    """Steady, level return flight; a plan must keep battery charge for it, with a margin."""
+    """Steady return flight to a landing place, for which a plan must keep battery charge.
+
+    The table states the margin of the charge, the airspeed, the rate of climb over terrain, and
+    the battery current in level flight and in climb.
+    """
 
     margin: Number = quantity(
         "1",
@@ -140,12 +144,12 @@ class ReturnFlight(Part):
 
 
 class NamedDuration(NamedTuple):
-    """Duration, with the scenario field that sets the duration, for messages.
+    """Duration, and the scenario field that prescribes it, which error messages name.
 
     Attributes
     ----------
     field : str
-        Dotted path of the field.
+        Dotted path of the scenario field.
     value : float
         Duration [s].
     """
@@ -248,7 +252,7 @@ class Mission(Part):
 
     @property
     def named_positions(self) -> tuple[tuple[str, tuple[float, float, float]], ...]:
-        """Positions of start, waypoints and goal [m], each with the path of its field."""
+        """Dotted field path and position x, y, z [m] of start, each waypoint and goal, in order."""
         waypoints = (f"waypoints[{k}]" for k in range(len(self.waypoints)))
         names = ("start", *waypoints, "goal")
         fields = (f"mission.{name}.position" for name in names)
@@ -261,7 +265,7 @@ class Mission(Part):
 
     @property
     def is_turning(self) -> bool:
-        """Whether start, waypoints and goal do not all have the same heading."""
+        """Whether the prescribed headings of start, waypoints and goal differ."""
         asked = [waypoint.yaw for waypoint in self.waypoints if waypoint.yaw is not None]
         return any(yaw != self.start.yaw for yaw in (*asked, self.goal.yaw))
 
@@ -269,13 +273,14 @@ class Mission(Part):
         """Return the times at which waypoints are reached and left, and the end time.
 
         A leg is the flight from one place (start, waypoint or goal) to the next. If a waypoint or
-        the goal has a prescribed time, the legs before it are stretched or shortened in proportion
-        to meet it.
+        the goal has a prescribed time, the durations of all legs since the previous prescribed
+        time, or since the start, are multiplied by the factor with which the flight arrives at the
+        prescribed time.
 
         Parameters
         ----------
         legs : sequence of float
-            Desired time of each leg [s].
+            Desired duration of each leg [s], without the times of hovering at waypoints.
 
         Returns
         -------
@@ -301,12 +306,12 @@ class Mission(Part):
 
     @property
     def is_free(self) -> bool:
-        """Whether the plan chooses the duration."""
+        """Whether the duration is free, so that the optimiser chooses it."""
         return self.duration == FREE
 
     @property
     def fixed_duration(self) -> float:
-        """Prescribed duration [s]; `Scenario.lasting` fixes a free duration.
+        """Prescribed duration [s]. A free duration can be fixed by `Scenario.lasting`.
 
         Raises
         ------
@@ -321,7 +326,7 @@ class Mission(Part):
 
     @property
     def duration_limits(self) -> tuple[float, float]:
-        """Least and greatest duration [s], which are equal if the duration is fixed."""
+        """Least and greatest allowed duration [s], which are equal if the duration is fixed."""
         if not isinstance(self.duration, str):
             return self.duration, self.duration
         return (
@@ -336,11 +341,11 @@ class Mission(Part):
         return NamedDuration(f"mission.{field}", self.duration_limits[1])
 
     def chosen(self, duration: float) -> dict[str, float | str | None]:
-        """Return the fields that replace a free duration by a fixed duration.
+        """Return the fields of the mission that must change if a free duration is fixed.
 
-        The limits on the duration, and the price of time (the value of a second, in W), are set to
-        their defaults. If the mission's aim is least time, it becomes least energy, because the
-        time is then fixed.
+        The limits on the duration, and the price of time (energy equivalent of a second, in W), are
+        set to their defaults. If the mission's aim is least time, the aim is changed to least
+        energy, because the duration is now fixed.
 
         Parameters
         ----------

@@ -9,12 +9,12 @@ if TYPE_CHECKING:
 
 
 def packed(values: "FloatArray") -> str:
-    """Encode an array as text, in C order (the last axis varies fastest)."""
+    """Encode an array of numbers as text, in C order (the last axis varies fastest)."""
     return b64encode(compress(values.astype("<f8").tobytes(), level=1)).decode("ascii")
 
 
 def unpacked(text: str) -> "FloatArray":
-    """Decode a text that `packed` made, as a one-dimensional array in C order."""
+    """Decode a text that the function `packed` made, to a one-dimensional array in C order."""
     import numpy as np  # noqa: PLC0415  reading a scenario does without it
 
     return np.frombuffer(decompress(b64decode(text)), dtype="<f8")

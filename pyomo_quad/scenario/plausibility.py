@@ -32,7 +32,7 @@ _OF_MOTORS = (PowerModel.MOTOR, PowerModel.MOTOR_WITH_FRICTION)
 
 @dataclass(frozen=True, kw_only=True)
 class Contradiction:
-    """Contradiction between numbers of a vehicle.
+    """Physical contradiction between the numbers of a vehicle.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Contradiction:
 
 
 def created_power(vehicle: Vehicle, power: Power, gravity: float) -> str:
-    """Check that the motors do not create power in hover.
+    """Return an error message if, in hover, motors give out more power than they take in.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def created_power(vehicle: Vehicle, power: Power, gravity: float) -> str:
     Returns
     -------
     str
-        Message about motors that give out more power than they take in; empty otherwise.
+        Error message; empty if the motors create no power.
     """
     motor = vehicle.motor
     if power.model not in _OF_MOTORS or motor is None:
@@ -121,11 +121,12 @@ def contradictions(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[C
 
 
 def remarks(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[str]:
-    """Yield remarks on numbers that are possible but unusually good.
+    """Yield remarks on a vehicle's numbers that are possible but unusually good.
 
-    There are two kinds of remark. One is on a product k_t k_v that differs from 1 by a little,
-    which rounding of the two constants may explain. The other is on rotors with an unusually high
-    figure of merit (ideal power divided by shaft power in hover).
+    A first kind of remark concerns motors for which the product of torque constant and voltage
+    constant differs slightly from 1, which may be due to rounding of the two constants. A second
+    kind concerns rotors with an unusually high figure of merit (ideal power divided by shaft power
+    in hover).
 
     Parameters
     ----------
@@ -165,8 +166,9 @@ def _motor_constants(motor: MotorConstants) -> str:
 def _least_speed(motor: MotorConstants, drag_torque_coefficient: float) -> float:
     """Return the least rotor speed [rad/s] at which a motor creates no power.
 
-    The copper loss grows with the speed. Above the returned speed the loss exceeds the power that
-    k_t k_v > 1 creates; 0 if the motor creates no power at any speed.
+    A motor whose product of torque constant and voltage constant exceeds 1 creates power. The
+    motor's copper loss grows with the speed, and exceeds the created power above the returned
+    speed. The result is 0 if the motor creates no power at any speed.
     """
     created = max(0.0, motor.torque_constant - 1 / motor.voltage_constant)
     return created / (motor.resistance * drag_torque_coefficient / motor.torque_constant)
@@ -182,16 +184,16 @@ def _remedy(motor: MotorConstants) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class _Hover:
-    """Powers of a vehicle in hover, for comparison of shaft power and ideal power.
+    """Shaft power and ideal power of a vehicle in hover, with words for messages on them.
 
     Attributes
     ----------
     start : str
-        Beginning of a message, which states the shaft power.
+        Words with which a message begins; they state the shaft power.
     shaft_W, ideal_W : float
-        Power at the shafts of all rotors, and power of ideal rotors.
+        Power at the shafts of all rotors, and power of ideal rotors of the same disc area [W].
     radius : str
-        Rotor radius and its origin in words.
+        Rotor radius and its origin, in words.
     """
 
     start: str
@@ -201,10 +203,10 @@ class _Hover:
 
 
 def _hover(vehicle: Vehicle, power: Power, gravity: float) -> _Hover | None:
-    """Return shaft power and ideal power of hover.
+    """Return the shaft power and the ideal power of a vehicle in hover.
 
-    None for the power model `momentum`, whose power does not come from the drag torque, and for
-    coaxial rotors, whose disc area is not known.
+    The result is None for the power model `momentum`, which does not compute the power from the
+    rotors' drag torque, and for coaxial rotors, whose disc area is not known.
     """
     if power.model is PowerModel.MOMENTUM:
         return None  # this model's powers are at least those of ideal rotors

@@ -1,7 +1,7 @@
 """Completion of a scenario's tables from defaults, library, data files and overrides.
 
-The origin of each value is recorded. TOML documents may come from strangers: they are read as data
-only, and are bounded in size and depth.
+The origin of each value is recorded. TOML documents may come from untrusted sources. They are
+therefore read as data only, and are bounded in size and depth.
 """
 
 import re
@@ -68,7 +68,7 @@ _LONG_KEY = re.compile(r"(?<![^.,=\n\[\]{}])(?:[^.,=\n\[\]{}]*+\.){32}")
 
 
 def read_toml(file: Path) -> dict[str, Any]:
-    """Read a TOML file that may come from a stranger.
+    """Read a TOML file that may come from an untrusted source.
 
     Parameters
     ----------
@@ -124,14 +124,14 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def refuse_deep(tables: Mapping[str, Any], source: str) -> None:
-    """Raise ScenarioError for tables that are nested deeper than any scenario.
+    """Raise a ScenarioError if tables are nested deeper than any valid scenario.
 
     Parameters
     ----------
     tables : mapping
         Nested tables.
     source : str
-        Start of the message: the name of the file.
+        Beginning of the error message: the name of the file.
     """
     if depth(tables, DEEPEST_NESTING) > DEEPEST_NESTING:
         raise ScenarioError(
@@ -164,7 +164,8 @@ class LibraryEntry:
     Attributes
     ----------
     kind, name : str
-        Kind ("vehicles", "batteries" or "winds"), and name or file name.
+        Kind of the entry ("vehicles", "batteries" or "winds"), and its name in the library or the
+        name of the user's file.
     tables : mapping
         Scenario tables that the entry fills, ``{"vehicle": {...}, "limits": {...}}``.
     sources : mapping
@@ -184,7 +185,7 @@ class LibraryEntry:
     battery: str = ""
 
     def values(self) -> dict[str, Any]:
-        """Return the numbers of the entry that have a source, by dotted scenario field."""
+        """Return the entry's values whose source is stated, by dotted path of the field."""
         everything = {spell(path): value for path, value in leaves(self.tables)}
         return {field: everything[field] for field in self.sources}
 
@@ -269,10 +270,11 @@ def library_entry(kind: str, name: str) -> LibraryEntry:
 def _entry(
     kind: str, name: str, written: Mapping[str, Any], base: LibraryEntry | None
 ) -> LibraryEntry:
-    """Make a library entry from the content of its file.
+    """Make a library entry from the content of its file, `written`.
 
-    In the file, a number stands alone or in a table with its source. The entry holds only values of
-    this file; `base` is the library entry that supplies the values which the file leaves out.
+    In the file, a number stands alone or in a table with its source. The new entry contains only
+    the values of this file. Its attribute `base` is the library entry that supplies the values
+    which the file leaves out.
     """
     table = LIBRARY_KINDS[kind]
     tables: dict[str, Any] = {table: {"use": name}}
@@ -311,7 +313,8 @@ def read_entry(kind: str, name: str, folder: Path) -> LibraryEntry:
 
     The file has the structure of the library's files: the sections `fields` and, for a vehicle,
     `limits`. A number stands alone, or as a table of `value` and `source`. At the top of the file,
-    `use` names the library entry that supplies other values, and `battery` the pack of a vehicle.
+    the key `use` names the library entry that supplies the values which the file leaves out, and
+    the key `battery` names the battery pack of a vehicle.
 
     Parameters
     ----------
@@ -325,7 +328,7 @@ def read_entry(kind: str, name: str, folder: Path) -> LibraryEntry:
     Raises
     ------
     ScenarioError
-        If the file cannot be read or has other content.
+        If the file cannot be read, or has a key or value that is not allowed.
     """
     written = dict(read_toml(folder / name))
     lines = list(_shape_complaints(kind, written))
@@ -336,7 +339,7 @@ def read_entry(kind: str, name: str, folder: Path) -> LibraryEntry:
 
 
 def _shape_complaints(kind: str, written: Mapping[str, Any]) -> Iterator[str]:
-    """Yield a message for each section or key that a library file may not have.
+    """Yield an error message for each section or key that is not allowed in a library file.
 
     Parameters
     ----------
@@ -364,9 +367,10 @@ def _shape_complaints(kind: str, written: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _label_complaints(table: Mapping[str, Any], place: FieldPath) -> Iterator[str]:
-    """Yield a message for each number of a library file that has an unknown key.
+    """Yield an error message for each number of a library file that is not written as allowed.
 
-    A number stands alone, or as a table with the keys `value` and `source` only.
+    A number stands alone, or as a table with the keys `value` and `source` only. The path `place`
+    of the table begins the field names in the messages.
     """
     is_labelled = len(place) > 1 and not set(_LABELS).isdisjoint(table)
     for key, content in table.items():
@@ -421,9 +425,9 @@ class ScenarioSource:
     assignments : mapping
         Overridden values by path, in order.
     label : str
-        Name of the overrides in messages and in the record of origins.
+        Name of the overrides in messages and as an origin of values, such as ``--set``.
     is_resolved : bool
-        Whether the tables are already complete, as in a record of a scenario.
+        Whether the tables are already complete, as those of a scenario stored in a report.
     """
 
     source: str
@@ -447,7 +451,7 @@ class Resolution:
     complaints : tuple of str
         A message for each value that could not be determined.
     unfilled : tuple
-        Paths that lack fields because of these errors.
+        Paths of the tables and fields that are incomplete because of these errors.
     """
 
     tables: Mapping[str, Any]
@@ -474,7 +478,8 @@ def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
     Raises
     ------
     ScenarioError
-        If an override refers to a place that does not exist, or a place or terrain file is invalid.
+        If an override refers to a list item that does not exist, or if a geographic position or a
+        terrain file is invalid.
     """
     own = _with_assignments(origin, origin.document, indexed=False)
     provenance = {spell(path): "scenario" for path, _ in leaves(origin.document)}
@@ -511,10 +516,11 @@ def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
 
 
 def _initial_values(model: type[BaseModel]) -> dict[str, Any]:
-    """Return the `initial` values of all fields that have such a value; see `fields.quantity`.
+    """Return nested tables of the initial values of fields; see `fields.quantity`.
 
-    A scenario gets an initial value if its file leaves the field out. A record (a complete scenario
-    that was stored earlier, for example in a report) gets the field's default instead.
+    A few fields have an initial value in addition to their default. A scenario gets the initial
+    value if its file leaves the field out. A record (a complete scenario that was stored earlier,
+    for example in a report) gets the field's default instead.
     """
     tables: dict[str, Any] = {}
     for path in field_paths(model):
@@ -566,14 +572,14 @@ def _with_assignments(
 
 @dataclass
 class _Filled:
-    """Tables of a scenario during their completion, with the errors found.
+    """Tables of a scenario during their completion, with the errors found so far.
 
     Attributes
     ----------
     origin : ScenarioSource
         The scenario as written.
     own : mapping
-        Tables with the values that the user has written.
+        Tables that contain only values which the user has written.
     provenance : dict
         Origin of each value, by dotted path.
     tables : dict
@@ -581,7 +587,7 @@ class _Filled:
     complaints : list of str
         Error messages.
     unfilled : list
-        Paths that remain incomplete because of these errors.
+        Paths of the tables and fields that remain incomplete because of these errors.
     """
 
     origin: ScenarioSource
@@ -594,12 +600,12 @@ class _Filled:
     _pack: tuple[str, str] | None = None
 
     def complain(self, line: str, *places: FieldPath) -> None:
-        """Record an error message, and the paths that remain incomplete because of the error."""
+        """Record an error message, and the paths of tables that stay incomplete because of it."""
         self.complaints.append(line)
         self.unfilled.extend(places)
 
     def add_library(self, place: tuple[str, ...], kind: str) -> None:
-        """Add the library entry that a table names, for fields that the scenario leaves out.
+        """Add the values of the library entry that a table of the scenario names by `use`.
 
         Parameters
         ----------
@@ -658,19 +664,29 @@ class _Filled:
         self.provenance.update(said | self.provenance)
 
     def put(self, path: FieldPath, value: object, said: str = "") -> None:
-        """Set the value at a path, and record `said` as its origin unless `said` is empty."""
+        """Set the value at a path; `said` is recorded as the value's origin unless it is empty."""
         self.tables = set_value(self.tables, path, value)
         if said:
             self.provenance[spell(path)] = said
 
     def put_read(self, place: FieldPath, parts: Mapping[str, Any], file: str) -> None:
-        """Set the parts of a table that were read from a file."""
+        """Set a table whose fields were read from a data file, and record the file as origin.
+
+        Parameters
+        ----------
+        place : tuple of str
+            Path of the table, such as ``("wind", "grid")``.
+        parts : mapping
+            Fields of the table.
+        file : str
+            Name of the data file.
+        """
         self.put(place, parts)
         said = f"file {shown(file)[1:-1]}"
         self.provenance |= {spell((*place, part)): said for part in parts}
 
     def naming(self, path: FieldPath, file: str) -> str:
-        """Return the beginning of messages on a file: source, field, and name of the file."""
+        """Return the beginning of messages about a data file: scenario, field and file name."""
         return (
             f"{message_origin(self.origin, self.provenance, path)}: {spell(path)} = {shown(file)}"
         )
@@ -680,7 +696,7 @@ class _Filled:
         return origin_of_mission(self.tables, self.origin.source)
 
     def add_footprints(self) -> None:
-        """Add the keep-out zones of a GeoJSON file, and divide concave polygons into parts."""
+        """Add keep-out zones from a GeoJSON file, and divide concave polygons into convex parts."""
         airspace = self.tables.get("airspace")
         if not isinstance(airspace, Mapping):
             return
@@ -694,7 +710,7 @@ class _Filled:
         self.put(("airspace",), in_convex_parts(airspace))
 
     def add_terrain(self) -> None:
-        """Add the heights of the ground from a file.
+        """Add the heights of the ground from the file that `airspace.terrain` names.
 
         If the scenario gives no floor (least height above the ground), the floor is set to the
         clearance (least distance from zones).
@@ -716,12 +732,13 @@ class _Filled:
         self.put_read(("airspace", "ground"), ground, file)
 
     def winds(self, named: str) -> Iterator[tuple[tuple[str, ...], Mapping[str, Any]]]:
-        """Yield the tables `wind` and `wind.forecast`, if they refer to a file in a given field.
+        """Yield those of the tables `wind` and `wind.forecast` that name a data file.
 
         Parameters
         ----------
         named : str
-            Field of the table that may hold the file's name, such as ``file``.
+            Field that may contain the file's name: ``file`` (measured wind over time) or ``field``
+            (wind over places).
 
         Yields
         ------
@@ -734,7 +751,7 @@ class _Filled:
                 yield place, wind
 
     def add_wind_fields(self) -> None:
-        """Add the wind over places from files."""
+        """Add the wind fields (wind over places) from the files that `wind.field` names."""
         for place, wind in self.winds("field"):
             # This module imports pandas, which scenarios without a wind field do not need.
             from pyomo_quad.scenario.wind_field import read_wind_field  # noqa: PLC0415
@@ -744,7 +761,7 @@ class _Filled:
             self.put_read((*place, "grid"), grid, wind["field"])
 
     def add_wind_series(self) -> None:
-        """Add the measured wind from files.
+        """Add the measured wind over time from the files that `wind.file` names.
 
         If the mission's duration is free and has no upper limit, the limit is set to the time at
         which the measured wind ends.
@@ -763,7 +780,7 @@ class _Filled:
             self.put(field, *min(known))
 
     def add_motor_constants(self) -> None:
-        """Derive a missing torque or voltage constant from the other one: k_t k_v = 1."""
+        """Derive a missing torque or voltage constant of the motors: their product is 1 in SI."""
         vehicle = table_at(self.tables, "vehicle")
         names = ("torque_constant", "voltage_constant")
         for missing, given in (names, names[::-1]):
@@ -773,16 +790,22 @@ class _Filled:
 
 
 def _beside(file: str, pack: str) -> str:
-    """Return the name of the battery pack of a vehicle that was read from a file.
+    """Return the name by which a scenario can refer to the battery pack of a vehicle file.
 
-    If the pack is a file in the folder of the vehicle file, its path becomes relative to the
-    scenario.
+    Parameters
+    ----------
+    file : str
+        Vehicle file, relative to the folder of the scenario.
+    pack : str
+        Pack that the vehicle file names: a library name, which is returned unchanged, or a file
+        relative to the folder of the vehicle file. The returned path of such a file is relative to
+        the folder of the scenario.
     """
     return (FilePath(file).parent / pack).as_posix() if pack.endswith(_SUFFIX) else pack
 
 
 def _longest(tables: Mapping[str, Any]) -> tuple[tuple[str, str], object]:
-    """Return the path of the field that limits a mission's duration, and its value [s]."""
+    """Return the path of the field that limits a mission's duration, and the limit [s]."""
     is_free = value_at(tables, "mission", "duration") == FREE
     field = _LONGEST if is_free else ("mission", "duration")
     return field, value_at(tables, *field)

@@ -104,12 +104,12 @@ class Scenario(Part):
 
     @classmethod
     def from_origin(cls, origin: ScenarioSource) -> Self:
-        """Complete and validate a scenario as a user has written it.
+        """Make a complete, validated scenario from the tables and overrides that a user wrote.
 
         Parameters
         ----------
         origin : ScenarioSource
-            The scenario's own tables and overrides.
+            Tables of the scenario file, and overrides.
 
         Returns
         -------
@@ -154,7 +154,8 @@ class Scenario(Part):
     def provenance(self) -> Mapping[str, str]:
         """Origin of each field's value, by dotted path.
 
-        Origins are ``default``, ``scenario``, ``library NAME``, ``--set``, ``file NAME`` and so on.
+        An origin is ``default``, ``scenario`` (the scenario file), ``library NAME``, ``--set`` (an
+        override), ``file NAME`` (a data file) and so on.
         """
         everywhere = {spell(path): "default" for path, _ in leaves(self.model_dump())}
         return MappingProxyType(everywhere | dict(self._provenance))
@@ -165,13 +166,14 @@ class Scenario(Part):
         return self._origin.folder if self._origin is not None else FilePath()
 
     def with_values(self, values: Mapping[str, Any]) -> Self:
-        """Return a validated copy with some fields changed.
+        """Return a validated copy of the scenario with some fields changed.
 
         Parameters
         ----------
         values : mapping
             New value of each field by dotted path; ``mission.goal.position[2]`` sets one number of
-            a list. Values derived from a changed field are derived again.
+            a list. Values that follow from a changed field, such as limits that follow from the
+            rotors' largest speed, are computed again.
 
         Returns
         -------
@@ -201,13 +203,13 @@ class Scenario(Part):
         return self.from_origin(replace(origin, assignments=assignments))
 
     def replace(self, changes: Mapping[str, Any]) -> Self:
-        """Return a validated copy with some fields changed.
+        """Return a validated copy of the scenario with some fields changed.
 
         Parameters
         ----------
         changes : mapping
-            Nested as in a scenario file, or dotted path -> new value, or both mixed.  A table keeps
-            the fields that the changes do not name; a list is replaced as a whole.
+            New values, nested as in a scenario file, or by dotted path, or both mixed. A table
+            keeps the fields that `changes` does not name; a list is replaced as a whole.
 
         Returns
         -------
@@ -257,7 +259,7 @@ class Scenario(Part):
         return self.with_mission(**values)
 
     def cruising(self, settings: CruiseSettings) -> Self:
-        """Return the scenario with given settings of the reference flight `cruise` by an autopilot.
+        """Return the scenario with given settings of the autopilot of the baseline flight `cruise`.
 
         Parameters
         ----------
@@ -272,7 +274,10 @@ class Scenario(Part):
         return self.model_copy(update={"baseline": self.baseline.model_copy(update=values)})
 
     def with_mission(self, **values: Any) -> Self:  # noqa: ANN401
-        """Return the scenario with fields of the table `mission` changed, without validation."""
+        """Return a copy of the scenario with fields of the table `mission` changed.
+
+        The values are not validated. Keyword arguments are the names of the fields.
+        """
         mission = self.mission.model_copy(update=values)
         changed = self.model_copy(update={"mission": mission})
         if self._origin is not None:
@@ -284,15 +289,16 @@ class Scenario(Part):
 
     @property
     def nominal_duration(self) -> float:
-        """Prescribed duration, or an estimate of a free duration as initial guess [s]."""
+        """Prescribed duration or, for a free duration, an estimate used as initial guess [s]."""
         return self.nominal_times[-1]
 
     @property
     def nominal_times(self) -> tuple[float, ...]:
         """Times at which waypoints are reached and left, and end time [s], prescribed or estimated.
 
-        The estimate is twice the least time of a flight that accelerates over the first half of
-        each leg and decelerates over the second half, with the vehicle's largest acceleration.
+        A leg is the flight from one place (start, waypoint or goal) to the next. The estimated
+        time of a leg is twice the least time of a flight that accelerates over the first half of
+        the leg and decelerates over the second half, with the vehicle's largest acceleration.
         """
         vehicle, limits = self.vehicle, self.limits
         lift = limits.thrust_max / vehicle.total_mass - self.gravity
@@ -336,8 +342,8 @@ class Scenario(Part):
     def release_schedule(self) -> Callable[[float], float]:
         """Return a function of time [s] that gives the mass released so far at waypoints [kg].
 
-        The mass is the sum of the payloads of the waypoints that are left before this time.
-        Waypoints without a given time are left at the estimated times, `nominal_times`.
+        The payload of a waypoint is released at the time at which the flight leaves the waypoint.
+        Without a prescribed time, this is the estimated time in `nominal_times`.
         """
         left = self.nominal_times[1:-1:2]
         dropped = [
@@ -350,24 +356,27 @@ class Scenario(Part):
     def as_forecast(self) -> Self:
         """Return the scenario with the forecast in place of the actual wind.
 
+        The planner uses this scenario if it must not know the actual wind.
+
         Returns
         -------
         Scenario
-            Scenario that the planner sees; the same object if there is no forecast.
+            Changed copy; the same object if the scenario has no forecast.
         """
         if self.wind.forecast is None:
             return self
         return self.model_copy(update={"wind": self.wind.forecast})
 
     def as_it_blows(self) -> Self:
-        """Return the scenario without forecast, so that the planner knows the actual wind."""
+        """Return the scenario without its forecast, so that the planner uses the actual wind."""
         return self.model_copy(update={"wind": self.wind.model_copy(update={"forecast": None})})
 
     @property
     def contradictions(self) -> tuple[Contradiction, ...]:
         """Physical contradictions between the vehicle's numbers.
 
-        Empty if the scenario names its own Python model builder, which may use other numbers.
+        There are none if the scenario names its own Python model builder, because that model may
+        use other numbers.
         """
         if self.model is not None:
             return ()
@@ -375,16 +384,28 @@ class Scenario(Part):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Remarks on vehicle numbers that are unusually good.
+        """Remarks on numbers of the vehicle that are physically possible but unusually good.
 
-        Empty if the scenario names its own Python model builder, which may use other numbers.
+        There are none if the scenario names its own Python model builder, because that model may
+        use other numbers.
         """
         if self.model is not None:
             return ()
         return tuple(remarks(self.vehicle, self.power, self.gravity))
 
     def _check(self, source: str) -> None:
-        """Raise one error for all contradictions between fields that are each valid alone."""
+        """Raise an error if fields that are valid separately contradict each other.
+
+        The error message has a line for each contradiction, which begins with the name `source` of
+        the scenario.
+
+        Raises
+        ------
+        ScenarioError
+            If fields contradict each other.
+        FeasibilityError
+            If the only contradiction is that the rotors cannot lift the vehicle.
+        """
         lines = [
             *self._power_complaints(),
             *self._airspace_complaints(),
@@ -501,7 +522,7 @@ class Scenario(Part):
 
 
 def _meaning(name: str) -> str:
-    """Return the short meaning of a vehicle's field, the first part of its description."""
+    """Return the first part of the description of a vehicle's field, as its short meaning."""
     meaning = (Vehicle.model_fields[name].description or name).rpartition(": ")[2]
     return meaning.partition(",")[0]
 
@@ -509,12 +530,19 @@ def _meaning(name: str) -> str:
 def _in_declared_units(
     origin: ScenarioSource, model: type[BaseModel]
 ) -> tuple[ScenarioSource, Rewritten]:
-    """Convert the keys in other units, such as degrees, of a scenario as written.
+    """Convert the values that a user has written in other units, such as degrees, to SI units.
+
+    Parameters
+    ----------
+    origin : ScenarioSource
+        The scenario as written: tables and overrides.
+    model : type of BaseModel
+        Model of the scenario, which declares the fields and their units.
 
     Returns
     -------
     tuple of (ScenarioSource, Rewritten)
-        The scenario with declared fields only, and the conversions made.
+        The scenario with declared fields in SI units only, and a list of the conversions.
     """
     document = in_declared_units(origin.document, model)
     assignments, told = paths_in_declared_units(origin.assignments, model)

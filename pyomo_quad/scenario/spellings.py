@@ -1,7 +1,7 @@
 """Conversion of alternative notations of scenario fields, before validation.
 
 notation | field
-`wind.from = 270`: direction of origin of the wind, degrees clockwise from north | `wind.direction`
+`wind.from = 270`: direction from which the wind blows, deg clockwise from north | `wind.direction`
 `{ latitude, longitude, altitude }` of a place, with `mission.origin` | `[x, y, z]`
 
 A wind from the west, 270 degrees, blows toward +x, which is east.
@@ -37,7 +37,10 @@ def in_plain_terms(
     provenance: dict[str, str],
     source: str,
 ) -> dict[str, Any]:
-    """Convert places on earth to metres, and wind origins to directions that the wind blows to.
+    """Convert places from latitude and longitude to metres, and `wind.from` to `wind.direction`.
+
+    The field `wind.direction` is the direction toward which the wind blows; the key `from` of a
+    user's file gives the direction from which the wind blows.
 
     Parameters
     ----------
@@ -46,9 +49,9 @@ def in_plain_terms(
     own : mapping
         Tables that the user wrote in the scenario and its overrides.
     provenance : dict
-        Origin of each value by dotted path; entries of converted fields are added.
+        Origin of each value by dotted path; the function adds entries for converted fields.
     source : str
-        Start of messages.
+        Beginning of error messages: the name of the scenario.
 
     Returns
     -------
@@ -81,7 +84,11 @@ def in_plain_terms(
 
 
 def _in_other_notation(tree: Any, path: FieldPath) -> Iterator[tuple[FieldPath, Any]]:  # noqa: ANN401
-    """Yield path and value of each field that is written in an alternative notation."""
+    """Yield path and value of each field in nested tables that has an alternative notation.
+
+    Alternative notations are latitude and longitude of a place, and the key `from` of a wind. The
+    path of the outermost table is given by `path`.
+    """
     items: Any = ()
     if isinstance(tree, Mapping):
         items = tree.items()
@@ -104,14 +111,14 @@ def _in_other_notation(tree: Any, path: FieldPath) -> Iterator[tuple[FieldPath, 
 
 
 def origin_of_mission(tables: Mapping[str, Any], source: str) -> GeodeticOrigin | None:
-    """Return the position of x = y = z = 0 on earth; None if the mission gives none.
+    """Return the position of x = y = z = 0 on earth; None if the scenario gives no such position.
 
     Parameters
     ----------
     tables : mapping
         Tables of the scenario.
     source : str
-        Start of messages.
+        Beginning of error messages: the name of the scenario.
 
     Raises
     ------
@@ -144,7 +151,20 @@ def _refuse_both(own: Any, path: FieldPath, target: FieldPath, source: str) -> N
 
 
 def _towards(value: object, where: str) -> float:
-    """Convert a direction that a wind comes from [deg] to the direction it blows to [rad]."""
+    """Convert the direction from which a wind blows to the direction toward which it blows.
+
+    Parameters
+    ----------
+    value : object
+        Direction of origin, clockwise from north [deg], as written by the user.
+    where : str
+        Beginning of error messages: the scenario and the field.
+
+    Returns
+    -------
+    float
+        Direction of flow, counter-clockwise from +x (east) [rad].
+    """
     if not is_number(value) or not abs(value) <= _MOST_TURN:
         raise ScenarioError(
             f"{where} = {shown(value)}; must be a number from {-_MOST_TURN:g} to {_MOST_TURN:g} "

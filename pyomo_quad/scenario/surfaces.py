@@ -3,10 +3,10 @@
 Between the points of the grid the ground is bilinear. A `Surface` is a cubic spline that is nowhere
 below the ground, or nowhere above it.
 
-A surface above the ground is constructed from the spline through the heights.  In each cell of the
+A surface above the ground is constructed from the spline through the heights. In each cell of the
 grid, spline and ground are polynomials, and the least Bernstein coefficient of spline minus ground
-is a lower bound of this difference.  If the least coefficient is negative, all B-spline
-coefficients that influence the cell are raised by its magnitude.  Bernstein coefficients are
+is a lower bound of this difference. If the least coefficient is negative, all B-spline
+coefficients that influence the cell are raised by its magnitude. Bernstein coefficients are
 averages of B-spline coefficients, so that no Bernstein coefficient of the cell remains negative.
 A surface below the ground is constructed in the same way from the negative heights.
 """
@@ -38,7 +38,7 @@ _SHARES = (*(0.3,) * 10, 1.0)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Surface:
-    """Cubic spline of x and y, above or below the terrain, which height limits use as the ground.
+    """Cubic spline surface above or below the terrain, from which height limits are measured.
 
     Attributes
     ----------
@@ -107,20 +107,20 @@ def surface_of(x: ArrayLike, y: ArrayLike, heights: FloatArray, side: int) -> Su
     along_x, along_y = (_Axis.of(*pair) for pair in zip((x, y), knots, strict=True))
     of_ground = along_y.line @ (along_x.line @ (side * ground)).T
 
-    def above(held: FloatArray) -> FloatArray:
-        """Return the Bernstein coefficients of spline minus ground in each cell.
+    def above(spline: FloatArray) -> FloatArray:
+        """Return the Bernstein coefficients of spline minus ground in each cell of the grid.
 
         Parameters
         ----------
-        held : ndarray, shape (len(x), len(y))
-            B-spline coefficients of the spline.
+        spline : ndarray, shape (len(x), len(y))
+            B-spline coefficients of the spline [m].
 
         Returns
         -------
         ndarray, shape (len(x) - 1, len(y) - 1, 4, 4)
-            Coefficients [m]; the first two array axes are the cells.
+            Bernstein coefficients [m]; the first two array axes are the cells.
         """
-        found = (along_y.cubic @ (along_x.cubic @ held).T - of_ground).T
+        found = (along_y.cubic @ (along_x.cubic @ spline).T - of_ground).T
         return found.reshape(x.size - 1, 4, y.size - 1, 4).swapaxes(1, 2)
 
     for share in _SHARES:
@@ -133,10 +133,11 @@ def surface_of(x: ArrayLike, y: ArrayLike, heights: FloatArray, side: int) -> Su
 
 
 def highest_on_ways(x: ArrayLike, y: ArrayLike, heights: FloatArray, home: ArrayLike) -> FloatArray:
-    """Return heights on a grid that bound the ground on every straight way to one place, the home.
+    """Return, for each point of a grid, a height that clears the terrain on a straight flight home.
 
-    Interpolated bilinearly at any place, the returned heights are nowhere below the highest ground
-    on the straight way from that place to the home. Derivation: docs/theory/homing.md, eq. (7).
+    Interpolated bilinearly at any place, the returned heights are at least the height of the ground
+    anywhere below the straight line from this place to the home. Derivation:
+    docs/theory/homing.md, eq. (7).
 
     Parameters
     ----------
@@ -145,7 +146,8 @@ def highest_on_ways(x: ArrayLike, y: ArrayLike, heights: FloatArray, home: Array
     heights : ndarray, shape (len(x), len(y))
         Heights of the ground at the points [m]; between them the ground is bilinear.
     home : array_like
-        Coordinates x and y of the home [m]; further coordinates are ignored.
+        Coordinates x and y of the place to which the vehicle returns [m]; further coordinates are
+        ignored.
 
     Returns
     -------
@@ -157,8 +159,9 @@ def highest_on_ways(x: ArrayLike, y: ArrayLike, heights: FloatArray, home: Array
     axes, ends = [np.array(axis, dtype=float) for axis in (x, y)], np.asarray(home)[:2]
     steps = [np.diff(axis) for axis in axes]
     cells = _greatest_of_corners(heights)
-    # A way from anywhere in a cell stays within half the cell of the way from the cell's centre,
-    # which the samples below follow at half a step: the neighbourhood that is searched covers both.
+    # The straight line home from any point of a cell stays within half a cell of the line home from
+    # the cell's centre. The samples below are half a step apart on the latter line. The searched
+    # neighbourhood of a sample covers both distances.
     beside = [int(np.ceil((s.max() / 2 + s.min() / 4) / s.min())) for s in steps]
     near = maximum_filter(cells, size=[2 * count + 1 for count in beside], mode="nearest")
     longest = [np.abs(axis[[0, -1]] - end).max() for axis, end in zip(axes, ends, strict=True)]
@@ -175,7 +178,7 @@ def highest_on_ways(x: ArrayLike, y: ArrayLike, heights: FloatArray, home: Array
 
 
 def _greatest_of_corners(values: FloatArray) -> FloatArray:
-    """Return the greatest of the four corner values of each cell of a grid."""
+    """Return, for each cell of a grid, the greatest of the values at its four corners."""
     along = np.maximum(values[:-1], values[1:])
     return np.maximum(along[:, :-1], along[:, 1:])
 
@@ -183,9 +186,21 @@ def _greatest_of_corners(values: FloatArray) -> FloatArray:
 def _with_enough_points(
     x: FloatArray, y: FloatArray, ground: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Refine a grid with fewer than four points on an axis, without changing the ground.
+    """Refine a terrain grid with fewer than four points on an axis, without changing the ground.
 
-    A cubic spline needs four points.
+    A cubic spline needs four points on each axis. The added heights are interpolated linearly.
+
+    Parameters
+    ----------
+    x, y : ndarray
+        Points of the grid [m].
+    ground : ndarray, shape (len(x), len(y))
+        Heights of the ground [m].
+
+    Returns
+    -------
+    tuple of ndarray
+        The refined `x`, `y` and `ground`.
     """
     axes = [x, y]
     for number, axis in enumerate(axes):
@@ -201,7 +216,7 @@ def _with_enough_points(
 def _through(
     x: FloatArray, y: FloatArray, heights: FloatArray
 ) -> tuple[tuple[FloatArray, FloatArray], FloatArray]:
-    """Return knots and coefficients of the not-a-knot cubic spline through heights on a grid."""
+    """Return knots and B-spline coefficients of the not-a-knot cubic spline through heights."""
     from scipy.interpolate import make_interp_spline  # noqa: PLC0415  for terrain alone
 
     first = make_interp_spline(x, heights, _CUBIC)
@@ -212,14 +227,14 @@ def _through(
 
 @dataclass(frozen=True, kw_only=True)
 class _Axis:
-    """Matrices that evaluate spline and ground along one axis of a grid with n points.
+    """Matrices that evaluate a spline surface and the ground along one grid axis with n points.
 
     Attributes
     ----------
     cubic : sparse matrix, shape (4 (n - 1), n)
         Maps the n coefficients of the spline to its four Bernstein coefficients in each cell.
     line : sparse matrix, shape (4 (n - 1), n)
-        Maps the heights of the ground at the n points to the four coefficients in each cell.
+        Maps the heights of the ground at the n points to four Bernstein coefficients in each cell.
     at_points : sparse matrix, shape (n, n)
         Maps the coefficients of the spline to its values at the points.
     first : ndarray of int, shape (n - 1,)

@@ -106,7 +106,7 @@ class Gains(Part):
 
 
 class Knowledge(StrEnum):
-    """Wind that a plan made again in flight is based on.
+    """Wind information on which re-planning in flight is based.
 
     `TOLD` is the true wind, `ESTIMATED` an estimate from the flight added to the forecast, and
     `UNTOLD` the forecast alone, or calm air if there is no forecast.
@@ -118,10 +118,10 @@ class Knowledge(StrEnum):
 
 
 class SolveTiming(StrEnum):
-    """Time that a solve takes in a simulated flight with re-planning.
+    """Source of the time that each solve is assumed to take in a simulated flight with re-planning.
 
-    `STATED` is the time in the scenario, which makes the flight reproducible; `MEASURED` is the
-    measured time of the solve.
+    `STATED` is a constant time in the scenario, which makes the simulation reproducible; `MEASURED`
+    is the measured time of the solve.
     """
 
     STATED = "stated"
@@ -129,9 +129,9 @@ class SolveTiming(StrEnum):
 
 
 class Replanning(Part):
-    """Settings of re-planning in flight, which solves the rest of the mission again at intervals.
+    """Settings of re-planning in flight (model-predictive control).
 
-    Re-planning in flight is also called model-predictive control.
+    At regular intervals during the flight, the rest of the mission is planned again.
     """
 
     interval: Number = quantity(
@@ -163,9 +163,9 @@ class Replanning(Part):
 
 @dataclass(frozen=True, kw_only=True)
 class CruiseSettings:
-    """Settings of the baseline flight `cruise`, which flies like an autopilot.
+    """Largest speed [m/s], acceleration [m/s²] and jerk [m/s³] of the baseline flight `cruise`.
 
-    The settings are the largest speed [m/s], acceleration [m/s²] and jerk [m/s³].
+    The baseline flight `cruise` imitates the flight of an autopilot.
     """
 
     speed: float
@@ -179,7 +179,7 @@ class CruiseSettings:
 
 
 class Baseline(Part):
-    """Flights that a plan is compared with, and settings of their controller."""
+    """Baseline flights, with which a plan is compared, and settings of their controller."""
 
     references: tuple[Reference, ...] = quantity(
         "",
@@ -213,7 +213,7 @@ class Baseline(Part):
     mpc: Replanning | None = late_quantity("", "re-planning in flight, not flown when absent", None)
 
     def cruise_settings(self, speed: float) -> CruiseSettings:
-        """Return the settings of the baseline flight `cruise` at a largest speed [m/s]."""
+        """Return the settings of the baseline flight `cruise` for a given largest speed [m/s]."""
         return CruiseSettings(
             speed=speed, acceleration=self.cruise_acceleration, jerk=self.cruise_jerk
         )
@@ -230,7 +230,7 @@ class Baseline(Part):
 
 
 class PowerModel(StrEnum):
-    """Model of the power whose integral is the energy of the mission."""
+    """Model of the power, whose integral over time is the energy of the flight."""
 
     MOTOR = "motor"
     EFFICIENCY = "efficiency"
@@ -318,7 +318,7 @@ _MOST_POINTS = 50_000
 
 
 class Solver(Part):
-    """Required accuracy, first mesh, and limits on the effort of the solver."""
+    """Required accuracy of the plan, first collocation mesh, and limits on the solver's effort."""
 
     accuracy: Accuracy = late_quantity(
         "",
@@ -463,7 +463,7 @@ class Limits(Part):
 
     @property
     def least_charge(self) -> float:
-        """Fraction of the battery charge that must remain, one fifth by default."""
+        """Least allowed state of charge of the battery, as a fraction; one fifth by default."""
         least = self.state_of_charge_min
         return _LEAST_CHARGE if least is None else least / 100.0
 

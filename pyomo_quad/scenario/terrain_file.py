@@ -1,4 +1,4 @@
-"""Reading of terrain, heights of the ground on a grid, from NetCDF, CSV or Parquet."""
+"""Reading of terrain (heights of the ground on a grid) from NetCDF, CSV or Parquet files."""
 
 from pathlib import Path
 from typing import Any
@@ -49,7 +49,7 @@ def read_terrain(file: Path, place: str, origin: GeodeticOrigin | None = None) -
     file : Path
         NetCDF with names and units of the CF conventions, or a table with one row for each place.
     place : str
-        Start of messages: the field that names the file.
+        Beginning of error messages: the scenario field that names the file.
     origin : GeodeticOrigin, optional
         Position of x = y = z = 0 on earth. If given, the file's heights are altitudes above the
         sea, otherwise heights above z = 0.

@@ -1,11 +1,11 @@
-"""Writing of values as TOML text, and of numbers with their source."""
+"""Writing of values as TOML text, with or without the source of each value."""
 
 import json
 from collections.abc import Mapping
 
 
 def inline(value: object) -> str:
-    """Write a value as TOML in one line, including tables and lists."""
+    """Return a value, which may be a table or list, as TOML text in one line."""
     if isinstance(value, Mapping):
         return "{ " + ", ".join(f"{key} = {inline(held)}" for key, held in value.items()) + " }"
     if isinstance(value, list):
@@ -16,7 +16,7 @@ def inline(value: object) -> str:
 
 
 def with_source(path: str, value: object, source: str) -> tuple[str, ...]:
-    """Return the TOML lines of a table that holds a value and its source.
+    """Return the lines of a TOML table with a value and its source.
 
     Parameters
     ----------

@@ -1,6 +1,7 @@
-"""Conversion of keys that give a field in another unit, such as `roll_max_deg`, to SI units.
+"""Conversion of values in other units, given by keys such as `roll_max_deg`, to SI units.
 
-Later stages of reading a scenario handle only the declared fields, in SI units.
+The conversion comes first when a scenario is read; all later steps handle only the declared fields,
+in SI units.
 """
 
 from collections.abc import Iterator, Mapping
@@ -15,14 +16,14 @@ from pyomo_quad.scenario.messages import shown, table_of
 
 @dataclass(frozen=True, kw_only=True)
 class Rewritten:
-    """Tables of a scenario after the conversion of keys in other units.
+    """Tables of a scenario after the conversion of values in other units to SI units.
 
     Attributes
     ----------
     tables : dict
         Tables that contain declared fields only, in SI units.
     spellings : dict
-        Key and value that the file had, by the path of the converted field, for messages.
+        Key and value as in the file, by the path of the converted field, for error messages.
     complaints : list of str
         A message for each key that cannot be converted.
     unread : list
@@ -50,7 +51,7 @@ def in_declared_units(tables: Mapping[str, Any], model: type[BaseModel]) -> Rewr
     Returns
     -------
     Rewritten
-        Tables with declared fields only, and the conversions made.
+        Tables with declared fields only, and a list of the conversions.
     """
     rewritten = Rewritten(tables={})
     rewritten.tables.update(_table(tables, model, (), rewritten))
@@ -60,19 +61,20 @@ def in_declared_units(tables: Mapping[str, Any], model: type[BaseModel]) -> Rewr
 def paths_in_declared_units(
     assignments: Mapping[FieldPath, Any], model: type[BaseModel]
 ) -> tuple[dict[FieldPath, Any], Rewritten]:
-    """Convert all overrides of fields that are given in other units, such as degrees, to SI units.
+    """Convert all overrides whose values are in other units, such as degrees, to SI units.
 
     Parameters
     ----------
     assignments : mapping
-        New value of each field, by path.
+        New value of each overridden field, by path; a key such as `roll_max_deg` at the end of the
+        path states another unit.
     model : type of BaseModel
         Model that declares the fields, and the keys for other units.
 
     Returns
     -------
     tuple of (dict, Rewritten)
-        The overrides by the path of the declared field, and the conversions made.
+        The overrides by the path of the declared field, and a list of the conversions.
     """
     rewritten, found = Rewritten(tables={}), {}
     for path, value in assignments.items():

@@ -50,7 +50,11 @@ _LEAST_VOLUME = 1e-6
 
 
 def _volume(*rows: Sequence[float]) -> float:
-    """Return the Gram determinant of three vectors: the squared volume that they span."""
+    """Return the Gram determinant of three vectors: the squared volume that they span.
+
+    A small determinant of the rotors' moments about the three body axes shows that the rotors
+    cannot turn the vehicle about every axis.
+    """
     (a, b, c), (_, d, e), (_, _, f) = (
         [sum(map(mul, one, other)) for other in rows] for one in rows
     )
@@ -76,7 +80,7 @@ _SLOW = positive(1e-2, 1e3, "rotorcraft fly below 340 m/s, the speed of sound")
 
 
 class Validated(Part):
-    """Range of airspeed, climb, descent and payload in which measurements confirm the model."""
+    """Limits of airspeed, climb, descent and payload up to which flight tests confirm the model."""
 
     airspeed: Number | None = quantity(
         "m/s", "largest airspeed of the flights that confirm the vehicle", None, sound=_SLOW
@@ -111,7 +115,7 @@ class Attitude(StrEnum):
 
 
 class MotorConstants(NamedTuple):
-    """Torque constant [N m/A], voltage constant [rad/s/V], winding resistance [ohm] of a motor."""
+    """Motor constants: torque constant [N m/A], speed per voltage [rad/s/V], resistance [ohm]."""
 
     torque_constant: float
     voltage_constant: float

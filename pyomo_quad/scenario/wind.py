@@ -51,7 +51,7 @@ _FAST = Sound(-1e4, 1e4, "gusts take longer than 1 ms")
 
 
 class WindCoupling(StrEnum):
-    """Effect of the wind: drag from the airspeed, or the acceleration of Yacef et al., eq. (9)."""
+    """Effect of the wind: drag due to airspeed, or the acceleration of Yacef et al., eq. (9)."""
 
     ACCELERATION = "acceleration"
     DRAG = "drag"
@@ -128,7 +128,7 @@ class WindProfile(Part):
 
 
 class WindSeries(Part):
-    """Measured wind over time, height or both, read from the file of `wind.file`."""
+    """Measured wind over time, height or both, read from the file named `wind.file`."""
 
     times: tuple[Number, ...] = quantity("s", "times from the start of the mission")
     wind_x: tuple[Number, ...] = quantity("m/s", "wind toward +x")
@@ -139,7 +139,7 @@ class WindSeries(Part):
 
 
 class Intensity(StrEnum):
-    """Intensity of turbulence, from the wind at 6 m above the ground (MIL-F-8785C, 3.7.3.4)."""
+    """Intensity of turbulence, defined by the wind 6 m above ground (MIL-F-8785C, 3.7.3.4)."""
 
     LIGHT = "light"
     MODERATE = "moderate"
@@ -186,10 +186,10 @@ class Turbulence(Part):
 
 
 class Beyond(StrEnum):
-    """Treatment of places outside a wind field, and of cells without wind.
+    """Treatment of places outside a wind field, and of grid cells whose wind is missing.
 
-    `REFUSE` keeps the plan within the edges of the field, and refuses a plan through cells without
-    wind; `HOLD` uses the nearest known wind.
+    `REFUSE` keeps the plan within the edges of the field, and rejects a plan through cells whose
+    wind is missing; `HOLD` uses the nearest known wind.
     """
 
     REFUSE = "refuse"
@@ -197,7 +197,7 @@ class Beyond(StrEnum):
 
 
 class WindGrid(Part):
-    """Wind on a rectilinear grid of places, heights and times, from the file of `wind.field`."""
+    """Wind on a rectilinear grid of places, heights and times, from the file `wind.field`."""
 
     x: tuple[Number, ...] = quantity("m", "places along world x, rising")
     y: tuple[Number, ...] = quantity("m", "places along world y, rising")
@@ -219,18 +219,20 @@ class WindGrid(Part):
 
     @property
     def components(self) -> "FloatArray":
-        """Wind velocity at the grid points [m/s]; NaN where the field has no wind.
+        """Wind velocity at the grid points [m/s]; NaN where the wind is missing.
 
-        The first array axis is the direction (+x, +y and, if known, +z); the others follow `axes`.
+        The first array axis is the direction (+x, +y and, if known, +z); the further array axes are
+        the grid's axes, in the order of `axes`.
         """
         return unpacked(self.speeds).reshape((-1, *map(len, self.axes)))
 
     @property
     def edges(self) -> dict[str, tuple[int, float, float]]:
-        """The edges of the grid in space, by name; bottom and top only if the field has heights.
+        """Position of the grid's edges by name ("west", "east" and so on).
 
         Each value gives the axis (0 for x, 1 for y, 2 for z), the side (-1 for the lower end, 1 for
-        the upper) and the coordinate of the edge on that axis [m].
+        the upper) and the coordinate of the edge on that axis [m]. The edges "bottom" and "top"
+        exist only if the field has heights.
         """
         names = (("west", "east"), ("south", "north"), ("bottom", "top"))
         return {
@@ -241,7 +243,7 @@ class WindGrid(Part):
         }
 
     def is_known(self, places: "ArrayLike", times: "ArrayLike") -> "NDArray[bool_]":
-        """Return whether the grid points nearest to places have a wind.
+        """Return whether the wind at given places and times is known.
 
         Parameters
         ----------
@@ -253,7 +255,8 @@ class WindGrid(Part):
         Returns
         -------
         ndarray of bool, shape (n,)
-            False also for places and times outside the grid.
+            True where the place and time are inside the grid and the wind at the nearest grid point
+            is not missing.
         """
         import numpy as np  # noqa: PLC0415  see `components`
 
@@ -366,7 +369,7 @@ class Wind(Part):
 
     @property
     def is_formula(self) -> bool:
-        """Whether the wind is the formula of Yacef et al., eq. (11)-(12), not read from a file."""
+        """Whether the wind is computed by Yacef et al., eq. (11)-(12), and not read from a file."""
         return self.series is None and self.grid is None
 
     @property
@@ -394,7 +397,7 @@ class Wind(Part):
         return self
 
     def complaints(self, place: tuple[float, float, float]) -> Iterator[str]:
-        """Yield a message if the wind field has no wind at a place.
+        """Yield an error message if the wind field has no known wind at a place at any time.
 
         Parameters
         ----------
@@ -486,11 +489,11 @@ def with_air_density(
     tables : dict
         Tables of the scenario.
     before : mapping or None
-        Tables of the scenario before a change. The coefficients in `tables` then still refer to the
-        air density of these earlier tables. None for a new scenario, whose coefficients refer to
-        sea level.
+        Tables of a complete scenario of which `tables` is a changed copy. The coefficients in
+        `tables` then refer to the air density of `before`. None for a new scenario, whose
+        coefficients refer to the air density at sea level.
     provenance : dict
-        Origin of each value by dotted path; entries of scaled values are changed.
+        Origin of each value by dotted path; the function changes the entries of scaled values.
 
     Returns
     -------
@@ -541,7 +544,7 @@ def with_coupling(
     own : mapping
         Tables that the user wrote in the scenario and its overrides.
     provenance : dict
-        Origin of each value by dotted path; entries are added.
+        Origin of each value by dotted path; the function adds entries.
 
     Returns
     -------
@@ -567,7 +570,7 @@ def with_coupling(
 
 
 def _is_any(number: object) -> bool:
-    """Return whether a number, or any number of a list, is different from zero."""
+    """Return whether a coefficient, a number or list of numbers, is not zero."""
     return any(number) if isinstance(number, list | tuple) else bool(number)
 
 

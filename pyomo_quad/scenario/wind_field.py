@@ -50,7 +50,7 @@ def read_wind_field(file: Path, place: str, origin: GeodeticOrigin | None = None
         NetCDF with names and units of the CF conventions, or a table with one row for each place
         and time.
     place : str
-        Start of messages: the field that names the file.
+        Beginning of error messages: the scenario field that names the file.
     origin : GeodeticOrigin, optional
         Position of x = y = z = 0 on earth, for a grid by latitude and longitude or with altitudes.
 

@@ -35,10 +35,11 @@ def read_wind_file(
     Parameters
     ----------
     file : Path
-        CSV file with the columns `WIND_COLUMNS`. A column `HEIGHT_COLUMN` may follow the time or
-        replace it. If the file has time and height, every time has the same heights.
+        CSV file with the columns `WIND_COLUMNS` (time and wind velocities). A column
+        `HEIGHT_COLUMN` (height) may follow the time column or replace it. If the file has times and
+        heights, the heights must be the same at every time.
     where : str
-        Start of messages: the field that names the file.
+        Beginning of error messages: the scenario field that names the file.
     longest : tuple of str and object
         Path of the field that limits the mission's duration, and its value [s].
     time_offset : object
@@ -75,7 +76,17 @@ def read_wind_file(
 
 
 def _heights(columns: Mapping[str, tuple[float, ...]], place: str) -> tuple[float, ...]:
-    """Return the heights of a wind, after checking that they rise and are equal at every time."""
+    """Return the heights [m] of a measured wind, or raise an error if they are not valid.
+
+    The heights must rise and must be the same at every time.
+
+    Parameters
+    ----------
+    columns : mapping
+        Columns of the wind file, by name.
+    place : str
+        Beginning of error messages: the field and the file.
+    """
     every = columns[HEIGHT_COLUMN]
     times = columns.get(_TIME_COLUMN, (0.0,) * len(every))
     heights = every[: times.count(times[0])]
@@ -124,7 +135,10 @@ def _check_cover(
 
 
 def _read_rows(file: Path, place: str) -> tuple[tuple[str, ...], _Rows]:
-    """Read the key columns' names (time, height or both) and the rows of numbers of a wind file."""
+    """Read a wind file: the names of its key columns (time, height or both) and its rows.
+
+    Error messages begin with the text `place`.
+    """
     try:
         if file.stat().st_size > _LARGEST_FILE_BYTES:
             refuse(place, f"larger than {_LARGEST_FILE_BYTES} bytes; thin the series out")

@@ -1,1 +1,1 @@
-"""Comparison with RotorPy, a simulator by other authors, and vehicle files made from it."""
+"""Comparison with RotorPy, a simulator by other authors, and import of RotorPy's vehicles."""

@@ -26,10 +26,10 @@ _CAUSES_ABREAST = 3
 
 
 def draw_causes(study: OutsideStudy) -> "Figure":
-    """Draw the distance of flights from their plan over time.
+    """Draw the distance of simulated flights from their plan over time.
 
-    Each line is a flight with one cause of a difference between RotorPy and the package's own
-    model.
+    RotorPy's model differs from the package's own model in several features. Each line is a flight
+    with one of these differences alone, so that the effect of each difference can be seen.
     """
     lines = ceil(len(CAUSES) / _CAUSES_ABREAST)
     figure, (panels,) = panel_grid(1, 2, panel_height=2.6, legend_entries=lines * LEGEND_COLUMNS)

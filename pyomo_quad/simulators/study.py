@@ -135,7 +135,7 @@ STIFFNESS = 4.0
 
 
 class OutsideColumn(TableColumn):
-    """Columns of the table of flights in RotorPy and in the package's own model."""
+    """Columns of the study's table of flights in RotorPy and in the package's own model."""
 
     CASE = "case"
     PLANT = "plant"
@@ -163,8 +163,8 @@ class OutsideStudy:
         One row for each flight, in RotorPy or in the package's own model, with the columns of
         `OutsideColumn`.
     tracks : mapping
-        Distance from the plan over time of each flight that follows a plan, by mission, vehicle and
-        controller.
+        Times [s] and distances from the plan [m] of each flight that follows a plan; the key is
+        mission, vehicle and controller.
     lag_s : float
         Time constant of the motors in RotorPy, for the vehicle of Yacef et al. [s].
     """
@@ -176,7 +176,9 @@ class OutsideStudy:
     def row(
         self, case: str, plant: Plant, controller: str, followed: Reference = Reference.PLAN
     ) -> dict[str, Any]:
-        """Return the table row of one flight; it has no energy if the flight went out of control.
+        """Return the table row of one flight of the study.
+
+        The row has no energy if the flight went out of control.
 
         Parameters
         ----------
@@ -206,7 +208,7 @@ class Arrivals(NamedTuple):
     arrived : int
         Confirmed flights that reached the goal.
     confirmed, unconfirmed : int
-        Flights that agree with a second integration, and flights that do not.
+        Flights that a second integration confirms, and flights that it does not confirm.
     """
 
     arrived: int
@@ -215,7 +217,7 @@ class Arrivals(NamedTuple):
 
 
 def arrivals(flights: pd.DataFrame, controller: str) -> Arrivals:
-    """Count a controller's flights in RotorPy: how many arrived, and how many were confirmed.
+    """Count a controller's flights in RotorPy that arrived, and those that are confirmed.
 
     Parameters
     ----------
@@ -235,7 +237,7 @@ def arrivals(flights: pd.DataFrame, controller: str) -> Arrivals:
 
 
 class Flown(NamedTuple):
-    """Flight of the study before its simulation.
+    """Description of a flight of the study, with the function that simulates the flight.
 
     Attributes
     ----------
@@ -257,15 +259,16 @@ class Flown(NamedTuple):
 
 @dataclass(frozen=True)
 class _Mission:
-    """Planned mission of the comparison with RotorPy, with methods that make its flights.
+    """Planned mission of the comparison with RotorPy, with methods that describe its flights.
 
     Attributes
     ----------
     case : str
-        Name of the mission, a key of `CASES`.
+        Name of the mission: a key of `CASES`, or the name of a parameter set of RotorPy.
     scenario : Scenario
+        The mission, with vehicle and wind.
     planner : Planner
-        Keeps the compiled models.
+        Planner that supplies the compiled models.
     plan : Plan
         Minimum-energy plan of the mission.
     """
@@ -280,7 +283,15 @@ class _Mission:
         return self.planner.dynamics(self.scenario)
 
     def declared(self, pilot: Pilot, followed: Reference = Reference.PLAN) -> Flown:
-        """Return a flight, not simulated yet, of the package's own ("declared") vehicle model."""
+        """Return a flight, not simulated yet, of the package's own ("declared") vehicle model.
+
+        Parameters
+        ----------
+        pilot : Pilot
+            Controller, or `OPEN_LOOP` for the plan's controls without feedback.
+        followed : Reference, optional
+            Reference trajectory.
+        """
         fly: Callable[[], Flight] = partial(
             fly_baseline, self.scenario, followed, dynamics=self.dynamics, plan=self.plan
         )
@@ -340,14 +351,14 @@ class _Mission:
         return Flown(at, name, followed, partial(fly_under, plant, name, law, self.plan))
 
     def path(self, followed: Reference) -> ReferencePath:
-        """Return the path of one of the mission's reference trajectories."""
+        """Return a reference trajectory of the mission as a function of time."""
         return reference_path(self.scenario, followed, self.plan)
 
 
 def run_outside_study(planner: Planner | None = None) -> OutsideStudy:
     """Simulate all flights of the comparison with RotorPy.
 
-    A flight that goes out of control has a row without numbers.
+    In the table of flights, a flight that goes out of control has a row without numbers.
 
     Parameters
     ----------
@@ -375,7 +386,7 @@ def run_outside_study(planner: Planner | None = None) -> OutsideStudy:
 
 
 def _track(flight: Flight, plan: Plan) -> Track:
-    """Return the distance of a flight from its plan over time, at no more than 500 samples."""
+    """Return times [s] and distances [m] of a flight from its plan, at fewer than 500 samples."""
     step = max(1, len(flight.frame) // _MOST_SAMPLES)
     shown = flight.frame.iloc[::step]
     t = shown[TIME].to_numpy()
@@ -386,7 +397,15 @@ def _track(flight: Flight, plan: Plan) -> Track:
 
 
 def _small(paper: Scenario, name: str) -> Scenario:
-    """Return a short mission of one of RotorPy's small vehicles, planned for least shaft energy."""
+    """Return a short mission of a small vehicle of RotorPy, to be planned for least shaft energy.
+
+    Parameters
+    ----------
+    paper : Scenario
+        Mission of Yacef et al., whose other settings are kept.
+    name : str
+        Name of RotorPy's parameter set.
+    """
     said = {
         path.replace("fields.", "vehicle.", 1): value
         for path, (value, _) in vehicle_fields(name).items()
@@ -415,7 +434,11 @@ def _flights(mission: _Mission) -> Iterator[Flown]:
 
 
 def _leaps(mission: _Mission, limited: OutsidePlant) -> Iterator[Flown]:
-    """Yield flights to a goal that is commanded as a step, with and without rotor limits."""
+    """Yield flights whose commanded position jumps to the goal at once.
+
+    The flights in RotorPy are made with the vehicle `limited`, whose rotor acceleration is limited,
+    and with a vehicle without this limit.
+    """
     unlimited = OutsidePlant(mission.scenario.with_values(_NO_SLEW_LIMIT), mission.dynamics)
     yield mission.declared(Pilot.ADAPTIVE, Reference.STEP)
     for pilot in (Pilot.ADAPTIVE, Pilot.SE3):
@@ -424,9 +447,10 @@ def _leaps(mission: _Mission, limited: OutsidePlant) -> Iterator[Flown]:
 
 
 def _why_se3_misses(mission: _Mission, plant: OutsidePlant) -> Iterator[Flown]:
-    """Yield flights under SE3 with larger gains, and with feedforward of the air's force.
+    """Yield flights in RotorPy that show why RotorPy's controller SE3 misses the goal in wind.
 
-    The flights show why SE3 misses the goal.
+    In some of the flights the controller has larger gains; in others it has a feedforward of the
+    aerodynamic force.
     """
     for followed in (Reference.QUINTIC, Reference.PLAN):
         path = mission.path(followed)
@@ -437,7 +461,11 @@ def _why_se3_misses(mission: _Mission, plant: OutsidePlant) -> Iterator[Flown]:
 
 
 def _against_the_air(path: ReferencePath, plant: OutsidePlant) -> ReferencePath:
-    """Return a reference path whose acceleration compensates the force of the air."""
+    """Return a reference path with a feedforward of the aerodynamic force on the vehicle.
+
+    From the acceleration of the given path, the aerodynamic force divided by the mass is
+    subtracted, so that a controller which follows the path compensates this force.
+    """
     dynamics, mass = plant.dynamics, plant.scenario.vehicle.total_mass
     moving = [dynamics.state_names.index(name) for name in (*POSITION_STATES, *VELOCITY_STATES)]
     forces = tuple((name, None) for name in AIR_FORCE)
@@ -454,7 +482,7 @@ def _against_the_air(path: ReferencePath, plant: OutsidePlant) -> ReferencePath:
 
 
 def _flights_of_set(mission: _Mission) -> Iterator[Flown]:
-    """Yield flights of a vehicle of RotorPy, in RotorPy and in the package's own model."""
+    """Yield flights of one of RotorPy's vehicles, in RotorPy and in the package's own model."""
     theirs = OutsidePlant(
         mission.scenario,
         mission.dynamics,
@@ -476,7 +504,7 @@ def _flights_of_set(mission: _Mission) -> Iterator[Flown]:
 
 
 def _flights_by_drag(mission: _Mission) -> Iterator[Flown]:
-    """Yield flights along a plan that show the effect of the place where the drag acts.
+    """Yield flights along a plan that show the effect of the point at which drag acts.
 
     In RotorPy the drag acts at the rotors, in the package's model at the centre of mass.
     """
@@ -496,8 +524,9 @@ def _rows(
 ) -> Iterator[tuple[dict[str, Any], Flown, Flight | None]]:
     """Simulate flights, and yield the table row of each flight.
 
-    The row compares the flight with the flight of the package's own model under the same
-    controller, if there is one.
+    The row contains the flight's differences from the flight of the package's own model that
+    follows the same reference under the same controller or, if there is none, under the adaptive
+    controller.
 
     Parameters
     ----------
@@ -509,8 +538,8 @@ def _rows(
     Yields
     ------
     dict, Flown, Flight or None
-        Values by column name, the flight before its simulation, and the simulated flight; None if
-        the flight went out of control.
+        Values by column name, the description of the flight, and the simulated flight (None if the
+        flight went out of control).
     """
     declared: dict[tuple[str, Reference], Flight] = {}
     for flown in flights:

@@ -1,9 +1,9 @@
 """Vehicle files made from parameter sets of the simulator RotorPy.
 
-RotorPy's rotors are placed diagonally, two ahead and two behind; the package's rotors are on body x
-and y. The vehicle is therefore turned by 45 degrees: its first rotor is ahead, its fourth to the
-left. If Ixx and Iyy differ, the turn creates a product of inertia, half their difference, which is
-neglected.
+RotorPy's rotors are placed diagonally, two ahead and two behind; the package's rotors are on the
+body axes x and y. The vehicle is therefore turned by 45 degrees, so that its first rotor is ahead
+and its fourth rotor to the left. If the moments of inertia Ixx and Iyy differ, the turn creates a
+product of inertia of half their difference, which is neglected.
 """
 
 from math import hypot
@@ -95,7 +95,7 @@ def vehicle_fields(name: str) -> dict[str, Said]:
 
 
 def vehicle_file(name: str) -> str:
-    """Return the text of a vehicle file, made from a parameter set of RotorPy.
+    """Return the text of a vehicle file (TOML), made from a parameter set of RotorPy.
 
     Each number is written with its source.
 

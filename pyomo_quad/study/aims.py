@@ -70,8 +70,9 @@ def energy_and_charge(
     -------
     DataFrame
         Columns of `AimColumn`, the plan of least energy first. Empty if the plan is not verified,
-        if its objective is the least time, if its model has the paper's equations or is a user's
-        own, or if the solve for the other objective fails.
+        if its objective is the least time, if its model is a user's own or has the attitude
+        equations of Yacef et al. (`vehicle.attitude` "paper"), or if the solve for the other
+        objective fails.
     """
     scenario = plan.scenario
     is_of_paper = scenario.vehicle.attitude is Attitude.PAPER

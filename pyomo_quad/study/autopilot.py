@@ -54,8 +54,8 @@ if TYPE_CHECKING:
 TUNED_CRUISE = f"{baseline_name(Reference.CRUISE)} tuned"
 """Name of the flight of an autopilot whose settings are tuned for least energy."""
 
-# Ranges of speed, acceleration and jerk: those of MPC_XY_CRUISE, MPC_ACC_HOR and MPC_JERK_AUTO of
-# PX4, extended to slower flight for small vehicles.
+# Ranges of speed, acceleration and jerk: the ranges of PX4's parameters MPC_XY_CRUISE, MPC_ACC_HOR
+# and MPC_JERK_AUTO, extended to slower flight for small vehicles.
 _RANGES = ((0.3, 20.0), (0.3, 15.0), (0.1, 80.0))
 # Speed, acceleration and jerk at which the search starts (the last two are PX4's defaults), and
 # factors on each that give the other corners of its first simplex.
@@ -86,9 +86,10 @@ _CONFIRMED = 4
 
 @dataclass(frozen=True, kw_only=True)
 class TriedCruise:
-    """Speed, acceleration and jerk that the tuning of an autopilot tried, and the resulting flight.
+    """Autopilot settings that a tuning tried, with the results of the simulated flight.
 
-    The flight is simulated at reduced accuracy.
+    The settings are limits on speed, acceleration and jerk. The flight is simulated at reduced
+    accuracy.
     """
 
     settings: CruiseSettings
@@ -143,7 +144,8 @@ def fly_cruise(
     settings : CruiseSettings
         Limits on speed, acceleration and jerk.
     plan : Plan or None
-        Plan whose costates give the energy to complete the flight from its end state.
+        Plan of the mission. Its costates give an estimate of the energy that the vehicle still
+        needs from the end of the flight to the exact goal state; None for no estimate.
     planner : Planner
         Holds the compiled equations of the vehicle.
 
@@ -162,7 +164,10 @@ def fly_cruise(
 def _longest(
     scenario: Scenario, settings: CruiseSettings, planner: Planner
 ) -> tuple[Scenario, Dynamics]:
-    """Return scenario and dynamics of an autopilot's flight, with the longest wait at the goal.
+    """Return scenario and dynamics of an autopilot's flight with the longest wait at the goal.
+
+    `fly_cruise` and the search for settings simulate this flight, and find in it the time of
+    arrival.
 
     Returns
     -------
@@ -182,10 +187,11 @@ def _least(scenario: Scenario) -> float:
 
 
 def _end(scenario: Scenario, settings: CruiseSettings, flown: Flown, dynamics: Dynamics) -> float:
-    """Return the time at which an autopilot's flight has arrived at the goal [s].
+    """Return the time at which an autopilot's simulated flight has arrived at the goal [s].
 
-    It is not earlier than the end of the reference trajectory, nor than a fixed duration of the
-    mission. If the vehicle does not arrive, it is the end of the flight.
+    The time is not earlier than the end of the reference trajectory. In a mission of fixed duration
+    it is not earlier than the end of the mission. If the vehicle does not arrive, it is the end of
+    the simulation.
     """
     moving = cruise_at(scenario.cruising(settings)).mission.fixed_duration
     places, velocities = (
@@ -211,7 +217,8 @@ def tune_cruise(scenario: Scenario, plan: Plan | None, planner: Planner) -> Tuni
     scenario : Scenario
         The mission, in its actual wind.
     plan : Plan or None
-        Plan whose costates give the energy to complete each flight from its end state.
+        Plan of the mission. Its costates give an estimate of the energy that the vehicle still
+        needs from the end of each flight to the exact goal state; None for no estimate.
     planner : Planner
         Holds the compiled equations of the vehicle.
 
@@ -223,8 +230,8 @@ def tune_cruise(scenario: Scenario, plan: Plan | None, planner: Planner) -> Tuni
     Raises
     ------
     ScenarioError
-        If zones block the way to a waypoint, or no settings that were tried arrive within the
-        limits.
+        If keep-out zones block the route to a waypoint, or if every flight of the search breaks a
+        limit or misses the goal.
     """
     tried = _search(scenario, plan, planner)
     for one in sorted(tried, key=lambda one: one.cost_J)[:_CONFIRMED]:
@@ -242,7 +249,11 @@ def tune_cruise(scenario: Scenario, plan: Plan | None, planner: Planner) -> Tuni
 
 
 def _search(scenario: Scenario, plan: Plan | None, planner: Planner) -> tuple[TriedCruise, ...]:
-    """Return the settings that Nelder and Mead's method tries, in order, each with its flight."""
+    """Search for the autopilot settings of least energy by Nelder and Mead's method.
+
+    The result holds all settings (speed, acceleration, jerk) that the search tried, in order, each
+    with the results of its simulated flight.
+    """
     fly = partial(_tried, scenario, plan=plan, planner=planner)
     tried: dict[tuple[float, ...], TriedCruise] = {}
     bounds = np.log(_RANGES)

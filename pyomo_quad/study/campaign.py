@@ -214,7 +214,10 @@ def _planned(present: Scenario, last: Plan | None, planner: Planner) -> Plan | s
 
 
 def _ended(plan: Plan) -> dict[str, float]:
-    """Return the states at the end of a plan, by state name."""
+    """Return the states at the end of a plan, by state name.
+
+    The next flight of a campaign starts with the battery states among them.
+    """
     held = plan.trajectories
     return dict(zip(held.state_names, held.states[-1].tolist(), strict=True))
 

@@ -48,7 +48,7 @@ class ThrustMoments:
     Parameters
     ----------
     demand : MomentumDemand
-        Thrust that the momentum balance demands, linear in the velocity.
+        Thrust vector that the momentum balance requires for a motion, linear in the velocity.
     displacement : ndarray, shape (3,)
         Vector from start to goal, m.
     duration : float
@@ -59,8 +59,8 @@ class ThrustMoments:
     widths : ndarray, shape (n,)
         Widths of a quadrature over the flight, s.
     weights : ndarray, shape (2, n, 3)
-        Weights of docs/theory/bound.md, eq. (2), and of a combination of eqs. (2) and (4), at the
-        nodes of the quadrature.
+        Weights of the two integrals at the nodes of the quadrature: the weight of
+        docs/theory/bound.md, eq. (2), and a combination of the weights of eqs. (2) and (4).
     demanded : ndarray, shape (2, 3)
         Values of the integrals of the weights times the thrust, N s.
     mean_thrust : ndarray, shape (3,)
@@ -82,7 +82,11 @@ class ThrustMoments:
         self.mean_thrust = total / duration
 
     def price(self, multipliers: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the multiplier of the thrust vector (its price) at each node of the quadrature.
+        """Return the price of thrust: the thrust vector's multiplier at each quadrature node.
+
+        A price is a Lagrange multiplier of the dual problem (docs/theory/bound.md, eq. (8)). The
+        price of thrust at a node is the sum of the two integrals' multipliers, each times its
+        weight at the node.
 
         Parameters
         ----------
@@ -103,7 +107,8 @@ class ThrustMoments:
     def supplied(self, thrust: FloatArray) -> FloatArray:
         """Return the two weighted integrals of a given thrust over the flight.
 
-        A flight of the mission has the integrals `demanded`.
+        For the thrust of any flight of the mission, the integrals are equal to the attribute
+        `demanded`.
 
         Parameters
         ----------
@@ -123,12 +128,12 @@ class ThrustMoments:
         Parameters
         ----------
         axes : tuple of int, default (0, 1, 2)
-            Axes whose thrust counts; (0, 1) is the horizontal thrust.
+            Axes of the thrust components that the bound includes; (0, 1) is the horizontal thrust.
 
         Returns
         -------
         float
-            Lower bound on the largest thrust along these axes together, N.
+            Lower bound on the largest length of the thrust vector along these axes, N.
 
         Notes
         -----
@@ -167,9 +172,10 @@ def _gauss(duration: float, panels: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _weights(times: FloatArray, rate: FloatArray, duration: float) -> tuple[FloatArray, FloatArray]:
-    """Return the weights of docs/theory/bound.md, eqs. (2) and (4), at n times, each (n, 3).
+    """Return the weights of two integrals of the thrust over a flight, at n times, each (n, 3).
 
-    `rate` is drag over mass [1/s] along each axis, `duration` the duration of the flight [s].
+    The boundary conditions fix the integrals with these weights: docs/theory/bound.md, eqs. (2) and
+    (4). `rate` is drag over mass [1/s] along each axis, `duration` the duration of the flight [s].
     """
     left = (duration - times)[:, None] * np.ones_like(rate)
     has_drag = rate > 0.0
@@ -180,10 +186,12 @@ def _weights(times: FloatArray, rate: FloatArray, duration: float) -> tuple[Floa
 def _standing_moments(
     demand: MomentumDemand, rate: FloatArray, duration: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the weighted integrals of the thrust that keeps the vehicle at rest during a flight.
+    """Return two weighted integrals of the thrust that keeps the vehicle at rest during a flight.
 
-    This thrust balances weight and wind at zero velocity. The integrals have the weights of
-    docs/theory/bound.md, eqs. (2) and (4), as `_weights` gives them, each of shape (3,).
+    This thrust balances weight and wind at zero velocity. The two weights are those of
+    docs/theory/bound.md, eqs. (2) and (4), which `_weights` returns. Each integral has the shape
+    (3,). `demand` is the thrust that the momentum balance requires for a motion, `rate` is drag
+    over mass [1/s] along each axis, and `duration` the duration of the flight [s].
     """
     previous = np.full((2, 3), np.nan)
     for panels in _PANEL_COUNTS:
@@ -208,8 +216,8 @@ _STANDING_SAMPLES = 101
 _DEGREE = 8
 _READINGS = 24
 _FIT_ERROR = 1e-10  # relative to the largest value at the nodes
-# Number of samples of the fit up to twice the speed of hover, the range of usual flights, and of
-# those beyond.
+# Number of samples of the fit up to twice the speed of hover, the range of usual flights, and
+# number of samples beyond this speed.
 _SAMPLES = 3001
 _USUAL_SPEED = 2.0
 _ITERATIONS = 200  # of L-BFGS
@@ -249,7 +257,7 @@ class Certificate:
     durations_s: tuple[float, float] = (0.0, inf)
 
     def is_of(self, duration_s: float) -> bool:
-        """Return whether the lower bound covers flights of a duration [s]."""
+        """Return whether the lower bound is valid for flights of the duration `duration_s`."""
         least, greatest = self.durations_s
         return least * (1 - SAME_TIME) <= duration_s <= greatest * (1 + SAME_TIME)
 
@@ -294,9 +302,10 @@ def certify(scenario: Scenario, *, planner: Planner | None = None) -> Certificat
 
 
 def _bound(scenario: Scenario, planner: Planner) -> _Found:
-    """Return the best lower bound that one of the methods gives [J], and its basis in words.
+    """Return the best lower bound on the energy of a mission [J], and its basis in words.
 
-    The bound is None if no method applies; the text is then the reason.
+    The methods differ in the missions to which they apply. If no method applies, the bound is None
+    and the text is the reason.
     """
     reason = next(_obstacles(scenario), "")
     if reason:
@@ -319,9 +328,10 @@ def _bound(scenario: Scenario, planner: Planner) -> _Found:
 
 
 def _uncounted(scenario: Scenario, demand: MomentumDemand) -> str:
-    """Return why waypoints and a free duration cannot enter the lower bound; "" if they can.
+    """Return why no lower bound on the energy covers waypoints or a free duration; "" if one does.
 
-    The text completes the sentence "no bound is known that counts waypoints ...".
+    For instance, the wind may change with time. The reason completes the sentence "no bound is
+    known that counts waypoints ...". `demand` is the thrust that the momentum balance requires.
     """
     times = np.linspace(0.0, scenario.nominal_duration, _STANDING_SAMPLES)
     standing = np.array([demand.thrust(float(t)) for t in times])
@@ -338,6 +348,17 @@ def _bound_as_a_whole(
     scenario: Scenario, demand: MomentumDemand, power: _SteadyPower, uncounted: str
 ) -> _Found:
     """Bound the energy of flights of fixed duration from below, ignoring waypoints.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission.
+    demand : MomentumDemand
+        Thrust that the momentum balance requires.
+    power : _SteadyPower
+        Total power over total thrust at constant rotor speeds.
+    uncounted : str
+        Reason from `_uncounted` why waypoints and a free duration are not covered, for the texts.
 
     Returns
     -------
@@ -373,7 +394,19 @@ def _bound_by_legs(
 ) -> _Found:
     """Bound the energy of flights through the waypoints from below, for all passing times.
 
-    Valid for power and drag that do not depend on the airspeed; a free duration may take any value.
+    The bound applies if power and drag do not depend on the airspeed. The passing times of the
+    waypoints, and a free duration, may have any values.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission.
+    planner : Planner
+        Holds the compiled equations.
+    demand : MomentumDemand
+        Thrust that the momentum balance requires.
+    power : _SteadyPower
+        Total power over total thrust at constant rotor speeds.
 
     Returns
     -------
@@ -412,7 +445,8 @@ def _energy_returned(scenario: Scenario, planner: Planner) -> float:
     """Return the energy that slowing rotors can give back at the goal after a payload release [J].
 
     The vehicle is lighter at the goal than at the start, so that its rotors turn more slowly in the
-    hover at the goal.
+    hover at the goal. The energy is subtracted from the lower bound (docs/theory/bound.md, eq.
+    (7)).
     """
     if not scenario.mission.released:
         return 0.0
@@ -427,7 +461,8 @@ def _energy_returned(scenario: Scenario, planner: Planner) -> float:
 def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand) -> _Found:
     """Bound the energy of flights from below if power or drag depends on the airspeed.
 
-    The bound is computed by the module `pairs`, over all pairs of thrust and airspeed.
+    The bound follows from the least power over all combinations (pairs) of thrust and airspeed; the
+    module `pairs` computes it.
 
     Returns
     -------
@@ -485,7 +520,11 @@ def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand
 
 
 def _airspace_clause(scenario: Scenario) -> str:
-    """Return the clause that extends the statement of a bound to flights in an airspace, or ""."""
+    """Return the end of the sentence that states a lower bound, for a mission with an airspace.
+
+    The clause says that the bound also holds for the flights that stay within the airspace. It is
+    empty if the scenario has no keep-out zones, floor or ceiling.
+    """
     airspace = scenario.airspace
     if not airspace.keep_out and airspace.floor is None and airspace.ceiling is None:
         return ""
@@ -493,7 +532,10 @@ def _airspace_clause(scenario: Scenario) -> str:
 
 
 def _obstacles(scenario: Scenario) -> Iterator[str]:
-    """Yield the reasons why no lower bound on the energy is known, the simplest first."""
+    """Yield the reasons why no lower bound on a scenario's energy is known, the simplest first.
+
+    It yields nothing if a bound may be known.
+    """
     if scenario.model is not None:
         yield f"no bound is known for a user's own model ({scenario.model})."
     if scenario.power.model is PowerModel.EFFICIENCY:
@@ -518,10 +560,21 @@ def _obstacles(scenario: Scenario) -> Iterator[str]:
 
 
 def _best_bound(moments: ThrustMoments, power: _SteadyPower, ceiling: float) -> float:
-    """Return the largest lower bound that maximising the dual function finds [J].
+    """Maximise the dual function over its multipliers; return the best lower bound found [J].
 
-    It is at least the bound of Jensen's inequality, from which the search starts. The search stops
-    above ``ceiling`` [J], the energy of full power throughout, since no flight exists then.
+    The dual function bounds the energy of every flight of the mission from below: it is the
+    right-hand side of docs/theory/bound.md, eq. (8). The search starts from the bound of Jensen's
+    inequality, eq. (9), and the result is never below this bound.
+
+    Parameters
+    ----------
+    moments : ThrustMoments
+        Weighted integrals of the thrust that the mission fixes.
+    power : _SteadyPower
+        Total power over total thrust at constant rotor speeds.
+    ceiling : float
+        Energy of full power during the whole flight [J]. The search stops above it, because a
+        larger bound proves that no flight exists.
     """
 
     def negative(multipliers: FloatArray) -> tuple[float, FloatArray]:
@@ -551,10 +604,11 @@ def _best_bound(moments: ThrustMoments, power: _SteadyPower, ceiling: float) -> 
 
 
 class _SteadyPower:
-    """Total thrust and power at equal, constant rotor speeds over their allowed range.
+    """Total thrust and total power of the vehicle while all rotors turn at one constant speed.
 
-    Power here may be negative. The declared power has a smooth lower limit of zero, which can only
-    increase the power, so that a lower bound on the energy stays valid.
+    The values cover the allowed range of the rotor speed. The power may be negative: the lower
+    limit of zero that the power model has is not applied here. That limit can only increase the
+    power, so that a lower bound on the energy computed without it is valid.
 
     Attributes
     ----------
@@ -582,7 +636,10 @@ class _SteadyPower:
         self._chords = np.diff(self._floor) / np.diff(self._thrust)
 
     def slope(self, thrust: float) -> float:
-        """Return the derivative of power with respect to thrust at a thrust [W/N]."""
+        """Return the derivative of the power with respect to the thrust [W/N].
+
+        `thrust` is the total thrust [N] at which the derivative is taken.
+        """
         return float(np.interp(thrust, self.thrust[1:], self._slope))
 
     def conjugate(self, price: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -614,7 +671,16 @@ class _SteadyPower:
 def _fit(
     readings: FloatArray, speeds: FloatArray, samples: FloatArray
 ) -> tuple[Chebyshev, FloatArray, bool]:
-    """Fit a polynomial of the rotor speed to values of the declared model.
+    """Fit a polynomial of the rotor speed to computed values of the model's thrust or power.
+
+    Parameters
+    ----------
+    readings : ndarray
+        Values of the model at the rotor speeds ``speeds``.
+    speeds : ndarray
+        Rotor speeds of the fit, rad/s.
+    samples : ndarray
+        Rotor speeds at which the fit is evaluated, rad/s.
 
     Returns
     -------
@@ -623,7 +689,7 @@ def _fit(
     values : ndarray
         The fit at the speeds ``samples``.
     is_exact : bool
-        Whether the fit meets the ``readings`` (values at ``speeds``) to rounding.
+        Whether the fit equals the ``readings`` to rounding.
     """
     domain = [speeds[0], speeds[-1]]
     polynomial = Chebyshev.fit(speeds, readings, _DEGREE, domain=domain)
@@ -632,9 +698,10 @@ def _fit(
 
 
 def _below(thrust: FloatArray, power: FloatArray) -> FloatArray:
-    """Lower samples of the power so that the polygon through them is nowhere above the power.
+    """Lower samples of the power so that the polygon through them is nowhere above the curve.
 
-    A lower bound on the energy that the samples give is thus valid for the whole curve.
+    A lower bound on the energy that is computed from the lowered samples is thus valid for the
+    whole curve. `thrust` [N] and `power` [W] are the samples, in the order of increasing thrust.
     """
     chords = np.diff(power) / np.diff(thrust)
     # The power rises with thrust, so the first step extends a level line.
@@ -643,7 +710,10 @@ def _below(thrust: FloatArray, power: FloatArray) -> FloatArray:
 
 
 def _corners(thrust: FloatArray, power: FloatArray) -> FloatArray:
-    """Return the vertices of the lower convex hull of power over thrust, shape (2, n)."""
+    """Return the vertices of the lower convex hull of power over thrust, shape (2, n).
+
+    The first row holds the thrusts [N], the second the powers [W].
+    """
     kept: list[tuple[float, float]] = []
     for x, y in zip(thrust.tolist(), power.tolist(), strict=True):
         while len(kept) > 1:

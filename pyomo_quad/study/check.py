@@ -35,7 +35,7 @@ def _caution(subject: str, message: str) -> Finding:
 
 
 def pack_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
-    """Yield findings on the battery: too little charge or power, limits that no flight can keep.
+    """Check a mission's battery before the solve: its charge, its power and its limits.
 
     Parameters
     ----------
@@ -47,9 +47,9 @@ def pack_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
     Yields
     ------
     Finding
-        A battery with too little charge or power gives a caution only, because the
-        battery's equations stay finite when it is empty. A limit that every flight
-        must exceed gives a finding of severity "impossible".
+        Too little charge or power gives a caution only, because the battery's equations stay finite
+        when the battery is empty. A battery limit that every flight of the mission breaks gives a
+        finding of severity "impossible".
     """
     steady, limits = planner.steady_flight(scenario), scenario.limits
     for line in battery_shortfalls(scenario, steady):
@@ -74,10 +74,11 @@ def pack_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
 
 
 def _limits_broken(scenario: Scenario, steady: SteadyFlight, bound: float) -> Iterator[Finding]:
-    """Yield the battery limits that every flight of the mission must break.
+    """Yield a finding for each battery limit that every flight of the mission must break.
 
     `bound` is a lower bound on the energy of every flight of the mission [J]. Divided by the
-    duration, it gives the least mean power, and every flight breaks a limit that allows less.
+    duration, it gives a lower bound on the mean power. If a limit does not permit even this mean
+    power, every flight breaks the limit.
     """
     limits, duration = scenario.limits, scenario.mission.fixed_duration
     current, voltage, charge_rate = steady.pack_under(bound / duration)
@@ -112,19 +113,20 @@ def _limits_broken(scenario: Scenario, steady: SteadyFlight, bound: float) -> It
         )
 
 
-# Range of rotor speeds, relative to hover, in which chattering is looked for: that of usual
+# Range of rotor speeds, relative to hover, that is searched for chattering: the speeds of usual
 # flights.
 _SLOWEST, _FASTEST = 0.6, 1.1
-_SPEEDS = 11  # samples of that range: 5 % of the hover speed apart
+_SPEEDS = 11  # samples of this range: 5 % of the hover speed apart
 _ACCELERATIONS = 16  # samples of the rotor acceleration from zero to its limit, for each sign
 # A relative saving below this is within the smoothing of the lower limits of torque and f_r.
 _SAVING = 1e-3
 
 
 def power_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[Finding]:
-    """Yield cautions if the power model is outside its valid range near the mission's hover.
+    """Yield findings if the power model is outside its valid range at or near hover.
 
-    For instance, the motors may need more voltage in hover than the battery has.
+    For instance, the motors may need more voltage in hover than the battery has. This is impossible
+    if the power model uses the motor's electrical constants; otherwise it gives a caution.
     """
     if scenario.power.model is PowerModel.EFFICIENCY:
         yield from _efficiency_findings(scenario, steady)
@@ -165,10 +167,11 @@ def _efficiency_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[F
 
 
 def _fastest_chattering(steady: SteadyFlight, limit: float) -> float | None:
-    """Return the highest rotor speed at which chattering takes less power than steady speed.
+    """Return the highest rotor speed [rad/s] where chattering takes less power than a steady speed.
 
-    Chattering is alternating acceleration and braking, within ``limit`` [rad/s^2]. The result is in
-    rad/s, or None if there is no such speed in the range searched.
+    Chattering is alternating acceleration and braking, up to the rotor acceleration ``limit``
+    [rad/s^2]. Where it takes less power, a plan of least energy depends on this limit and on the
+    mesh. The result is None if there is no such speed between 0.6 and 1.1 times the speed of hover.
     """
     hover = steady.hover_speed
     for speed in np.linspace(_FASTEST * hover, _SLOWEST * hover, _SPEEDS):
@@ -212,7 +215,9 @@ _MARGIN = 1e-3
 
 
 def reach_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
-    """Yield findings on thrust, tilt, rotor speed or yaw moment needed beyond the limits.
+    """Yield findings if every flight of a mission exceeds a limit on its motion.
+
+    The limits are those on thrust, tilt, rotor speed and yaw moment.
 
     Parameters
     ----------
@@ -243,7 +248,10 @@ def reach_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
 
 
 def _available_thrust(scenario: Scenario, steady: SteadyFlight) -> tuple[str, float]:
-    """Return the limit that restricts the thrust most, as "field = value", and that thrust [N]."""
+    """Return the limit that permits the least thrust, as "field = value", and this thrust [N].
+
+    The limits compared are the limits on rotor speed, on thrust and on rotor acceleration.
+    """
     limits = scenario.limits
     # Rotors start and end at hover speed, so they can be fastest half way through the flight.
     gain = limits.rotor_acceleration_max * scenario.mission.fixed_duration / 2
@@ -306,11 +314,12 @@ def _too_short(
 
 
 def _least_duration(scenario: Scenario, demand: MomentumDemand, available: float) -> float:
-    """Return a duration below which the thrust is insufficient for the mission [s].
+    """Return the longest duration found for which the thrust is insufficient for the mission [s].
 
-    The duration is found by doubling and bisection, starting from the duration of the mission. It
-    is infinite if no duration suffices, or if the wind after the end of the mission is unknown.
-    `available` is the thrust that the limits allow [N].
+    A message recommends more time than this. The duration is found by doubling and bisection,
+    starting from the duration of the mission. It is infinite if no duration suffices, or if the
+    wind after the end of the mission is unknown. `demand` is the thrust that the momentum balance
+    requires; `available` is the thrust that the limits allow [N].
     """
     if scenario.wind.series is not None:
         return inf
@@ -392,8 +401,8 @@ def check_mission(
     scenario : Scenario
         The mission.
     builder : callable, optional
-        Builds the Pyomo model. Of a user's model only the declarations are screened, because the
-        limits of its vehicle are unknown.
+        Builds the Pyomo model. For a user's model, thrust, power and battery are not checked,
+        because the limits of its vehicle are unknown.
     planner : Planner, optional
         Holds the compiled equations; by default a new planner.
 
@@ -418,7 +427,7 @@ def check_mission(
 
 
 def _contradictions(scenario: Scenario) -> Iterator[Finding]:
-    """Yield contradictions between the numbers of a vehicle, such as its moments of inertia."""
+    """Yield contradictions between the vehicle's numbers, such as its moments of inertia."""
     for found in scenario.contradictions:
         yield Finding(severity=Severity.UNPHYSICAL, subject=found.field, message=found.message)
 
@@ -450,7 +459,10 @@ def _beyond_measured_heights(scenario: Scenario) -> Iterator[Finding]:
 
 
 def _idle_limits(scenario: Scenario) -> Iterator[Finding]:
-    """Yield limits that have no effect because the rotors cannot reach them."""
+    """Yield a caution for each limit on thrust or moment that the rotors cannot reach.
+
+    Such a limit has no effect: even at their largest speed, the rotors give less.
+    """
     limits = scenario.limits
     for name, greatest in derived_limits(scenario.vehicle, limits.rotor_speed_max).items():
         limit, unit = getattr(limits, name), unit_of(type(limits), name).replace("*", " ")
@@ -476,7 +488,10 @@ def _tilt_left_to_plans(scenario: Scenario) -> Iterator[Finding]:
 
 
 def _untracked_tilt(plan: "Plan") -> Iterator[str]:
-    """Yield a caution if a plan tilts further than the controller of its scenario can follow."""
+    """Yield a caution if a plan tilts further than the controller of its scenario can follow.
+
+    A simulated flight under this controller would then deviate from the plan.
+    """
     held = plan.trajectories
     if plan.verification is None or not set(_ANGLES) <= set(held.state_names):
         return
@@ -526,10 +541,11 @@ def plan_cautions(plan: "Plan", *, planner: "Planner | None" = None) -> tuple[st
 
 
 def _attitude_cautions(plan: "Plan", planner: "Planner | None") -> Iterator[str]:
-    """Yield a caution if a plan with the paper's attitude equations fails with exact equations.
+    """Yield a caution if a plan with simplified attitude equations misses the goal with exact ones.
 
-    The paper (Yacef et al.) sets the Euler rates equal to the body rates. The plan's controls are
-    simulated with exact Euler rates, and fail if they miss the goal.
+    The simplified equations are those of Yacef et al. (`vehicle.attitude` "paper"), which set the
+    Euler rates equal to the body rates. The controls of the plan are simulated with exact Euler
+    rates.
     """
     told = plan.scenario.as_forecast()
     is_printed = told.vehicle.attitude is Attitude.PAPER
@@ -557,9 +573,10 @@ def _attitude_cautions(plan: "Plan", planner: "Planner | None") -> Iterator[str]
 
 
 def _efficiency_map_cautions(plan: "Plan") -> Iterator[str]:
-    """Yield a caution on the share of a plan outside the valid range of the polynomial f_r.
+    """Yield a caution if part of a plan is outside the valid range of the polynomial f_r.
 
-    f_r is the efficiency of the drive in `power.model` "efficiency".
+    f_r is the efficiency of motor and rotor in `power.model` "efficiency". The caution states the
+    share of the plan's rotor states outside the range.
     """
     floors = plan.scenario.power
     if floors.model is not PowerModel.EFFICIENCY or not plan.dynamics.has(_EFFICIENCY):

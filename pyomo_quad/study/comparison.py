@@ -137,7 +137,7 @@ def compare_flights(
     certificate: Certificate,
     hover_energy_J: float,
 ) -> "pd.DataFrame":
-    """Compare the flights of one mission in a table of energies, savings, misses and limits.
+    """Compare the flights of one mission in a table: energies, savings, arrival and limits.
 
     Parameters
     ----------
@@ -157,20 +157,22 @@ def compare_flights(
 
     Notes
     -----
-    Flights are compared at the same end state.  The energy needed to complete the manoeuvre from a
-    flight's end state (the owed energy, `Plan.owed_energy`) is added to its energy; excess, gap and
-    savings refer to the sum.  Saving = (flight - optimum) / flight, in per cent.  The table has
-    two savings: of the sum, and of the part of the sum that exceeds the energy of hovering.
+    Flights are compared at the same end state.  A simulated flight ends near the goal. The energy
+    that the vehicle needs from the flight's end state to the exact goal state (the owed energy,
+    `Plan.owed_energy`) is therefore added to the flight's energy; excess over hovering, optimality
+    gap and savings refer to the sum.  The saving of the plan compared with a flight is
+    (flight - plan) / flight, in per cent.  The table has two savings: of the sum, and of the part
+    of the sum that exceeds the energy of hovering.
 
-    A flight has no saving, bound or gap if it did not arrive, broke a limit, or if its owed energy
-    is unknown, because the bound covers only flights that arrive within the limits.  If the
-    scenario has a forecast, no savings are given, and the optimum has no bound: the plan was made
+    A flight has no saving, lower bound or gap if it did not arrive, broke a limit, or if its owed
+    energy is unknown, because the bound covers only flights that arrive within the limits.  If the
+    scenario has a wind forecast, no savings are given, and the plan has no bound: the plan was made
     for the forecast wind, and the other flights were simulated in the actual wind.
 
     ``hover_energy_J`` is the energy of hovering for the duration of the mission.  For a flight of
     another duration, hovering takes another energy. The flight then has a bound only if the
     certificate covers its duration, and no saving above hover, because the two hover energies
-    differ. There is no saving above hover either if the optimum takes less energy than hovering,
+    differ. There is no saving above hover either if the plan takes less energy than hovering,
     because the saving would exceed 100 %.
     """
     is_told_the_wind = scenario.wind.forecast is None
@@ -225,7 +227,11 @@ def against_hovering(excess_J: float, digits: int = 2) -> str:
 
 
 def has_own_time(scenario: Scenario, duration_s: float) -> bool:
-    """Return whether the duration of a flight differs from the duration of the mission."""
+    """Return whether the duration of a flight [s] differs from the duration of the mission.
+
+    The energy of hovering for the mission's duration must then be converted to the flight's
+    duration.
+    """
     return not isclose(duration_s, scenario.mission.fixed_duration, rel_tol=SAME_TIME)
 
 
@@ -246,7 +252,12 @@ class LegColumn(TableColumn):
 
 
 def leg_table(mission: Scenario, frame: "pd.DataFrame") -> "pd.DataFrame":
-    """Return times, length and energy of each leg of a flight (between waypoints) as a table."""
+    """Return times, length and energy of each leg of a flight as a table.
+
+    A leg is the flight from one waypoint to the next. Each hover at a waypoint has a row, too.
+    `mission` is the scenario with the passing times of the flight, `frame` the flight's table over
+    time.
+    """
     return LegColumn.of_rows(leg_rows(mission, frame))
 
 
@@ -290,7 +301,10 @@ def leg_rows(
 
 
 def _legs(mission: Scenario, duration_s: float) -> Iterator[tuple[str, float, float]]:
-    """Yield name, begin and end [s] of each leg between waypoints and each hover at them."""
+    """Yield name, begin [s] and end [s] of each part of a mission of duration `duration_s`.
+
+    The parts are the legs from waypoint to waypoint and the hovers at waypoints.
+    """
     left, place = 0.0, "start"
     for number, waypoint in enumerate(mission.mission.waypoints, start=1):
         reached = duration_s if waypoint.at is None else waypoint.at
@@ -302,9 +316,10 @@ def _legs(mission: Scenario, duration_s: float) -> Iterator[tuple[str, float, fl
 
 
 def way_flown(flown: "Mapping[str, FloatArray] | pd.DataFrame") -> FloatArray:
-    """Return the length of the path flown until each row of a flight's table [m].
+    """Return the length of the path from the start to each row of a flight's table [m].
 
-    Axes that a user's model does not declare are left out.
+    `flown` is the table of the flight. Position axes that a user's model does not declare are left
+    out.
     """
     held = [np.asarray(flown[name], dtype=float) for name in _PLACE if name in flown]
     places = np.reshape(held, (-1, len(flown[TIME]))).T
@@ -313,7 +328,7 @@ def way_flown(flown: "Mapping[str, FloatArray] | pd.DataFrame") -> FloatArray:
 
 
 class ReplanningColumn(TableColumn):
-    """Columns of the table of flights that are planned again on the way, in order."""
+    """Columns of the table of flights whose plan is solved again during the flight, in order."""
 
     FLIGHT = "flight"
     SETTLED_ENERGY = "settled_energy_J"
@@ -329,18 +344,18 @@ class ReplanningColumn(TableColumn):
 
 
 def replanning_table(flights: Sequence[Flight], settings: Replanning) -> "pd.DataFrame":
-    """Return results and solve times of all flights that are planned again on the way.
+    """Return results and solve times of all flights whose plan is solved again during the flight.
 
-    A solve counts as late if it took longer on this machine than the scenario's ``solve_time``,
-    independently of the delay that was simulated. A late solve may even have taken longer than the
-    interval to the next solve.
+    A solve is late if it took longer on this machine than the scenario's ``solve_time``, the time
+    allowed for a solve. The table also counts the solves that took longer than the interval to the
+    next solve. Both counts are independent of the delay that was simulated.
 
     Parameters
     ----------
     flights : sequence of Flight
         Flights of a run.
     settings : Replanning
-        Interval and allowed time of the solves [s].
+        Interval between the solves, and time allowed for a solve [s].
 
     Returns
     -------
@@ -392,7 +407,7 @@ def settled_energy(flight: Flight) -> float:
 
 
 def combine(frames: "Sequence[pd.DataFrame]") -> "pd.DataFrame":
-    """Return the comparisons of many scenarios as one table."""
+    """Return the comparison tables of many scenarios as one table."""
     import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
     if not frames:
@@ -410,9 +425,10 @@ def _percent(part: float, whole: float) -> float:
 
 
 def _measured(scenario: Scenario, frame: "pd.DataFrame") -> dict[ComparisonColumn, float]:
-    """Return peaks, time near the goal and charge used of a flight, for its row in a comparison.
+    """Return the columns of a comparison's row that are computed from the flight's table over time.
 
-    The peaks are the largest power, tilt and rotor acceleration.
+    They are the largest power, tilt and rotor acceleration, the time near the goal, and the charge
+    used.
     """
     alpha = _rotor_values(frame, "rotors.alpha")
     tilt = np.cos(_values(frame, "rigid_body.phi")) * np.cos(_values(frame, "rigid_body.theta"))
@@ -437,7 +453,8 @@ def _reserve_percent(scenario: Scenario, frame: "pd.DataFrame") -> float:
 def _time_inside(scenario: Scenario, frame: "pd.DataFrame") -> float:
     """Return the time that a flight spends near the goal [s].
 
-    An interval between two rows counts half if only one of its ends is near.
+    Near is a distance of at most `INSIDE_DISTANCE_M`. The interval between two rows of the flight's
+    table counts half if the vehicle is near the goal at one of the rows only.
     """
     position = np.column_stack([_values(frame, name) for name in POSITION_STATES])
     distance = np.linalg.norm(position - scenario.mission.goal.position, axis=1)

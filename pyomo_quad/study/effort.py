@@ -63,8 +63,8 @@ class Counts:
     is_free, has_wind_table, has_wind_field : bool
         Whether the duration is free, and whether the wind is a measured table or a field.
     cells : int
-        Number of grid cells, of the wind field or of the terrain, in which the flight takes place:
-        the refined mesh follows them.
+        Number of grid cells of the wind field or of the terrain that the flight crosses. The
+        estimate assumes at least one mesh element for each cell.
     """
 
     unknowns: int
@@ -170,7 +170,7 @@ def estimate_effort(scenario: Scenario, unknowns: int) -> Effort:
 def counts_of(scenario: Scenario, unknowns: int) -> Counts:
     """Count the features of a scenario that determine its planning time.
 
-    `unknowns` is the number of functions of time of the model.
+    `unknowns` is the number of functions of time in the model: states and other variables.
     """
     mission, solver = scenario.mission, scenario.solver
     try:
@@ -195,7 +195,11 @@ def counts_of(scenario: Scenario, unknowns: int) -> Counts:
 
 
 def _cells(scenario: Scenario) -> int:
-    """Return how many cells of the wind field or of the terrain the straight legs cross."""
+    """Return how many grid cells of the wind field or of the terrain the straight legs cross.
+
+    A leg is the line from one waypoint to the next. The number is the length of all legs divided by
+    the least step of the grids.
+    """
     field, ground = scenario.wind.grid, scenario.airspace.ground
     steps = [] if field is None else [after - at for at, after in pairwise(field.x)]
     steps += [] if field is None else [after - at for at, after in pairwise(field.y)]

@@ -1,7 +1,7 @@
 """Many simulated flights of a mission in random winds: rate of success, energy, charge.
 
-A seed determines the winds, so that flights along another reference, such as an autopilot's cruise,
-meet the same winds.
+A seed determines the winds. Flights along different reference trajectories, such as a plan and an
+autopilot's cruise, thus meet the same winds.
 """
 
 from collections import Counter
@@ -80,7 +80,7 @@ class Share:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Ensemble(Summarised):
-    """Simulated flights of a mission along one reference, each in its own random wind.
+    """Simulated flights of a mission along one reference trajectory, each in its own random wind.
 
     Attributes
     ----------
@@ -91,9 +91,9 @@ class Ensemble(Summarised):
     seed : int
         Seed of the winds.
     flown : FlownOften
-        Tracks over time and end of each flight.
+        Recorded quantities over time, and result of each flight.
     planned : ndarray, shape (n_samples, 3)
-        Positions of the reference at the times of `flown` [m].
+        Positions of the reference trajectory at the times of `flown` [m].
     wall_s : float
         Wall-clock time of the simulation [s].
     """
@@ -117,29 +117,31 @@ class Ensemble(Summarised):
 
     @property
     def broken(self) -> dict[str, Share]:
-        """Share of flights that broke each limit, by limit in words, the largest first."""
+        """Share of the flights that broke each limit, by limit in words, the largest first."""
         counts = Counter(name for ending in self.flown.endings for name in ending.broken)
         return {name: Share(count, self.count) for name, count in counts.most_common()}
 
     @property
     def worst(self) -> dict[str, float]:
-        """Largest relative violation of each broken limit, by limit in words."""
+        """Largest relative violation of each broken limit over all flights, by limit in words."""
         return {
             name: max(ending.broken.get(name, 0.0) for ending in self.flown.endings)
             for name in self.broken
         }
 
     def of_flights(self, quantity: str) -> FloatArray:
-        """Return one attribute of `Ending`, the result of a flight, for every flight.
+        """Return one result, such as the energy, for every flight.
 
-        The result has one value for each flight, shape (count,).
+        `quantity` is the name of an attribute of `Ending`, the result of one flight. The result has
+        one value for each flight, shape (count,).
         """
         return np.array([getattr(ending, quantity) for ending in self.flown.endings])
 
     def band(self, quantity: str) -> tuple[float, float, float]:
-        """Return the 5, 50 and 95 % quantiles (`BAND`) of an attribute of `Ending` over flights.
+        """Return the 5, 50 and 95 % quantiles (`BAND`) of one result over the flights.
 
-        An `Ending` is the result of one flight, such as its energy.
+        `quantity` is the name of an attribute of `Ending`, the result of one flight, such as its
+        energy.
         """
         low, middle, high = np.quantile(self.of_flights(quantity), BAND).tolist()
         return low, middle, high
@@ -173,9 +175,10 @@ class Ensemble(Summarised):
         )
 
     def bands(self) -> "pd.DataFrame":
-        """Return the 5, 50 and 95 % quantiles (`BAND`) over the flights of quantities over time.
+        """Return quantiles (`BAND`: 5, 50 and 95 %) over the flights of quantities over time.
 
-        The table has a row for each time, and three columns for each quantity of `TRACKS`.
+        The table has a row for each time, and three columns for each quantity of `TRACKS`, such as
+        the speed.
         """
         import pandas as pd  # noqa: PLC0415  as above
 
@@ -197,7 +200,8 @@ def fly_plan_often(
     scenario : Scenario
         The mission with the times of the plan (`Plan.mission_flown`).
     held : Trajectories
-        The plan, made for the scenario's forecast.
+        States and controls of the plan over time. The plan was made for the scenario's forecast of
+        the wind.
     planner : Planner
         Holds the compiled equations of the vehicle.
     flights, seed : int
@@ -227,8 +231,8 @@ def fly_cruise_often(
     """Simulate an autopilot, straight between waypoints, many times in random winds.
 
     With the same seed, the winds are the same as in `fly_plan_often`. The autopilot waits at the
-    goal until half of the flights have arrived, but at most for the longest time in `SETTLINGS_S`
-    [s]. All flights last at least `least_s`.
+    goal until at least half of the flights arrive and break no limit, but at most for the longest
+    time in `SETTLINGS_S` [s]. All flights last at least `least_s`.
 
     Parameters
     ----------
@@ -294,18 +298,18 @@ def _flown(
 
 @dataclass(frozen=True, kw_only=True)
 class Saving:
-    """Saving of the plan against another flight of the mission in the same winds.
+    """Energy saving of flights along a plan compared with other flights in the same random winds.
 
     Attributes
     ----------
     rival : Ensemble
-        The other flight, in each wind.
+        The other flights, one in each wind, such as the flights of an autopilot.
     percent : (float, float, float)
-        `BAND` quantiles over the winds of (rival - plan) / rival in per cent, of the energies in
-        the same wind.
+        Saving in per cent: `BAND` quantiles over the winds of (rival - plan) / rival, where both
+        energies are from the same wind.
     both_succeeded : int
-        Number of winds in which both flights arrived and kept every limit. The percentages cover
-        all winds.
+        Number of winds in which the flight along the plan and the rival flight arrived and broke no
+        limit. The percentages cover all winds.
     """
 
     rival: Ensemble
@@ -314,7 +318,15 @@ class Saving:
 
     @classmethod
     def of(cls, planned: Ensemble, rival: Ensemble) -> "Saving":
-        """Return the saving of a plan over a rival flight, from energies in the same winds."""
+        """Return the energy saving of a plan's flights over rival flights in the same winds.
+
+        Parameters
+        ----------
+        planned : Ensemble
+            Flights along the plan.
+        rival : Ensemble
+            Other flights in the same winds.
+        """
         mine, other = (flown.of_flights("energy_J") for flown in (planned, rival))
         low, middle, high = np.quantile(100.0 * (other - mine) / other, BAND).tolist()
         pairs = zip(planned.flown.endings, rival.flown.endings, strict=True)
@@ -324,14 +336,14 @@ class Saving:
 
 @dataclass(frozen=True, kw_only=True)
 class InTurbulence:
-    """Flights of a run in turbulence: along its plan, and of an autopilot in the same winds.
+    """Simulated flights in turbulence: along a plan, and of an autopilot in the same winds.
 
     Attributes
     ----------
     flown : Ensemble
         Flights along the plan.
     saving : Saving or None
-        Saving against the autopilot; None where no autopilot flew.
+        Energy saving compared with the autopilot; None if no autopilot was simulated.
     autopilot : str
         The autopilot and its settings in words.
     """
@@ -342,12 +354,16 @@ class InTurbulence:
 
     @property
     def savings(self) -> tuple[Saving, ...]:
-        """The saving as a tuple with one item; empty if no autopilot was simulated."""
+        """The energy saving over the autopilot, in a tuple; empty if no autopilot was simulated."""
         return () if self.saving is None else (self.saving,)
 
     @property
     def words(self) -> str:
-        """Share of flights that arrive and keep every limit, and the saving in the same winds."""
+        """Sentences on the flights in turbulence: the share that succeed, and the energy saving.
+
+        A flight succeeds if it arrives and breaks no limit. The saving is over an autopilot in the
+        same winds.
+        """
         held, most = self.flown.succeeded, next(iter(self.flown.broken.items()), None)
         broken = "" if most is None else f"; the limit broken most often: {most[0]}"
         found = (
@@ -368,21 +384,22 @@ class InTurbulence:
 # Total simulated time [s] of the flights in turbulence of a run, which takes less than half a
 # minute, and largest number of flights.
 _FLOWN_S, _MOST_FLIGHTS = 10_000.0, 1000
-# Seed of these flights, other than that of the flights from which the plan's margins were found.
+# Seed of these flights. It differs from the seed of the flights from which the plan's margins were
+# found.
 _SEED = 1
 
 
 def fly_in_turbulence(
     plan: Plan, cruise: CruiseSettings | None, *, is_tuned: bool = False, planner: Planner
 ) -> InTurbulence | None:
-    """Simulate plan and autopilot in many random winds; None if the scenario has no turbulence.
+    """Simulate the flights of a plan, and of an autopilot, in many random winds.
 
     Parameters
     ----------
     plan : Plan
         Plan of the run.
     cruise : CruiseSettings or None
-        Settings of the autopilot; with None no autopilot flies.
+        Speed, acceleration and jerk of the autopilot; with None no autopilot is simulated.
     is_tuned : bool
         Whether `cruise` has the settings of least energy; the wording of the result says so.
     planner : Planner
@@ -419,7 +436,7 @@ def fly_in_turbulence(
 def ensemble_summary(flown: Ensemble, savings: Sequence[Saving] = ()) -> dict[str, Any]:
     """Return the results of many flights in random winds as values for JSON.
 
-    `savings` are the savings of the plan against other flights in the same winds.
+    `savings` are the energy savings of these flights over other flights in the same winds.
     """
     worst = flown.worst
     return {

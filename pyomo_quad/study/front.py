@@ -26,7 +26,7 @@ _SAME_TIME = 1e-4
 
 
 class FrontColumn(TableColumn):
-    """Columns of the table of an energy-time front, in order."""
+    """Columns of the table of an energy-time front (least energy against duration), in order."""
 
     PRICE = "price_of_time_W"
     DURATION = "duration_s"

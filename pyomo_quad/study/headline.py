@@ -1,8 +1,9 @@
-"""Headline of a run in words: energy, duration, saving, and flights in turbulence.
+"""Headline of a run: its main results in a few sentences.
 
-The saving is against the autopilot tuned for least energy (`study.autopilot`).  A run without this
-flight compares with the smooth baseline, or else with the cheapest flight that arrived within the
-limits.
+The sentences state energy and duration of the plan, its energy saving, and the success of its
+simulated flights in turbulence. The saving is over the autopilot tuned for least energy
+(`study.autopilot`). A run without this flight compares the plan with the smooth baseline, or else
+with the flight of least energy that arrived within the limits.
 """
 
 from collections.abc import Iterable, Mapping
@@ -43,10 +44,11 @@ class Headline:
     settings : CruiseSettings or None
         Speed, acceleration and jerk of the tuned autopilot, if it is the rival.
     risk : RiskTaken or None
-        Risk of breaking a limit for which the plan was made, with its flights in turbulence.
+        Allowed probability that a flight in turbulence breaks a limit, with the test flights that
+        the planner simulated; None for a scenario without `mission.risk`.
     often : InTurbulence or None
         Many simulated flights of the run in turbulence. If given, the headline uses them instead of
-        the flights in ``risk``.
+        the test flights in ``risk``.
     """
 
     energy_J: float
@@ -59,11 +61,13 @@ class Headline:
 
     @property
     def words(self) -> str:
-        """The headline: energy and time, saving, flights in turbulence, cost of the margins.
+        """The main results of a run as sentences.
 
-        If an autopilot was simulated in the same turbulence as the plan, the saving is taken from
-        these flights, because a plan for the mean wind cannot be compared with a single flight in
-        turbulence.
+        They state the plan's energy and duration, its energy saving over another flight, the share
+        of its simulated flights in turbulence that succeed, and the energy that its safety margins
+        cost. If an autopilot was simulated in the same turbulence as the plan, the saving is taken
+        from these flights, because a plan for the mean wind cannot be compared with a single flight
+        in turbulence.
         """
         charge = ""
         if self.battery_percent is not None:
@@ -75,7 +79,11 @@ class Headline:
 
     @property
     def summary(self) -> dict[str, Any]:
-        """The headline in words, and the saving that it states as numbers, as values for JSON."""
+        """The main results of a run as values for JSON.
+
+        They are the sentences, name, energy and duration of the flight with which the plan is
+        compared, the energy saving over it, and the settings of the tuned autopilot.
+        """
         against = (
             {
                 "flight": self.rival[ComparisonColumn.FLIGHT],
@@ -132,9 +140,10 @@ class Headline:
 
 
 def headline_of(result: "RunResult") -> Headline | None:
-    """Return the headline of a run.
+    """Return the headline of a run: its main results and their wording.
 
-    The result is None if the run has no plan, or if the plan was made for a forecast of the wind.
+    The result is None if the run has no plan that can be flown, or if the plan was made for a
+    forecast of the wind.
     """
     told_otherwise = result.scenario.wind.forecast is not None
     if result.comparison.empty or told_otherwise or not result.plan.is_flyable:
@@ -169,7 +178,11 @@ def rival_of(comparison: "pd.DataFrame") -> Row | None:
 
 
 def settled_of(row: Row) -> float:
-    """Return the energy of a flight plus the energy to complete it, from its comparison row [J]."""
+    """Return the energy of a flight until the exact goal state, from its comparison row [J].
+
+    It is the energy of the flight plus the estimated energy that the vehicle still needs from the
+    flight's end state to the exact goal state.
+    """
     return float(row[ComparisonColumn.HOVER_ENERGY] + row[ComparisonColumn.EXCESS_ENERGY])
 
 
@@ -189,7 +202,11 @@ _CRUISE_WORDS = "an autopilot on straight legs at this speed"
 
 
 def legend_of(rows: Iterable[Row]) -> list[tuple[list[str], str]]:
-    """Return a description of each kind of flight, with the names of the flights of that kind."""
+    """Return the legend of a comparison table: names of flights, and what they are in words.
+
+    `rows` are the rows of the table. Each item of the list describes one kind of flight: the names
+    of the flights of this kind, and the description.
+    """
     found: dict[str, list[str]] = {}
     for row in rows:
         name = row[ComparisonColumn.FLIGHT]

@@ -1,4 +1,4 @@
-"""Lower bound on a flight in legs, by prices of momentum at the passages and a price of time.
+"""Lower bound on the energy of a flight in legs, by prices of momentum and a price of time.
 
 A leg is the flight from one waypoint to the next, a passage the instant at a waypoint, and a price
 the multiplier (dual variable) of a quantity that the mission fixes.  Derivation: see
@@ -134,6 +134,9 @@ def legs_of(scenario: Scenario) -> tuple[list[Leg], list[tuple[float, float]]]:
 class Itinerary:
     """Lower bound on the energy of a flight in legs, over all allowed durations of the legs.
 
+    A leg is the flight from one waypoint to the next. Waypoints with a given passing time divide
+    the legs into groups.
+
     Parameters
     ----------
     legs : sequence of Leg
@@ -141,12 +144,13 @@ class Itinerary:
     shared : sequence of tuple of float
         Least and greatest sum of the durations of the legs of each group, s.
     standing : ndarray, shape (3,)
-        Thrust that holds the whole mass at the start still, N.
+        Thrust that holds the vehicle still if it has the mass at the start, N.
     mass : float
         Mass at the start, kg.
     conjugate : callable
-        Takes prices (multipliers) of thrust, shape (n,), W/N; returns the conjugate of the power
-        [W] and the maximising thrust [N].
+        Convex conjugate of the power: takes prices (multipliers) of thrust, shape (n,), W/N;
+        returns the maximum of price times thrust minus power [W], and the thrust of the maximum
+        [N].
     """
 
     def __init__(
@@ -174,10 +178,11 @@ class Itinerary:
         self._size = int(self._last[-1]) + 1
 
     def _terms(self, prices: FloatArray) -> tuple[FloatArray, FloatArray, float, FloatArray]:
-        """Return the terms of the lower bound for prices of momentum, with their gradients.
+        """Return the terms of the lower bound for given prices of momentum, with their gradients.
 
-        The bound is the sum over the legs k of A_k / T_k + G_k T_k, where T_k is the duration of
-        leg k.
+        The bound is the sum over the legs k of A_k / T_k + G_k T_k, plus the term `jumped`. T_k is
+        the duration of leg k. A_k follows from the leg's displacement, and G_k from the thrust that
+        holds the vehicle still; the docstring of this module gives both formulas.
 
         Parameters
         ----------
@@ -189,7 +194,8 @@ class Itinerary:
         gained, spent : ndarray, shape (n_legs,)
             A_k [J s] and G_k [W] of each leg.
         jumped : float
-            Term by which the jumps of the prices lower the bound, J, not positive.
+            Term by which the jumps of the prices lower the bound, J, not positive. A price may jump
+            at a waypoint with a speed limit.
         slopes : ndarray, shape (2 n_legs + 1, n_prices, 3)
             Gradients of A_k, of G_k and of `jumped`.
         """
@@ -222,10 +228,13 @@ class Itinerary:
     def bound(self, price: FloatArray) -> float:
         """Return a lower bound on the energy for all allowed passing times and durations [J].
 
+        The bound is maximised over the prices (multipliers) of momentum at the ends of the legs.
+
         Parameters
         ----------
         price : ndarray, shape (3,)
-            Price (multiplier) of thrust at which the search begins, W/N.
+            Price (multiplier) of thrust from which the initial prices of the search are computed,
+            W/N.
         """
         places = np.zeros((self._size, 3))
         for first, last, displacement in zip(
@@ -246,10 +255,10 @@ class Itinerary:
         return -self._negative(found)[0]
 
     def _negative(self, flat: FloatArray) -> tuple[float, FloatArray]:
-        """Return the negative lower bound [J] and its gradient, for a minimiser.
+        """Return the negative lower bound on the energy [J] and its gradient, for a minimiser.
 
         `flat` holds the prices (multipliers) of momentum at the ends of the legs, one after the
-        other.
+        other. The gradient is taken with respect to these prices.
         """
         gained, spent, jumped, slopes = self._terms(flat.reshape(-1, 3))
         bound, times = jumped, np.zeros(len(gained))
@@ -264,12 +273,18 @@ class Itinerary:
         return -bound, -np.tensordot(weights, slopes, 1).ravel()
 
     def _by_group(self) -> list[NDArray[np.bool_]]:
-        """Return a mask of the legs of each group: legs whose durations have a limited sum."""
+        """Return for each group of legs a mask that selects its legs.
+
+        A group consists of the legs between two fixed times; the sum of their durations is limited.
+        """
         return [self._groups == k for k in range(len(self._shared))]
 
 
 def _length(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the lengths of vectors, smoothed at zero, and their gradients."""
+    """Return the lengths of vectors, smoothed at zero, and their gradients.
+
+    The length of a vector is not differentiable at zero; the smoothed length is slightly larger.
+    """
     length = np.sqrt(np.sum(vectors**2, axis=1) + _CORNER**2)
     return length, vectors / length[:, None]
 
@@ -279,7 +294,9 @@ def _least_over_times(
 ) -> tuple[float, FloatArray]:
     """Minimise the sum of A_k / T_k + G_k T_k over the durations T_k of one group of legs.
 
-    The sum of the durations of the legs in the group is fixed or limited.
+    This sum is the group's part of the lower bound on the energy of a flight. A_k follows from the
+    displacement of leg k, and G_k from the thrust that holds the vehicle still; the docstring of
+    this module gives both formulas. The sum of the durations T_k in the group is fixed or limited.
 
     Parameters
     ----------

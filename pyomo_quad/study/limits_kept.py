@@ -1,6 +1,7 @@
-"""Sentences on the limits that each flight of a run breaks, compared with the plan's risk.
+"""Sentences on the limits that each flight of a run breaks, for the run's report.
 
-The risk of a plan is the share of its flights in turbulence that may break a limit.
+The sentences compare the broken limits with the plan's risk: the share of the plan's flights in
+turbulence that may break a limit.
 """
 
 from collections.abc import Iterator, Sequence
@@ -12,8 +13,8 @@ from pyomo_quad.flight.replanning import replanned_name
 from pyomo_quad.scenario.tables import Knowledge, Reference
 from pyomo_quad.study.comparison import OPTIMAL
 
-# Names of the flights to which a plan's risk applies: those under feedback that use the plan or the
-# forecast for which the plan was made.
+# Names of the flights to which a plan's risk applies: flights under feedback that use the plan or
+# the forecast for which the plan was made.
 _OF_THE_PLAN = (
     baseline_name(Reference.PLAN),
     replanned_name(Knowledge.TOLD),
@@ -23,7 +24,11 @@ _WITHOUT_RISK = "planned without mission.risk, so without margins for the contro
 
 
 def limit_lines(plan: Plan, flights: Sequence[Flight]) -> Iterator[str]:
-    """Yield a sentence on each flight that breaks limits, with the risk of breaking them.
+    """Yield a sentence on each flight that breaks limits, for the report of a run.
+
+    The sentence also says whether the plan's risk covers the violation. The risk is the share of
+    the plan's flights in turbulence that may break a limit. If no flight breaks a limit, one
+    sentence says so.
 
     Parameters
     ----------
@@ -47,7 +52,11 @@ def limit_lines(plan: Plan, flights: Sequence[Flight]) -> Iterator[str]:
 
 
 def _risk_words(risk: RiskTaken | None, flight: Flight) -> str:
-    """Return in words whether the plan's risk covers the limits that a flight breaks."""
+    """Return in words whether the plan's risk covers the limits that a flight breaks.
+
+    The risk is the share of the plan's flights in turbulence that may break a limit. It covers the
+    limits that the planner's test flights break most often.
+    """
     if flight.name == OPTIMAL:
         return "the plan itself, beyond the error that its accuracy allows"
     if risk is None:

@@ -1,13 +1,14 @@
-"""Lower bound on flights with airspeed-dependent power: least power over thrust and airspeed.
+"""Lower bound on the energy of flights whose power or drag depends on the airspeed.
 
 A price is the multiplier (dual variable) of a quantity that the mission fixes.  Derivation: see
 docs/theory/bound.md, eqs. (14) to (22).
 
 symbol | meaning
 u, v, W | thrust, airspeed and wind, world axes
-U | the middle of all winds that occur, W itself where the wind is steady
+U | middle of the box around all winds that occur; W itself if the wind is steady
 f(v) | force of the air, against the airspeed
 s | thrust that holds the mass still at zero airspeed, as a rule its weight
+P | power of the vehicle, a function of u and v
 p, w, eta | prices of momentum per mass, of displacement, and of kinetic energy
 T, a, r | size of the thrust, airspeed along it and across it
 
@@ -18,25 +19,25 @@ mean of v + W is the displacement divided by the duration.  With three prices th
 energy >= w . displacement + duration * H,
 H = least of P - p . (u + f - s) - w . (v + W) - eta v . (u + f - s) over all pairs u, v.
 
-That is for a steady wind.  Where the wind differs from place to place, eta prices the kinetic
-energy of the motion relative to air of velocity U, and H is the least over the winds too.  The
-price of momentum is p + eta (W - U) then, and H is concave in W: its least value over winds in a
-polyhedron is found at a corner.
+These equations hold for a steady wind.  Where the wind differs from place to place, eta is the
+price of the kinetic energy of the motion relative to air of velocity U, and H is the least over the
+winds too.  The price of momentum is then p + eta (W - U), and H is concave in W: its least value
+over winds in a polyhedron is found at a corner.
 
-P depends on T, a and r alone, not on the orientation of the pair in space, and the orientation with
-the largest sum of the price terms is known: that sum is the sum of the singular values of
-(u + f) p' + v q' with q = w - eta s.  Three numbers remain.  The least H over them is bounded from
-below by branch and bound: the compiled equations are enclosed over boxes with their slopes, and a
-box is halved until H is proven not to undercut the best point found by more than a tolerance.
-With the power model `momentum` the first number is not the thrust but the induced velocity, from
-which the declared balance gives the thrust.
+P depends on T, a and r alone, not on the orientation of the pair (u, v) in space. The orientation
+with the largest sum of the price terms is known: this largest sum is the sum of the singular values
+of (u + f) p' + v q' with q = w - eta s.  H is thus the least over three numbers: T, a and r.  The
+least value is bounded from below by branch and bound: the compiled equations are enclosed over
+boxes with their slopes, and a box is halved until H is proven to be nowhere in the box below the
+best point found by more than a tolerance.  With the power model `momentum` the first number is not
+the thrust but the induced velocity, from which the declared balance gives the thrust.
 
 If a rotor's profile power increases with its thrust T, rotors with unequal thrusts take no less
 power in all than rotors with equal thrusts.  If it decreases, at high airspeed and low thrust, they
 take no less than its convex envelope: c T^1.5 + m T^0.5 touches its tangent through zero thrust
 where both terms are equal, and lies (c^0.5 T^0.5 - m^0.5)^2 T^0.5 above it.
 
-The mass may change at a passage: p and eta times the mass are the same on all legs.
+The mass may change at a waypoint: p and eta times the mass are the same on all legs.
 """
 
 from __future__ import annotations
@@ -95,6 +96,9 @@ POWER_TOLERANCE = 1e-3
 class MotionPrices:
     """Multipliers (prices) of the quantities that a mission fixes, on one leg of the flight.
 
+    They are Lagrange multipliers: the lower bound on the energy is a dual function of them. A leg
+    is the flight from one waypoint to the next.
+
     Attributes
     ----------
     momentum : ndarray, shape (3,)
@@ -111,11 +115,12 @@ class MotionPrices:
 
 
 class Pairs:
-    """All pairs of thrust and airspeed of a vehicle, with their power by the compiled equations.
+    """All combinations (pairs) of thrust and airspeed of a vehicle, with the power that they take.
 
-    A pair has three coordinates: rotor speed (induced velocity for the power model `momentum`), and
-    airspeed along and across the thrust.  The class finds and proves the least value over all pairs
-    of the function H (docstring of this module), from which a lower bound on the energy follows.
+    The power is computed by the compiled equations. A pair has three coordinates: rotor speed
+    (induced velocity for the power model `momentum`), and airspeed along and across the thrust.
+    The class searches for the least value over all pairs of the function H (docstring of this
+    module), and proves a lower bound on it, from which a lower bound on the energy follows.
 
     Parameters
     ----------
@@ -175,11 +180,14 @@ class Pairs:
         return self._dynamics.expressions(tuple(keys), self._dynamics.start, self._values(*at))
 
     def _of_rotors(self, first: Symbol, along: Symbol, across: Symbol) -> tuple[Any, ...]:
-        """Return rotor speed, thrust, power, excess of power and error margin as expressions.
+        """Return rotor speed, thrust, power, `excess` and `margin` of a pair as expressions.
 
-        The power is the power of rotors with equal speeds. The excess is the difference from the
-        least power of rotors with unequal speeds and the same total thrust; it is zero where the
-        margin is positive.
+        A pair of thrust and airspeed has the coordinates `first` (rotor speed, or induced velocity
+        for the power model `momentum`), `along` and `across` (airspeed along and across the
+        thrust). The power is the total power of rotors with equal speeds. Where `margin` is
+        negative, rotors with unequal speeds and the same total thrust may take less power, but at
+        most `excess` less. Where `margin` is not negative, equal speeds take the least power, and
+        `excess` has no meaning.
         """
         each = range(1, len(self._rotors) + 1)
         powers: list[tuple[str, Any]] = [("power.total", None)]
@@ -202,19 +210,25 @@ class Pairs:
         return speed, thrust, sum(power), excess, cube * squared - multiple
 
     def _forces(self, along: Symbol, across: Symbol) -> tuple[Any, Any]:
-        """Return the force of moving air across the thrust and along the thrust [N]."""
+        """Return the force of the air on the moving vehicle, across and along the thrust [N].
+
+        `along` and `across` are the airspeed along and across the thrust.
+        """
         keys = [("aerodynamics.force_x", None), ("aerodynamics.force_z", None)]
         moving = self._read(keys, along, across, 0.0, 0.0)
         still = self._read(keys, 0.0, 0.0, 0.0, 0.0)
         return moving[0] - still[0], moving[1] - still[1]
 
     def _at(self, points: FloatArray, numbers: Sequence[float] = (0.0,) * 4) -> FloatArray:
-        """Return H and the quantities of which it is made, at points of the search, shape (8, n).
+        """Evaluate the function H and its parts at pairs of thrust and airspeed, shape (8, n).
 
-        The rows are H without the terms of `_constant`, thrust, rotor speed, error margin, two
-        components of the force of the air, power, and its excess. `points` has shape (3, n). H is
-        the power of a pair of thrust and airspeed minus the terms of the prices (multipliers of
-        momentum, displacement and kinetic energy).
+        H is the power of a pair minus the terms of the prices (multipliers of momentum,
+        displacement and kinetic energy). The rows of the result are H without the terms of
+        `_constant`, thrust, rotor speed, margin, force of the air across and along the thrust,
+        power, and excess; `_of_rotors` explains margin and excess. H and power are reduced by the
+        excess where the margin is negative, so that they are valid for rotors with unequal speeds.
+        `points` holds the three coordinates of each pair, shape (3, n), and `numbers` the prices,
+        as `_numbers` returns them.
         """
         found = self._enclosure.at(points, (*numbers, 1.0))
         found[[0, 6]] -= np.where(found[3] >= 0.0, 0.0, found[7])
@@ -223,7 +237,9 @@ class Pairs:
     def _fastest(self, scenario: Scenario) -> float:
         """Return an airspeed that no flight from rest can exceed [m/s]; infinite if unknown.
 
-        Implements docs/theory/bound.md, eq. (22).
+        The airspeed is limited by the scenario's speed limit plus the strongest wind, and by the
+        speed at which the drag equals the largest thrust plus `standing`. Implements
+        docs/theory/bound.md, eq. (22).
         """
         strongest = float(np.linalg.norm(self._winds, axis=1).max())
         allowed = inf if scenario.limits.speed_max is None else scenario.limits.speed_max
@@ -238,9 +254,10 @@ class Pairs:
         return min(allowed + strongest, max(terminal, float(np.linalg.norm(self._middle))) + apart)
 
     def _most_of_first(self) -> float:
-        """Return the upper limit of a pair's first coordinate, rotor speed or induced velocity.
+        """Return the upper limit of a pair's first coordinate: rotor speed or induced velocity.
 
-        A pair is a thrust and an airspeed; the limit is in rad/s or m/s.
+        A pair is a thrust and an airspeed. The limit is in rad/s for the rotor speed; for the power
+        model `momentum` it is the induced velocity in m/s.
         """
 
         def excess(first: float) -> float:
@@ -259,9 +276,10 @@ class Pairs:
         return size, float(prices.momentum @ displacement) / size, aside / size, prices.motion
 
     def _in_wind(self, prices: MotionPrices, wind: FloatArray) -> MotionPrices:
-        """Return the prices (multipliers) of a pair's own motion through the air in a wind.
+        """Convert prices of a motion over ground to prices of the motion through air in a wind.
 
-        Implements docs/theory/bound.md, eq. (20).
+        Prices are multipliers of momentum, displacement and kinetic energy; only the price of
+        momentum changes. Implements docs/theory/bound.md, eq. (20).
         """
         return replace(prices, momentum=prices.momentum + prices.motion * (wind - self._middle))
 
@@ -269,7 +287,7 @@ class Pairs:
         return float(prices.momentum @ self.standing * mass - prices.displacement @ wind)
 
     def cheapest(self, prices: MotionPrices, mass: float) -> tuple[float, list[FloatArray]]:
-        """Sample the function H over all pairs and winds; return its least value, and its minima.
+        """Sample the function H over all pairs and winds; return its least value and its minima.
 
         H is the power of a pair of thrust and airspeed minus the terms of the prices, multipliers
         of momentum, displacement and kinetic energy (docstring of this module).
@@ -286,9 +304,10 @@ class Pairs:
         float
             Least value found [W].
         list of ndarray, shape (8,)
-            For each pair at one of the least local minima its power [W], then the gradient of H by
-            the prices of momentum (3), displacement (3) and kinetic energy (1). If power and
-            balance are symmetric about the vertical, copies rotated about it follow each.
+            One array for each pair at one of the least local minima of H: the power of the pair
+            [W], then the gradient of H by the prices of momentum (3), displacement (3) and kinetic
+            energy (1). If the equations are symmetric about the vertical, arrays for copies of the
+            pair that are rotated about the vertical follow.
         """
         minima = []
         for wind in self._winds:
@@ -302,9 +321,10 @@ class Pairs:
         return float(minima[0][0]), rows
 
     def _minima(self, prices: MotionPrices, mass: float) -> tuple[FloatArray, FloatArray]:
-        """Return the least local minima of H among samples, shape (3, n), and H without constant.
+        """Sample H; return its least local minima: coordinates, shape (3, n), and values [W].
 
         H is the power of a pair of thrust and airspeed minus the terms of the prices (multipliers).
+        The values exclude the terms of `_constant`, which are the same for all pairs.
         """
         from scipy.ndimage import minimum_filter  # noqa: PLC0415  not for every certificate
 
@@ -337,14 +357,15 @@ class Pairs:
     def _rows(
         self, at: FloatArray, prices: MotionPrices, mass: float, wind: FloatArray
     ) -> list[FloatArray]:
-        """Return power and gradient of H by the prices for a pair in its orientation of least H.
+        """Return power and gradient of H for a pair of thrust and airspeed and rotated copies.
 
-        H is the power of a pair of thrust and airspeed minus the terms of the prices, multipliers
-        of momentum, displacement and kinetic energy. `at` has the three coordinates of the pair,
-        `prices` are those of its own motion through the air (`_in_wind`). Each row has shape (8,);
-        copies rotated about the vertical follow the first row. They have the same power and balance
-        only if the thrust that holds the vehicle still (`standing`) is vertical; otherwise there is
-        only the first row.
+        H is the power of a pair minus the terms of the prices, multipliers of momentum,
+        displacement and kinetic energy. The pair has the orientation in space with the least H.
+        `at` has the three coordinates of the pair; `prices` are the prices of the motion through
+        the air in the wind `wind`, from `_in_wind`. Each item has shape (8,): the power [W], then
+        the gradient of H by the prices. Items for copies of the pair that are rotated about the
+        vertical follow the first item. The copies have the same power only if the thrust that holds
+        the vehicle still (`standing`) is vertical; otherwise there is only the first item.
         """
         momentum, displacement = (
             prices.momentum,
@@ -383,9 +404,11 @@ class Pairs:
         return proven
 
     def _proven(self, numbers: Sequence[float], best: float, tolerance: float) -> float:
-        """Return a proven lower bound on the lesser of H without its constant and ``best`` [W].
+        """Prove a lower bound on H without its constant terms, by branch and bound [W].
 
-        H is the power of a pair of thrust and airspeed minus the terms of the prices (multipliers).
+        H is the power of a pair of thrust and airspeed minus the terms of the prices (multipliers);
+        the constant terms are those of `_constant`. `best` is the least value of H that is known so
+        far: the result is never larger. `numbers` are the prices, as `_numbers` returns them.
         """
         cuts = [np.linspace(edge[0], edge[1], _FIRST_BOXES + 1) for edge in self._edges()]
         low = np.stack(np.meshgrid(*(c[:-1] for c in cuts), indexing="ij")).reshape(3, -1)
@@ -406,12 +429,21 @@ class Pairs:
     def _box(
         self, low: FloatArray, high: FloatArray, numbers: Sequence[float]
     ) -> tuple[FloatArray, float, NDArray[np.int_]]:
-        """Bound the function H from below in n boxes of the search.
+        """Bound the function H from below in n boxes of pairs of thrust and airspeed.
+
+        H is the power of a pair minus the terms of the prices (multipliers).
+
+        Parameters
+        ----------
+        low, high : ndarray, shape (3, n)
+            Least and greatest coordinates of the pairs in each box.
+        numbers : sequence of float
+            The prices, as `_numbers` returns them.
 
         Returns
         -------
         under : ndarray, shape (n,)
-            Lower bound of H in each box; infinite if no flight reaches the box.
+            Lower bound of H in each box; infinite if no flight of the vehicle has pairs in the box.
         reached : float
             Least H found at a point of the boxes.
         split : ndarray of int, shape (n,)
@@ -472,9 +504,10 @@ def bound_of_pairs(
 ) -> float:
     """Return a lower bound on the energy of a flight in legs, for all allowed passing times [J].
 
-    The prices (multipliers) solve a linear program over the pairs of thrust and airspeed that have
-    the least power at the previous prices (cutting planes, Kelley, 1960); the bound is then proven
-    for the best prices found.
+    The best prices (Lagrange multipliers) are found by cutting planes (Kelley, 1960): a linear
+    program is solved for the prices over the known pairs of thrust and airspeed, then the pairs of
+    least power at these prices are added to it. The bound is finally proven for the best prices
+    found.
 
     Parameters
     ----------
@@ -514,10 +547,11 @@ def bound_of_pairs(
 
 
 class _Program:
-    """Linear program for the prices that maximise the lower bound over the known pairs.
+    """Linear program for the prices that maximise the lower bound on a flight's energy.
 
-    The prices are multipliers of momentum, displacement and kinetic energy; a pair is a thrust and
-    an airspeed of the vehicle. Each pair gives one linear constraint.
+    The prices are multipliers of momentum, displacement and kinetic energy. A pair is a thrust and
+    an airspeed of the vehicle. The bound must hold for all pairs; the program contains one linear
+    constraint for each pair that is known so far.
 
     Parameters
     ----------
@@ -580,10 +614,10 @@ class _Program:
         self._limits.append(limit)
 
     def add(self, k: int, pair: FloatArray) -> None:
-        """Add the constraint that H of leg ``k`` is at most its value at a pair.
+        """Add the constraint that the least H of leg ``k`` is at most the value of H at a pair.
 
         H is the power of a pair of thrust and airspeed minus the terms of the prices (multipliers).
-        `pair` is a result of `Pairs.cheapest`.
+        `pair` is an array from `Pairs.cheapest`: the power, then the gradient of H by the prices.
         """
         mass, line = self._legs[k].mass, np.zeros(self.size)
         line[:3], line[self._of(self._displacement, k)] = -pair[1:4] / mass, -pair[4:7]
@@ -592,10 +626,10 @@ class _Program:
         self._limits.append(float(pair[0]))
 
     def solve(self) -> tuple[FloatArray, float]:
-        """Return the unknowns at the optimum of the program, and the optimal value [J].
+        """Solve the linear program; return its unknowns at the optimum, and the optimal value [J].
 
-        The value is an upper limit of the lower bounds that any multipliers can give, since the
-        program holds only the known pairs of thrust and airspeed.
+        The program holds only the pairs of thrust and airspeed that are known. Its optimal value is
+        therefore not below any lower bound on the energy that multipliers can give.
         """
         limits = np.full((self.size, 2), [-inf, inf])
         limits[: self._least] = np.stack([-self._dearest, self._dearest], axis=1)
@@ -617,10 +651,10 @@ class _Program:
         ]
 
     def bound(self, prices: Sequence[MotionPrices], least: FloatArray) -> float:
-        """Return the lower bound on the energy for the multipliers (prices) on each leg [J].
+        """Return the lower bound on the energy [J] for given multipliers (prices) on each leg.
 
-        `least` holds for each leg the least H, the power of a pair of thrust and airspeed minus the
-        terms of the prices, shape (n_legs,), W.
+        `least` holds the least H of each leg, shape (n_legs,), W. H is the power of a pair of
+        thrust and airspeed minus the terms of the prices.
         """
         found = sum(
             float(p.displacement @ leg.displacement)

@@ -1,4 +1,4 @@
-"""Parallel processes on this machine: spawned workers, and forked copies of this process."""
+"""Parallel work on this machine, in new (spawned) processes or in forked copies of this process."""
 
 import multiprocessing
 import os
@@ -36,11 +36,12 @@ _SIGNALS = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
 def side_by_side(
     tasks: Sequence[Callable[[], Any]], *, use_blas: bool = True
 ) -> Iterator[Callable[[], tuple[Any, ...]]]:
-    """Run tasks in parallel, in forked copies of this process (one per core) and in this process.
+    """Context manager: run tasks in parallel, in forked copies of this process and in this process.
 
-    A copy already has all libraries and data, and ends with this process. A task that fails in a
-    copy, or whose result the copy cannot send back, is repeated here, where its error is raised. If
-    copies are not safe, for example because tasks would wait for BLAS threads, all tasks run here.
+    There is at most one process per core. A copy already has all libraries and data, and ends with
+    this process. A task that fails in a copy, or whose result the copy cannot send back, is
+    repeated here, where its error is raised. If copies are not safe, for example because tasks
+    would wait for BLAS threads, all tasks run here.
 
     Parameters
     ----------
@@ -52,7 +53,8 @@ def side_by_side(
     Yields
     ------
     callable
-        Runs the remaining tasks, and returns the result of each task, in their order.
+        Runs the remaining tasks, waits for the copies, and returns the result of each task, in the
+        order of `tasks`.
     """
     began = monotonic()
     queue, entrance = os.pipe()
@@ -94,11 +96,11 @@ def side_by_side(
 
 
 def _cores(most: int, *, use_blas: bool) -> int:
-    """Return the number of processes to use, 1 where forking is unsafe or forbidden.
+    """Return the number of processes among which tasks are divided, at most ``most``.
 
-    It is at most ``most``. Forking is unsafe if BLAS or OpenMP use several threads, because a
-    forked copy lacks these threads. It is not done in a worker process, because several workers
-    share the cores already.
+    It is 1 where this process must not be forked: on systems other than Linux, if BLAS or OpenMP
+    use several threads (a forked copy lacks these threads), and in a worker process (several
+    workers share the cores already). `use_blas` is whether the tasks call BLAS.
     """
     is_safe = not use_blas or os.environ.get("OMP_NUM_THREADS") == "1"
     is_own = multiprocessing.parent_process() is None
@@ -109,7 +111,7 @@ def _cores(most: int, *, use_blas: bool) -> int:
 
 @contextmanager
 def process_pool(count: int) -> Iterator[Executor]:
-    """Context with a pool of ``count`` spawned processes, which are all ended after the block."""
+    """Context manager: pool of ``count`` spawned processes, all of which end after the block."""
     with environment_of_workers():
         pool = pool_of(count)
         try:
@@ -179,7 +181,10 @@ def end_processes(pool: Executor) -> None:
 
 @contextmanager
 def environment_of_workers() -> Iterator[None]:
-    """Context in which started processes use one thread and print no warnings."""
+    """Context manager: processes started in the block use one thread and print no warnings.
+
+    The environment variables of this process are changed for the duration of the block.
+    """
     before = {name: os.environ.get(name) for name in _ENVIRONMENT}
     os.environ.update(_ENVIRONMENT)
     os.environ[_WARNINGS] = ",".join(filter(None, (before[_WARNINGS], _ENVIRONMENT[_WARNINGS])))

@@ -48,30 +48,31 @@ class RunResult(Summarised):
     scenario : Scenario
         Scenario that was run.
     plan : Plan
-        The optimum, of any status.
+        The optimal plan, of any status.
     flights : tuple of Flight
         The flight of the plan first, then the simulated flights; empty if the solve failed.
     comparison : DataFrame
         One row per flight, see `study.comparison`.
     certificate : Certificate
-        The lower bound of the mission in the actual wind.
+        Lower bound on the energy of the mission in the actual wind.
     adaptation : DataFrame or None
-        Effect of adaptation in the actual wind, see `comparison.adaptation_study`; None in calm
-        air.
+        Effect of the controller's adaptation to the actual wind, see `comparison.adaptation_study`;
+        None in calm air.
     front : DataFrame
         Energy against time, see `study.front`; empty if the mission fixes its duration.
     aims : DataFrame
-        Least energy against least charge, see `study.aims`; empty under the paper's equations.
+        Least energy against least charge, see `study.aims`; empty with the attitude equations of
+        Yacef et al. (`vehicle.attitude` "paper").
     timings : mapping
         Wall-clock times [s] by name: the times of planning (`Plan.timings`); "certify" for the
         lower bound; "front" for energy against time and for the comparison of objectives; "fly" for
-        flights and cautions, without the time of "certify" and "front", which are computed
+        flights and cautions, less the time that this process spent on "certify" and "front"
         meanwhile.
     warnings : tuple of str
         Cautions about the results, one line each.
     tuning : Tuning or None
-        Settings of the autopilot tuned for least energy, and all settings tried; None without
-        reference cruise.
+        Settings of the autopilot tuned for least energy, and all settings tried; None if no
+        autopilot was tuned.
     often : InTurbulence or None
         Many flights of the plan, and of an autopilot, in winds with turbulence; None if the
         scenario has no turbulence.
@@ -104,9 +105,10 @@ class RunResult(Summarised):
 
     @property
     def gap_percent(self) -> float | None:
-        """Largest possible saving compared with the plan, in per cent of its energy.
+        """Largest possible saving compared with the plan, in per cent of the plan's energy.
 
-        None if no bound is known, or if the optimum was planned for a forecast of the wind.
+        The saving is the energy of the plan less the lower bound. None if no bound is known, if the
+        plan has no flight, or if it was made for a forecast of the wind.
         """
         if not self.flights or self.scenario.wind.forecast is not None:
             return None
@@ -180,12 +182,13 @@ class RunResult(Summarised):
         ----------
         what : str, default "map"
             "map", "power_over_time", "energy_split", "path", "energy", "adaptation", "front", ...,
-            or a column of `Plan.to_frame`; an unknown name lists all of them.
+            or a column of `Plan.to_frame`; the error for an unknown name lists all names.
 
         Returns
         -------
         Picture
-            A notebook shows it; `Picture.save` writes it, `Picture.figure` is matplotlib's.
+            Figure that a notebook displays and that `Picture.save` writes to a file;
+            `Picture.figure` is the matplotlib Figure.
 
         Raises
         ------
@@ -335,7 +338,15 @@ def _run(
 
 
 def _failures(flown: Sequence[object], flights: Sequence[Flight]) -> Iterator[str]:
-    """Yield a warning for each simulated flight that failed or is in doubt (`Flight.doubt`)."""
+    """Yield a warning for each simulated flight that failed or could not be verified.
+
+    Parameters
+    ----------
+    flown : sequence
+        Results of the simulations: flights, or the reason of a failure as a text.
+    flights : sequence of Flight
+        Completed flights; `Flight.doubt` is the reason why a flight is not verified.
+    """
     yield from (why for why in flown if isinstance(why, str))
     yield from (f"{f.name}: not confirmed: {f.doubt}." for f in flights if f.doubt)
 
@@ -343,7 +354,19 @@ def _failures(flown: Sequence[object], flights: Sequence[Flight]) -> Iterator[st
 def _often(
     plan: Plan, planner: Planner, tuning: Tuning | None, references: Sequence[Reference]
 ) -> tuple[InTurbulence | None, tuple[str, ...]]:
-    """Simulate many flights in turbulence; return their results, or the reason of a failure.
+    """Simulate many flights of a run in turbulence; return results, or the reason of a failure.
+
+    Parameters
+    ----------
+    plan : Plan
+        Plan of the run.
+    planner : Planner
+        Holds the compiled equations of the vehicle.
+    tuning : Tuning or None
+        Tuned autopilot of the run, which is simulated in the same winds.
+    references : sequence of Reference
+        Reference trajectories of the run. Without a tuned autopilot, the first cruise speed of the
+        scenario is simulated if they contain the cruise.
 
     Returns
     -------
@@ -367,11 +390,11 @@ def _priced(
 ) -> tuple[Flight, ...]:
     """Return the flights with the energy that each still needs to reach the exact goal state.
 
-    This energy is computed from the flight's end state with the costates of a plan. The first
-    flight is the plan itself and keeps its own costates, which are
-    valid in the forecast wind. The other flights were simulated in the actual wind: if that
-    differs from the forecast, another plan is solved for the actual wind, and its costates are
-    used for them.  Without a forecast all flights keep the plan's costates.
+    This energy is estimated from the flight's end state with the costates of a plan. The first
+    flight is the plan itself and keeps its own costates, which are valid in the forecast wind. The
+    other flights were simulated in the actual wind. If the actual wind differs from the forecast,
+    another plan is solved for the actual wind, and its costates are used for the other flights.
+    Without a forecast all flights keep the plan's costates.
     """
     if scenario.wind.forecast is None or not flights:
         return flights
@@ -384,9 +407,9 @@ def _priced(
 def _adaptation(
     scenario: Scenario, optimum: Flight | None, dynamics: Dynamics
 ) -> pd.DataFrame | None:
-    """Return the study of flights with and without adaptation of the controller.
+    """Simulate a run's mission with and without the controller's adaptation to the wind.
 
-    None in calm air and on failure.
+    The result is the table of `adaptation_study`; None in calm air and on failure.
     """
     if optimum is None or not set(WIND) <= set(optimum.frame):
         return None

@@ -1,4 +1,4 @@
-"""Tables of a study, with columns declared beside the functions that fill them."""
+"""Base class for the columns of result tables, each declared with the function that fills it."""
 
 from collections.abc import Callable, Iterable, Sequence
 from enum import StrEnum
@@ -11,8 +11,8 @@ if TYPE_CHECKING:
 class TableColumn(StrEnum):
     """Base class of the columns of a table: an enumeration of their names, in order.
 
-    For a table with one row per object, each column also has a function that reads its value from
-    an object.
+    A table can be made from one object per row. Each column then also has a function that computes
+    the column's value from the object.
     """
 
     read: Callable[[Any], object]
@@ -33,5 +33,8 @@ class TableColumn(StrEnum):
 
     @classmethod
     def of_objects(cls, objects: Iterable[object]) -> "pd.DataFrame":
-        """Return a table with a row for each object, by the `read` function of each column."""
+        """Return a table with one row for each object.
+
+        The function `read` of each column computes the column's value from the object.
+        """
         return cls.of_rows([[column.read(one) for column in cls] for one in objects])

@@ -249,7 +249,11 @@ _ERROR_DIGITS = 2
 
 @dataclass(frozen=True, kw_only=True)
 class _Flown:
-    """Flight of a sweep's case with plan and scenario, from which output columns are computed."""
+    """Flight of a sweep's case, with its plan and scenario.
+
+    The properties are quantities of the flight from which the output columns of the sweep are
+    computed.
+    """
 
     flight: Flight
     plan: Plan
@@ -281,11 +285,11 @@ class _Flown:
 
     @property
     def saved(self) -> float:
-        """Energy saving of the plan, as a fraction of the energy of a controlled flight.
+        """Energy saving of the plan compared with a flight under the controller, as a fraction.
 
-        The flight's energy includes the estimated energy that the flight still needs to reach the
-        goal state. NaN if plan and flight are not comparable, for example if the flight did not
-        arrive.
+        The saving is relative to the flight's energy, which includes the estimated energy that the
+        vehicle still needs from the end of the flight to the goal state. NaN if plan and flight are
+        not comparable, for example if the flight did not arrive.
         """
         if not is_comparable(self.flight):
             return np.nan
@@ -396,7 +400,18 @@ def unknown_column(
 def _read(
     columns: _Columns, flight: Flight, plan: Plan, scenario: Scenario | None = None
 ) -> dict[str, float]:
-    """Compute the output columns of a sweep from the flight of a case.
+    """Compute the output columns of a sweep for the flight of a case.
+
+    Parameters
+    ----------
+    columns : mapping
+        For each column its unit, and the function that computes its value.
+    flight : Flight
+        Flight of the case.
+    plan : Plan
+        Plan of the case, or of the base case if the case flies the base case's plan.
+    scenario : Scenario, optional
+        Scenario of the case; by default the scenario of the plan.
 
     Returns
     -------
@@ -500,7 +515,8 @@ def _fly_base_plan(task: CaseTask, scenario: Scenario) -> CaseResult:
 class _Bench:
     """Planner, and plan of the sweep's base case, that one worker keeps from case to case.
 
-    The lock admits one thread at a time.
+    The planner keeps the compiled model, so that later cases need not compile it again. A thread of
+    the worker must hold `lock` while it uses them.
     """
 
     lock: threading.Lock = field(default_factory=threading.Lock)
@@ -508,10 +524,10 @@ class _Bench:
     _base_plans: dict[str, Plan] = field(default_factory=dict)
 
     def plan(self, scenario: Scenario, warm_start: bytes | None) -> Plan:
-        """Plan a case's flight, starting from the solution of its parent case.
+        """Plan a case's flight, starting from the solution of a neighbouring case (its parent).
 
         If the plan from this warm start is not verified, or there is no warm start, the case is
-        solved again from the planner's own initial guess.
+        solved from the planner's own initial guess.
         """
         parent = unpack(warm_start) if warm_start is not None else None
         if parent is not None:

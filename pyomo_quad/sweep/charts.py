@@ -129,9 +129,10 @@ def _pairs(count: int, **layout: Any) -> tuple[Figure, np.ndarray]:  # noqa: ANN
 def _plot(
     axes: Axes, rows: pd.DataFrame, of: tuple[Quantity, Quantity], style: LineStyle, **look: object
 ) -> None:
-    """Draw one quantity against another, with a marker at each case.
+    """Draw one quantity of a sweep against another, with a marker at each case.
 
-    `of` holds the quantity on the horizontal axis and the quantity on the vertical axis.
+    `rows` are the cases. `of` holds the quantity on the horizontal axis and the quantity on the
+    vertical axis. `look` holds further arguments of `Axes.plot`.
     """
     over, quantity = of
     marked = style.line | {"marker": style.marker, "markersize": 3.0}
@@ -391,8 +392,12 @@ def _draw_bar(
 ) -> None:
     """Draw one horizontal bar of a tornado chart, in two colours: below and above the base value.
 
+    The bar is the range of an output quantity as one scenario field varies.
+
     Parameters
     ----------
+    axes : Axes
+        Panel to draw into.
     row : int
         Vertical place of the bar.
     ends : tuple of float
@@ -402,6 +407,8 @@ def _draw_bar(
         greatest.
     base : float
         The quantity in the central case; NaN if that case failed.
+    quantity : Quantity
+        Output column that is drawn; gives the printed unit.
     """
     low, high = (end * quantity.scale for end in ends)
     split = low if isnan(base) else min(max(base, low), high)

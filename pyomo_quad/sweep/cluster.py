@@ -74,7 +74,7 @@ def _silence_dask() -> None:
 
 
 class _Threads:
-    """Number of worker threads of a Dask cluster, updated every `WATCH_SECONDS`."""
+    """Counter of a Dask cluster's worker threads; the number is updated every `WATCH_SECONDS`."""
 
     def __init__(self, client: "Client", address: str) -> None:
         self._client = client

@@ -234,7 +234,7 @@ class Dimension:
     is_random: bool = False
 
     def in_cells(self) -> "Dimension":
-        """Return a copy whose list values are JSON texts, as in the cells of the result table."""
+        """Return a copy with list values as JSON texts, as in the cells of the result table."""
         steps = tuple(tuple(cell_of(value) for value in step) for step in self.steps)
         return replace(self, steps=steps)
 
@@ -310,7 +310,7 @@ class SweepDesign:
         return tuple(path for dimension in self.dimensions for path in dimension.paths)
 
     def in_cells(self) -> Self:
-        """Return a copy whose list values are JSON texts, as in the cells of the result table."""
+        """Return a copy with list values as JSON texts, as in the cells of the result table."""
         return replace(self, dimensions=tuple(one.in_cells() for one in self.dimensions))
 
     def to_json(self) -> str:

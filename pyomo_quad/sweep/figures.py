@@ -59,7 +59,10 @@ def sweep_drawings(results: SweepResults) -> tuple[Drawing, ...]:
 
 @dataclass(frozen=True)
 class _Figures:
-    """Generators of the figures of a parameter sweep, one method for each kind of figure."""
+    """Generators of the figures of a parameter sweep, one method for each kind of figure.
+
+    `results` are the cases of the sweep, and `quantities` the output columns that the report draws.
+    """
 
     results: SweepResults
     quantities: Sequence[Quantity]
@@ -163,7 +166,10 @@ class _Figures:
             )
 
     def _curves_along(self, field: str) -> tuple[list[Curve], str]:
-        """Select at most `_MOST_CURVES` curves against a scenario field, evenly spread over all.
+        """Select the curves that a chart against a scenario field shows.
+
+        A curve holds the cases that differ in this field only. If there are more than
+        `_MOST_CURVES`, the selected curves are spread evenly over all curves.
 
         Returns
         -------
@@ -197,7 +203,11 @@ class _Figures:
 
 
 def _worst_direction(curves: Sequence[Curve], quantity: Quantity) -> str:
-    """Return the caption's sentence on a wind rose's centre and on its worst wind direction."""
+    """Return the caption's sentence on a wind rose: the value at its centre, the worst direction.
+
+    `curves` are the curves of the wind rose, and `quantity` is the output column that it shows. The
+    sentence names the wind direction in which the quantity is worst.
+    """
     least, _ = charts.rose_range(curves, quantity)
     worst_rows = [quantity.worst_row(curve.rows) for curve in curves]
     worst = quantity.worst_row(pd.DataFrame(worst_rows).reset_index(drop=True))

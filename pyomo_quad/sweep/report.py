@@ -91,10 +91,10 @@ def write_sweep_report(
 
 
 def _outcome(results: SweepResults) -> dict[str, Any]:
-    """Compute the report's variables that need at least one finished case, by name.
+    """Compute the variables of the report's template that need at least one finished case, by name.
 
-    These are the arrivals, the quantiles of each quantity, the best durations and the
-    sensitivities.
+    They are the numbers of flights that did not arrive, the quantiles of each quantity, the best
+    durations, and the sensitivities.
     """
     quantities = [output_quantity(column) for column in results.design.report_on]
     spans = [one.of(results.finished).dropna().quantile(_QUANTILES) for one in quantities]
@@ -156,7 +156,10 @@ def _arrivals(results: SweepResults) -> Iterator[dict[str, Any]]:
 def _sensitivities(
     results: SweepResults, quantities: Sequence[Quantity]
 ) -> Iterator[dict[str, Any]]:
-    """Yield how each quantity changes with each field, if more than one field varies."""
+    """Yield the range of each quantity as each scenario field varies, for the report's template.
+
+    Yields nothing for a quantity that varies with one field only.
+    """
     for quantity in quantities:
         found = results.sensitivities(quantity.column)
         if len(found) > 1:
@@ -170,9 +173,9 @@ def _sensitivities(
 
 
 def _best_durations(results: SweepResults, quantity: Quantity) -> Iterator[dict[str, Any]]:
-    """Yield the duration with the least quantity, for each combination of the other fields.
+    """Yield the duration at which a quantity is least, for each combination of the other fields.
 
-    Yields nothing if the mission's duration does not vary.
+    Yields nothing if the sweep does not vary the mission's duration.
     """
     along = results.dimension_of(DURATION_FIELD)
     if along is None:

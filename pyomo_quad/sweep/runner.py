@@ -190,8 +190,8 @@ class Sweep:
     def _next_of(self, cases: list[Case]) -> list[Case]:
         """Replace each case that has already ended by its nearest descendants without a result.
 
-        A case's children are the cases that start from its solution, its descendants also their
-        children.
+        The children of a case are the cases that start from its solution. Its descendants are its
+        children, the children of these, and so on.
 
         Returns
         -------
@@ -222,7 +222,8 @@ class Sweep:
     def _commit(self, outcome: CaseOutcome) -> list[Case]:
         """Store the row of a case that ended, and return the cases that can be solved now.
 
-        Warm starts that no case needs any more are deleted from the store.
+        These are the cases that start from the solution of the case. Warm starts that no case needs
+        any more are deleted from the store.
         """
         case = self._cases[outcome.position]
         is_settled = outcome.status is not CaseStatus.LOST

@@ -45,8 +45,9 @@ class Curve:
 class Sensitivity:
     """Range of an output quantity as one scenario field varies.
 
-    All other fields are as in the central case of the sweep, random fields at the mean of their
-    draws.
+    All other fields of the grid are as in the central case of the sweep. For a field of the grid,
+    the quantity is the mean over the draws of random fields, if there are any. For a random field,
+    the quantity is a linear fit in the random fields, with the other random fields at their mean.
 
     Attributes
     ----------

@@ -67,7 +67,10 @@ class Workers:
 
     @property
     def room(self) -> int:
-        """Number of further cases that may be submitted now; 0 while suspect cases run alone."""
+        """Number of further cases that may be submitted now.
+
+        It is 0 while cases that may have killed a worker are solved again, one at a time.
+        """
         if self._suspects or self._is_alone:
             return 0
         # Without any worker, one task waits for the first worker to connect.
@@ -154,9 +157,10 @@ class Workers:
         self._accused.add(task.key)
 
     def _suspect_all(self) -> None:
-        """Queue all cases of a broken executor to be solved again one at a time.
+        """Queue all cases of a broken executor to be solved again, one at a time.
 
-        Any of these cases may have killed the worker.
+        An executor is broken if a worker process died. Any of the running cases may have caused its
+        death.
         """
         for future, task in list(self._under_way.items()):
             if not future.done() or future.exception() is not None:

@@ -1,1 +1,1 @@
-"""Estimation of vehicles from their owners' data, and comparison of vehicles with measurements."""
+"""Estimation of vehicles from their owners' data, and comparison of models with measurements."""

@@ -1,4 +1,4 @@
-"""Values of a vehicle's properties, such as its mass, with their range and their origin."""
+"""Values of a vehicle's properties, such as its mass, with their uncertainty and origin."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -22,12 +22,12 @@ class Estimate:
     value : float
         Best value, in SI units.
     low, high : float
-        Range in which the property of most vehicles of this size lies. For a given or computed
-        value, `low` and `high` equal the value.
+        Ends of the range of uncertainty, in which the property of most vehicles of this size lies.
+        For a given or computed value, `low` and `high` equal the value.
     kind : Kind
         Whether the value was given, computed, estimated or measured.
     said : str
-        Description of the origin: option, formula or publication.
+        Description of the origin: command-line option, formula or publication.
     """
 
     value: float
@@ -45,12 +45,12 @@ class Estimate:
 
     @property
     def spread(self) -> float:
-        """Width of the range divided by the value, dimensionless."""
+        """Width of the range of uncertainty divided by the value, dimensionless."""
         return (self.high - self.low) / self.value if self.value else 0.0
 
 
 def given(value: float, said: str) -> Estimate:
-    """Make an `Estimate` of a value that the vehicle's owner has stated; it has no range.
+    """Make an `Estimate`, without range, of a value that the vehicle's owner has stated.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def given(value: float, said: str) -> Estimate:
 
 
 def computed(value: float, formula: str) -> Estimate:
-    """Make an `Estimate` of a value that follows from other values; it has no range.
+    """Make an `Estimate`, without range, of a value that follows from other values.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def computed(value: float, formula: str) -> Estimate:
 
 
 def estimated(value: float, said: str, low: float, high: float) -> Estimate:
-    """Make an `Estimate` of a value that is known within a range only.
+    """Make an `Estimate` of a value that is uncertain within a given range.
 
     Parameters
     ----------
@@ -85,6 +85,6 @@ def estimated(value: float, said: str, low: float, high: float) -> Estimate:
     said : str
         Description of the estimate.
     low, high : float
-        Ends of the range, as factors on the value.
+        Ends of the range, divided by the value.
     """
     return Estimate(value=value, low=low * value, high=high * value, kind=Kind.ESTIMATED, said=said)

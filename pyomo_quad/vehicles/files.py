@@ -1,4 +1,4 @@
-"""Files of an estimated vehicle and of its battery, with the source of every number."""
+"""Vehicle and battery files (TOML) of an estimated vehicle, with the source of every number."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -13,7 +13,7 @@ _DIGITS = 6
 
 
 def pack_name(name: str) -> str:
-    """Return the name of the battery file that belongs to a vehicle file."""
+    """Return the battery file's name, `NAME_pack.toml`, for the vehicle file `NAME.toml`."""
     return f"{name}_pack.toml"
 
 
@@ -56,9 +56,9 @@ def _numbers(section: str, numbers: Mapping[str, Estimate]) -> Iterator[str]:
 
 
 def scenario_of(vehicle: EstimatedVehicle) -> Scenario:
-    """Make a scenario with an estimated vehicle: a flight of 40 m in calm air.
+    """Make a scenario in which an estimated vehicle flies 40 m in calm air.
 
-    The power model is `momentum`, for which the vehicle's numbers are estimated.
+    The power model is `momentum`, whose parameters are among the estimated numbers.
 
     Parameters
     ----------

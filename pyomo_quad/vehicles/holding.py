@@ -37,7 +37,7 @@ ALLOWED_PERCENT = 15.0
 
 @dataclass(frozen=True, kw_only=True)
 class Held:
-    """Vehicle of the library, with measured and computed powers.
+    """Measured and computed powers of a vehicle of the library.
 
     Attributes
     ----------
@@ -46,13 +46,14 @@ class Held:
     scenario : Scenario
         Scenario with the vehicle.
     points : DataFrame
-        Measurements: power, airspeed, payload, climb and air density of each point.
+        Measurements of steady flight, one row each: power, airspeed, payload, climb and air
+        density.
     computed : ndarray, shape (n_points,)
-        Power of each point by the vehicle's model [W].
+        Power that the vehicle's model gives for each measurement [W].
     is_endurance : bool
         Whether the measured powers were computed from measured flight times.
     is_fitted : bool
-        Whether the vehicle's numbers were fitted to these points.
+        Whether the vehicle's parameters of power were fitted to measurements.
     source : str
         Source of the measurements.
     """
@@ -67,12 +68,12 @@ class Held:
 
     @property
     def errors(self) -> FloatArray:
-        """Relative error of each computed power [percent]."""
+        """Error of each computed power relative to the measured power [percent]."""
         return 100.0 * (self.computed / self.points[POWER].to_numpy() - 1.0)
 
     @property
     def mean_error(self) -> float:
-        """Mean absolute relative error of the computed powers [percent]."""
+        """Mean of the absolute values of `errors` [percent]."""
         return float(np.mean(np.abs(self.errors)))
 
     @property
@@ -94,7 +95,7 @@ def held_vehicles(planner: Planner | None = None) -> tuple[Held, ...]:
     Parameters
     ----------
     planner : Planner, optional
-        Keeps compiled models between vehicles.
+        Planner whose compiled models are used again for further vehicles; a new one by default.
     """
     planner = planner or Planner()
     return tuple(held_against(name, planner) for name in library_names("vehicles"))
@@ -108,7 +109,7 @@ def held_against(name: str, planner: Planner) -> Held:
     name : str
         Name of the vehicle.
     planner : Planner
-        Keeps compiled models between vehicles.
+        Planner whose compiled models are used again for further vehicles.
     """
     entry = library_entry("vehicles", name)
     is_momentum = "vehicle.rotor_radius" in entry.sources
@@ -155,7 +156,7 @@ def _folder() -> Any:  # noqa: ANN401  a Traversable, which has no stable home
 
 
 def data_sheets() -> pd.DataFrame:
-    """Compare estimated with published hover powers, for vehicles known from data sheets only.
+    """Compare estimated with published hover powers of vehicles of which only data sheets exist.
 
     Returns
     -------

@@ -18,7 +18,7 @@ _PACK_DENSITY = 2300.0  # kg/m^3
 
 @dataclass(frozen=True, kw_only=True)
 class MassModel:
-    """Mass model of a multirotor: motors at the ends of the arms, arms, cylindrical body, battery.
+    """Mass model of a multirotor: motors at the ends of arms, arms, cylindrical body and battery.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class MassModel:
 
     @property
     def empty(self) -> float:
-        """Mass without the battery [kg], taken as at least half of the total mass."""
+        """Mass without the battery [kg], assumed to be at least half of the total mass."""
         return max(self.mass - self.pack_mass, 0.5 * self.mass)
 
     @property

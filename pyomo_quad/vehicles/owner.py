@@ -1,4 +1,4 @@
-"""Estimation of a complete vehicle from mass, propeller and optional data of its owner.
+"""Estimation of all numbers of a vehicle from mass, propeller and further data of its owner.
 
 Derivation: see docs/theory/vehicle_from_data.md.
 """
@@ -89,7 +89,7 @@ class Known:
     pack : Pack or None
         Battery.
     hover_power, hover_said : float or None, str
-        Measured power of hover [W], and its description.
+        Measured power of hover [W], and description of the measurement.
     rotors : int
         Number of rotors.
     density : float
@@ -123,7 +123,8 @@ class EstimatedVehicle:
     fields, limits : mapping
         Numbers of the tables `vehicle` and `limits` of a scenario, by field.
     rotor_positions : tuple or None
-        Positions of six or eight rotors [m]; None for four.
+        Positions x, y of six or eight rotors [m]. None for four rotors, whose positions follow from
+        the length of the arms.
     estimated_hover_W : float
         Hover power [W] that follows from the estimates alone. A measured hover power does not
         change it.
@@ -198,7 +199,17 @@ def estimate_vehicle(known: Known) -> EstimatedVehicle:
 
 
 def _ranged(field: str, value: float, said: str) -> Estimate:
-    """Return an estimated value, with the relative range that belongs to its field."""
+    """Return an estimated value with the relative uncertainty that is typical of its field.
+
+    Parameters
+    ----------
+    field : str
+        Field of the vehicle, a key of the table of ranges `_RANGES`.
+    value : float
+        Best value, in SI units.
+    said : str
+        Description of the estimate.
+    """
     return estimated(value, said, *_RANGES[field])
 
 
@@ -266,9 +277,10 @@ def _motor(known: Known, pack: Pack, hover: RotorHover, model: MassModel) -> dic
 
 
 def _powers(known: Known, hover: RotorHover) -> tuple[dict[str, Estimate], float]:
-    """Return the parameters of the power model `momentum`, and the hover power [W].
+    """Return the parameters of the power model `momentum`, and the estimated hover power [W].
 
-    The hover power follows from the estimates alone, even if the owner has measured it.
+    A hover power that the owner has measured scales the parameters, but does not change the
+    returned hover power, which follows from the estimates alone.
     """
     electronics = _ELECTRONICS_W * (known.mass / _AT_KG) ** _ELECTRONICS_EXPONENT
     loss = 1 / hover.drive_efficiency
@@ -363,7 +375,7 @@ def _limits(pack: Pack, hover: RotorHover, fields: Mapping[str, Estimate]) -> di
 
 
 def _positions(rotors: int, arm: float) -> tuple[tuple[float, float], ...] | None:
-    """Return the positions of six or eight rotors in a ring [m]; None for four rotors."""
+    """Return the positions x, y of six or eight rotors on a circle [m]; None for four rotors."""
     if rotors not in ROTOR_COUNTS:
         raise ScenarioError(
             f"--rotors {rotors}; must be one of {', '.join(map(str, ROTOR_COUNTS))}."

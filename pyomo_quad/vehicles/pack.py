@@ -1,4 +1,4 @@
-"""Battery from its label, such as "4S5000": cells, capacity, resistance and discharge curve.
+"""Estimation of a battery's cells, capacity, resistance and voltage from its label ("4S5000").
 
 Sources and ranges: see docs/theory/vehicle_from_data.md, eqs. (7) and (8).
 """
@@ -30,7 +30,7 @@ _SECONDS_PER_HOUR = 3600.0
 
 @dataclass(frozen=True, kw_only=True)
 class Pack:
-    """Battery pack: numbers of cells and capacity, as on its label.
+    """Battery pack, described by the numbers on its label: cells and capacity.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class Pack:
         return f"{cells} {1000 * self.capacity:g} mAh"
 
     def fields(self) -> dict[str, Estimate]:
-        """Return the numbers of a battery file by field, each with range and origin."""
+        """Return the estimated values of a battery file's fields, each with range and origin."""
         capacity = self.capacity / self.parallel
         resistance = _RESISTANCE_BY_CAPACITY / capacity
 
@@ -123,8 +123,8 @@ _MASS_SHARE = 0.3
 def usual_pack(mass: float) -> Pack:
     """Estimate the battery pack of a vehicle from the vehicle's mass.
 
-    The pack has 30 % of the mass, and the usual number of cells in series. Derivation: see
-    docs/theory/vehicle_from_data.md, eq. (7).
+    The pack is assumed to have 30 % of the mass, and the number of cells in series that is usual
+    for this mass. Derivation: see docs/theory/vehicle_from_data.md, eq. (7).
 
     Parameters
     ----------

@@ -5,10 +5,10 @@ Derivation, sources and ranges: see docs/theory/vehicle_from_data.md, eqs. (1) t
 symbol | name | unit | meaning
 D, p | diameter, pitch | m | as printed on the propeller, "10x4.5" in inches
 C_T | coefficient | - | T = C_T rho n^2 D^4, n in revolutions per second
-sigma | _SOLIDITY | - | blade area over disc area
+sigma | _SOLIDITY | - | blade area divided by disc area
 c_d | _DRAG_AT | - | mean drag coefficient of the blade, at the Reynolds number _REYNOLDS_AT
-FM | figure_of_merit | - | ideal over shaft power in hover
-eta | drive_efficiency | - | shaft power over electrical power, of motor and controller
+FM | figure_of_merit | - | ideal power divided by shaft power, in hover
+eta | drive_efficiency | - | shaft power divided by electrical power of motor and speed controller
 """
 
 import re
@@ -62,7 +62,9 @@ class Propeller:
 
     @property
     def coefficient(self) -> float:
-        """Static thrust coefficient C_T: thrust over rho n² D⁴, n in revolutions per second.
+        """Static thrust coefficient C_T: thrust divided by rho n² D⁴.
+
+        The symbols are the air density rho, the revolutions per second n and the diameter D.
 
         Derivation: see docs/theory/vehicle_from_data.md, eq. (1).
         """
@@ -70,7 +72,7 @@ class Propeller:
         return first + second * self.pitch / self.diameter
 
     def thrust_over_speed_squared(self, density: float) -> float:
-        """Return the thrust over the square of the rotor speed [N s²].
+        """Return the thrust divided by the square of the rotor speed in rad/s [N s²].
 
         Derivation: see docs/theory/vehicle_from_data.md, eq. (1).
 
@@ -117,7 +119,8 @@ class RotorHover:
     speed : float
         Rotor speed [rad/s].
     ideal_power, induced_power, profile_power : float
-        Power of an ideal rotor, induced power, and power of the blades' drag [W].
+        Power of an ideal rotor of equal thrust and disc area, induced power, and power of the
+        blades' drag [W].
     profile_over_thrust : float
         Profile power divided by T^1.5 / sqrt(rho A), dimensionless; T is the thrust, rho the air
         density and A the area of the rotor disc.
@@ -144,12 +147,12 @@ class RotorHover:
 
     @property
     def figure_of_merit(self) -> float:
-        """Figure of merit: power of an ideal rotor over shaft power."""
+        """Figure of merit: power of an ideal rotor divided by shaft power."""
         return self.ideal_power / self.shaft_power
 
     @property
     def drive_efficiency(self) -> float:
-        """Efficiency of motor and speed controller: shaft power over electrical power.
+        """Efficiency of motor and speed controller: shaft power divided by electrical power.
 
         Derivation: see docs/theory/vehicle_from_data.md, eq. (4).
         """
@@ -159,7 +162,7 @@ class RotorHover:
 def propeller_of(text: str) -> Propeller:
     """Read a propeller label such as "10x4.5": diameter and pitch in inches.
 
-    The pitch may be missing; then a usual ratio of pitch to diameter is assumed.
+    If the label gives no pitch, a usual ratio of pitch to diameter is assumed.
 
     Raises
     ------

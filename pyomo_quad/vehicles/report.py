@@ -1,6 +1,6 @@
-"""Report that compares vehicles with measured powers.
+"""Report that compares computed with measured powers of vehicles.
 
-The report has a table of data sheets, and a page for each vehicle of the library.
+The report has a table of vehicles known from data sheets, and a page for each library vehicle.
 """
 
 from functools import partial
@@ -30,7 +30,7 @@ SHEETS_NAME = "data_sheets.csv"
 def write_vehicles(
     folder: Path, held: tuple[Held, ...], planner: Planner, figures: Figures
 ) -> pd.DataFrame:
-    """Write the report that compares vehicles with measured powers.
+    """Write the report that compares computed with measured powers of vehicles.
 
     Parameters
     ----------
@@ -39,14 +39,14 @@ def write_vehicles(
     held : tuple of Held
         Library vehicles with measured and computed powers.
     planner : Planner
-        Keeps compiled models between figures.
+        Planner whose compiled models are used again for further figures.
     figures : Figures
         Which figures to draw, and in which file formats.
 
     Returns
     -------
     DataFrame
-        Table of the data sheets.
+        Table of the vehicles known from data sheets, from `holding.data_sheets`.
     """
     sheets = data_sheets()
     drawings = write_study(

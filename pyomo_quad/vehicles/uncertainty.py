@@ -1,4 +1,4 @@
-"""Uncertainty of an estimated vehicle's power: causes, range, and most useful measurement.
+"""Uncertainty of an estimated vehicle's power: causes, range, and most informative measurement.
 
 Method: see docs/theory/vehicle_from_data.md, eq. (10).
 """
@@ -43,8 +43,8 @@ class Cause:
     measurement : str
         The measurement that would determine the quantity.
     low, high : ndarray, shape (len(AIRSPEEDS),)
-        Powers at `AIRSPEEDS` with the quantity at the ends of its range [W]; NaN where the vehicle
-        has no steady flight.
+        Powers [W] at the airspeeds `AIRSPEEDS` [m/s] with the quantity at the ends of its range;
+        NaN where the vehicle has no steady flight.
     """
 
     name: str
@@ -55,12 +55,12 @@ class Cause:
 
 @dataclass(frozen=True, kw_only=True)
 class PowerBand:
-    """Power of level flight with its range of uncertainty.
+    """Power of level flight over airspeed, with its range of uncertainty.
 
     Attributes
     ----------
     power, low, high : ndarray, shape (len(AIRSPEEDS),)
-        Power at `AIRSPEEDS`, and the ends of its range [W].
+        Power [W] at the airspeeds `AIRSPEEDS` [m/s], and the ends of its range.
     causes : tuple of Cause
         Causes of the uncertainty.
     """
@@ -71,7 +71,11 @@ class PowerBand:
     causes: tuple[Cause, ...]
 
     def ranked(self) -> tuple[tuple[Cause, float], ...]:
-        """Return each cause with its mean relative effect on the power, the largest first."""
+        """Return each cause with its mean relative effect on the power, the largest effect first.
+
+        The effect is half the difference of the powers at both ends of the quantity's range,
+        divided by the power.
+        """
         shares = [
             float(np.nanmean(np.abs(one.high - one.low) / (2 * self.power))) for one in self.causes
         ]
@@ -87,7 +91,7 @@ def power_band(vehicle: EstimatedVehicle, planner: Planner | None = None) -> Pow
     vehicle : EstimatedVehicle
         The vehicle, whose numbers have ranges.
     planner : Planner, optional
-        Keeps compiled models between calls.
+        Planner whose compiled models are used again in further calls; a new one by default.
     """
     scenario, planner = scenario_of(vehicle), planner or Planner()
     power = level_powers(scenario, AIRSPEEDS, planner)
@@ -113,7 +117,7 @@ def power_band(vehicle: EstimatedVehicle, planner: Planner | None = None) -> Pow
 
 
 def _together(changes: Sequence[FloatArray]) -> FloatArray:
-    """Combine independent changes of the power: the root of the sum of squares."""
+    """Combine independent changes of the power by the square root of the sum of their squares."""
     return np.sqrt(np.nansum(np.square(changes), axis=0))
 
 

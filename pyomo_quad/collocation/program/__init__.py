@@ -1,1 +1,1 @@
-"""The nonlinear program: sparsity, bounds, transcription, derivatives, and Ipopt."""
+"""Nonlinear program (NLP) of a collocation problem: unknowns, bounds, derivatives, solution."""

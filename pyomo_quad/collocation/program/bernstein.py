@@ -46,10 +46,10 @@ class BernsteinRule:
     Attributes
     ----------
     coefficients : ndarray, shape (n_coefficients, n_values)
-        Matrix from the values to the coefficients.
+        Matrix from the values at the nodes to the coefficients.
     values : ndarray, shape (n_coefficients, n_values)
-        Matrix from the values to the polynomial at the coefficients' abscissae, which are
-        equidistant.
+        Matrix from the values at the nodes to the values of the polynomial at the abscissae of the
+        coefficients, which are equidistant in the element.
     """
 
     coefficients: FloatArray
@@ -58,10 +58,16 @@ class BernsteinRule:
 
 @lru_cache(maxsize=64)
 def bernstein_rule(degree: int, *, is_state: bool) -> BernsteinRule:
-    """Return the Bernstein rule of an element of a given degree.
+    """Return the maps from a variable's values in an element to its Bernstein coefficients.
 
-    A state is given by its values at the nodes (left end and collocation points), an algebraic
-    variable by its values at the collocation points.
+    Parameters
+    ----------
+    degree : int
+        Number of collocation points of the element.
+    is_state : bool
+        True for a state, which is given by its values at the nodes (left end and collocation
+        points); False for an algebraic variable, which is given by its values at the collocation
+        points.
     """
     rule = radau_rule(degree)
     at = rule.nodes if is_state else rule.points
@@ -75,7 +81,11 @@ def bernstein_rule(degree: int, *, is_state: bool) -> BernsteinRule:
 
 
 def _basis(places: FloatArray, order: int) -> FloatArray:
-    """Return Bernstein's polynomials of an order at places from 0 to 1: (n_places, order + 1)."""
+    """Evaluate the Bernstein basis polynomials of degree `order` at points from 0 to 1.
+
+    The result has the shape (n_places, order + 1), with one row per entry of `places` and one
+    column per basis polynomial.
+    """
     k, t = np.arange(order + 1), places[:, None]
     return np.asarray(comb(order, k) * t**k * (1.0 - t) ** (order - k))
 
@@ -87,8 +97,8 @@ class BernsteinRows:
     Attributes
     ----------
     coefficients, values : csr_array, shape (n_coefficients, n_unknowns)
-        Matrices from the unknowns to the coefficients, and to the polynomials at the coefficients'
-        abscissae.
+        Matrices from the unknowns of the program to the coefficients, and to the values of the
+        polynomials at the abscissae of the coefficients.
     lower, upper : ndarray, shape (n_coefficients,)
         Bounds of the coefficients.
     elements : ndarray of int, shape (n_coefficients,)
@@ -102,7 +112,11 @@ class BernsteinRows:
     elements: NDArray[np.intp]
 
     def added_to(self, program: NonlinearProgram) -> ExtendedProgram:
-        """Return a copy of a nonlinear program to which these constraints are appended."""
+        """Return a copy of a nonlinear program with further constraints.
+
+        The further constraints are the bounds on Bernstein coefficients. They follow the
+        constraints of the program.
+        """
         rows = self.coefficients
         starts = np.append(np.zeros(program.n_rows, dtype=rows.indptr.dtype), rows.indptr)
         shape = (starts.size - 1, rows.shape[1])
@@ -110,21 +124,23 @@ class BernsteinRows:
         return ExtendedProgram(program=program, terms=terms)
 
     def scales(self, own: Scaling) -> FloatArray:
-        """Return the scaling factors of these constraints, shape (n_coefficients,).
+        """Return scaling factors of the bounds on coefficients, shape (n_coefficients,).
 
-        `own` is the scaling of the program, with the factors of its unknowns. In scaled unknowns,
-        the largest entry of each constraint becomes 1.
+        `own` is the scaling of the program. If the unknowns are scaled by its factors, and each
+        bound on a coefficient by the result, the largest entry of each row of the scaled constraint
+        matrix is 1.
         """
         rows = self.coefficients
         entries = np.abs(rows.data) / own.unknowns[rows.indices]
         return np.asarray(1.0 / np.maximum.reduceat(entries, rows.indptr[:-1]))
 
     def restraint(self, result: IpoptResult, gap: float, elements: int) -> Restraint:
-        """Estimate by how much these constraints raise the objective at a solution.
+        """Estimate by how much the bounds on Bernstein coefficients raise the objective.
 
         A polynomial may satisfy a bound while one of its Bernstein coefficients would exceed it.
-        The cost of bounding that coefficient is the multiplier of its bound times the distance
-        between the coefficient and the polynomial at the coefficient's abscissa.
+        The increase of the objective by the bound on that coefficient is estimated as the
+        multiplier of its bound times the distance between the coefficient and the value of the
+        polynomial at the coefficient's abscissa.
 
         Parameters
         ----------
@@ -149,10 +165,12 @@ class Restraint:
     Attributes
     ----------
     cost : ndarray, shape (n_elements,)
-        Cost, to first order and per element, of bounding coefficients outside the polynomial's
-        range.
+        First-order estimate of the increase in each element, in the unit of the objective. The
+        objective increases where a Bernstein coefficient would exceed its bound while the
+        polynomial satisfies the bound.
     gap : float
-        Complementarity gap that Ipopt's barrier leaves, over all bounds.
+        Complementarity gap at the solution, in the unit of the objective: the sum of multipliers
+        times slacks over all inequalities, which Ipopt's barrier leaves.
     """
 
     cost: FloatArray
@@ -165,15 +183,16 @@ def bounded(
     """Return bounds on Bernstein coefficients in the elements where a trajectory is near a bound.
 
     Bounds on the coefficients keep the trajectory within the variables' bounds between the
-    collocation points too.
+    collocation points too. An element is near a bound if one of its coefficients, for the given
+    trajectory, is near the bound or violates it.
 
     Parameters
     ----------
     program : Transcription
         Nonlinear program on one mesh.
     bounds : Bounds
-        Bounds at the collocation points; a bound that changes within an element is not imposed
-        between its points.
+        Bounds of the unknowns, which hold at the collocation points. A bound that changes within an
+        element is not imposed between the collocation points of the element.
     z : ndarray, shape (n_unknowns,)
         The trajectory, interpolated from another mesh.
     breach : float
@@ -208,7 +227,11 @@ def bounded(
 
 
 def _limits(bounds: Bounds, columns: NDArray[np.intp]) -> tuple[float, float]:
-    """Return a variable's bounds in an element; infinite if a bound varies in the element."""
+    """Return the lower and the upper bound of one variable in one element.
+
+    `columns` are the positions of the variable's unknowns in the element. A bound that differs
+    between these unknowns counts as absent (infinite).
+    """
     low, high = bounds.lower[columns], bounds.upper[columns]
     return (
         float(low[0]) if np.all(low == low[0]) else -np.inf,
@@ -217,7 +240,12 @@ def _limits(bounds: Bounds, columns: NDArray[np.intp]) -> tuple[float, float]:
 
 
 def _is_near(values: FloatArray, low: float, high: float) -> bool:
-    """Return whether any Bernstein coefficient is near or beyond one of its bounds."""
+    """Return whether a Bernstein coefficient in one element is near a bound or violates it.
+
+    `values` are the coefficients of one variable, `low` and `high` its bounds. Near means closer
+    than 0.45 times the distance between the bounds, or than 0.45 max(1, abs(bound)) if only one
+    bound is finite.
+    """
     sides = [side for side in (low, high) if np.isfinite(side)]
     if not sides:
         return False
@@ -226,7 +254,11 @@ def _is_near(values: FloatArray, low: float, high: float) -> bool:
 
 
 def _assembled(parts: list[tuple[NDArray[np.intp], FloatArray]], width: int) -> csr_array:
-    """Assemble a sparse matrix from dense blocks of rows, given the columns of each block."""
+    """Assemble a sparse matrix from dense blocks of rows, one block below the other.
+
+    `parts` has a pair for each block: the columns of the matrix that the block fills, and the dense
+    block. `width` is the number of columns of the matrix.
+    """
     data = np.concatenate([block.ravel() for _, block in parts])
     columns = np.concatenate([np.tile(at, len(block)) for at, block in parts])
     sizes = np.concatenate([np.full(len(block), at.size) for at, block in parts])

@@ -1,4 +1,4 @@
-"""Bounds and scaling of a nonlinear program, and refusal of programs that cannot be solved.
+"""Bounds and scaling of a nonlinear program, and errors for programs that cannot be solved.
 
 Scaling: see docs/theory/refinement.md, eqs. (12) to (15).
 """
@@ -54,12 +54,12 @@ def bounds_of(
     fixed: dict[tuple[str, float], float],
     left_out: frozenset[str] = frozenset(),
 ) -> Bounds:
-    """Evaluate all bounds of a nonlinear program for its current data.
+    """Evaluate all bounds of a nonlinear program for its current parameter values.
 
     Parameters
     ----------
     program : Transcription
-        Nonlinear program on one mesh, with its data.
+        Nonlinear program on one mesh, with parameter values.
     start_data : ndarray, shape (1 + n_jumps, n_data)
         Fraction of the horizon, time-dependent parameters and constant parameters, at the start of
         the horizon and just after each jump of a parameter.
@@ -75,8 +75,9 @@ def bounds_of(
     Raises
     ------
     TranscriptionError
-        If a lower bound exceeds an upper bound, or the bounds of two free times leave no time
-        between them; the message names the variables.
+        If a lower bound exceeds an upper bound, or the bounds of free times contradict the order of
+        these times. (A free time is a static variable that gives the physical time of a declared
+        time.) The message names the variables.
     """
     _refuse_crossed_times(program)
     lower = np.full(program.layout.unknowns, -np.inf)
@@ -100,6 +101,8 @@ def limits_of(
     program: Transcription, start_data: FloatArray, fixed: dict[tuple[str, float], float]
 ) -> list[Limit]:
     """Return the bounds that each variable or constraint of the model imposes on unknowns.
+
+    A constraint on a single variable counts as a bound of that variable.
 
     Parameters
     ----------
@@ -133,9 +136,10 @@ def _rows(program: Transcription) -> tuple[FloatArray, FloatArray]:
 
 
 def _over_time(program: Transcription, start_data: FloatArray) -> Iterator[Limit]:
-    """Yield the bounds of variables over time.
+    """Yield the bounds of states and algebraic variables at all nodes, as `Limit` objects.
 
-    A constraint on a single variable over time counts as a bound of that variable.
+    A constraint over time on a single variable counts as a bound of that variable. `start_data` is
+    as in `bounds_of`.
     """
     layout, compiled = program.layout, program.compiled
     mapped = MappedFunction(compiled.limits_over_time, layout.points + 1)
@@ -152,9 +156,12 @@ def _over_time(program: Transcription, start_data: FloatArray) -> Iterator[Limit
 def _after_jumps(program: Transcription, data: FloatArray) -> Iterator[Limit]:
     """Yield the bounds of states just after a jump of a parameter, at the node of the jump.
 
-    A bound may jump together with the parameter. The node at the jump is the end of an element, so
-    that the bounds at collocation points give only the value before the jump; these bounds add the
-    value after it.
+    A bound may jump together with the parameter. The node at the jump is the end of an element,
+    where the bounds at collocation points are evaluated just before the jump. This function
+    evaluates the bounds just after the jump, so that the state must satisfy both.
+
+    `data` has one row per jump: the fraction of the horizon, the time-dependent parameters just
+    after the jump, and the constant parameters.
     """
     compiled, layout = program.compiled, program.layout
     nodes = program.mesh.node_fractions if program.mesh else np.zeros(0)
@@ -167,7 +174,11 @@ def _after_jumps(program: Transcription, data: FloatArray) -> Iterator[Limit]:
 
 
 def _fixed(program: Transcription, fixed: dict[tuple[str, float], float]) -> Iterator[Limit]:
-    """Yield the values of states that are fixed at declared times, as equal bounds at a node."""
+    """Yield the values of states that are fixed at declared times, as equal bounds at a node.
+
+    `fixed` maps (variable name, fraction of the horizon) to the value. The lower and the upper
+    bound of the state's unknown at the nearest node both equal this value.
+    """
     for (name, fraction), number in fixed.items():
         column = program.layout.state_column(name, fraction)
         if column >= 0:
@@ -176,7 +187,12 @@ def _fixed(program: Transcription, fixed: dict[tuple[str, float], float]) -> Ite
 
 
 def limits_at_points(program: Transcription) -> Iterator[Limit]:
-    """Yield bounds of static variables, and conditions that bound one value at a declared time."""
+    """Yield the bounds of static variables, and of single states at declared times.
+
+    A static variable is a variable without time. The bounds come from the declarations of static
+    variables, and from conditions (constraints at declared times) on a single state or a single
+    static variable.
+    """
     compiled, layout = program.compiled, program.layout
     declared = compiled.declared
     parameters = program.data.parameters[None, :]
@@ -198,9 +214,10 @@ def limits_at_points(program: Transcription) -> Iterator[Limit]:
 
 
 def _refuse_crossed(program: Transcription, lower: FloatArray, upper: FloatArray) -> None:
-    """Raise an error if a lower bound exceeds an upper bound, naming the worst variable.
+    """Raise an error if the lower bound of an unknown exceeds its upper bound.
 
-    Bounds that cross by rounding only are made equal, in place.
+    The message names the variable whose bounds cross most. Bounds that cross by rounding errors
+    only are made equal, in place.
     """
     gap = lower - upper
     scale = 1e-9 * (1.0 + np.minimum(np.abs(lower), np.abs(upper)))
@@ -212,7 +229,12 @@ def _refuse_crossed(program: Transcription, lower: FloatArray, upper: FloatArray
 
 
 def _refuse_crossed_times(program: Transcription) -> None:
-    """Raise an error if the bounds of free times leave no time between two of them."""
+    """Raise an error if the bounds of free times contradict the order of these times.
+
+    A free time is a static variable that gives the physical time of a declared time. The order is
+    contradicted if the least value of one declared time is not below the greatest value of a later
+    declared time.
+    """
     compiled, clock = program.compiled, program.compiled.declared.clock
     parameters = program.data.parameters
     lower, upper = (np.array(side).ravel() for side in compiled.static_limits(parameters))
@@ -237,7 +259,7 @@ def _refuse_crossed_rows(program: Transcription, lower: FloatArray, upper: Float
 
 
 def crossed(place: object, lower: float, upper: float) -> TranscriptionError:
-    """Return the error for a lower bound above its upper bound.
+    """Return the error for a lower bound that exceeds the upper bound of the same quantity.
 
     `place` is the variable or constraint with its time, for the message.
     """
@@ -258,15 +280,19 @@ _ROW_RANGE = (1e-8, 1e8)
 
 
 def scaling_of(program: Transcription, bounds: Bounds, z: FloatArray) -> Scaling:
-    """Return scaling factors of a nonlinear program, from magnitudes and slopes at a point."""
+    """Return scaling factors of a nonlinear program at a point.
+
+    The factor of an unknown is the inverse of its magnitude, as `nominal_magnitudes` returns it.
+    The factors of constraints and objective follow from their derivatives at the point `z`.
+    """
     return scaling_by(program, nominal_magnitudes(program, bounds, z), z)
 
 
 def scaling_by(program: NonlinearProgram, nominal: FloatArray, z: FloatArray) -> Scaling:
     """Return scaling factors of a nonlinear program, given the magnitudes of its unknowns.
 
-    The largest scaled derivative of each constraint and of the objective becomes about 1 at the
-    point.
+    The largest scaled derivative of each constraint becomes about 1 at the point `z`. The larger of
+    the scaled objective and its largest scaled derivative becomes 1.
 
     Parameters
     ----------
@@ -287,9 +313,10 @@ def scaling_by(program: NonlinearProgram, nominal: FloatArray, z: FloatArray) ->
 
 
 def _largest_slopes(program: NonlinearProgram, nominal: FloatArray, z: FloatArray) -> FloatArray:
-    """Return the largest derivative of each constraint in scaled unknowns, shape (n_rows,).
+    """Return the largest absolute derivative of each constraint, shape (n_rows,).
 
-    The unknowns are in units of their magnitudes `nominal`; derivatives are taken at the point `z`.
+    The derivatives are taken at the point `z`, with respect to unknowns in units of their
+    magnitudes `nominal`.
     """
     rows, columns = program.jacobianstructure()
     with np.errstate(all="ignore"):
@@ -300,11 +327,12 @@ def _largest_slopes(program: NonlinearProgram, nominal: FloatArray, z: FloatArra
 
 
 def nominal_magnitudes(program: Transcription, bounds: Bounds, z: FloatArray) -> FloatArray:
-    """Return the magnitude of each unknown, shape (n_unknowns,).
+    """Return the magnitude of each unknown, on which its scaling depends, shape (n_unknowns,).
 
-    The declared scaling factor of a variable determines its magnitude. Without a scaling factor,
-    the magnitude is the largest absolute value among the variable's finite bounds and its values at
-    `z`.
+    All unknowns of a variable have the same magnitude. If the model declares a scaling factor of
+    the variable, the magnitude is the inverse of this factor. Otherwise the magnitude is the
+    largest absolute value among the variable's values at `z` and its bounds below 1e6; it is 1 if
+    all of these are zero.
     """
     layout, declared = program.layout, program.compiled.declared
     nominal = np.ones(layout.unknowns)
@@ -319,10 +347,11 @@ def nominal_magnitudes(program: Transcription, bounds: Bounds, z: FloatArray) ->
 
 
 def _magnitude(slot: Slot, bounds: Bounds, z: FloatArray, columns: Any) -> float:
-    """Return the magnitude of one variable, the same for all unknowns that belong to it.
+    """Return the magnitude of one variable, on which the scaling of its unknowns depends.
 
-    The result is the declared magnitude, else the largest absolute value among finite bounds and
-    values.
+    The result is the magnitude that the model declares, if any; else the largest absolute value
+    among the variable's values in `z` and its bounds below 1e6; else 1. `columns` are the positions
+    of the variable's unknowns.
     """
     if slot.nominal is not None:
         return slot.nominal
@@ -334,7 +363,7 @@ def _magnitude(slot: Slot, bounds: Bounds, z: FloatArray, columns: Any) -> float
 
 
 def refuse_unsolvable(program: Transcription, bounds: Bounds, z: FloatArray) -> None:
-    """Raise an error if a program is not finite at the initial point, or is over-determined.
+    """Raise an error if a program is not finite at the initial point `z`, or over-determined.
 
     Raises
     ------
@@ -419,7 +448,8 @@ def without_settled_rows(program: NonlinearProgram, bounds: Bounds, z: FloatArra
     """Remove the bounds of constraints that involve only fixed unknowns and are satisfied.
 
     A path equality at a point where all states in the equality are fixed is redundant. The equality
-    has no slopes in free unknowns, which would make the equations appear linearly dependent.
+    has no derivatives with respect to free unknowns, which would make the equations appear linearly
+    dependent. The constraints are evaluated at the point `z`.
     """
     rows, columns = program.jacobianstructure()
     is_free = bounds.lower < bounds.upper
@@ -477,7 +507,10 @@ def refuse_not_finite(program: Transcription, z: FloatArray) -> None:
 
 
 def _refuse_value(owner: str, number: float) -> NoReturn:
-    """Raise the error for an equation or objective that is not finite at the initial guess."""
+    """Raise the error for an equation or objective that is not finite at the initial guess.
+
+    `owner` is the name of the equation or objective, `number` its value.
+    """
     raise TranscriptionError(
         f"{owner}: is {number} at the initial guess; give the variables in it initial values or "
         "bounds where it is defined."
@@ -485,7 +518,11 @@ def _refuse_value(owner: str, number: float) -> NoReturn:
 
 
 def _refuse_slope(owner: str, variable: str, slope: float) -> NoReturn:
-    """Raise the error for a derivative that is not finite at the initial guess."""
+    """Raise the error for a derivative that is not finite at the initial guess.
+
+    `owner` is the name of the equation or objective, `variable` the name of the variable with
+    respect to which the derivative is taken, and `slope` the value of the derivative.
+    """
     raise TranscriptionError(
         f"{owner}: its derivative by {variable} is {slope} at the initial guess; start or bound "
         "that variable away from the point."

@@ -38,7 +38,7 @@ class MappedFunction:
     Parameters
     ----------
     function : casadi.Function
-        Dense column inputs, dense column outputs.
+        Function whose inputs and outputs are dense column vectors.
     n : int
         Number of points.
     n_shared : int, optional
@@ -123,7 +123,11 @@ def set_outputs_aside(declared: Declarations) -> Declarations:
 
 
 def _names_at(declared: Declarations, slot: Slot) -> frozenset[str]:
-    """Return the names of the symbols that stand for a variable's values at declared times."""
+    """Return the names of the symbols that stand for a variable's values at declared times.
+
+    A declared time is a member of the continuous set; the name of such a symbol is, for example,
+    ``x[0.5]``. `slot` is the variable.
+    """
     return frozenset(p.symbol.name() for p in declared.point_symbols if p.slot == slot.name)
 
 
@@ -163,7 +167,12 @@ def _one_output(declared: Declarations) -> tuple[Slot, PathEquation] | None:
 
 
 def _is_fixed_at_start_only(declared: Declarations, slot: Slot) -> bool:
-    """Return whether a state is fixed at the start and appears in no other condition."""
+    """Return whether a state has an initial condition and no other condition.
+
+    A condition is a constraint at declared times, or a value fixed at a declared time. The result
+    is also False if the initial condition contains other variables, or if the objective contains
+    the state's value at a declared time.
+    """
     names = _names_at(declared, slot)
     if names & symbol_names(declared.objective):
         return False
@@ -194,9 +203,10 @@ class SimpleBound:
     variable : str
         Name of the bounded variable's symbol.
     slope : float
-        Factor of the variable in the constraint; 1 for a variable's own bounds.
+        Coefficient of the variable in the constraint; 1 for bounds that the variable declares.
     lower, upper : casadi.SX
-        Bounds of the variable, as expressions of the data.
+        Bounds of the variable, as expressions of parameters and, over time, of the fraction of the
+        horizon.
     """
 
     name: str
@@ -227,7 +237,8 @@ def split_simple_bounds(
     variables : dict
         Every variable symbol by name; any other symbol in a constraint is a parameter.
     candidates : frozenset of str
-        Names of the variables that the nonlinear program can bound.
+        Names of the variables that are unknowns of the nonlinear program. Only these variables can
+        have bounds; a rate, for example, cannot.
 
     Returns
     -------
@@ -247,7 +258,11 @@ def split_simple_bounds(
 def _as_simple_bound(
     relation: PathEquation | PointCondition, variables: dict[str, Any], candidates: frozenset[str]
 ) -> SimpleBound | None:
-    """Return a constraint as a bound on its only variable; None if it has another form."""
+    """Return a constraint on a single variable as a `SimpleBound`, else None.
+
+    The result is None if the constraint contains several variables, is nonlinear in its variable,
+    or is an equality over time. `variables` and `candidates` are as in `split_simple_bounds`.
+    """
     if isinstance(relation, PathEquation) and relation.is_equality:
         return None
     held = symbol_names(relation.expression) & set(variables)
@@ -279,8 +294,8 @@ class DerivedFunctions:
     jacobian : casadi.Function
         (variables, data) -> nonzeros of the Jacobian with respect to the variables.
     hessian : casadi.Function
-        (variables, data, weights) -> nonzeros of the lower triangle of the Hessian of weights .
-        values.
+        (variables, data, weights) -> nonzeros of the lower triangle of the Hessian of the scalar
+        product weights . values.
     jacobian_rows, jacobian_columns, hessian_rows, hessian_columns : ndarray of int
         Row and column of each nonzero.
     """
@@ -298,18 +313,20 @@ class DerivedFunctions:
 class TableArguments:
     """Arguments of interpolation tables, with functions that evaluate them.
 
-    The functions serve to check whether a solution reads a table outside its range.
+    The functions serve to check whether a solution evaluates a table outside the range of its data.
 
     Attributes
     ----------
     over_time : tuple of TableUse
         Arguments in equations over time.
     path : casadi.Function
-        (variables of a point, data of a point) -> values of these arguments.
+        (variables at a collocation point, data of the point) -> values of the arguments in
+        `over_time`. The data are the fraction of the horizon and the parameters.
     in_conditions : tuple of TableUse
         Arguments in conditions at declared times.
     points : casadi.Function
-        (values at declared times, parameters) -> values of these arguments.
+        (values at declared times with static variables and integrals, parameters) -> values of the
+        arguments in `in_conditions`.
     """
 
     over_time: tuple[TableUse, ...]
@@ -320,7 +337,7 @@ class TableArguments:
 
 @dataclass(frozen=True, kw_only=True)
 class CompiledModel:
-    """Compiled continuous model: CasADi functions of a point and of the conditions.
+    """Compiled continuous model: CasADi functions of a collocation point and of the conditions.
 
     The data of a point are the fraction of the horizon, the time-dependent parameters and the
     constant parameters. A condition is a constraint among values at declared times, static
@@ -341,15 +358,16 @@ class CompiledModel:
     limits : tuple of SimpleBound
         Bounds of single variables over time.
     limits_over_time : casadi.Function
-        Data of a point -> lower and upper bounds in `limits`.
+        Data of a point -> lower and upper bounds of the variables in `limits`.
     simple_point_bounds : tuple of SimpleBound
         Conditions that bound a single state at a declared time, or a single static variable.
     simple_point_limits : casadi.Function
-        Parameters -> lower and upper bounds in `simple_point_bounds`.
+        Parameters -> lower and upper bounds of the variables in `simple_point_bounds`.
     condition_limits, static_limits : casadi.Function
         Parameters -> lower and upper bounds of the conditions, and of the static variables.
     times : casadi.Function
-        (static variables, parameters) -> start, free interior times and end of the horizon.
+        (static variables, parameters) -> physical times of the start, the free interior times and
+        the end of the horizon.
     row_integrals : tuple of int
         Positions of the integrals that enter the objective directly, without a static variable that
         equals them.
@@ -366,7 +384,7 @@ class CompiledModel:
     points: DerivedFunctions
     path_bounds: Any
     limits: tuple[SimpleBound, ...]
-    """Limits over time of one variable each: those of each variable, then simple bounds."""
+    """Bounds that variables declare, then constraints over time on a single variable."""
     limits_over_time: Any
     simple_point_bounds: tuple[SimpleBound, ...]
     simple_point_limits: Any
@@ -390,9 +408,11 @@ class CompiledModel:
         return self
 
     def scaled(self, magnitudes: Mapping[str, float]) -> CompiledModel:
-        """Return the model with other magnitudes of its variables, on which the scaling depends.
+        """Return a copy of the model with given magnitudes of its variables, for the scaling.
 
-        `magnitudes` maps names of variables or components to magnitudes.
+        `magnitudes` maps names of variables or components to magnitudes. A variable has no declared
+        magnitude in the copy if the mapping contains neither its name nor the name of its
+        component.
         """
         d = self.declared
         kinds = (d.states, d.algebraics, d.statics)
@@ -426,7 +446,7 @@ class CompiledModel:
 
 
 def _unpacked(parts: Packed) -> CompiledModel:
-    """Return the compiled model that a pickle contains."""
+    """Restore a compiled model from the parts that its pickle contains."""
     return CompiledModel(**parts.unpacked())
 
 
@@ -488,16 +508,22 @@ def compile_declarations(declared: Declarations) -> CompiledModel:
 
 
 def _times(declared: Declarations, parameters: Any) -> Any:
-    """Return the CasADi function (static variables, parameters) -> times that bound the phases."""
+    """Return a CasADi function for the physical times that bound the phases of the horizon.
+
+    The function maps (static variables, parameters) to the start of the horizon, its free interior
+    times and its end. A phase lies between two consecutive times of this list.
+    """
     inputs = [_symbols(declared.statics), parameters]
     return casadi.Function("times", inputs, [stacked(declared.clock.times)])
 
 
 def with_moving_limits(declared: Declarations) -> Declarations:
-    """Rewrite limits that depend on static variables as constraints with constant sides.
+    """Rewrite limits that depend on static variables, so that all bounds depend on data alone.
 
-    A free time makes the time in a rule such as `m.x[t] <= t` depend on static variables, but the
-    sides of a constraint and the bounds of a variable may depend on data alone.
+    If times are free, the time t in a rule such as `m.x[t] <= t` depends on static variables. The
+    bounds of a constraint or variable, however, may depend only on data: the fraction of the
+    horizon and the parameters. The limit is therefore subtracted from the body of the constraint,
+    whose bound becomes zero.
     """
     statics = symbol_names(_symbols(declared.statics))
 
@@ -530,8 +556,8 @@ def with_moving_limits(declared: Declarations) -> Declarations:
 def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> list[PathEquation]:
     """Return constraints equivalent to a path equation, with sides that depend on data alone.
 
-    `moves` tells whether a side depends on static variables; each side that does becomes a separate
-    constraint.
+    `moves` returns whether a given side depends on static variables. Each side that depends on
+    static variables becomes a separate constraint.
     """
     below, above = moves(equation.lower), moves(equation.upper)
     if not (below or above):
@@ -567,17 +593,21 @@ def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> l
 
 
 def _infinite_where(unbounded: Any, none: Any) -> Any:
-    """Return the infinite number `none` where a limit is absent (`unbounded`), and 0 elsewhere."""
+    """Return an expression that is infinite where a limit is absent, and 0 elsewhere.
+
+    `unbounded` is a CasADi expression that is 1 where the limit is absent, else 0. `none` is the
+    infinite value: positive for an upper limit, negative for a lower limit.
+    """
     zero = casadi.SX(0)
     return zero if unbounded.is_zero() else casadi.if_else(unbounded, none, zero)
 
 
 def _moving_side(side: Any) -> tuple[Any, Any]:
-    """Split a side of a limit into its finite value and an indicator of its absence.
+    """Split a limit into its finite value and an indicator of its absence.
 
-    A rule that skips a limit on a part of the horizon has an infinite side there. The side is a sum
-    of terms, one for each alternative of the rule, and each term is zero at times of the other
-    alternatives.
+    `side` is the lower or upper side of a constraint. If the constraint's rule skips the limit in a
+    part of the horizon, the side is infinite there. The side is a sum of terms, one for each
+    alternative of the rule, and each term is zero at times of the other alternatives.
 
     Returns
     -------
@@ -602,7 +632,11 @@ def _moving_side(side: Any) -> tuple[Any, Any]:
 def _table_arguments(
     declared: Declarations, path_variables: dict[str, Any], point_variables: dict[str, Any]
 ) -> TableArguments:
-    """Compile the functions that evaluate the arguments of all interpolation tables."""
+    """Compile the functions that evaluate the arguments of all interpolation tables.
+
+    `path_variables` and `point_variables` are the symbols, by name, of the variables at a
+    collocation point and of the variables in conditions (constraints at declared times).
+    """
     parameters = _symbols(declared.parameters)
     made: list[Any] = []
     for variables, data in (
@@ -619,7 +653,11 @@ def _table_arguments(
 
 
 def _fingerprint(declared: Declarations, functions: list[Any]) -> str:
-    """Return a hash of the model's equations and names that does not depend on parameter values."""
+    """Return a hash of the model's equations and names that does not depend on parameter values.
+
+    The hash serves to check that a warm start belongs to the same model. `functions` are the CasADi
+    functions of all equations, conditions and the objective.
+    """
     d = declared
     names = ["maximise" if d.maximise else "minimise", *(e.name for e in d.equations)]
     names += [slot.name for slot in (*d.states, *d.algebraics, *d.statics)]
@@ -628,22 +666,26 @@ def _fingerprint(declared: Declarations, functions: list[Any]) -> str:
 
 
 def _values(name: str, rows: Any, variables: Any, data: Any) -> Any:
-    """Return the CasADi function (variables, data) -> dense column of expressions."""
+    """Return the CasADi function (variables, data) -> dense column of the expressions `rows`."""
     return casadi.Function(name, [variables, data], [casadi.densify(rows)])
 
 
 def _anonymous(function: Any) -> str:
-    """Return the text of a CasADi function with anonymous symbols instead of the model's symbols.
+    """Return the code of a CasADi function as text, with neutral names of its symbols.
 
-    The names of the model's symbols contain declared times, as ``x[0.5]``, on which the text must
-    not depend.
+    The names of the model's symbols contain declared times, as ``x[0.5]``. The text must not depend
+    on these times, because it determines the hash that identifies the model's equations.
     """
     symbols = [casadi.SX.sym(f"i{k}", function.size1_in(k)) for k in range(function.n_in())]
     return str(casadi.Function("f", symbols, function.call(symbols)).serialize())
 
 
 def _limits(name: str, data: Any, items: tuple[Any, ...]) -> Any:
-    """Return the CasADi function from data to lower and upper sides of constraints or variables."""
+    """Return the CasADi function from data to the lower and upper bounds of `items`.
+
+    The items are constraints or variables. `data` are the symbols of which their bounds are
+    expressions, and `name` is the name of the function.
+    """
     sides = [stacked([i.lower for i in items]), stacked([i.upper for i in items])]
     return casadi.Function(name, [data], sides)
 
@@ -654,12 +696,12 @@ def stacked(expressions: Any) -> Any:
 
 
 def _symbols(slots: tuple[Slot, ...]) -> Any:
-    """Return the symbols of variables or parameters as a column vector."""
+    """Return the symbols of variables or parameters (`slots`) as a CasADi column vector."""
     return stacked([s.symbol for s in slots])
 
 
 def _path_symbols(declared: Declarations) -> dict[str, Any]:
-    """Return the symbols of a point's variables by name, in the order of the point's vector.
+    """Return the symbols of the variables at a collocation point, by name and in fixed order.
 
     The order is: rates, states, algebraic variables, static variables.
     """
@@ -670,9 +712,10 @@ def _path_symbols(declared: Declarations) -> dict[str, Any]:
 
 
 def _point_symbols(declared: Declarations) -> dict[str, Any]:
-    """Return the symbols of the variables in conditions and objective by name, in order.
+    """Return the symbols of the variables in conditions and objective, by name and in fixed order.
 
-    The order is: values at declared times, static variables, integrals without a static variable.
+    Conditions are constraints at declared times. The order is: values at declared times, static
+    variables, integrals without a static variable that equals them.
     """
     symbols = {p.symbol.name(): p.symbol for p in declared.point_symbols}
     symbols |= {s.symbol.name(): s.symbol for s in declared.statics}
@@ -682,9 +725,10 @@ def _point_symbols(declared: Declarations) -> dict[str, Any]:
 
 
 def _boundable_at_points(declared: Declarations) -> frozenset[str]:
-    """Return the names of quantities in conditions that the nonlinear program can bound.
+    """Return the names of quantities in conditions that are unknowns of the nonlinear program.
 
-    These quantities are values of states at declared times, and static variables.
+    These quantities are values of states at declared times, and static variables. A condition on a
+    single one of them becomes a bound of the unknown.
     """
     states = {s.name for s in declared.states}
     at_points = {
@@ -694,15 +738,16 @@ def _boundable_at_points(declared: Declarations) -> frozenset[str]:
 
 
 def _is_static(declared: Declarations, name: str) -> bool:
-    """Return whether a static variable has the given name."""
+    """Return whether the model has a static variable (a variable without time) of this name."""
     return any(s.name == name for s in declared.statics)
 
 
 def _with_integral_variables(declared: Declarations) -> Declarations:
     """Add a static variable for each integral that does not enter the objective linearly.
 
-    The constraint that defines it is a single dense row of the program; an objective that is linear
-    in its integrals needs none.
+    A constraint, a single dense row of the nonlinear program, makes the static variable equal to
+    the integral. An integral that enters only the objective, and linearly, needs no static
+    variable.
     """
     in_conditions = symbol_names(stacked([c.expression for c in declared.conditions]))
     variables = symbol_names(
@@ -719,7 +764,11 @@ def _with_integral_variables(declared: Declarations) -> Declarations:
 
 
 def _derive(name: str, rows: Any, variables: Any, data: Any) -> DerivedFunctions:
-    """Return CasADi functions of a column of expressions and of its derivatives."""
+    """Return CasADi functions of a column of expressions, its Jacobian and its weighted Hessian.
+
+    `rows` are expressions of the symbols `variables` and `data`. The derivatives are taken with
+    respect to `variables`. `name` is the name of the functions.
+    """
     plain = WithoutCalls.of(casadi.densify(rows), [variables, data])
     jacobian = casadi.jacobian(plain.rows, variables)
     weights = casadi.SX.sym("weights", rows.shape[0])

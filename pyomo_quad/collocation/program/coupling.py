@@ -2,9 +2,10 @@
 
 A constraint over a continuous set, or on values of one set alone, belongs to that set's horizon.
 The objective and all other constraints form the coupling. In the coupling, static variables replace
-the values of the horizons at declared times and the integrals over the horizons. Each horizon's
-program has conditions by which these variables equal the values that they replace. The joint
-nonlinear program has the unknowns of each horizon first, then the static variables.
+the values of the horizons at declared times and the integrals over the horizons. A static variable
+that replaces a state at a declared time shares one unknown with that state. Any other such variable
+equals the value that it replaces by a constraint of the horizon's program. The joint nonlinear
+program has the unknowns of each horizon first, then the remaining static variables.
 """
 
 from __future__ import annotations
@@ -56,12 +57,12 @@ class Link:
     reader : ModelReader
         Reader of the horizon's declarations.
     value : casadi.SX
-        The value in the symbols of the horizon.
+        CasADi expression of the value, in the symbols of the horizon.
     time : float
         Declared time of the value.
     state : PointSymbol, optional
-        The state and its time, if the value is a state at a node of the mesh. Such a value is
-        itself an unknown of the horizon's program.
+        The state and its time, if the value is a state at a node of the mesh, and therefore itself
+        an unknown of the horizon's program; else None.
     """
 
     slot: Slot
@@ -72,15 +73,18 @@ class Link:
 
     @property
     def condition(self) -> PointCondition:
-        """Condition of the horizon's program: the static variable equals the horizon's value."""
+        """Condition by which the static variable equals the value of the horizon.
+
+        The condition belongs to the horizon's nonlinear program.
+        """
         zero, difference = casadi.SX(0), casadi.SX(self.value) - self.slot.symbol
         return PointCondition(name=self.slot.name, expression=difference, lower=zero, upper=zero)
 
 
 class CouplingWriter(TemplateWriter):
-    """Writer of the constraints and the objective that couple several horizons.
+    """Translator of the constraints and the objective that couple several horizons to CasADi.
 
-    The writer replaces each value of a horizon by a static variable that equals the value.
+    The translator replaces each value of a horizon by a static variable that equals the value.
 
     Attributes
     ----------
@@ -96,7 +100,11 @@ class CouplingWriter(TemplateWriter):
         super().__init__(WorkingCopy(model=readers[0].copy.model, others=times), {}, statics)
 
     def write_objective(self, objective: Any) -> Any:
-        """Return the objective as a CasADi expression; it may use values at any declared time."""
+        """Return the objective as a CasADi expression.
+
+        Unlike a constraint on several horizons, the objective may contain values at any declared
+        time.
+        """
         self._in_objective = True
         return casadi.SX(self.write(objective.expr, objective.name))
 
@@ -134,8 +142,10 @@ class CouplingWriter(TemplateWriter):
     def _refuse_interior(self, reader: ModelReader, data: Any) -> None:
         """Raise an error for a value that a coupling of several horizons must not contain.
 
-        The coupling (objective, and constraints on several horizons) must not contain a parameter
-        over time at a single time. Its constraints must not contain values at interior times.
+        The coupling (objective, and constraints on several horizons) must not contain the value of
+        a time-dependent parameter at a single time. Its constraints must not contain values at
+        interior times of a horizon. `reader` is the reader of the value's horizon, and `data` the
+        Pyomo variable or parameter.
         """
         declared, name = reader.copy.declared_times, reader.copy.time.name
         is_end = reader.addresses.of(data).time in (declared[0], declared[-1])
@@ -152,7 +162,7 @@ class CouplingWriter(TemplateWriter):
             )
 
     def named(self, expression: Any) -> Any:
-        """Return the symbol that replaces a named Pyomo expression, or None if none replaces it.
+        """Return the symbol that replaces a named Pyomo expression, None if it is not replaced.
 
         Only the integrals over the horizons are replaced. Any other named expression is translated
         like an unnamed expression.
@@ -172,15 +182,16 @@ class CoupledDeclarations:
     Attributes
     ----------
     horizons : dict
-        Declarations and their reader, by the name of the continuous set.
+        Declarations of each horizon and their reader, by the name of the continuous set.
     coupling : Declarations, ModelReader
-        The objective, and the conditions on values of several horizons or of none.
+        The objective, and the conditions on values of several horizons or of no horizon, with their
+        reader.
     states : dict
         Static variables of the coupling that equal a state of a horizon. The key is the variable's
         name; the value is the name of the horizon, and the state with its declared time.
     links : tuple of str
-        Names of the static variables that equal any other value of a horizon. A condition on the
-        horizon imposes each equality, and has the same name as the variable.
+        Names of the static variables that equal a value of a horizon other than a state. A
+        condition on the horizon imposes each equality, and has the same name as the variable.
     """
 
     horizons: dict[str, tuple[Declarations, ModelReader]]
@@ -281,10 +292,24 @@ def _refuse_gaps(
 
 
 def _own_cost(reader: ModelReader, cost: Any, in_conditions: frozenset[str]) -> tuple[Any, Any]:
-    """Split the objective into integrals over one horizon that enter it linearly, and the rest.
+    """Separate the integrals over one horizon that enter the objective linearly.
 
-    `cost` is the objective as a CasADi expression. `in_conditions` has the names of all symbols in
-    conditions; an integral that appears in a condition stays in the rest.
+    These integrals become the objective of the horizon's own nonlinear program.
+
+    Parameters
+    ----------
+    reader : ModelReader
+        Reader of the horizon's declarations.
+    cost : casadi.SX
+        The objective.
+    in_conditions : frozenset of str
+        Names of all symbols in conditions on several horizons. An integral in a condition is not
+        separated.
+
+    Returns
+    -------
+    casadi.SX, casadi.SX
+        The sum of the separated integrals with their coefficients, and the rest of the objective.
     """
     own = casadi.SX(0)
     for integral in reader.writer.integrals.values():
@@ -308,7 +333,7 @@ def _integrals_in(reader: ModelReader, names: frozenset[str]) -> list[Slot]:
 
 
 def _with(declared: Declarations, statics: list[Slot]) -> Declarations:
-    """Return declarations with additional static variables."""
+    """Return a copy of a horizon's declarations with additional static variables."""
     return replace(declared, statics=(*declared.statics, *statics))
 
 
@@ -323,7 +348,7 @@ class StateValue:
     state : str
         Name of the state.
     fraction : float
-        Fraction of the horizon at which the mesh has the node.
+        Position of the node, as a fraction of the horizon.
     """
 
     program: int
@@ -389,7 +414,8 @@ class Union:
     def joined(self, parts: Sequence[FloatArray]) -> FloatArray:
         """Return the unknowns of the joint program from the unknowns of the separate programs.
 
-        A shared unknown takes the value from the first program that has it.
+        `parts` has the unknowns of each program. A shared unknown takes the value from the first
+        program that has it.
         """
         whole = np.zeros(self.unknowns)
         for places, part in reversed(list(zip(self.places, parts, strict=True))):
@@ -402,7 +428,8 @@ class Union:
         Raises
         ------
         TranscriptionError
-            If the bounds of a shared static variable cross.
+            If the lower bound of a shared static variable in one program exceeds its upper bound in
+            another program.
         """
         lower, upper = np.full(self.unknowns, -np.inf), np.full(self.unknowns, np.inf)
         for places, part in zip(self.places, parts, strict=True):
@@ -419,14 +446,18 @@ class Union:
         )
 
     def part(self, whole: Part, k: int) -> Part:
-        """Return the part of bounds, scaling or Ipopt's result that belongs to the k-th program."""
+        """Return the part of bounds, scaling or Ipopt's result that belongs to the k-th program.
+
+        `whole` holds the bounds, scaling or result of the joint program.
+        """
         return whole.part(self.places[k], self.rows[k])
 
     def nominal(self, whole: Bounds, z: FloatArray) -> FloatArray:
         """Return the magnitudes of the joint program's unknowns, shape (n_unknowns,).
 
-        The magnitude of an unknown follows from its declared scaling factor, else from its bounds
-        and its value. `whole` has the bounds of the joint program, and `z` the values.
+        The scaling depends on the magnitudes. The magnitude of an unknown follows from its declared
+        scaling factor, else from its bounds and its value. `whole` has the bounds of the joint
+        program, and `z` the values.
         """
         return self.joined(
             [
@@ -436,7 +467,7 @@ class Union:
         )
 
     def multipliers(self, parts: Sequence[Multipliers]) -> Multipliers:
-        """Return the multipliers of the joint program from the multipliers of its parts."""
+        """Return the multipliers of the joint program, given the multipliers of each program."""
         return Multipliers(
             rows=np.concatenate([part.rows for part in parts]),
             lower=self.joined([part.lower for part in parts]),
@@ -446,12 +477,15 @@ class Union:
 
 @dataclass(frozen=True)
 class CoupledProgram:
-    """Joint nonlinear program of several horizons: the sum of their programs, for Ipopt.
+    """Joint nonlinear program of several horizons, in the form that Ipopt requires.
+
+    The objective is the sum of the objectives of the separate programs. The constraints are the
+    constraints of all programs, one program after the other.
 
     Attributes
     ----------
     union : Union
-        Positions of unknowns and constraints.
+        Positions of each program's unknowns and constraints in the joint program.
     programs : tuple of NonlinearProgram
         Programs of the horizons and of the coupling, possibly with a penalty added to an objective.
     """

@@ -1,4 +1,7 @@
-"""Algebraic variables that an equation defines, for example a rate constant at a temperature."""
+"""Algebraic variables that equations define as functions of other variables.
+
+An example is a rate constant that an equation gives as a function of temperature.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,7 @@ Definition = tuple[int, int, float]
 def definitions(
     program: Transcription, z: FloatArray, among: Iterable[int] | None = None
 ) -> list[Definition]:
-    """Find equations without rates that define one algebraic variable each.
+    """Find equations without time derivatives that define one algebraic variable each.
 
     An equation defines an algebraic variable if the variable enters with a constant coefficient,
     and if other equations define all other algebraic variables that enter in this way. For example,

@@ -83,9 +83,11 @@ def _solved(
     options: SolverOptions,
     progress: Progress | None,
 ) -> IpoptResult:
-    """Solve an elastic program from a point of the original program.
+    """Solve an elastic program, starting from a point of the original program.
 
-    The initial slacks equal the constraints' violations at that point, plus a margin.
+    An elastic program is the original program with slacks that permit violations of its
+    constraints. The initial slacks equal the violations at the point `near`, plus a margin.
+    `bounds` and `scaling` are the bounds and scaling of the original program.
     """
     values = elastic.program.constraints(near)
     by_slack = elastic.terms[:, near.size :].tocoo()
@@ -111,6 +113,8 @@ def priced(program: Transcription, scaling: Scaling, z: FloatArray) -> ExtendedP
 
     The slacks are in units of each equation's scale. The penalty per unit of slack is weighted by
     the quadrature weight of the collocation point, so that it does not depend on the mesh.
+
+    The shape of the point `z` gives the number of unknowns; its values have no effect.
     """
     is_equality, mesh = program.compiled.is_equality, program.mesh
     rows = np.flatnonzero(np.tile(is_equality, program.n_points))
@@ -130,8 +134,8 @@ def elastic_point(
 ) -> FloatArray:
     """Return the unknowns at the optimum of an elastic program, as an initial point of a solve.
 
-    The equations over time may be violated at a penalty; the result lies within the bounds. Shape
-    (n_unknowns,).
+    In the elastic program, the equations over time may be violated at a penalty. The result lies
+    within the bounds, and has the shape (n_unknowns,).
 
     Parameters
     ----------

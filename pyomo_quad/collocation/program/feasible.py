@@ -5,7 +5,7 @@ a finer mesh. From that optimum, Ipopt needs dozens of iterations to the optimum
 but only a few iterations to a point that satisfies the equations of the finer mesh. The search
 stops at the first point that satisfies the equations. A small penalty on the distance from the
 initial point determines the unknowns on which the objective hardly depends. The bounds are relaxed
-slightly, because no iterate of an interior-point method lies on them.
+slightly, because an iterate of an interior-point method never lies on a bound.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def feasible_point(
     program, bounds, scaling
         The nonlinear program.
     z : ndarray, shape (n_unknowns,)
-        Initial point, from which the result is to deviate little.
+        Initial point. A small penalty on the distance from this point keeps the result near it.
     breach : float
         Allowed violation of bounds, relative to max(1, abs(bound)).
     feasibility_tolerance : float

@@ -127,7 +127,7 @@ class SolverOptions:
     def suiting(self, tolerance: float) -> SolverOptions:
         """Return settings whose `tol` is well below the tolerance of the mesh refinement.
 
-        A tolerance that the caller gave is kept.
+        If the caller has set `tol`, the settings are returned unchanged.
 
         Parameters
         ----------
@@ -139,22 +139,22 @@ class SolverOptions:
         return replace(self, tolerance=float(np.clip(1e-3 * tolerance, 1e-11, _TOLERANCE)))
 
     def at_most(self, iterations: float) -> SolverOptions:
-        """Return the settings with a limit of iterations, unless they already have a lower limit.
+        """Return the settings with the given limit of iterations, or with their own if it is lower.
 
         Parameters
         ----------
         iterations : float
-            The limit; infinite for none.
+            The limit for each mesh; infinite for no further limit.
         """
         return replace(self, max_iterations=int(min(self.max_iterations, iterations)))
 
     def for_phases(self) -> SolverOptions:
-        """Return the settings for equations that keep variables on their bounds for a phase.
+        """Return the settings for equations that hold a variable at its bound for some time.
 
         Examples are an engine at full thrust, or an empty tank. The equation and the bound together
-        leave no interior, so the multipliers diverge. A warm start from diverged multipliers is
-        slower than a solve from the guess. Ipopt therefore relaxes the bounds slightly and projects
-        the result back onto them.
+        leave the feasible set without an interior, so the multipliers diverge. A warm start from
+        diverged multipliers is slower than a solve from the guess. Ipopt therefore relaxes the
+        bounds slightly and projects the result back onto them.
         """
         relaxed = (("bound_relax_factor", _RELAXED), ("honor_original_bounds", "yes"))
         return replace(self, extra=(*relaxed, *self.extra))
@@ -165,9 +165,10 @@ class SolverOptions:
         Many trajectories have nearly the same cost, and the controls of the optimum may differ
         greatly from mesh to mesh. A positive barrier parameter selects a point of the central path
         (the curve of optima for positive barrier parameters), which differs little from mesh to
-        mesh. A start next to that point stays on its bounds. A start far from that point begins
-        well inside its bounds, with a larger parameter: if it began on its bounds with the final
-        parameter, limits that become active or inactive would block nearly every step.
+        mesh. A start that is practically at the selected point keeps its variables on their bounds.
+        A start far from it is first moved inside its bounds, and the solve begins with a larger
+        barrier parameter. If the solve began on the bounds with the final parameter, bounds that
+        become active or inactive would shorten nearly every step.
 
         Parameters
         ----------
@@ -188,11 +189,12 @@ class SolverOptions:
     def for_a_change(self, change: float, sides: int) -> SolverOptions:
         """Return the settings for a warm start whose objective is expected to change by an amount.
 
-        A barrier leaves a gap in the objective: the barrier parameter times the number of bounds.
-        The first parameter is chosen so that this gap equals the expected change, because a larger
-        gap would first lead away from the warm start and then back. Ipopt does not reduce a
-        parameter that is already about as small as its final value, so that the remaining gap would
-        differ from mesh to mesh. In that case the solve begins with the final value.
+        The barrier leaves a gap in the objective: the barrier parameter times the number of
+        inequality bounds. The initial barrier parameter is chosen so that this gap equals the
+        expected change, because a larger gap would first lead away from the warm start and then
+        back. If the chosen parameter is already about as small as the final value, Ipopt does not
+        reduce it, so that the remaining gap would differ from mesh to mesh. In that case the solve
+        begins with the final value.
 
         A large change shifts the times at which limits become active. A warm start on its bounds
         would then shorten the steps of many iterations, so the start is moved well inside the
@@ -214,31 +216,33 @@ class SolverOptions:
         return replace(self, extra=(("mu_init", begun), *inside, *self.extra))
 
     def for_moving_limits(self) -> SolverOptions:
-        """Return the settings for warm starts whose limits become active at other times.
+        """Return the settings for warm starts after which limits become active at other times.
 
-        The points of a new mesh may lie differently relative to the time at which a limit becomes
-        active. A start on its bounds then blocks Ipopt's first dozen steps; a start slightly inside
-        the bounds does not.
+        On a new mesh, a collocation point may lie on the other side of the time at which a limit
+        becomes active. If the start lies on its bounds, these bounds then block Ipopt's first dozen
+        steps. If the start lies slightly inside the bounds, they do not.
         """
         pushes = dict.fromkeys(_PUSHES, _INSIDE) | {"warm_start_mult_bound_push": _BEGUN}
         return replace(self, extra=(*pushes.items(), *self.extra))
 
     def from_afar(self) -> SolverOptions:
-        """Return the settings for a first point that is far from feasible, between many limits.
+        """Return the settings for a solve whose first point violates many limits.
 
-        The adaptive barrier estimates its parameter from the first point. If that point violates
-        many limits, the estimate is often a thousand times too small, and the bounds shorten nearly
-        every step; see docs/decisions/speed.md.
+        The settings apply to solves without a warm start. Ipopt's adaptive strategy estimates the
+        barrier parameter from the first point. If that point violates many limits, the estimate is
+        often a thousand times too small, and the bounds shorten nearly every step; see
+        docs/decisions/speed.md. With these settings, the barrier parameter begins at 0.1 and only
+        decreases.
         """
         return replace(self, cold=_FROM_AFAR)
 
     def for_small_changes(self) -> SolverOptions:
-        """Return the settings for warm starts on meshes that differ in few elements.
+        """Return the settings for a warm start on a mesh that differs in few elements.
 
         With the usual barrier parameter, the iterates would first move away from a start that is
         nearly optimal. With a smaller parameter, controls on which the objective hardly depends
-        stay near their values on the previous mesh. The value was tested on a flight of 1 km
-        against the wind, whose mesh was refined to five times as many points.
+        stay near their values on the previous mesh. The smaller value was tested on a flight of 1
+        km against the wind, whose mesh was refined to five times as many points.
         """
         pushes = tuple((name, _WELL_INSIDE) for name in _PUSHES)
         return replace(self, extra=(*self.extra, ("mu_init", _LOW_BARRIER), *pushes))
@@ -278,7 +282,7 @@ Progress = Callable[[Iteration], bool | None]
 
 @dataclass(kw_only=True)
 class Effort:
-    """Progress callback that stops several solves together at a limit of iterations or time.
+    """Progress callback that limits the iterations and the time of several successive solves.
 
     Attributes
     ----------
@@ -308,7 +312,10 @@ class Effort:
         self.started = time.perf_counter()
 
     def __call__(self, line: Iteration) -> bool | None:
-        """Return False once a limit is exceeded, else the result of the caller's own callback."""
+        """Return False once a limit is exceeded, else the result of the caller's own callback.
+
+        `line` is the progress report of the iteration. Returning False stops the solve.
+        """
         self.solves += line.iteration == 0
         self.count += line.iteration > 0
         self.first = self.count if self.solves == 1 else self.first
@@ -368,8 +375,8 @@ class IpoptResult:
 class _Callbacks:
     """Callbacks that cyipopt calls during a solve; they record progress and the best iterate.
 
-    Ipopt cannot pass on an exception: it is stored in `error`, and raised again after Ipopt
-    returns.
+    Ipopt cannot propagate an exception from a callback. The exception is therefore stored in
+    `error`, and raised again after Ipopt returns.
 
     Attributes
     ----------
@@ -381,7 +388,7 @@ class _Callbacks:
     floor : float
         Objective below which the problem counts as unbounded.
     below : int
-        Number of consecutive iterations below the floor.
+        Number of consecutive iterations with an objective below the floor.
     history : list of Iteration
     best : (float, ndarray)
         Constraint violation and unknowns of the best iterate so far.
@@ -403,13 +410,20 @@ class _Callbacks:
 
     @property
     def is_bottomless(self) -> bool:
-        """Whether the objective has stayed below its floor, which suggests an unbounded problem."""
+        """Whether the problem appears to be unbounded.
+
+        This is the case if the objective is below `floor` in several consecutive iterations.
+        """
         return self.below >= _PATIENCE_BELOW
 
     # Cached, because a program may rebuild its structure at each call.
     @cached_property
     def _sizes(self) -> dict[str, int]:
-        """Numbers of constraints, of nonzeros of the Jacobian, and of nonzeros of the Hessian."""
+        """Lengths of the arrays that the callbacks for constraints, Jacobian and Hessian return.
+
+        The lengths are the number of constraints, and the numbers of nonzeros of Jacobian and
+        Hessian.
+        """
         program = self.program
         return {
             "constraints": program.n_rows,
@@ -418,7 +432,11 @@ class _Callbacks:
         }
 
     def _guarded(self, name: str, z: FloatArray, *more: Any) -> FloatArray:
-        """Evaluate a function of the program at `z`; return NaN once any evaluation has raised."""
+        """Evaluate a function of the program at `z`; return NaN once any evaluation has raised.
+
+        `name` is the name of the program's method, and `more` are its further arguments. An
+        exception is stored in `error`.
+        """
         if self.error is None:
             try:
                 return np.asarray(getattr(self.program, name)(z, *more))
@@ -679,7 +697,7 @@ def run_past_the_barrier(
     multipliers: Multipliers | None = None,
     progress: Progress | None = None,
 ) -> IpoptResult:
-    """Solve as `run` does, and continue until the complementarity gap is small enough.
+    """Solve as `run` does, and continue until the complementarity gap is negligible.
 
     Ipopt stops when complementarity gap and gradients are small relative to the scaled objective.
     If the objective is steep at the initial point, its scaling factor becomes so small that the gap
@@ -725,7 +743,13 @@ def run_past_the_barrier(
 
 
 def _set_options(problem: Any, options: SolverOptions, *, is_warm: bool) -> None:
-    """Pass the default settings, the caller's options and settings for a warm start to Ipopt."""
+    """Pass the default settings, the caller's options and settings for a warm start to Ipopt.
+
+    Raises
+    ------
+    TranscriptionError
+        If Ipopt does not accept an option, or cannot load the linear solver that an option names.
+    """
     chosen = _DEFAULTS | {
         "tol": options.tolerance or _TOLERANCE,
         "max_iter": options.max_iterations,
@@ -747,7 +771,9 @@ def _result(
 ) -> IpoptResult:
     """Return the outcome of Ipopt as an `IpoptResult`.
 
-    A failed solve gives the iterate with the least constraint violation.
+    After a failed solve, the result holds the iterate with the least constraint violation. `z` and
+    `info` are the results of cyipopt, `wall` is the wall-clock time [s], and `stopped` tells
+    whether the user interrupted the solve.
 
     Raises
     ------

@@ -68,7 +68,10 @@ class Bounds:
         unknowns: tuple[FloatArray, FloatArray] = (_NONE, _NONE),
         rows: tuple[FloatArray, FloatArray] = (_NONE, _NONE),
     ) -> Bounds:
-        """Return these bounds followed by (lower, upper) bounds of more unknowns and rows."""
+        """Return these bounds, followed by bounds of additional unknowns and constraints ("rows").
+
+        Both arguments are pairs (lower bounds, upper bounds).
+        """
         return Bounds(
             lower=np.append(self.lower, unknowns[0]),
             upper=np.append(self.upper, unknowns[1]),
@@ -107,7 +110,11 @@ class Scaling:
         return replace(self, unknowns=self.unknowns[columns], rows=self.rows[rows])
 
     def extended(self, unknowns: int = 0, rows: FloatArray = _NONE) -> Scaling:
-        """Return these factors followed by 1 for new unknowns, and by factors of new rows."""
+        """Return the scaling of a program with additional unknowns and constraints.
+
+        `unknowns` is the number of additional unknowns, which have the factor 1; `rows` are the
+        factors of the additional constraints.
+        """
         return replace(
             self,
             unknowns=np.append(self.unknowns, np.ones(unknowns)),
@@ -138,7 +145,10 @@ class Multipliers:
         )
 
     def extended(self, unknowns: int = 0, rows: int = 0) -> Multipliers:
-        """Return these multipliers followed by zeros for more unknowns and more constraints."""
+        """Return these multipliers followed by zeros for more unknowns and more constraints.
+
+        `unknowns` and `rows` are the numbers of additional unknowns and constraints.
+        """
         return Multipliers(
             rows=np.append(self.rows, np.zeros(rows)),
             lower=np.append(self.lower, np.zeros(unknowns)),

@@ -3,8 +3,8 @@
 A condition is a constraint at a declared time, such as an end condition. If a quantity is
 conserved, an end condition on this quantity follows from the initial conditions and the equations
 over time. On a mesh, the end condition follows only up to the discretisation error. A program that
-imposes the redundant end condition may have no solution. It may also have a single solution where
-the problem without the condition has many, and unbounded multipliers.
+imposes the redundant end condition may have no solution. Or its solution is unique although the
+problem without the condition has many solutions, and its multipliers are unbounded.
 """
 
 from __future__ import annotations
@@ -64,9 +64,11 @@ class Candidate:
 def _candidates(
     program: Transcription, bounds: Bounds, fixed: dict[tuple[str, float], float]
 ) -> Iterator[Candidate]:
-    """Yield the equality conditions after the start of the horizon, in a fixed order.
+    """Yield the equality conditions that may turn out to be redundant, in a fixed order.
 
-    Initial conditions are never left out.
+    A condition is a constraint at declared times, or a value fixed at a declared time. Conditions
+    that fix a single state at the start of the horizon are not yielded, because they are never left
+    out. `fixed` maps (variable name, fraction of the horizon) to the fixed value.
     """
     conditions = program.compiled.declared.conditions
     for k, condition in enumerate(conditions):
@@ -96,7 +98,8 @@ def redundant_conditions(
 ) -> tuple[Candidate, ...]:
     """Return the conditions whose gradient depends linearly on the gradients of earlier equations.
 
-    For this test, all equations over time come first, and the conditions follow one by one.
+    A condition is a constraint at declared times. For this test, all equations over time come
+    first, and the conditions follow one by one.
 
     Parameters
     ----------
@@ -141,8 +144,9 @@ def _slopes_of(
 ) -> list[FloatArray]:
     """Return the scaled gradients of conditions with respect to the free unknowns.
 
-    A condition is a constraint at a declared time. Each gradient has the shape (n_free,); a
-    condition that fixes an unknown has a unit vector.
+    A condition is a constraint at a declared time. Each gradient has the shape (n_free,); the
+    gradient of a condition that fixes an unknown is a unit vector. `slopes` is the scaled Jacobian
+    of all constraints with respect to the free unknowns, whose positions are `free`.
     """
     at = {int(column): k for k, column in enumerate(free)}
     found = []
@@ -170,7 +174,10 @@ def _orthogonal_parts(equations: coo_array, vectors: list[FloatArray]) -> list[F
 
 
 def without(instance: Instance, left_out: tuple[Candidate, ...]) -> Instance:
-    """Return the data of a solve in which the given conditions are not imposed."""
+    """Return the data of a solve that does not impose the given conditions.
+
+    The result is a copy of `instance`, the data of a solve, without these conditions.
+    """
     keys = {candidate.key for candidate in left_out}
     return replace(
         instance,

@@ -135,9 +135,11 @@ class Layout:
 
     @cached_property
     def path_variables(self) -> csr_matrix:
-        """Matrix from the unknowns to rates, states, algebraic variables and statics at points.
+        """Matrix from the unknowns to rates, states, algebraic and static variables at the points.
 
-        The rows of the first point come first, then the rows of the second point, and so on.
+        The points are the collocation points, and rates are derivatives with respect to the
+        fraction of the horizon. The rows of the first point come first, then the rows of the second
+        point, and so on.
         """
         slopes, n = self.slope_matrix, self.n_states
         rates = kron(slopes, np.eye(n)) @ _chosen(self.state_columns.ravel(), self.unknowns)
@@ -154,7 +156,10 @@ class Layout:
 
     @cached_property
     def condition_variables(self) -> csr_matrix:
-        """Matrix from the unknowns to the values at declared times and the static variables."""
+        """Matrix from the unknowns to the values at declared times and the static variables.
+
+        Conditions (constraints at declared times) and the objective contain these values.
+        """
         statics = _chosen(self.static_columns, self.unknowns)
         return vstack([self.point_values, statics], format="csr")
 
@@ -177,7 +182,11 @@ class Layout:
         return csr_matrix((weights, (rows, columns)), shape=shape)
 
     def _at_point(self, symbol: PointSymbol) -> tuple[IndexArray, FloatArray]:
-        """Return the positions and weights of the unknowns that give a value at a declared time."""
+        """Return the positions and weights of the unknowns that give a value at a declared time.
+
+        The value is the sum of the weights times the unknowns. `symbol` identifies the variable, or
+        its derivative, and the declared time.
+        """
         if self.mesh is None:
             return np.zeros(0, dtype=np.intp), np.zeros(0)
         element = int(self.mesh.locate(np.array([symbol.fraction]))[0])
@@ -200,13 +209,19 @@ class Layout:
 
 
 def _nonzero(columns: IndexArray, weights: FloatArray) -> tuple[IndexArray, FloatArray]:
-    """Return positions of unknowns and their interpolation weights without the zero weights."""
+    """Return the positions and weights whose interpolation weight is not zero.
+
+    `columns` are positions of unknowns, `weights` their weights in an interpolated value.
+    """
     kept = weights != 0.0
     return columns[kept], weights[kept]
 
 
 def _chosen(columns: IndexArray, width: int) -> csr_matrix:
-    """Return the 0-1 matrix that selects the unknowns at the given positions."""
+    """Return the 0-1 matrix that selects the unknowns at the positions `columns`.
+
+    `width` is the number of all unknowns.
+    """
     entries = np.ones(columns.size), columns, np.arange(columns.size + 1)
     return csr_matrix(entries, shape=(columns.size, width))
 
@@ -224,7 +239,7 @@ class Contributions:
     def add(self, rows: Any, columns: Any, sources: Any, weights: Any) -> None:
         """Add contributions: the entry at (row, column) increases by weight times source.
 
-        A source is a value that a CasADi function returns.
+        A source is a number that a CasADi function returns at each evaluation.
 
         Parameters
         ----------
@@ -233,6 +248,7 @@ class Contributions:
         sources : array_like of int
             Position of each source among the values that CasADi returns.
         weights : array_like
+            Factor of each source.
 
         Notes
         -----
@@ -299,7 +315,11 @@ class Contributions:
         self.add(np.maximum(a, b), np.minimum(a, b), sources[pair], weights)
 
     def scatter(self, n_columns: int, n_sources: int) -> Scatter:
-        """Return the sparsity pattern and the matrix that maps CasADi's values to its nonzeros."""
+        """Return the sparsity pattern, and the map from CasADi's values to the matrix's nonzeros.
+
+        `n_columns` is the number of columns of the matrix, and `n_sources` the number of values
+        (sources) that CasADi returns. Contributions to the same entry are added.
+        """
         empty = (np.zeros(0, dtype=np.int32),) * 3 + (np.zeros(0),)
         rows, columns, sources, weights = (
             np.concatenate(held) for held in zip(empty, *self._parts, strict=True)
@@ -313,7 +333,7 @@ class Contributions:
 
 @dataclass(frozen=True, kw_only=True)
 class Scatter:
-    """Sparsity pattern, with the linear map from CasADi's values at points to its nonzeros.
+    """Sparsity pattern of a matrix, with the linear map from CasADi's values to its nonzeros.
 
     Attributes
     ----------
@@ -373,8 +393,9 @@ class JacobianScatter:
     def objective_slopes(self, point_sources: FloatArray) -> FloatArray:
         """Return derivatives of the objective with respect to integrals that enter it directly.
 
-        `point_sources` are the sources that belong to the conditions and the objective; the result
-        has shape (n_integrals,).
+        An integral enters the objective directly if no static variable stands for it.
+        `point_sources` are the values that CasADi returned for the derivatives of conditions and
+        objective. The result has the shape (n_integrals,).
         """
         slopes = np.zeros(self.n_integrals)
         slopes[self.slope_integrals] = point_sources[self.slope_sources]
@@ -383,8 +404,8 @@ class JacobianScatter:
     def gradient(self, sources: FloatArray, slopes: FloatArray) -> FloatArray:
         """Return the dense gradient of the objective, shape (n_unknowns,).
 
-        `slopes` are the derivatives of the objective with respect to integrals that enter it
-        directly.
+        `sources` are the values that CasADi returned. `slopes` are the derivatives of the objective
+        with respect to integrals that enter it directly.
         """
         dense = np.zeros(self.unknowns)
         dense[self.objective.columns] = self.objective.values(sources)
@@ -398,7 +419,8 @@ def jacobian_scatter(compiled: CompiledModel, layout: Layout) -> JacobianScatter
 
     Their inputs (sources) are the values that CasADi returns at each evaluation: the nonzeros of
     the Jacobian of path equations and integrands, point by point, then the nonzeros of the Jacobian
-    of conditions and objective, and a final 1.
+    of conditions and objective, and a final 1 (the derivative of a static variable in the
+    constraint that makes it equal to an integral).
     """
     path, points = compiled.path, compiled.points
     n_path = layout.points * len(path.jacobian_rows)

@@ -35,7 +35,7 @@ class Place:
     name : str
         Full name of the equation or variable.
     time : float, optional
-        Physical time; None for a component without time.
+        Time, as `Transcription.time_of` returns it; None for a component without time.
     element, point : int, optional
         Index of the element, from 0, and number of the collocation point in it, from 1.
     """
@@ -122,7 +122,10 @@ class Data:
     signals: FloatArray
 
     def at_points(self) -> FloatArray:
-        """Return fraction, time-dependent and constant parameters, one row per point."""
+        """Return the fraction of the horizon and all parameters, one row per point.
+
+        Time-dependent parameters come before constant parameters.
+        """
         n = self.signals.shape[0]
         return np.hstack(
             [self.signals, np.broadcast_to(self.parameters, (n, self.parameters.size))]
@@ -173,7 +176,7 @@ class Transcription:
         return other
 
     def _hold(self, data: Data) -> None:
-        """Set the parameter values, and discard values cached for earlier parameters."""
+        """Set the parameter values, and discard results cached for earlier values."""
         self.data = data
         self._path_data = data.at_points()
         self._point_data = data.parameters[None, :]
@@ -219,7 +222,10 @@ class Transcription:
 
     @property
     def horizon(self) -> tuple[float, float] | None:
-        """Start and end of the horizon as given by parameters, None if one is a variable."""
+        """Start and end of the horizon as physical times, None if one of them is a variable.
+
+        The two times are parameters, unless a static variable replaces them.
+        """
         names = [p.name for p in self.compiled.declared.parameters]
         if not {"horizon.start", "horizon.end"} <= set(names):
             return None
@@ -227,7 +233,7 @@ class Transcription:
         return float(self.data.parameters[start]), float(self.data.parameters[end])
 
     def time_of(self, fraction: float) -> float:
-        """Return the physical time at a fraction of the horizon.
+        """Return the time at a fraction of the horizon, by linear interpolation between its ends.
 
         The result is the fraction itself if start or end of the horizon is a variable.
         """
@@ -235,7 +241,7 @@ class Transcription:
         return start + (end - start) * fraction
 
     def times(self, z: FloatArray) -> FloatArray:
-        """Return start, free interior times and end of the horizon at the unknowns `z`."""
+        """Return the physical times of start, free interior times and end, at the unknowns `z`."""
         statics = z[self.layout.static_columns]
         return np.array(self.compiled.times(statics, self.data.parameters)).ravel()
 
@@ -272,7 +278,8 @@ class Transcription:
     def objective_density(self, z: FloatArray) -> FloatArray:
         """Return the integrand of the minimised objective at the points, shape (n_points,).
 
-        The integrand is per unit of the fraction of the horizon.
+        Integrals for which a static variable stands do not count. The integrand is per unit of the
+        fraction of the horizon.
         """
         densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
         direct = densities[:, list(self.compiled.row_integrals)]
@@ -287,7 +294,10 @@ class Transcription:
         return max(abs(self.objective(z)), parts)
 
     def _objective_slopes(self, z: FloatArray) -> FloatArray:
-        """Return derivatives of the objective with respect to integrals that enter it directly."""
+        """Return derivatives of the objective with respect to integrals that enter it directly.
+
+        An integral enters the objective directly if no static variable stands for it.
+        """
         sources = self._point[1](self.point_variables(z), self._point_data)[0].ravel()
         return self._jacobian.objective_slopes(sources)
 
@@ -326,7 +336,11 @@ class Transcription:
         return np.concatenate([self.rows_at_points(z)[:, :n].ravel(), conditions, definitions])
 
     def _derivative_sources(self, z: FloatArray) -> FloatArray:
-        """Return the derivatives from which gradient and Jacobian are assembled, cached for `z`."""
+        """Return the derivatives from which gradient and Jacobian are assembled, cached for `z`.
+
+        The derivatives are the values of CasADi functions, in the order that `jacobian_scatter`
+        expects.
+        """
         if self._differentiated is None or not np.array_equal(self._differentiated, z):
             path = np.zeros(0)
             if self.layout.points:
@@ -373,6 +387,8 @@ class Transcription:
 
         Shape (n_points, n_equations + n_integrals). The multiplier of an integrand is its weight in
         the Lagrangian: the quadrature weight times the weight of its integral.
+
+        `factor` multiplies the declared objective; by default 1, or -1 if it is maximised.
         """
         n, points = self.compiled.n_equations, self.layout.points
         on_integral = self.integral_weights(z, multipliers, factor)
@@ -395,7 +411,9 @@ class Transcription:
         return weights
 
     def path_curvatures(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
-        """Return the diagonals of the Lagrangian's Hessians at the points.
+        """Return the second derivatives of the Lagrangian with respect to each variable of a point.
+
+        They are the diagonals of the Hessians that `path_hessians` returns.
 
         The result has the shape (n_points, n_variables). Entry (i, j) is the second derivative with
         respect to variable j at point i, per unit of the fraction of the horizon. The variables are
@@ -422,7 +440,11 @@ class Transcription:
         return hessians
 
     def _path_hessian(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
-        """Return the nonzeros of the Lagrangian's Hessian at each point: (n_points, n_nonzeros)."""
+        """Return the nonzeros of the Lagrangian's Hessian at each point: (n_points, n_nonzeros).
+
+        The Hessian is taken with respect to the variables of the point, per unit of the fraction of
+        the horizon.
+        """
         weights = self.path_weights(z, multipliers)
         held = self._path[2](self.path_variables(z), self._path_data, weights)[0]
         return np.asarray(held / self._weights()[:, None])
@@ -456,7 +478,10 @@ class Transcription:
         return slopes
 
     def lagrangian_density(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
-        """Return the sum of integrands times their Lagrangian weights, shape (n_points,)."""
+        """Return the integrands' contribution to the Lagrangian at the points, shape (n_points,).
+
+        The contribution is the sum of all integrands, weighted as `integral_weights` prescribes.
+        """
         densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
         return np.asarray(densities @ self.integral_weights(z, multipliers))
 

@@ -1,1 +1,1 @@
-"""From a Pyomo.DAE model to templates in CasADi symbols."""
+"""Reading of a Pyomo.DAE model: translation of its declarations to CasADi expressions."""

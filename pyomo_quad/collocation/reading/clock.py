@@ -25,9 +25,9 @@ def index_tuple(index: Any) -> tuple[Any, ...]:
 
 
 def is_over(component: Any, time: Any) -> bool:
-    """Return whether a component is indexed by a given continuous set itself.
+    """Return whether the continuous set `time` itself indexes a component.
 
-    False for an index by a different set, even if that set has the same members.
+    The result is False for an index by a different set, even if that set has the same members.
     """
     return component.is_indexed() and any(part is time for part in component.index_set().subsets())
 
@@ -39,7 +39,10 @@ LEAST_PHASE = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class PhaseTimes:
-    """Declared times of a horizon in CasADi symbols, some of which may be free, and its phases.
+    """Phases of a horizon: the declared times that bound them, and physical time in CasADi symbols.
+
+    A declared time is a member of the continuous set. It is free if a static variable gives the
+    physical time to which it corresponds.
 
     Attributes
     ----------
@@ -49,13 +52,14 @@ class PhaseTimes:
         Declared times that bound the phases, start and end of the horizon included. Within a phase
         physical time is linear in the fraction of the horizon.
     times : tuple
-        The same times as CasADi expressions of static variables (free times) and parameters.
+        Physical times of these declared times, as CasADi expressions of static variables and
+        parameters.
     fraction : SX
         Symbol of the fraction of the declared horizon.
     phases : tuple of SX
         One symbol per phase, 1 at times of the phase and 0 elsewhere; none for a single phase.
     is_free : bool
-        Whether any of the times is a static variable.
+        Whether any of these times is free.
     """
 
     name: str
@@ -82,7 +86,10 @@ class PhaseTimes:
 
     @property
     def _phase_factors(self) -> tuple[Any, ...]:
-        """Factors, one per phase, that are 1 at times of the phase and 0 elsewhere."""
+        """Factors, one per phase, that are 1 at times of the phase and 0 elsewhere.
+
+        The factor of a single phase is the number 1.
+        """
         return self.phases or (1.0,)
 
     @cached_property
@@ -104,7 +111,10 @@ class PhaseTimes:
         )
 
     def span_at(self, time: float) -> Any:
-        """Return d (physical time) / d (fraction of the horizon) just before a declared time."""
+        """Return d (physical time) / d (fraction of the horizon) just before a declared time.
+
+        The result is a CasADi expression of the free times and parameters.
+        """
         return self._spans[self.phase_of(time)]
 
     def time_at(self, time: float) -> Any:
@@ -113,15 +123,21 @@ class PhaseTimes:
         return self.times[k] + self._spans[k] * (self.fraction_of(time) - self.fractions[k])
 
     def phase_of(self, time: float) -> int:
-        """Return the position of the phase that contains a declared time, or ends there."""
+        """Return the index of the phase that contains a declared time.
+
+        A time between two phases belongs to the phase that ends there.
+        """
         return bisect_left(self.declared[1:-1], time)
 
     def label(self, position: int) -> str:
-        """Return the name of one of the declared times for messages, as ``t[1]``."""
+        """Return the name of one of the declared times for messages, as ``t[1]``.
+
+        `position` is the index of the time in `declared`.
+        """
         return f"{self.name}[{self.declared[position]:g}]"
 
     def orders(self) -> list[tuple[str, Any]]:
-        """Return the constraints that keep the phases in order.
+        """Return the constraints that keep the times that bound the phases in order.
 
         Each constraint is a pair: name, and CasADi expression that must not be negative. The list
         is empty for a single phase.
@@ -152,7 +168,8 @@ def free_times(
     final_time : Var, optional
         Static variable that replaces the end of the only horizon.
     times : mapping, optional
-        See `FreeTimes`.
+        Declared time -> static variable that replaces it; for several horizons, a mapping of this
+        kind for each continuous set, by name.
 
     Returns
     -------
@@ -181,7 +198,10 @@ def free_times(
 
 
 def _only(sets: tuple[Any, ...], argument: str) -> Any:
-    """Return the only continuous set; raise an error if there are none or several."""
+    """Return the only continuous set; raise an error if there are none or several.
+
+    `argument` is the name of the argument that requires a single set, for the message.
+    """
     if not sets:
         raise TranscriptionError(
             f"{argument}: the model has no ContinuousSet whose times could be free; leave it out."
@@ -208,7 +228,13 @@ def _set_named(sets: tuple[Any, ...], name: str) -> Any:
 
 
 def _declared(time: Any, at: Any) -> float:
-    """Return the declared time that equals a number; raise an error if there is none."""
+    """Return the member of the continuous set `time` that equals the number `at`.
+
+    Raises
+    ------
+    TranscriptionError
+        If no member equals the number.
+    """
     found = [float(t) for t in time if t == at]
     if not found:
         known = ", ".join(f"{t:g}" for t in sorted(time))
@@ -222,8 +248,9 @@ def _declared(time: Any, at: Any) -> float:
 def _refuse_unusable(time: Any, sets: tuple[Any, ...], given: dict[float, Any]) -> None:
     """Raise an error for a replacement of a declared time that cannot be used.
 
-    The replacement `time` must be a static variable of the model, and must not replace two declared
-    times. `given` has the replacements of one continuous set by declared time.
+    Each replacement must be a static variable: a variable that none of the continuous sets `sets`
+    indexes. No variable may replace two declared times. `given` has the replacements for the
+    continuous set `time`, by declared time.
     """
     taken: dict[str, float] = {}
     for at, variable in given.items():

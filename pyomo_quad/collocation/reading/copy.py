@@ -54,6 +54,7 @@ class WorkingCopy:
         Continuous set of the horizon; None for a model without time, or for the coupling of
         horizons.
     template_time : float
+        The added time.
     declared_times : tuple of float
         The times that the user declared, in rising order.
     others : tuple of ContinuousSet
@@ -74,7 +75,9 @@ class WorkingCopy:
         return next((time for time in self.others if is_over(component, time)), None)
 
     def takes(self, component: Any, data: Any) -> bool:
-        """Return whether a constraint belongs to this horizon, or to the coupling of horizons.
+        """Return whether a constraint belongs to this working copy.
+
+        A working copy represents one horizon of the model, or the coupling of its horizons.
 
         A constraint on values of one horizon only belongs to that horizon; every other constraint,
         on values of several horizons or none, belongs to the coupling.
@@ -117,7 +120,9 @@ def _refuse_other_than_models(model: Any) -> None:
 def continuous_sets(model: Any) -> tuple[Any, ...]:
     """Return the model's continuous sets that are not discretised: its horizons.
 
-    If the model has several sets, those that index no variable are left out.
+    If the model has several such sets, two kinds are left out: sets that index no variable, and
+    sets in deactivated blocks if no active constraint or objective contains a variable that they
+    index.
 
     Raises
     ------
@@ -149,7 +154,7 @@ def continuous_sets(model: Any) -> tuple[Any, ...]:
 
 
 def _is_used(model: Any, time: Any) -> bool:
-    """Return whether an active constraint or objective uses a variable indexed by a set."""
+    """Return whether an active constraint or objective contains a variable indexed by `time`."""
     return any(
         is_over(variable.parent_component(), time)
         for data in model.component_data_objects((Constraint, Objective), active=True)
@@ -173,7 +178,7 @@ _INSTEAD_OVER_TIME = {
 
 
 def _refuse_unknown(model: Any) -> None:
-    """Raise an error for active components that the transcription cannot handle."""
+    """Raise an error for active components of types that the transcription cannot handle."""
     for block in model.block_data_objects(active=True, descend_into=True):
         for component in block.component_objects(active=True, descend_into=False):
             if isinstance(component, ActiveComponent) and component.ctype not in _UNDERSTOOD:
@@ -189,7 +194,11 @@ _EXPANDED = (Var, DerivativeVar, Param, Constraint, Expression, Integral, Suffix
 
 
 def _drop_unexpanded(copy: Any, time: Any) -> None:
-    """Delete inactive components over time for which Pyomo cannot make a member at another time."""
+    """Delete components over time for which Pyomo cannot make a member at an added time.
+
+    Active blocks and objectives over time have been refused before, so that the deleted components
+    do not contribute to the nonlinear program. `time` is the continuous set.
+    """
     for component in list(copy.component_objects(descend_into=True)):
         is_unknown = isinstance(component, IndexedComponent) and component.ctype not in _EXPANDED
         if is_unknown and is_over(component, time):
@@ -216,8 +225,8 @@ def _refuse_piecewise(model: Any, times: tuple[Any, ...]) -> None:
 def _refuse_unsupported(model: Any, times: tuple[Any, ...]) -> None:
     """Raise an error for declarations that the engine cannot transcribe.
 
-    These are unknown components, integer variables, blocks and objectives over time, and
-    derivatives of higher order.
+    These are components of unknown types, integer variables, blocks and objectives indexed by time,
+    and derivatives of higher order. `times` are the continuous sets.
     """
     _refuse_piecewise(model, times)
     _refuse_unknown(model)
@@ -245,7 +254,11 @@ def _refuse_unsupported(model: Any, times: tuple[Any, ...]) -> None:
 
 
 def _keep_parameters(copy: Any, time: Any) -> None:
-    """Make immutable parameters over time mutable, so that expressions contain their symbols."""
+    """Make immutable parameters over time mutable.
+
+    Pyomo writes the number of an immutable parameter into an expression, but the symbol of a
+    mutable parameter, which can be translated to a function of time.
+    """
     for parameter in copy.component_objects(Param, descend_into=True):
         if parameter.mutable or not is_over(parameter, time):
             continue

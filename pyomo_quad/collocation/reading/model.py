@@ -58,7 +58,10 @@ class RelationReader:
         self.symbols = writer.symbols
 
     def constraints(self) -> tuple[list[PathEquation], list[PointCondition]]:
-        """Return equations over time, and conditions (constraints at declared times), in order."""
+        """Return the equations over time, and the conditions (constraints at declared times).
+
+        Bounds of time derivatives are appended to the equations as inequalities.
+        """
         equations: list[PathEquation] = []
         conditions: list[PointCondition] = []
         for component in self.copy.model.component_objects(
@@ -124,10 +127,11 @@ class RelationReader:
         conditions.extend(self._between(equation, template, instances))
 
     def _refuse_alike(self, component: Any, instances: list[Any]) -> None:
-        """Raise an error for members without a rule that are identical at every declared time.
+        """Raise an error for a constraint without a rule whose members are alike at all times.
 
-        The members are probably meant for all times, but the engine imposes them at the declared
-        times only.
+        Members are alike if they differ in their times only. The constraint is probably meant for
+        all times, but the engine imposes it at the declared times only. `instances` are the
+        members.
         """
         if all(self._is_alike(instances[0], other) for other in instances[1:]):
             raise TranscriptionError(
@@ -154,7 +158,11 @@ class RelationReader:
             self._refuse_alike(component, members)
 
     def _relation(self, data: Any, name: str) -> tuple[Any, Any, Any]:
-        """Return a constraint's member as CasADi expressions: body, lower and upper bound."""
+        """Return a constraint's member as CasADi expressions: body, lower and upper bound.
+
+        `data` is the member, a Pyomo data object; `name` is its name, for messages. For an
+        equality, the body is the difference of both sides, and the bounds are zero.
+        """
         lower, body, upper = data.to_bounded_expression()
         expression = casadi.SX(self._writer.write(body, name))
         if data.equality:
@@ -171,9 +179,13 @@ class RelationReader:
         return PointCondition(name=data.name, expression=expression, lower=lower, upper=upper)
 
     def _imposed(self, condition: PointCondition) -> PointCondition:
-        """Return a condition unchanged; raise an error if it reads a parameter over time.
+        """Return a condition unchanged, unless it contains a time-dependent parameter.
 
-        Such a parameter at a single time is not supported in a condition.
+        Raises
+        ------
+        TranscriptionError
+            If the condition contains the value of a time-dependent parameter at a single time,
+            which is not supported.
         """
         signals = {symbol.name() for symbol in self.symbols.signal_points.values()}
         read = signals & symbol_names(condition.expression)
@@ -189,10 +201,10 @@ class RelationReader:
     ) -> list[PointCondition]:
         """Return the conditions that a constraint's members at start and end add to its equation.
 
-        The collocation points include the end but not the start. At the start an equation among
-        states only is imposed as a condition; an equation with rates or algebraic variables has no
-        meaning at the start. A member at the end that differs from the path equation becomes a
-        separate condition.
+        The collocation points include the end but not the start. An equation among states only is
+        therefore imposed at the start by a condition; an equation with rates or algebraic variables
+        is not imposed at the start. A member at the end that differs from the path equation becomes
+        a separate condition. `instances` has the members at declared times.
         """
         added = []
         first, last = self.copy.declared_times[0], self.copy.declared_times[-1]
@@ -208,7 +220,7 @@ class RelationReader:
     def _between(
         self, equation: PathEquation, template: Any, instances: dict[Any, Any]
     ) -> list[PointCondition]:
-        """Return the members at declared interior times that differ from the path equation.
+        """Return the members at interior declared times that differ from the path equation.
 
         Each returned member becomes a separate condition. `template` is the member at the template
         time, `instances` has the members at declared times.
@@ -243,7 +255,7 @@ class RelationReader:
     def _is_member_alike(self, a: Any, b: Any) -> bool:
         """Return whether two variables or parameters are members of one component with equal index.
 
-        Their times may differ.
+        The times in their indices may differ. `a` and `b` are Pyomo data objects.
         """
         if a is b:
             return True
@@ -336,7 +348,10 @@ class RelationReader:
         return fixed
 
     def _rates(self) -> Iterator[Slot]:
-        """Yield the derivatives with respect to time, with their bounds, as `Slot` objects."""
+        """Yield the derivatives with respect to time, with their bounds, as `Slot` objects.
+
+        A `Slot` represents one member of a component for all times.
+        """
         for derivative in self.copy.model.component_objects(DerivativeVar, descend_into=True):
             for position, data in derivative.items():
                 address = self.addresses.split(derivative, position)
@@ -365,7 +380,11 @@ class RelationReader:
                 )
 
     def _fixing_condition(self, data: Any) -> PointCondition:
-        """Return the condition that an algebraic variable equals the value fixed at a time."""
+        """Return the condition that an algebraic variable equals the value fixed at a time.
+
+        `data` is the fixed member of the variable at that time. The value is a parameter of the
+        condition.
+        """
         number = self.symbols.fixed_value(data)
         expression = casadi.SX(self._writer.write(data, data.name)) - number
         return PointCondition(
@@ -374,7 +393,10 @@ class RelationReader:
 
 
 def _is_met_as_fixed(data: Any) -> bool:
-    """Return whether all variables in a constraint are fixed and the constraint is satisfied."""
+    """Return whether all variables in a constraint are fixed and the constraint is satisfied.
+
+    `data` is the member of a constraint. Such a constraint need not be imposed.
+    """
     if not all(v.fixed and v.value is not None for v in identify_variables(data.body)):
         return False
     return bool(data.slack() >= -_MET * (1.0 + abs(value(data.body))))
@@ -419,7 +441,10 @@ def read_declarations(
 
 
 class ModelReader:
-    """Reader of a model's declarations: constraints first, then their variables and parameters.
+    """Reader of a model's declarations in CasADi symbols.
+
+    The constructor reads the constraints. The method `declarations` then returns them together with
+    the variables and parameters that they contain.
 
     Parameters
     ----------
@@ -443,7 +468,10 @@ class ModelReader:
         self.equations, self.conditions = self._relations.constraints()
 
     def require_all(self) -> None:
-        """Raise an error if no variable is free, or a derivative appears in no equation."""
+        """Raise an error for a model without a variable to solve for, or without complete dynamics.
+
+        The dynamics are incomplete if the time derivative of a state appears in no equation.
+        """
         self._require_dynamics(self.equations)
         self._require_variables()
 
@@ -508,7 +536,11 @@ class ModelReader:
                         self.writer.write_at_template(component, address.index)
 
     def _used_algebraics(self, points: tuple[PointSymbol, ...]) -> dict[str, Slot]:
-        """Return the algebraic variables in equations, integrands or values at declared times."""
+        """Return the algebraic variables that the model uses, by name.
+
+        These are the variables in equations over time and integrands, and the variables whose
+        values at declared times appear in conditions or the objective (`points`).
+        """
         parts = [part for e in self.equations for part in (e.expression, e.lower, e.upper)]
         parts += [i.integrand for i in self.writer.integrals.values()]
         used = symbol_names(casadi.vertcat(*parts)) | {point.slot for point in points}
@@ -566,7 +598,10 @@ class ModelReader:
         return frozenset(name for name, row in zip(wanted, found, strict=True) if row >= 0)
 
     def _derivative_name(self, state: Slot) -> str:
-        """Return the name of a state's derivative, for messages."""
+        """Return the name of a state's derivative, for messages.
+
+        The name is the name of the Pyomo component, with the index of the state.
+        """
         for derivative in self.copy.model.component_objects(DerivativeVar, descend_into=True):
             if derivative.get_state_var().name == state.component:
                 return indexed_name(derivative.name, state.index)
@@ -585,7 +620,17 @@ class ModelReader:
         nominal: dict[str, float],
         bounds: Callable[[Slot], tuple[Any, Any]],
     ) -> tuple[Slot, ...]:
-        """Return variables with bounds as CasADi expressions and with declared magnitudes."""
+        """Return variables with their bounds as CasADi expressions and with declared magnitudes.
+
+        Parameters
+        ----------
+        table : dict
+            The variables by name.
+        nominal : dict
+            Declared magnitudes, for the scaling, by name of a variable or component.
+        bounds : callable
+            Variable -> lower and upper bound as CasADi expressions.
+        """
         finished = []
         for slot in table.values():
             lower, upper = bounds(slot)

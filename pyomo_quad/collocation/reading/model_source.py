@@ -69,7 +69,10 @@ def declared_unit(model: Any, name: str) -> str:
 
 
 def _spelled(unit: Any) -> str:
-    """Return a unit as an engineer writes it: Pyomo's N*rad**2 of a thrust becomes N."""
+    """Return a unit as an engineer writes it: Pyomo's N*rad**2 of a thrust becomes N.
+
+    Angles count as dimensionless, and a compound unit that equals a named unit gets its name.
+    """
     text = str(unit)
     if "*" not in text and "/" not in text:
         return text
@@ -88,6 +91,8 @@ def _spelled(unit: Any) -> str:
 def declared_magnitudes(model: Any) -> dict[str, float]:
     """Return the magnitudes of variables according to the Suffix `scaling_factor`, by name.
 
+    The scaling of the nonlinear program depends on the magnitudes.
+
     A magnitude is the inverse of a scaling factor; the names may be names of components or of their
     members.
     """
@@ -101,7 +106,7 @@ def declared_magnitudes(model: Any) -> dict[str, float]:
 
 
 class LiveModel:
-    """The user's Pyomo model as a source of numbers; every call reads the present values.
+    """The user's Pyomo model as a source of numbers, with the values that it has at each call.
 
     Parameters
     ----------
@@ -109,7 +114,8 @@ class LiveModel:
     time : ContinuousSet or None
         The model's continuous set.
     schedules : tuple of Schedule or Phases
-        Functions of time for rules that branch on time (`Declarations.scheduled`).
+        Functions of time that return the data for rules that branch on time, and the current phase
+        of the horizon (`Declarations.scheduled`).
     """
 
     def __init__(self, model: Any, time: Any, schedules: tuple[Schedule | Phases, ...]) -> None:
@@ -146,7 +152,7 @@ class LiveModel:
         return None if found is None else float(found)
 
     def _refuse_other_values(self, variable: Any, index: tuple[Any, ...]) -> None:
-        """Raise an error for a variable fixed to different numbers at the declared times."""
+        """Raise an error for a variable that is fixed to different values at the declared times."""
         held = {variable[self._addresses.join(variable, index, t)].value for t in self.times}
         if len(held) > 1:
             raise TranscriptionError(
@@ -190,7 +196,10 @@ class LiveModel:
     def _guarded(
         self, component: Any, slot: Slot, rule: Any, kind: str, advice: str = ""
     ) -> Callable[[float], float]:
-        """Return a component's rule as a function of time, which raises an error if it fails.
+        """Return a component's rule as a function of time that raises an error if the rule fails.
+
+        The error is a `TranscriptionError` with a message for the user, instead of the exception of
+        the rule.
 
         Parameters
         ----------
@@ -228,8 +237,9 @@ class LiveModel:
         Raises
         ------
         TranscriptionError
-            If the parameter has no rule that gives its value at any time. The returned function
-            raises the same exception if the rule fails.
+            If the parameter has no rule that gives its value at any time, or if its values in the
+            model differ from the values of the rule. The returned function raises the same
+            exception if the rule fails.
         """
         component = self.model.find_component(slot.component)
         rule = rule_of(component)
@@ -271,7 +281,8 @@ class LiveModel:
     def load_rates(self, time: float, rate: Callable[..., float]) -> None:
         """Set the model's derivatives at a declared time to their solved values.
 
-        `rate` maps (component name, index=) to the derivative's value.
+        `rate(name, index=...)` returns the value of the derivative with this name and this index
+        without time.
         """
         for derivative in self.model.component_objects(DerivativeVar, descend_into=True):
             for position in derivative:
@@ -283,7 +294,7 @@ class LiveModel:
     def load_integrals(self, totals: Mapping[str, float]) -> None:
         """Set the integrals of the Pyomo model to their solved values.
 
-        `totals` maps full names to values. The rules that hold the integrands are kept.
+        `totals` maps full names to values. The rules that contain the integrands remain unchanged.
         """
         for integral in self.model.component_objects(Integral, descend_into=True):
             for data in integral.values():
@@ -305,9 +316,9 @@ class LiveModel:
         kind : type
             Constraint or Var.
         over_time : mapping
-            Name without time -> function of declared time.
+            Sensitivities over time: name without time -> function of declared time.
         once : mapping
-            Full name -> number.
+            Sensitivities at single times or without time: full name -> number.
         """
         for component in self.model.component_objects(kind, active=True, descend_into=True):
             for index, data in component.items():
@@ -318,13 +329,13 @@ class LiveModel:
                     suffix[data] = over_time[address.name](address.time)
 
     def snapshot(self, declared: Declarations, horizon: tuple[float, float]) -> ModelSnapshot:
-        """Return a copy of the model's present values that can be pickled.
+        """Return a copy of the model's current values that can be pickled.
 
         Parameters
         ----------
         declared : Declarations
         horizon : (float, float)
-            Times for which functions of time are approximated by polynomials.
+            Times between which functions of time are approximated by polynomials.
         """
         components = list(self.model.component_objects(descend_into=True))
         limits = self.model.component_objects((Var, Constraint), descend_into=True)
@@ -407,7 +418,7 @@ class ModelSnapshot:
     signals, guesses : dict
         Parameters over time, and `initialize` rules of variables, by name as functions of time.
     schedules : tuple of Interpolant
-        Data over time of rules that branch on time.
+        Data for rules that branch on time, as functions of time.
     """
 
     times: tuple[float, ...]

@@ -66,9 +66,10 @@ def function_of(component: Any) -> Any:
 
 
 def rule_of(component: Any) -> Any:
-    """Return the rule that makes the members of a component, as a Pyomo initializer, or None.
+    """Return the rule that makes the members of a component, as a Pyomo initializer.
 
     A rule takes a block and an index. The default function of a mutable parameter counts as a rule.
+    The result is None if the component has no rule.
     """
     if isinstance(component, ConstraintList):
         return None  # Its rule counts its own calls and takes no index.
@@ -149,9 +150,10 @@ def refuse_changed_members(copy: Any) -> None:
 
 
 def _is_same(held: Any, stated: Any) -> bool:
-    """Return whether a member's expression equals the expression that its rule returns now.
+    """Return whether a member's expression equals the expression that its rule returns.
 
-    Expressions with external functions are compared as text.
+    `held` is the expression of the member in the model, `stated` the expression that the rule
+    returns now. Expressions with external functions are compared as text.
     """
     parts = [_PrefixNotation().walk_expression(expression) for expression in (held, stated)]
     try:
@@ -169,7 +171,7 @@ class _PrefixNotation(PrefixVisitor):
     """
 
     def enterNode(self, node: Any) -> Any:  # noqa: N802  Pyomo's name
-        """Append an entry for a node, and return the nodes below it."""
+        """Append a node to the notation; return its child nodes, which Pyomo then visits."""
         if isinstance(node, NamedExpressionData):
             self._result.append(node)
             return (), None
@@ -221,7 +223,10 @@ class _Translator:
         return partial(self.translate(value.func), *arguments, **keywords)
 
     def _component(self, component: Any) -> Any:
-        """Return the clone's counterpart of a component; a component of another model is kept."""
+        """Return the component of the clone that corresponds to a component of the model.
+
+        A component of a different model is returned unchanged.
+        """
         if component is self._model:
             return self._copy
         if component.model() is not self._model:
@@ -249,7 +254,10 @@ class _Translator:
         return translated
 
     def _global(self, value: Any, function: FunctionType) -> Any:
-        """Return the counterpart of a function's global variable; imported functions are kept."""
+        """Return the value of a global variable, translated to refer to the clone.
+
+        `value` is the value that the function reads. Imported functions are returned unchanged.
+        """
         is_foreign = isinstance(value, FunctionType) and (
             value.__globals__ is not function.__globals__
         )

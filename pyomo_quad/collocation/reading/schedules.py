@@ -51,7 +51,11 @@ T = TypeVar("T")
 
 
 def _remembered(known: OrderedDict[float, T], time: float, of: Callable[[float], T]) -> T:
-    """Return a function's value at a time, from a cache of the 100,000 most recent times."""
+    """Return the value of the function `of` at a time, from a cache.
+
+    `known` is the cache: time -> value. It keeps the values at the 100,000 times that were
+    evaluated last.
+    """
     if time not in known:
         if len(known) >= _REMEMBERED:
             known.popitem(last=False)
@@ -61,7 +65,7 @@ def _remembered(known: OrderedDict[float, T], time: float, of: Callable[[float],
 
 @dataclass(frozen=True, kw_only=True)
 class Statement:
-    """Result of a rule at one time.
+    """Result of calling the rule of a component at one time.
 
     Attributes
     ----------
@@ -87,6 +91,9 @@ class Statement:
 @dataclass(frozen=True)
 class Reading:
     """Form and numbers of a rule's result at one time.
+
+    The result of a rule consists of expressions. Two results have the same form if their
+    expressions differ in numbers only.
 
     Attributes
     ----------
@@ -253,7 +260,7 @@ class Schedule:
         return _remembered(self._rows, self._place(time), self._row)
 
     def _row(self, time: float) -> list[float]:
-        """Return the values of `slots` at a time, without a cache."""
+        """Return the values of `slots` at a time, from a call of the rule instead of the cache."""
         found = self._read(time)
         row = [float(key == found.key) for key in list(self._forms)[: len(self._chosen)]]
         for key, form in self._forms.items():
@@ -292,10 +299,11 @@ class Schedule:
         return result
 
     def _share_body_with_skipped(self, forms: list[list[Any]]) -> None:
-        """Give forms whose constraint is skipped by the rule the linear body of another form.
+        """Replace the bodies of forms that skip the constraint by the linear body of another form.
 
-        The skipped constraint has no limits, so that its body has no effect. With equal bodies in
-        all forms, a constraint on a single variable remains a bound of that variable.
+        `forms` has lower bound, body and upper bound of each form, and is changed in place. A
+        skipped constraint has no bounds, so that its body has no effect. With equal bodies in all
+        forms, a constraint on a single variable remains a bound of that variable.
         """
         is_skipped = [f.statement.is_skipped for f in self._forms.values()]
         if any(is_skipped) and not all(is_skipped):
@@ -309,8 +317,8 @@ class Phases:
     """Indicators of the phases of a horizon with free times, with the interface of a `Schedule`.
 
     A phase ends at a free time (a time that the solve determines) or at the end of the horizon, and
-    begins where the previous phase ends. The indicator of a phase is 1 at times of the
-    phase and 0 elsewhere.
+    begins where the previous phase ends. The indicator of a phase is 1 at times of the phase and 0
+    elsewhere.
     """
 
     def __init__(self, clock: PhaseTimes) -> None:
@@ -326,7 +334,10 @@ class Phases:
         return Reading(self._clock.phase_of(time), ())
 
     def row(self, time: float) -> list[float]:
-        """Return 1 for the phase that contains a declared time, and 0 for every other phase."""
+        """Return a list of the phases' indicators at a declared time.
+
+        The indicator is 1 for the phase that contains the time, and 0 for every other phase.
+        """
         return [float(k == self._clock.phase_of(time)) for k in range(len(self.slots))]
 
 
@@ -389,7 +400,10 @@ def jumps(reading: Callable[[float], Reading], times: Sequence[float]) -> Iterat
 def _jumps_between(
     reading: Callable[[float], Reading], start: float, end: float, resolution: float
 ) -> Iterator[float]:
-    """Yield the times between two times at which the form or a number jumps."""
+    """Yield the times between two times at which the form or a number of a rule's result jumps.
+
+    `reading` is as in `jumps`. Bisection locates each jump to within `resolution`.
+    """
     while reading(start).key != reading(end).key:
         before, after = start, end
         while after - before > resolution:
@@ -405,7 +419,11 @@ def _jumps_between(
 def _steps(
     reading: Callable[[float], Reading], start: float, end: float, resolution: float
 ) -> Iterator[float]:
-    """Yield the times at which a number jumps: halving the interval does not reduce its change."""
+    """Yield the times between two times at which a number of a rule's result jumps.
+
+    A number jumps if halving the interval around its change does not reduce the change. `reading`
+    is as in `jumps`; bisection locates each jump to within `resolution`.
+    """
     for k, (first, last) in enumerate(
         zip(reading(start).numbers, reading(end).numbers, strict=True)
     ):
@@ -428,11 +446,11 @@ def _steps(
 
 
 def one_sided(fraction: float, jumps_at: Sequence[float]) -> float:
-    """Return a fraction of the horizon, moved to just before a jump that it coincides with.
+    """Return a fraction of the horizon, moved to just before a jump with which it coincides.
 
     A boundary between elements belongs to the element that ends there. At a jump on a boundary, the
-    value before the jump therefore applies. The fractions 0 and 1 are moved slightly into the
-    horizon.
+    value before the jump therefore applies. `jumps_at` are the fractions at which parameters jump,
+    in rising order. The fractions 0 and 1 are moved slightly into the horizon.
     """
     inside = min(max(fraction, BESIDE), 1.0 - BESIDE)
     nearest = bisect_left(jumps_at, inside - BESIDE)
@@ -467,12 +485,12 @@ class Steps:
         return self.values[min(max(step, 0), len(self.values) - 1)]
 
     def edges(self, start: float, end: float) -> list[float]:
-        """Return the times at which a step begins.
+        """Return the times at which one step ends and the next step begins.
 
         Parameters
         ----------
         start, end : float
-            Times between which the steps begin.
+            Only times between `start` and `end` are returned.
 
         Returns
         -------
@@ -532,7 +550,10 @@ class Interpolant:
         return np.asarray(chebyshev.chebval(local, self.pieces[k])).tolist()
 
     def reading(self, time: float) -> Reading:
-        """Return the values at a time as a `Reading` without a key, for the function `jumps`."""
+        """Return the values at a time as a `Reading` without a key, for the function `jumps`.
+
+        The function `jumps` finds the times at which the numbers or the key of a `Reading` jump.
+        """
         return Reading(None, tuple(self.row(time)))
 
     def __call__(self, time: float) -> float:

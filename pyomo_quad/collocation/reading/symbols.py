@@ -76,7 +76,10 @@ class TimeSymbol:
     def _compare(self, relation: Callable[[Any, Any], Any], other: Any) -> bool:
         """Compare the symbol's number with another number, as a rule of the model requests.
 
-        A comparison with a number that is no declared time counts as reading the symbol's number.
+        A comparison with a number that is no declared time counts as reading the symbol's number,
+        which `is_read` records.
+
+        `relation` is the comparison, a function of two numbers.
         """
         # Pyomo compares two symbols when an Integral sorts its times.
         if isinstance(other, TimeSymbol):
@@ -307,7 +310,10 @@ class AddressBook:
         return self.split(component, data.index())
 
     def split(self, component: Any, index: Any) -> Address:
-        """Split a component's full index into index without time, and time, as an `Address`."""
+        """Split a component's full index into index without time, and time, as an `Address`.
+
+        `index` is an index of the component, which may contain a time.
+        """
         whole = index_tuple(index)
         name, position = self._name_and_position(component)
         if position is None:
@@ -369,8 +375,9 @@ class Slot:
 class PathEquation:
     """Constraint lower <= expression <= upper that is imposed at every collocation point.
 
-    The attributes `lower`, `expression` and `upper` are CasADi expressions of the variables and
-    data of a point. `is_equality` tells whether the constraint is an equality.
+    The attributes `lower`, `expression` and `upper` are CasADi expressions of the variables and the
+    data of a collocation point. The data are the fraction of the horizon and the parameters.
+    `is_equality` tells whether the constraint is an equality.
     """
 
     name: str
@@ -405,7 +412,8 @@ class PointSymbol:
 class PointCondition:
     """Constraint among values at declared times, static variables and integrals.
 
-    The constraint has the form lower <= expression <= upper, in CasADi expressions.
+    The constraint has the form lower <= expression <= upper. The three attributes are CasADi
+    expressions; a declared time is a member of the continuous set.
     """
 
     name: str
@@ -459,8 +467,8 @@ class Declarations:
         States that a user fixed at a declared time, as (name, fraction of the horizon); the value
         is read when the problem is solved.
     outputs, output_equations, output_starts
-        States that neither objective nor other equations depend on, with their equations and
-        initial conditions.
+        Output states (states on which neither the objective nor other equations depend), with their
+        equations and initial conditions.
     objective_name : str
         "" if there is no objective.
     has_horizon : bool
@@ -492,12 +500,18 @@ class Declarations:
 
     @property
     def has_signals(self) -> bool:
-        """Whether parameters over time, or rules that branch on time, need values at points."""
+        """Whether the model has time-dependent parameters, or rules that branch on time.
+
+        Both must be evaluated at each collocation point before a solve.
+        """
         return bool(self.signals or self.scheduled)
 
     @property
     def varying(self) -> tuple[Slot, ...]:
-        """All variables over time: states, states that nothing depends on, algebraic variables."""
+        """All variables over time: states, output states, algebraic variables.
+
+        Output states are states on which neither the objective nor other equations depend.
+        """
         return (*self.states, *self.outputs, *self.algebraics)
 
     @property
@@ -577,7 +591,11 @@ class SymbolTable:
         )
 
     def _horizon(self, name: str, time: float) -> Any:
-        """Return the symbol of the parameter for start or end of the horizon."""
+        """Return the symbol of the parameter for start or end of the horizon.
+
+        `name` is the name of the parameter, which is added to the table of parameters. For a model
+        without time, the number `time` is returned.
+        """
         if self._copy.time is None:
             return casadi.SX(time)
         symbol = casadi.SX.sym(name)
@@ -608,7 +626,8 @@ class SymbolTable:
     def _scalar(self, table: dict[str, Slot], data: Any, name: str, **more: Any) -> Any:
         """Return the symbol of a variable or parameter without time, made at first use.
 
-        `table` is the dictionary of slots by name in which the symbol is kept.
+        `table` is the dictionary, by name, of the `Slot` objects with the symbols. `more` are
+        further attributes of a new `Slot`, such as bounds.
         """
         if name not in table:
             address = self._addresses.of(data)
@@ -638,7 +657,10 @@ class SymbolTable:
         return self._scalar(self.statics, data, data.name, lower=data.lower, upper=data.upper)
 
     def _is_clock(self, data: Any) -> bool:
-        """Return whether a parameter over time is time itself: its rule returns its index."""
+        """Return whether a parameter over time is time itself, because its rule returns its index.
+
+        An example is ``Param(m.t, rule=lambda m, t: t)``.
+        """
         component, index = data.parent_component(), self._addresses.of(data).index
         is_time_where_declared = all(
             value(component[self._addresses.join(component, index, t)], exception=False) == t
@@ -656,7 +678,10 @@ class SymbolTable:
         return said is symbol
 
     def _signal(self, data: Any, address: Any) -> Any:
-        """Return the symbol of a parameter over time, or physical time if it is time itself."""
+        """Return the symbol of a parameter over time.
+
+        For a parameter that is time itself, the result is the expression of physical time.
+        """
         if self._is_clock(data):
             return self._physical_time(address.time)
         name = address.name
@@ -673,13 +698,19 @@ class SymbolTable:
         return self.signals[name].symbol
 
     def _physical_time(self, time: float) -> Any:
-        """Return physical time as a CasADi expression, at any time or at a declared time."""
+        """Return physical time as a CasADi expression.
+
+        At the template time (the added interior time at which equations are read), the result is an
+        expression that holds at any time. At a declared time, it is the physical time of this
+        declared time.
+        """
         return self.clock.time if time == self._copy.template_time else self.clock.time_at(time)
 
     def _varying(self, data: Any, address: Any) -> Any:
         """Return the symbol of a variable over time or of its derivative with respect to time.
 
-        A variable that is fixed at all declared times is a parameter.
+        A variable that is fixed at all declared times becomes a parameter. `data` is the Pyomo data
+        object, `address` its component, index and time.
         """
         component = data.parent_component()
         is_rate = component.ctype is DerivativeVar

@@ -82,7 +82,7 @@ class Spline:
         return self
 
     def written(self, arguments: Sequence[Any]) -> Any:
-        """Return the spline's value at CasADi expressions of its arguments, as an expression.
+        """Return the value of the spline as a CasADi expression of its arguments.
 
         The cost of an evaluation does not depend on the size of the table.
         """
@@ -185,14 +185,17 @@ class Table(PythonCallbackFunction):
         return super().__call__(*arguments)
 
     def _at(self, arguments: Any, _order: int, _fixed: Any) -> tuple[float, list[float], Any]:
-        """Return value, gradient and upper triangle of the Hessian in the form Pyomo expects."""
+        """Return the table's value, gradient and Hessian at numbers, in the form Pyomo expects.
+
+        The Hessian is given by its upper triangle.
+        """
         value, gradient, hessian = self.spline.function(arguments)
         upper = [float(hessian[i, j]) for j in range(len(arguments)) for i in range(j + 1)]
         return float(value), [float(gradient[k]) for k in range(len(arguments))], upper
 
 
 def _refuse_unfit(points: Sequence[FloatArray], values: FloatArray) -> None:
-    """Raise an error for grid points or values that do not define a table."""
+    """Raise an error for grid points or values that do not define an interpolation table."""
     for axis, at in enumerate(points, start=1):
         if at.ndim != 1 or at.size <= _CUBIC:
             raise TranscriptionError(
@@ -281,7 +284,19 @@ def external(node: Any, arguments: Sequence[Any], owner: str, uses: list[TableUs
 
 
 def _symbolic(function: Any, inputs: Sequence[Any], stated: Sequence[Any]) -> Any:
-    """Return a Python function evaluated on CasADi symbols, None if it needs numbers."""
+    """Return the CasADi expression of a Python function's call, None if the function needs numbers.
+
+    The function is called with CasADi symbols. The resulting expression must agree with the
+    function at a few random points.
+
+    Parameters
+    ----------
+    function : Pyomo ExternalFunction
+    inputs : sequence of casadi.SX
+        Arguments of the call in CasADi.
+    stated : sequence
+        The same arguments as Pyomo expressions, whose bounds give the range of the random points.
+    """
     if function._fcn is None:  # noqa: SLF001
         return None
     symbols = casadi.SX.sym("arguments", len(inputs))
@@ -311,7 +326,7 @@ def _bounds(argument: Any) -> tuple[float | None, float | None]:
 
 
 def _range(argument: Any) -> tuple[float, float]:
-    """Return the interval on which a function is checked.
+    """Return the interval of an argument in which a function is compared with its symbolic form.
 
     The result is the interval between the argument's bounds, or (0.1, 0.9) if a bound is missing.
     """
@@ -322,7 +337,9 @@ def _range(argument: Any) -> tuple[float, float]:
 def _sampled(function: Any, stated: Sequence[Any], owner: str) -> Spline:
     """Return the spline through samples of a function that can only be called with numbers.
 
-    The number of samples is increased until the spline reproduces the function to 1e-7.
+    The number of samples is increased until the spline reproduces the function to a relative
+    accuracy of 1e-7. `stated` are the arguments of the call as Pyomo expressions; the samples lie
+    between their bounds. `owner` is the name of the component that contains the call.
 
     Raises
     ------
@@ -378,13 +395,20 @@ def _sampled(function: Any, stated: Sequence[Any], owner: str) -> Spline:
 
 
 def _on_grid(call: Callable[..., float], points: Sequence[FloatArray]) -> FloatArray:
-    """Return a function's values on a grid, with one axis per argument."""
+    """Return a function's values on a grid, with one axis per argument.
+
+    `points` are the grid points along each axis.
+    """
     values = [call(*numbers) for numbers in product(*(at.tolist() for at in points))]
     return np.array(values).reshape([at.size for at in points])
 
 
 def _largest_difference(call: Callable[..., float], spline: Spline, size: float) -> float:
-    """Return the largest relative difference of a function from its spline between the samples."""
+    """Return the largest relative difference between a function and its spline.
+
+    The function `call` and the spline are compared at random points between the samples. The
+    difference is relative to `size`, the magnitude of the function.
+    """
     generator = np.random.default_rng(seed=0)
     lower, upper = np.transpose(spline.ranges)
     places = generator.uniform(lower, upper, (_COMPARED, len(spline.ranges)))

@@ -1,4 +1,4 @@
-"""Numbers for the compiled equations, from the Pyomo model or from the caller."""
+"""Numerical values for the compiled equations, from the Pyomo model or from the caller."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Instance:
     parameters : ndarray, shape (n_parameters,)
         Values of the parameters without time.
     horizon : (float, float)
-        Start and end.
+        Start and end of the horizon, as physical times.
     fixed : dict
         Values of variables fixed at declared times, by (name, fraction of the horizon).
     overrides : mapping
@@ -72,7 +72,11 @@ class Instance:
     def _picklable(
         self, name: str, given: float | Callable[[float], float]
     ) -> float | Interpolant | Steps:
-        """Return a parameter's value for a pickle; a function becomes piecewise polynomials."""
+        """Return a parameter's value in a form that can be pickled.
+
+        A function of time becomes piecewise polynomials over the horizon; a number is returned
+        unchanged.
+        """
         if not callable(given) or isinstance(given, Interpolant | Steps):
             return given
         start, end = self.horizon
@@ -113,7 +117,8 @@ class ModelValues:
         overrides : mapping, optional
             Values that replace the values in the model, by component or full name.
         horizon : (float, float), optional
-            Start and end of the horizon, which may be parameters; by default as declared.
+            Start and end of the horizon, which are parameters unless static variables replace them;
+            by default the ends of the continuous set.
 
         Raises
         ------
@@ -126,13 +131,13 @@ class ModelValues:
         return np.array([self._parameter(slot, named, ends) for slot in self._declared.parameters])
 
     def by_name(self, overrides: Overrides | None) -> dict[str, Any]:
-        """Return the caller's parameter values by full name instead of component.
+        """Return the parameter values that the caller gives, by full name instead of component.
 
         Raises
         ------
         TranscriptionError
-            If a name is no component of the model, or a function of time is given where times are
-            free.
+            If a name is no component of the model, or a function of time is given although the
+            model has free times.
         """
         named = {
             key.name
@@ -155,7 +160,11 @@ class ModelValues:
         return named
 
     def _parameter(self, slot: Slot, named: dict[str, Any], ends: dict[str, float]) -> float:
-        """Return the value of one parameter without time."""
+        """Return the value of one parameter without time.
+
+        The value comes from `ends` (start and end of the horizon, by parameter name), from `named`
+        (values given by the caller, by full name), or from the model, in this order.
+        """
         if slot.name in ends:
             return ends[slot.name]
         if slot.name in named:
@@ -189,7 +198,8 @@ class ModelValues:
     ) -> tuple[float, ...]:
         """Return the fractions of the horizon at which time-dependent parameters may jump.
 
-        These are the declared times and the times at which a rule or parameter is found to jump.
+        These are the declared times, and the times at which the search finds a jump of a rule's
+        result or of a parameter. Parameters given as `Steps` are not searched.
         """
         if not self._declared.has_signals:
             return ()
@@ -206,7 +216,7 @@ class ModelValues:
         return tuple(f for k, f in enumerate(fractions) if k == 0 or f - fractions[k - 1] > BESIDE)
 
     def _rule_horizon(self, horizon: tuple[float, float]) -> tuple[float, float]:
-        """Return the horizon at which rules are called.
+        """Return the start and end of the times with which rules are called.
 
         If any time is free, this is the declared horizon, because a rule is written in declared
         times. Otherwise it is the horizon of the solve. The widest horizon that was requested is
@@ -226,7 +236,8 @@ class ModelValues:
     def _signal(self, slot: Slot, named: dict[str, Any]) -> Callable[[float], float]:
         """Return a parameter over time as a function of time.
 
-        The caller's value or function takes precedence over the rule in the model.
+        `named` has the values and functions given by the caller, by full name, which take
+        precedence over the rules in the model.
         """
         if slot.name in named:
             given = named[slot.name]
@@ -249,15 +260,18 @@ class ModelValues:
         return found
 
     def _declared_time(self, first: float, last: float, fraction: float) -> float:
-        """Return the member of the continuous set nearest to a fraction of its range.
+        """Return the member of the continuous set nearest to a fraction of the horizon.
 
-        `first` and `last` are the ends of that range.
+        `first` and `last` are the start and the end of the declared horizon.
         """
         wanted = first + (last - first) * fraction
         return min(self._source.times, key=lambda t: abs(t - wanted))
 
     def initial_values(self, slot: Slot) -> list[tuple[float, float]]:
-        """Return a variable's values in the model, as pairs (fraction of the horizon, value)."""
+        """Return a variable's values in the model, as pairs (fraction of the horizon, value).
+
+        The pairs belong to the declared times at which the variable has a value.
+        """
         first, last = self.declared_horizon
         pairs = []
         for time in self._source.times:
@@ -304,16 +318,20 @@ class ModelValues:
     def load_rates(self, fraction: float, rate: Callable[..., float]) -> None:
         """Set the model's derivatives at a declared time to their solved values.
 
-        `rate` maps (component name, index=) to the derivative's value.
+        `fraction` is the declared time as a fraction of the horizon. `rate(name, index=...)`
+        returns the value of the derivative with this name and this index without time.
         """
         self._source.load_rates(self._declared_time(*self.declared_horizon, fraction), rate)
 
     def load_integrals(self, totals: Mapping[str, float]) -> None:
-        """Set the model's integrals, by full name, to their solved values."""
+        """Set the model's integrals to their solved values.
+
+        `totals` maps full names to values.
+        """
         self._source.load_integrals(totals)
 
     def snapshot(self) -> ModelSnapshot:
-        """Return the model's present values for a pickle.
+        """Return the model's current values, for a pickle.
 
         Functions of time are stored for the widest horizon that any solve has requested.
         """

@@ -1,4 +1,8 @@
-"""Translation of Pyomo expressions to CasADi expressions, in the symbols of a single time."""
+"""Translation of Pyomo expressions to CasADi expressions.
+
+Equations over time are translated at a single time, the template time, in symbols that stand for
+functions of time. The resulting expressions hold at all times.
+"""
 
 from __future__ import annotations
 
@@ -160,19 +164,29 @@ class ExpressionWriter:
         return child.value if isinstance(child, NumericConstant) else self._leaf(child)
 
     def _exit_node(self, node: Any, arguments: list[Any]) -> Any:
-        """Return the CasADi expression of a node, given the CasADi expressions of its arguments."""
+        """Return the CasADi expression of a node, given the CasADi expressions of its arguments.
+
+        Pyomo's expression walker calls this method when it has visited all arguments of the node.
+        """
         if node.is_named_expression_type():
             self._named[id(node)] = arguments[0]
             return arguments[0]
         return self._apply(node, arguments)
 
     def apply(self, node: Any, arguments: list[Any], owner: str) -> Any:
-        """Return the CasADi expression of a Pyomo operation applied to translated arguments."""
+        """Return the CasADi expression of a Pyomo operation applied to translated arguments.
+
+        `node` is the operation, and `owner` the name of the component that contains it, for
+        messages.
+        """
         self._owner = owner
         return self._apply(node, arguments)
 
     def _apply(self, node: Any, arguments: list[Any]) -> Any:
-        """Return the CasADi expression of a Pyomo operation; raise an error if it has none."""
+        """Return the CasADi expression of a Pyomo operation applied to translated arguments.
+
+        Raises an error for an operation that has no smooth counterpart in CasADi.
+        """
         for kind, operation in _OPERATIONS:
             if isinstance(node, kind):
                 return operation(*arguments)
@@ -184,7 +198,10 @@ class ExpressionWriter:
         raise self._unsupported(node.name if is_function else type(node).__name__)
 
     def _unsupported(self, what: str) -> TranscriptionError:
-        """Return the error for a function that cannot be translated."""
+        """Return the error for a function that cannot be translated.
+
+        `what` is the name of the function, for the message.
+        """
         return TranscriptionError(
             f"{self._owner}: {what} is not supported; write it with smooth functions (for a "
             "switch: a tanh or sqrt smoothing)."
@@ -270,8 +287,8 @@ class TemplateWriter:
         owner : str
             Name of the component that contains the expression, for messages.
         over_time : bool, default False
-            Whether the expression belongs to an equation over time, in which values at single times
-            are refused.
+            Whether the expression belongs to an equation over time, in which the value of a
+            variable at a single declared time is an error.
         """
         before, self._in_path = self._in_path, over_time
         try:
@@ -280,7 +297,11 @@ class TemplateWriter:
             self._in_path = before
 
     def bound(self, bound: Any, otherwise: float, name: str) -> Any:
-        """Return the CasADi expression of a bound, or of the number `otherwise` if it is absent."""
+        """Return the CasADi expression of a bound.
+
+        `otherwise` is the result for an absent bound (None). `name` is the name of the component
+        with the bound, for messages.
+        """
         return casadi.SX(otherwise if bound is None else self.write(bound, name))
 
     def path_equation(
@@ -343,7 +364,8 @@ class TemplateWriter:
         """Return the bounds for all times that a user assigned after a variable's declaration.
 
         A user may assign bounds to a variable's members at the declared times. If the assigned
-        bounds are equal at every declared time, they apply at all times, and are returned.
+        bounds are equal at every declared time, they apply at all times, and are returned. States
+        without fixed values are treated differently, as described below.
 
         Returns
         -------
@@ -427,7 +449,7 @@ class TemplateWriter:
         Raises
         ------
         TranscriptionError
-            If the rule fails, or reads a free time as a number.
+            If the rule fails, or uses a free time (a time that the solve determines) as a number.
         """
         template = self.copy.template_time
         if self.symbols.clock.is_free:
@@ -449,10 +471,11 @@ class TemplateWriter:
         return statement
 
     def at_instant(self, data: Any) -> Any:
-        """Return a constraint's member at a declared time, with the free times in place of numbers.
+        """Return a constraint's member at a declared time, with free times instead of numbers.
 
         A rule such as ``m.x[t] == t`` then contains the physical time to which the declared time is
-        mapped. Members that depend on no free time are returned unchanged.
+        mapped. A free time is a static variable that gives the physical time of a declared time.
+        Members that depend on no free time are returned unchanged.
         """
         component, address = data.parent_component(), self.addresses.of(data)
         rule, clock = rule_of(component), self.symbols.clock
@@ -476,10 +499,11 @@ class TemplateWriter:
         return any(s.name == name for s in self.schedules)
 
     def scheduled_beside(self, time: float, side: int = -1) -> dict[str, tuple[Any, float]]:
-        """Return the symbols of all schedules with their numbers just before or after a time.
+        """Return symbols and values, beside a time, of quantities without a formula in time.
 
-        Schedules are quantities that vary with time without a formula. `side` is -1 for just before
-        the declared time, 1 for just after. The result maps names to (symbol, number).
+        Such a quantity belongs to a rule that branches on time, or to a phase of the horizon.
+        `side` is -1 for just before the time, 1 for just after. The result maps names to (symbol,
+        value).
         """
         first, last = self.copy.declared_times[0], self.copy.declared_times[-1]
         near = BESIDE * (last - first)
@@ -491,17 +515,28 @@ class TemplateWriter:
         }
 
     def _within(self, time: float) -> float:
-        """Return the midpoint of the interval between two declared times that contains a time."""
+        """Return the midpoint of the interval between two declared times that contains a time.
+
+        If times are free, a rule is called with this midpoint, because its result may change at
+        declared times only.
+        """
         declared = self.copy.declared_times
         after = min(max(bisect_left(declared, time), 1), len(declared) - 1)
         return 0.5 * (declared[after - 1] + declared[after])
 
     def _part(self, part: Any, name: str, absent: Any) -> Any:
-        """Return the CasADi expression of a bound or body from a rule; `absent` replaces None."""
+        """Return the CasADi expression of a part of a rule's result: a bound, or a body.
+
+        `absent` is the value of a part that is missing (None). `name` is the name of the component.
+        """
         return casadi.SX(absent if part is None else self.write(part, name, over_time=True))
 
     def _with_numbers(self, part: Any, numbers: Iterator[Any], name: str) -> Any:
-        """Translate an expression to CasADi, with its numbers replaced by symbols in order."""
+        """Translate an expression to CasADi, with symbols in place of its numbers.
+
+        `numbers` yields the symbol or value for each number, in the order in which the numbers
+        appear. `name` is the name of the component.
+        """
         if part.__class__ in native_types:
             return next(numbers)
         if not part.is_expression_type() or part.is_named_expression_type():
@@ -565,7 +600,7 @@ class TemplateWriter:
         """Return the replacement of a named Pyomo expression; None keeps the expression itself.
 
         Integrals are replaced by their symbols, and expressions over time by the result of their
-        rules.
+        rules in CasADi symbols.
         """
         component = expression.parent_component()
         if component is None:
@@ -579,9 +614,9 @@ class TemplateWriter:
         return self._expression(component, address.index, rule)
 
     def _expression(self, component: Any, index: tuple[Any, ...], rule: Any) -> Any:
-        """Return a named expression over time as a CasADi expression, as its rule states it.
+        """Return the CasADi expression of a named Pyomo expression over time, from its rule.
 
-        The rule is read once, and the expression is cached by name.
+        The rule is called when the expression is needed first. The result is cached by name.
         """
         name, block = indexed_name(component.name, index), component.parent_block()
         if name in self._by_rule:
@@ -594,7 +629,11 @@ class TemplateWriter:
         return self._by_rule[name]
 
     def _parameter_over_time(self, data: Any, address: Address) -> Any:
-        """Return a parameter over time as a differentiable CasADi expression of time."""
+        """Return a parameter over time as a differentiable CasADi expression of time.
+
+        If times are free, the value of the parameter depends on them, so that its derivative with
+        respect to time is required.
+        """
         component = data.parent_component()
         rule = rule_of(component)
         if rule is None or address.time is None:
@@ -609,7 +648,10 @@ class TemplateWriter:
         return casadi.substitute(over_time, old, casadi.SX(new))
 
     def _integral(self, component: Any, index: Any) -> Any:
-        """Return the symbol of an integral, and register the integral at first use."""
+        """Return the symbol of an integral, and register the integral at first use.
+
+        `component` and `index` identify the integral in the Pyomo model.
+        """
         if self._in_path:
             raise TranscriptionError(
                 f"{component.name}: an integral inside an equation over time is not supported; "
@@ -630,7 +672,10 @@ class TemplateWriter:
 
 
 def _attempt(say: Callable[[Any], Statement], symbol: TimeSymbol) -> Statement | None:
-    """Return the result of calling a rule with a symbol in place of time; None if that fails."""
+    """Return the result of calling a rule with a symbol in place of time; None if that fails.
+
+    `say` calls the rule: time -> `Statement`.
+    """
     try:
         # Hide Pyomo's log of this failure: the second reading of the rule recovers from it.
         with LoggingIntercept(None, "pyomo.core"):
@@ -640,7 +685,11 @@ def _attempt(say: Callable[[Any], Statement], symbol: TimeSymbol) -> Statement |
 
 
 def _refuse_number(name: str, error: Exception | None = None) -> NoReturn:
-    """Raise the error for a rule that reads a free time as a number."""
+    """Raise the error for a rule that uses a free time as a number.
+
+    A free time is determined by the solve, so that it has no number when the rule is called.
+    `error` is the exception of the rule, if any.
+    """
     told = "" if error is None else f" ({raised(error)})"
     raise TranscriptionError(
         f"{name}: its rule reads its time as a number, which changes with a free time{told}; "
@@ -663,7 +712,8 @@ def is_unbounded(lower: Any, upper: Any) -> bool:
 def _relation(said: Any, name: str) -> Statement:
     """Return the result of a constraint's rule as lower bound, body and upper bound.
 
-    A skipped constraint has no bounds.
+    `said` is the object that the rule returned, and `name` the name of the constraint. A skipped
+    constraint has no bounds.
 
     Raises
     ------

@@ -1,1 +1,1 @@
-"""Error estimation and mesh refinement."""
+"""Error estimation and mesh refinement for solutions by collocation."""

@@ -1,6 +1,6 @@
 """Active limits, and the elements in which limits become active or inactive (junctions).
 
-The rule: see docs/theory/refinement.md, eq. (7).
+The rule by which a limit is active: see docs/theory/refinement.md, eq. (7).
 """
 
 from __future__ import annotations
@@ -27,25 +27,28 @@ SAME = 1e-12
 def junction_elements(solution: Solution) -> frozenset[int]:
     """Return the indices of elements in or beside which a limit becomes active or inactive.
 
-    Changes at breakpoints that the problem requires, where for example a parameter jumps, are not
-    counted.
+    A limit that becomes active or inactive at a breakpoint that the problem requires, for example
+    where a parameter jumps, is not counted.
     """
     active = active_limits(solution)
     return _changing(solution, np.ones(active.shape[1], dtype=bool), active)
 
 
 def switch_elements(solution: Solution) -> frozenset[int]:
-    """Return the indices of elements in which only limits on algebraic variables change activity.
+    """Return the indices of elements in or beside which only limits on algebraic variables change.
 
-    Elements in which a limit on a state becomes active or inactive are left out, because the
-    state's costate may jump there.
+    A limit changes if it becomes active or inactive. Elements in or beside which a limit on a state
+    changes are left out, because the state's costate may jump there.
     """
     chosen, active = _limits_on_algebraics(solution), active_limits(solution)
     return _changing(solution, chosen, active) - _changing(solution, ~chosen, active)
 
 
 def _limits_on_algebraics(solution: Solution) -> NDArray[np.bool_]:
-    """Return which limits over time are on algebraic variables alone, shape (n_limits,)."""
+    """Return for each limit over time whether it limits algebraic variables alone.
+
+    The result has shape (n_limits,), in the order of `active_limits`.
+    """
     program, layout = solution.program, solution.program.layout
     path, n = program.compiled.path, layout.n_states
     of_states = np.isin(
@@ -58,7 +61,7 @@ def _limits_on_algebraics(solution: Solution) -> NDArray[np.bool_]:
 def _changing(
     solution: Solution, limits: NDArray[np.bool_], active: NDArray[np.bool_]
 ) -> frozenset[int]:
-    """Return the indices of elements in or beside which chosen limits change their activity.
+    """Return the indices of elements in or beside which chosen limits become active or inactive.
 
     Parameters
     ----------
@@ -77,10 +80,11 @@ def _changing(
 
 
 def known_boundaries(solution: Solution) -> NDArray[np.bool_]:
-    """Return whether the problem requires each breakpoint of the mesh.
+    """Return for each breakpoint of the mesh whether the problem requires it.
 
-    Shape (n_elements + 1,). A breakpoint is required at start and end, where a condition is
-    imposed, and where a parameter jumps.
+    The result has shape (n_elements + 1,). Breakpoints are required at start and end of the
+    horizon, at times at which a condition is imposed or a variable is fixed, and where a parameter
+    jumps.
     """
     required = solution.problem.required_breakpoints(solution.instance)
     starts = np.asarray(solution.mesh.breakpoints)
@@ -102,11 +106,12 @@ def active_limits(solution: Solution) -> NDArray[np.bool_]:
 def kinks(solution: Solution) -> FloatArray:
     """Return the times at which an algebraic variable reaches or leaves a limit with a kink.
 
-    At a kink the variable is continuous and its slope jumps. The limit is active at one collocation
-    point and inactive at the next. The slack (distance to the limit) is extrapolated from three
-    points on the inactive side, and the kink is where the extrapolated slack is zero, between these
-    two points. If the variable jumps instead, the extrapolated slack has no zero between the
-    points, or is still large; the place of a jump is left out.
+    At a kink the variable is continuous and its slope jumps. The kink lies between two neighbouring
+    collocation points, at one of which the limit is active. The slack (distance to the limit) is
+    extrapolated from three points at which the limit is inactive, and the time of the kink is the
+    time at which the extrapolated slack is zero. The time of a jump of the variable is not
+    returned: at a jump the extrapolated slack has no zero between the two points, or the slack at
+    the inactive point is large.
 
     Returns
     -------
@@ -132,8 +137,8 @@ def kinks(solution: Solution) -> FloatArray:
 def _zero(times: FloatArray, values: FloatArray) -> float:
     """Return the time at which a function reaches zero, by inverse interpolation.
 
-    `values` are samples of the function at `times`. The result is NaN unless the samples increase
-    with the distance from the zero.
+    `values` are samples of the function at `times`, in order of distance from the zero. The result
+    is NaN unless the samples increase with the distance from the zero.
     """
     if not np.all(np.diff(values) > 0.0):
         return math.nan
@@ -142,9 +147,11 @@ def _zero(times: FloatArray, values: FloatArray) -> float:
 
 
 def _pulls_and_slacks(solution: Solution) -> tuple[FloatArray, FloatArray]:
-    """Return scaled multiplier densities and slacks of each limit, shape (n_points, n_limits).
+    """Return the scaled multiplier and slack of each limit at each collocation point.
 
-    A limit that is an equality has no multiplier.
+    Both arrays have shape (n_points, n_limits). The multiplier is divided by the point's quadrature
+    weight. The slack is the distance to the limit. The multiplier is 0 where lower and upper limit
+    are equal.
     """
     program, layout = solution.program, solution.program.layout
     bounds, scaling = solution.bounds, solution.scaling

@@ -1,7 +1,9 @@
 """Damping of controls that enter linearly, towards the smoothed controls of the previous mesh.
 
-The objective hardly depends on controls that enter linearly. Without damping they chatter, and
-change from mesh to mesh. See docs/theory/refinement.md, eq. (9).
+Damping is a penalty on the distance between the controls and the smoothed controls. A control
+enters linearly if the equations and the objective depend linearly on it. The objective then hardly
+depends on the control at a single point. Without damping, such controls oscillate from point to
+point (chatter), and change from mesh to mesh. See docs/theory/refinement.md, eq. (9).
 """
 
 from __future__ import annotations
@@ -29,9 +31,10 @@ _FAR = 1e-2
 
 @dataclass(frozen=True, kw_only=True)
 class Damping:
-    """Penalty on the distance of controls from the smoothed controls of a solution.
+    """Penalty on the distance between controls and the smoothed controls of a solution.
 
-    The smoothed controls consist of straight lines between the means over the elements.
+    The smoothed controls are straight lines between the means of the controls over each element or,
+    if `is_still` is true, polynomials of low degree in each element.
 
     Attributes
     ----------
@@ -42,8 +45,8 @@ class Damping:
     prices : ndarray, shape (n_controls,)
         Penalty per unit of mean square distance over the horizon, for each control.
     gap : float
-        Complementarity gap that the barrier is to leave, in the unit of the objective; zero for the
-        smallest gap that Ipopt reaches.
+        Complementarity gap of the solution, in the unit of the objective: Ipopt does not reduce its
+        barrier parameter further. Zero for the smallest gap that Ipopt reaches.
     is_still : bool
         Whether the objective hardly changes from mesh to mesh any more. The controls are then
         damped towards the previous controls smoothed within each element, instead of towards the
@@ -58,16 +61,19 @@ class Damping:
 
     @property
     def start_distance(self) -> StartDistance:
-        """Expected distance between warm start and solution of the solve on the next mesh."""
+        """Expected distance between warm start and solution in the solve on the next mesh.
+
+        Ipopt's initial barrier parameter depends on it.
+        """
         if self.is_still:
             return StartDistance.NONE
         return StartDistance.FAR if self.solution.error_estimate >= _FAR else StartDistance.SHORT
 
     def firmer(self, factor: float, gap: float) -> Damping:
-        """Return the damping with penalties that are larger by `factor`.
+        """Return a stronger damping, with penalties multiplied by `factor`.
 
-        The controls are damped towards the previous controls smoothed within each element. The
-        complementarity gap becomes at least `gap` times the objective's reference magnitude.
+        The new damping is towards the previous controls smoothed within each element (`is_still`).
+        Its complementarity gap is at least `gap` times the objective's reference magnitude.
         """
         gap = max(gap * self.solution.nominal_objective, self.gap)
         return replace(self, prices=factor * self.prices, gap=gap, is_still=True)
@@ -83,7 +89,10 @@ class Damping:
         )
 
     def _near(self, fractions: FloatArray) -> FloatArray:
-        """Return the values towards which controls are damped, shape (n_fractions, n_controls)."""
+        """Return the smoothed controls of the previous mesh, towards which controls are damped.
+
+        `fractions` are fractions of the horizon. The result has shape (n_fractions, n_controls).
+        """
         mesh, held = self.solution.mesh, self.solution.trajectory.algebraics[:, self.controls]
         if self.is_still:
             lower, upper = (limit[self.controls] for limit in self.solution.algebraic_limits)
@@ -95,7 +104,9 @@ class Damping:
 
 
 def _smoothed(mesh: Mesh, values: FloatArray, fractions: FloatArray) -> FloatArray:
-    """Smooth values in each element, by the lower half of the terms of a Legendre series.
+    """Smooth values in each element by a polynomial of about half the element's degree.
+
+    The polynomial is fitted to the values by least squares. It is evaluated at given times.
 
     Parameters
     ----------
@@ -103,7 +114,11 @@ def _smoothed(mesh: Mesh, values: FloatArray, fractions: FloatArray) -> FloatArr
     values : ndarray, shape (n_points, k)
         Values at the collocation points.
     fractions : ndarray, shape (n,)
-        Fractions of the horizon at which the smoothed polynomials are evaluated.
+        Times of the result, as fractions of the horizon.
+
+    Returns
+    -------
+    ndarray, shape (n, k)
     """
     starts, found = np.asarray(mesh.breakpoints), np.empty((fractions.size, values.shape[1]))
     element = np.clip(np.searchsorted(starts, fractions) - 1, 0, mesh.elements - 1)
@@ -119,9 +134,10 @@ def _smoothed(mesh: Mesh, values: FloatArray, fractions: FloatArray) -> FloatArr
 
 
 def _element_means(mesh: Mesh, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the elements' midpoints, shape (n_elements,), and the means of values in them.
+    """Return the midpoint of each element, and the means of several functions over each element.
 
-    `values` has shape (n_points, k), the means have shape (n_elements, k).
+    `values` are the functions at the collocation points, shape (n_points, k). The midpoints are
+    fractions of the horizon, shape (n_elements,). The means have shape (n_elements, k).
     """
     weights = mesh.quadrature_weights[:, None]
     columns = np.column_stack([mesh.point_fractions, values, np.ones(mesh.points)])
@@ -148,7 +164,7 @@ def damping_of(
         Penalty, as a fraction of the objective, on a control that differs by its whole range from
         the value towards which it is damped.
     gap : float, optional
-        Complementarity gap, as a fraction of the objective, that the barrier is to leave.
+        Complementarity gap that the solve on the next mesh leaves, as a fraction of the objective.
     is_still : bool, optional
         Whether the objective hardly changes from mesh to mesh any more. The controls are then
         damped towards the previous controls smoothed within each element, instead of towards the
@@ -178,9 +194,9 @@ def damping_of(
 
 
 def _least_curvatures(solution: Solution) -> FloatArray:
-    """Return the least curvature of the Lagrangian in each algebraic variable, over all points.
+    """Return the least second derivative of the Lagrangian in each algebraic variable.
 
-    Shape (n_algebraics,).
+    The result is the minimum over all collocation points, shape (n_algebraics,).
     """
     program = solution.program
     first = 2 * program.layout.n_states

@@ -1,7 +1,7 @@
-"""Errors of a solution between its collocation points, and their effect on the objective.
+"""Errors of a solution between its collocation points, and the effects of these errors.
 
-The effect on the final states is estimated, too. Derivations: see docs/theory/refinement.md, eqs.
-(1) to (3).
+The effects on the objective and on the final states are estimated. Derivations: see
+docs/theory/refinement.md, eqs. (1) to (3).
 """
 
 from __future__ import annotations
@@ -31,15 +31,16 @@ if TYPE_CHECKING:
 
 
 def final_misses(solution: Solution, errors: FloatArray) -> FloatArray:
-    """Return the effect of the state errors made in each element on the final states.
+    """Return the effect on the final states of the state errors that arise in each element.
 
-    The controls are flown in open loop: no later control corrects an error.
+    The controls are taken as functions of time alone (open loop), so that no later control corrects
+    an error.
 
     Parameters
     ----------
     solution : Solution
     errors : ndarray, shape (n_elements, n_states)
-        Errors of the states at the elements' ends.
+        Errors of the states at each element's end that arise within the element.
 
     Returns
     -------
@@ -64,8 +65,9 @@ def final_misses(solution: Solution, errors: FloatArray) -> FloatArray:
 def _transition(solution: Solution, equations: Linearised, e: int) -> FloatArray:
     """Return the state transition matrix of an element, with the controls unchanged.
 
-    The matrix is d (state at the end) / d (state at the start), shape (n_states, n_states). `e` is
-    the index of the element.
+    The matrix has the derivatives of the states at the element's end with respect to the states at
+    its start, shape (n_states, n_states). `equations` is the linearised model, `e` the index of the
+    element.
     """
     mesh = solution.mesh
     first, last = mesh.first_node[e], mesh.first_node[e + 1]
@@ -94,7 +96,9 @@ _START = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class Allowance:
-    """Tolerances for flying the controls of a solution in open loop.
+    """Tolerances for a flight with the controls of a solution in open loop.
+
+    In open loop the controls are functions of time, without feedback from the measured states.
 
     Attributes
     ----------
@@ -126,9 +130,9 @@ class Allowance:
 class ErrorEstimate:
     """Estimated relative errors of a solution, element by element.
 
-    Some effects of the elements' errors on the objective add up over the elements. Attributes
-    marked "extrapolated" hold such an effect for each element, multiplied by the number of
-    elements, but at most the sum over all elements. An extrapolated effect can be compared with the
+    Some effects of the elements' errors on the objective add up over the elements. An attribute
+    marked "extrapolated" has for each element its own effect times the number of elements, but at
+    most the sum of the effects of all elements. An extrapolated effect can be compared with the
     tolerance for the whole horizon.
 
     Attributes
@@ -179,7 +183,7 @@ class ErrorEstimate:
 
     @property
     def per_element(self) -> FloatArray:
-        """Largest of all errors in each element, shape (n_elements,)."""
+        """Largest error in each element, of all kinds of error, shape (n_elements,)."""
         return np.maximum.reduce(
             [
                 self.states.max(axis=1, initial=0.0),
@@ -195,13 +199,21 @@ class ErrorEstimate:
 
     @property
     def of_integrals(self) -> float:
-        """Largest error of the objective and of the integrals, over all elements."""
+        """Largest error of the objective and of the integrals, over all elements.
+
+        Three kinds of error count: the effect of state errors on the objective, the cost of bounds
+        between the points, and the errors of the quadrature.
+        """
         parts = (self.objective, self.restraint, self.integrals)
         return float(max(part.max(initial=0.0) for part in parts))
 
     @property
     def largest(self) -> float:
-        """Largest of all errors in all elements, and of the relative complementarity gap."""
+        """Largest error of the solution, which the refinement compares with the tolerance.
+
+        It is the maximum over all elements, all kinds of error, and the relative complementarity
+        gap.
+        """
         return max(self.gap, float(self.per_element.max(initial=0.0)))
 
 
@@ -280,14 +292,19 @@ def _unit(solution: Solution) -> float:
     """Return the reference magnitude for relative errors of the objective, in its unit.
 
     The result is the objective's magnitude. For an objective near zero, the result is 1, or the
-    inverse of the objective's scaling factor if the inverse is smaller than 1.
+    inverse of the objective's scaling factor if the inverse is smaller than 1; but at least 1e-4 of
+    this inverse.
     """
     scaled = 1.0 / solution.scaling.objective
     return max(abs(solution.objective), min(1.0, scaled), _LEAST_UNIT * scaled)
 
 
 def _gap(solution: Solution) -> float:
-    """Return the complementarity gap of Ipopt's barrier, relative to the objective's magnitude."""
+    """Return the complementarity gap that Ipopt's barrier leaves, relative to the objective.
+
+    The gap is the sum, over all limits, of multiplier times distance to the limit. For a convex
+    problem it bounds the difference of the objective from its optimum.
+    """
     program, z = solution.program, solution.unknowns
     least = min(_unit(solution), _LEAST_SIZE / solution.scaling.objective)
     size = max(program.objective_size(z), least)
@@ -298,7 +315,7 @@ def _gap(solution: Solution) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class _Samples:
-    """Path equations evaluated between the collocation points, at n samples.
+    """Variables and path equations of a solution at n sample times between collocation points.
 
     Attributes
     ----------
@@ -309,7 +326,7 @@ class _Samples:
     rows : ndarray, shape (n, n_expressions)
         Values of the path equations, then of the integrands.
     first_of_element : ndarray of int, shape (n_elements,)
-        Position of each element's first sample.
+        Position of each element's first sample among the n samples.
     """
 
     variables: FloatArray
@@ -320,10 +337,11 @@ class _Samples:
 
 @lru_cache(maxsize=64)
 def _panelled(degree: int) -> tuple[FloatArray, FloatArray]:
-    """Return quadrature points and weights of an element of width 1, by Gauss's rule on panels.
+    """Return points and weights of a quadrature rule that is finer than the collocation points.
 
-    The element is divided into panels of equal width. The element's right end is added as the last
-    point, with weight 0.
+    The element, from 0 to 1, is divided into four panels of equal width. Each panel has the points
+    of a Gauss rule with degree + 1 points. The element's right end is added as the last point, with
+    weight 0.
     """
     points, weights = leggauss(degree + 1)
     inner = (np.arange(_PANELS)[:, None] + 0.5 * (1.0 + points)) / _PANELS
@@ -332,37 +350,48 @@ def _panelled(degree: int) -> tuple[FloatArray, FloatArray]:
 
 
 def densely_sampled(solution: Solution) -> _Samples:
-    """Sample the path constraints densely, because they may be violated between collocation points.
+    """Evaluate the path constraints of a solution at many times between the collocation points.
 
-    Each element has 4 (degree + 1) + 1 samples, because its polynomials may have maxima between the
-    points.
+    The samples show violations between the points, where the polynomials may have maxima. Each
+    element has 4 (degree + 1) + 1 samples.
     """
     (samples,) = _sampled(solution, _dense_places)
     return samples
 
 
 def _dense_places(degree: int) -> FloatArray:
-    """Return places in the unit element at which limits are checked, from just after its start."""
+    """Return the places at which limits are checked in an element, as numbers from 0 to 1.
+
+    0 is the start of the element and 1 its end. The first place is just after the start, which
+    belongs to the previous element. `degree` is the degree of the element.
+    """
     return np.linspace(_START, 1.0, _SAMPLES * (degree + 1) + 1)
 
 
 def _finer_places(degree: int) -> FloatArray:
-    """Return the Radau points of the next higher degree, as places in the unit element."""
+    """Return the Radau points of the next higher degree in an element that goes from 0 to 1.
+
+    The states are re-integrated at these points to estimate their errors.
+    """
     return radau_rule(degree + 1).points
 
 
 def _panelled_places(degree: int) -> FloatArray:
-    """Return the Gauss points of the panels, as places in the unit element."""
+    """Return the points of the finer quadrature rule in an element that goes from 0 to 1.
+
+    The rule is `_panelled`; integrals are recomputed with it to estimate their errors.
+    """
     return _panelled(degree)[0]
 
 
 def state_errors_as_interpolated(solution: Solution) -> FloatArray:
     """Return the errors of the states if every algebraic variable follows its polynomial.
 
-    If an equation defines an algebraic variable, `estimate_error` computes the variable from that
-    equation, for example r from f in ``x' = r``, ``f = r + r^3``. The equations may then be
-    satisfied everywhere although the polynomial of the variable differs from its optimal value.
-    This function takes the value of the polynomial instead.
+    Between the collocation points, an algebraic variable that an equation defines has two values:
+    the value of its polynomial, and the value from the equation. An example is r in ``x' = r``, ``f
+    = r + r^3``. `estimate_error` takes the value from the equation. The equations may then be
+    satisfied everywhere although the polynomial differs from the optimum. This function takes the
+    value of the polynomial instead.
 
     Returns
     -------
@@ -382,8 +411,9 @@ def _sampled(
     Parameters
     ----------
     solution : Solution
-    grids : callable
-        Degree of an element -> places in the unit element, of which the last is the end.
+    *grids : callable
+        Degree of an element -> sample times in the element, as numbers from 0 (start of the
+        element) to 1 (end), of which the last is 1.
     is_defined : bool, default True
         Whether an algebraic variable that an equation defines takes its value from the equation;
         else from its polynomial.
@@ -429,8 +459,9 @@ def _sampled(
 def _clipped(
     program: Transcription, samples: _Samples, limits: tuple[FloatArray, FloatArray]
 ) -> _Samples:
-    """Return samples of the path equations with the controls clipped to their limits.
+    """Return samples in which each control outside its limits is set to the limit.
 
+    The path equations are evaluated again with the clipped controls.
     `limits` are lower and upper limits of the algebraic variables, shape (n_algebraics,) each.
     """
     layout, variables = program.layout, samples.variables.copy()
@@ -443,10 +474,11 @@ def _clipped(
 
 
 def _state_corrections(solution: Solution, slopes: FloatArray) -> list[FloatArray]:
-    """Integrate slope corrections from each element's left end.
+    """Return the state errors in each element, by integration of the errors of the derivatives.
 
-    `slopes` holds corrections at the Radau points of the next higher degree. The result has, for
-    each element, an array of shape (degree + 1, n_states).
+    The integration begins at the element's left end. `slopes` are the corrections of the states'
+    time derivatives with which the equations hold, at the Radau points of the next higher degree.
+    The result has for each element an array of shape (degree + 1, n_states).
     """
     mesh, first, moved = solution.mesh, 0, []
     for e, degree in enumerate(mesh.degrees):
@@ -459,10 +491,12 @@ def _state_corrections(solution: Solution, slopes: FloatArray) -> list[FloatArra
 def _clipping_corrections(
     solution: Solution, free: _Samples, clipped: _Samples, is_clipped: NDArray[np.bool_]
 ) -> dict[int, FloatArray]:
-    """Return, by element, the change of states caused by clipping a control to its limit.
+    """Return, by element, the change of the states if controls are clipped to their limits.
 
-    A control that is clipped in a part of an element only is not a polynomial. The clipped amount
-    is summed over the dense samples, which overestimates a peak at an element's end.
+    Only elements in which a control is clipped have an entry: the change of the states at the
+    element's end, shape (n_states,). A control that is clipped in a part of an element is not a
+    polynomial. The change of the derivatives is therefore integrated over the dense samples by the
+    trapezoidal rule, which overestimates a peak at an element's end.
 
     Parameters
     ----------
@@ -485,10 +519,10 @@ def _clipping_corrections(
 
 
 def _relative(solution: Solution, moved: list[FloatArray]) -> FloatArray:
-    """Return the largest state correction in each element, relative to the states' magnitudes.
+    """Return the largest error of each state in each element, relative to the state's magnitude.
 
-    `moved` has an array of shape (degree + 1, n_states) per element; the result has shape
-    (n_elements, n_states).
+    `moved` has the errors in each element, from `_state_corrections`: an array of shape (degree +
+    1, n_states) per element. The result has shape (n_elements, n_states).
     """
     return np.array([np.abs(m).max(axis=0) / state_sizes(solution) for m in moved])
 
@@ -506,7 +540,9 @@ def state_sizes(solution: Solution) -> FloatArray:
 def _objective_errors(solution: Solution, moved: list[FloatArray]) -> FloatArray:
     """Return the effect of each element's state errors on the objective, shape (n_elements,).
 
-    The changes of the states at the element's end are multiplied by the costates at its end.
+    The errors of the states at the element's end are multiplied by the costates there. The effect
+    is relative to the objective, and extrapolated to the whole horizon by `_of_all`. `moved` has
+    the state errors, from `_state_corrections`.
     """
     mesh = solution.mesh
     if not solution.problem.compiled.declared.states:
@@ -517,17 +553,22 @@ def _objective_errors(solution: Solution, moved: list[FloatArray]) -> FloatArray
 
 
 def _restraints(solution: Solution) -> FloatArray:
-    """Return the relative cost of the bounds between the points, shape (n_elements,)."""
+    """Return the cost of the bounds that are imposed between the collocation points.
+
+    The cost of each element is relative to the objective, extrapolated to the whole horizon by
+    `_of_all`, and divided by the fraction of the tolerance that it may use. Shape (n_elements,).
+    """
     if solution.restraint is None:
         return np.zeros(solution.mesh.elements)
     return _of_all(solution.restraint.cost / solution.nominal_objective / _RESTRAINT_SHARE)
 
 
 def _of_all(shares: FloatArray) -> FloatArray:
-    """Return the error of the whole horizon if all elements had the error of a given element.
+    """Extrapolate the error of each element to the whole horizon, for errors that add up.
 
     The result for an element is its error times the number of elements, but at most the sum of the
-    errors of all elements. `shares` and the result have one entry per element.
+    errors of all elements. It can be compared with the tolerance for the whole horizon. `shares`
+    are the errors; they and the result have one entry per element along the first axis.
     """
     return np.asarray(np.minimum(len(shares) * shares, shares.sum(axis=0)))
 
@@ -535,7 +576,8 @@ def _of_all(shares: FloatArray) -> FloatArray:
 def _quadrature_errors(solution: Solution, samples: _Samples) -> FloatArray:
     """Return the largest relative quadrature error of each element, shape (n_elements,).
 
-    The objective and all integrals are considered.
+    The errors of the objective and of all integrals are considered, by comparison with a finer
+    quadrature rule. `samples` has the integrands at the points of this rule (`_panelled`).
     """
     program, mesh = solution.program, solution.mesh
     first = program.compiled.n_equations
@@ -575,11 +617,13 @@ def _integrands(program: Transcription, samples: _Samples) -> FloatArray:
 
 
 def _missed(solution: Solution, moved: list[FloatArray], weight: float) -> FloatArray:
-    """Return the share of each element in the error of the final states, times a weight.
+    """Assign the error of the final states to the elements, shape (n_elements,).
 
     Only the final state with the largest error counts. The element that contributes most to this
     error is assigned the whole error. Every other element is assigned a part of the error, in
-    proportion to the element's contribution. The result has shape (n_elements,).
+    proportion to the element's contribution. The errors are multiplied by `weight`, the tolerance
+    divided by the allowed error of the final states. `moved` has the state errors in each element,
+    from `_state_corrections`.
     """
     if weight == 0.0:
         return np.zeros(solution.mesh.elements)
@@ -597,8 +641,8 @@ def _breaches(
     a given weight.
     For a bound or limit on controls alone, it is the change of states that the violation causes
     within the element. For any other limit, it is the effect on the objective, estimated from the
-    limit's multipliers. If a violation exceeds its tolerance in `Allowance`, the violation itself
-    counts.
+    multipliers of the bounds on states. If a violation exceeds its tolerance in `Allowance`, the
+    violation itself counts.
     """
     mesh = solution.mesh
     residuals, limits, controls = (
@@ -613,7 +657,11 @@ def _breaches(
 
 
 def _prices(solution: Solution) -> FloatArray:
-    """Return the sum of the multipliers of bounds on states per element, shape (n_elements,)."""
+    """Return for each element the sum of the multipliers of all bounds on states.
+
+    The multiplier of a bound is the change of the objective per unit of the bound. Shape
+    (n_elements,).
+    """
     program, multipliers = solution.program, solution.multipliers
     columns = program.layout.state_columns[1:]
     on_states = (multipliers.lower[columns] + multipliers.upper[columns]).sum(axis=1)

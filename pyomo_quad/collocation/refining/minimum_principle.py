@@ -1,4 +1,4 @@
-"""Tests by Pontryagin's principle, for better controls far from the solution and for flat optima.
+"""Tests of a solution by Pontryagin's principle: better controls, and flat optima.
 
 Derivations: see docs/theory/refinement.md, eqs. (10) and (11).
 
@@ -43,9 +43,10 @@ _KEPT = 1e-9
 
 
 def improved_controls(solution: Solution, tolerance: float) -> Solution | None:
-    """Return a solution in which a control minimises the Hamiltonian, if the gain is large enough.
+    """Return a solution with controls that minimise the Hamiltonian, if they gain enough.
 
-    Each control is changed alone and at every point separately, with states and costates unchanged.
+    Each control is changed alone, and at every collocation point separately, with states and
+    costates unchanged. The gain is the decrease of the Hamiltonian, integrated over the horizon.
 
     Parameters
     ----------
@@ -101,9 +102,10 @@ def improved_controls(solution: Solution, tolerance: float) -> Solution | None:
 def _valleys(
     at: Callable[[FloatArray], FloatArray], lower: FloatArray, upper: FloatArray
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Yield values of a control to try at each point, each with its value of the Hamiltonian.
+    """Yield trial values of a control at all collocation points, and the Hamiltonian for them.
 
-    The values are a grid between the bounds, and the minima of parabolas through three neighbours.
+    The trial values at a point are a grid between the bounds of the control, and the minima of
+    parabolas through three neighbouring values of the grid.
 
     Parameters
     ----------
@@ -130,10 +132,11 @@ def _valleys(
 def _hilly_controls(solution: Solution, lower: FloatArray, upper: FloatArray) -> NDArray[np.intp]:
     """Return the free controls for which the Hamiltonian may have several local minima.
 
-    Between two minima its curvature is negative. If a rate has a factor that depends on a control,
-    the Lagrangian's curvature is inconclusive, and the control is included. `lower` and `upper` are
-    the bounds of the algebraic variables, shape (n_points, n_algebraics). The result holds the
-    positions of the controls among the algebraic variables.
+    A free control is a bounded algebraic variable that can be changed alone (`_free_controls`).
+    Between two minima the curvature of the Hamiltonian in the control is negative. If a rate has a
+    factor that depends on a control, the curvature is inconclusive, and the control is included.
+    `lower` and `upper` are the bounds of the algebraic variables, shape (n_points, n_algebraics).
+    The result holds the positions of the controls among the algebraic variables.
     """
     program = solution.program
     free = _free_controls(program, lower, upper)
@@ -158,7 +161,8 @@ def _free_controls(
 ) -> NDArray[np.intp]:
     """Return the positions of bounded algebraic variables that appear in no algebraic equation.
 
-    Such a variable can be changed alone.
+    A change of such a variable requires no change of another algebraic variable. `lower` and
+    `upper` are the bounds of the algebraic variables, shape (n_points, n_algebraics).
     """
     compiled, n = program.compiled, program.layout.n_states
     path = compiled.path
@@ -172,9 +176,11 @@ def _free_controls(
 
 
 def _hamiltonian(solution: Solution, variables: FloatArray) -> FloatArray:
-    """Return the Hamiltonian at the points up to a constant, infinite where a limit is violated.
+    """Return the Hamiltonian at the collocation points, up to a constant at each point.
 
-    `variables` holds rates, states, algebraic and static variables, one row per collocation point.
+    The result has shape (n_points,). It is infinite at points at which a path limit is violated.
+    `variables` holds rates, states, algebraic and static variables, one row per collocation point;
+    the costates are the costates of the solution.
     """
     program = solution.program
     compiled, count = program.compiled, len(variables)
@@ -213,13 +219,19 @@ def state_error(
 ) -> float:
     """Estimate the distance of the states from the optimal states, relative to their magnitudes.
 
-    The estimate is the largest of three numbers. The first is the sum of the errors of all
-    elements. The second applies to a singular arc, where only the objective determines the control:
-    the objective is flat about its optimum, so that a small error of the objective allows a large
-    error of the states. The third applies if limits become active or inactive inside elements,
-    because the mesh then restricts the times at which they can: it is the largest of the violation
-    of limits, the effect of a control that jumps elsewhere within the one-point element cut around
-    the jump and, without a singular arc, the change of the states since the previous mesh.
+    The estimate is the largest of three numbers.
+
+    The first is the sum of the errors of all elements.
+
+    The second applies to a singular arc, where only the objective determines the control. The
+    objective is flat about its optimum, so that a small error of the objective allows a large error
+    of the states.
+
+    The third applies if limits become active or inactive inside elements, because the mesh then
+    restricts the times of these changes. It is the largest of three effects: the violation of
+    limits; the change of the states if a control jumps at another time within the one-point element
+    that was cut around the jump; and, without a singular arc, the change of the states since the
+    previous mesh.
 
     Parameters
     ----------
@@ -259,13 +271,14 @@ def state_error(
 
 
 def singular_order(solution: Solution) -> int:
-    """Return the order of a singular arc: 0 if there is no such arc, 1, or 2 for any higher order.
+    """Return the order of a singular arc of a solution: 0 (no singular arc), 1, or 2 (2 or higher).
 
     On a singular arc a control lies between its limits, and the Hamiltonian has no curvature in the
     control and in the variables that follow from it directly. The arc is of order 1 if the
     Hamiltonian has curvature in the states that the control changes (Robbins 1967; Kelley, Kopp and
-    Moyer 1967). Elements of one point, cut for jumps, are not counted, nor are points on a limit of
-    a state, which determines the control.
+    Moyer 1967). Two kinds of collocation points are not examined: points in elements with a single
+    point, which were cut around jumps; and points at which a limit on a state is active, because
+    the limit determines the control there.
     """
     program, n = solution.program, solution.program.layout.n_states
     held = solution.trajectory.algebraics
@@ -301,9 +314,10 @@ def singular_order(solution: Solution) -> int:
 
 
 def _barriers(solution: Solution) -> FloatArray:
-    """Return the barrier's curvature from the bounds of algebraic variables, at each point.
+    """Return the second derivative of Ipopt's barrier function in each algebraic variable.
 
-    Shape (n_points, n_algebraics), per unit of the fraction of the horizon.
+    The barrier function keeps the variable between its bounds. The result has a row per collocation
+    point, shape (n_points, n_algebraics), and is divided by the point's quadrature weight.
     """
     z, multipliers, bounds = solution.unknowns, solution.multipliers, solution.bounds
     lower = multipliers.lower / np.maximum(z - bounds.lower, _LEAST_SLACK)
@@ -332,7 +346,9 @@ def _free_directions(
 ) -> FloatArray:
     """Return an orthonormal basis of the changes of rates and controls that the equations allow.
 
-    Shape (n_points, n_free, n_rates + n_algebraics), in units of the magnitudes `scale`.
+    The states are unchanged. `z` is the solution, `points` the collocation points to examine, and
+    `scale` the magnitudes of rates and algebraic variables, which are the units of the basis. The
+    result has shape (n_points, n_free, n_rates + n_algebraics).
     """
     n, rows = program.layout.n_states, np.flatnonzero(program.compiled.is_equality)
     chosen = np.r_[0:n, 2 * n : 2 * n + program.layout.n_algebraics]

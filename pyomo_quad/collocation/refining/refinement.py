@@ -69,14 +69,15 @@ def refine(
 ) -> S:
     """Solve on finer and finer meshes until the error estimate meets the tolerance.
 
-    If limits become active or inactive inside an element, or controls are damped, the objective
-    must also have settled to the tolerance between the last two meshes.
+    If limits become active or inactive inside an element, or controls are damped, the change of the
+    objective since the previous mesh must also be at most half the tolerance.
 
     Parameters
     ----------
     solve : callable
-        (meshes, start, dampings, change=) -> solution, with one mesh and damping for each horizon,
-        and the expected change of the objective, None where unknown.
+        (meshes, start, dampings, change=, iteration_limit=) -> solution. `meshes` and `dampings`
+        have one item for each horizon. `change` is the expected change of the objective, None if it
+        is unknown.
     meshes : tuple of Mesh
         Initial meshes, one for each horizon.
     tolerance : float
@@ -90,8 +91,9 @@ def refine(
     Returns
     -------
     Solution or JointSolution
-        `converged`, or `tolerance_not_met` with the error that was reached in its message, or the
-        status of the solve that failed.
+        The last solution, or an earlier solution that a restart did not improve. Its status is
+        `converged`; or `tolerance_not_met`, with the reason in the message; or the status of the
+        solve that failed.
     """
     going = _Refinement(
         solve, meshes, tolerance, refinement, start, past_the_barrier, before=(None,) * len(meshes)
@@ -104,7 +106,10 @@ def refine(
 
 @dataclass
 class _Refinement(Generic[S]):
-    """State of a refinement: the next meshes with their start, and the results of the last meshes.
+    """Mesh refinement in progress: the next meshes with their start, and the previous results.
+
+    The function `refine` creates an instance, and calls `with_next_meshes` until the refinement
+    ends.
 
     Attributes
     ----------
@@ -119,13 +124,14 @@ class _Refinement(Generic[S]):
     before : tuple
         The previous solution on each horizon; None before the first solve.
     records, tried : list
-        One record per mesh, and the strategies that were tried.
+        One `MeshRecord` per mesh, and the names of the solution strategies that were tried.
     dampings : tuple
         Damping of the controls for each horizon; None for a horizon without damping.
     firmness : float
         Factor on the strength of the damping.
     settled : int
-        Number of damped meshes on which the objective had settled.
+        Number of meshes with damping on which the objective changed by less than half the
+        tolerance.
     restarts : int
         Number of restarts by Pontryagin's principle.
     reached : _Reached, optional
@@ -152,7 +158,10 @@ class _Refinement(Generic[S]):
         self.dampings = (None,) * len(self.meshes)
 
     def with_next_meshes(self) -> S | None:
-        """Solve on the next meshes; return the result if the refinement ends, None to continue."""
+        """Solve on the next meshes, and choose the meshes after them.
+
+        The result is the final solution if the refinement ends, and None if it continues.
+        """
         solution, errors, has_failed = self._solved()
         if solution.status is not Status.CONVERGED:
             return (
@@ -201,7 +210,7 @@ class _Refinement(Generic[S]):
         return self._shown(solution), errors, solved.status.has_failed
 
     def _restarted(self, accepted: S) -> S | None:
-        """Restart the refinement if Pontryagin's principle shows better controls.
+        """Restart the refinement if controls exist that are better by Pontryagin's principle.
 
         `accepted` is the solution within tolerance on the present meshes. The result is None if the
         refinement was restarted. Otherwise it is the final solution: `accepted`, or the solution
@@ -232,7 +241,7 @@ class _Refinement(Generic[S]):
         *,
         is_damped: bool,
     ) -> None:
-        """Choose warm start and damping of the solve on the next meshes, after a solution.
+        """Set warm start, damping and meshes of the next solve, given the present solution.
 
         Parameters
         ----------
@@ -257,11 +266,17 @@ class _Refinement(Generic[S]):
     def _begin_at(
         self, warm: Any, meshes: tuple[Mesh, ...], before: tuple[Solution | None, ...]
     ) -> None:
-        """Set warm start, meshes and previous solutions for the next solve of the refinement."""
+        """Set warm start, meshes and previous solutions for the next solve of the refinement.
+
+        `before` has the previous solution on each horizon, None where there is none.
+        """
         self.start, self.meshes, self.before = replace(self.start, warm=warm), meshes, before
 
     def _damped(self, parts: tuple[Solution, ...], **how: Any) -> tuple[Damping | None, ...]:
-        """Return the damping of controls towards the given solutions, one per horizon.
+        """Return for each horizon the damping of the controls towards a given solution.
+
+        Damping is a penalty on the distance from the controls of the solution. `parts` has the
+        solutions, one for each horizon.
 
         `how` has the keyword arguments `gap` and `is_still` of `damping_of`.
         """
@@ -269,11 +284,12 @@ class _Refinement(Generic[S]):
         return tuple(damping_of(part, weight, **how) for part in parts)
 
     def _measured(self, solved: S) -> tuple[S, tuple[ErrorEstimate, ...]]:
-        """Return a solution and its errors, after reducing the complementarity gap if it dominates.
+        """Return a solution and its estimated errors, with a smaller complementarity gap if needed.
 
-        A solve with damping leaves a complementarity gap on purpose, and the solve on the next mesh
-        leaves a smaller gap. On the present mesh the gap is therefore reduced only if all other
-        errors meet the tolerance.
+        The gap is the error that Ipopt's barrier leaves in the objective. If the gap is the largest
+        error, the solve is continued until the gap is smaller. A solve with damping leaves a gap on
+        purpose, and the solve on the next mesh leaves a smaller gap. On the present mesh this gap
+        is therefore reduced only if all other errors meet the tolerance.
         """
         errors = self._errors(solved)
         is_left = any(d is not None and d.gap > 0.0 for d in self.dampings)
@@ -284,10 +300,10 @@ class _Refinement(Generic[S]):
         return solved, errors
 
     def _errors(self, solution: Outcome) -> tuple[ErrorEstimate, ...]:
-        """Return the error estimate on each horizon.
+        """Return the error estimate of a solution on each horizon.
 
-        With several horizons the complementarity gap is set to 0, because it belongs to all
-        horizons together.
+        With several horizons, the complementarity gap is set to 0 in each estimate, because the gap
+        is a property of all horizons together.
         """
         how: dict[str, Any] = {"tolerance": self.tolerance, "allowance": self.options.allowance}
         errors = tuple(estimate_error(part, **how) for part in solution.parts)
@@ -307,10 +323,12 @@ class _Refinement(Generic[S]):
     def _next_meshes(
         self, solution: Outcome, errors: tuple[ErrorEstimate, ...], *, is_damped: bool
     ) -> tuple[Mesh, ...] | None:
-        """Return the next meshes, or None if the tolerance is met.
+        """Return the next meshes, one for each horizon, or None if the refinement may end.
 
-        If controls are damped (penalised for their distance from the controls of the previous
-        mesh), the meshes may stay the same as long as the objective still changes.
+        The refinement may end if all errors meet the tolerance. If limits become active or inactive
+        inside elements, or if controls are damped (penalised for their distance from the controls
+        of the previous mesh), the last change of the objective must also be less than half the
+        tolerance. With damping, the next meshes may be the same meshes again.
         """
         parts = solution.parts
         junctions = [junction_elements(part) for part in parts]
@@ -332,11 +350,18 @@ class _Refinement(Generic[S]):
         return None if is_same and is_met and not is_damped else tuple(finer)
 
     def _has_settled(self, solution: Outcome) -> bool:
-        """Return whether the last change of the objective is less than half the tolerance."""
+        """Return whether the objective has changed little since the previous mesh.
+
+        The relative change must not exceed half the tolerance.
+        """
         return _objective_change(solution.parts[0], self.tolerance) <= _SETTLED * self.tolerance
 
     def _given_up(self, solution: S, error: float) -> S:
-        """Return a solution with the status and message of a refinement that stops too early."""
+        """Return a solution whose status and message state that the tolerance was not met.
+
+        `error` is the estimated error that was reached. The message gives the reason why the
+        refinement stops, and advice.
+        """
         records = self.records
         why = "allow more meshes, elements or a higher degree, or ask for less."
         if _gains_too_little(records):
@@ -354,9 +379,9 @@ class _Refinement(Generic[S]):
         )
 
     def _shown(self, solution: S) -> S:
-        """Pass a finished mesh's solution to the callback `on_mesh`.
+        """Pass a converged solution to the caller's callback `on_mesh`, and return the solution.
 
-        If the callback returns False, the result is the solution marked as interrupted.
+        If the callback returns False, the returned solution has the status interrupted.
         """
         is_finished = solution.status is Status.CONVERGED
         if is_finished and self.options.on_mesh and self.options.on_mesh(solution) is False:
@@ -377,8 +402,9 @@ class _Refinement(Generic[S]):
     def _gap_to_leave(self, solution: Outcome, errors: tuple[ErrorEstimate, ...]) -> float:
         """Return the relative complementarity gap at which the next solve may stop.
 
-        Precision below the present error of the integrals is not useful while the times at which
-        limits become active change from mesh to mesh.
+        The gap is a fraction of the present error of objective and integrals, because more
+        precision is not useful while the times at which limits become active change from mesh to
+        mesh.
         """
         unknown = max(e.of_integrals for e in errors)
         if any(part.restraint is not None for part in solution.parts):
@@ -388,9 +414,10 @@ class _Refinement(Generic[S]):
 
 
 def _firmer(firmness: float, settled: int) -> float:
-    """Return the next factor on the damping (penalty) of the controls.
+    """Return the next factor on the penalty by which controls are damped.
 
-    The factor grows with `settled`, the number of meshes on which the objective hardly changed.
+    `firmness` is the present factor. It is multiplied by 5 up to a limit, which increases with
+    `settled`, the number of meshes on which the objective hardly changed.
     """
     most = _FIRMEST if settled >= _MANY_SETTLED else _FIRM
     most = math.inf if settled >= _TOO_MANY_SETTLED else most
@@ -399,7 +426,9 @@ def _firmer(firmness: float, settled: int) -> float:
 
 @dataclass
 class _MeshSolve(Search[S], Generic[S]):
-    """Search for the solution on the next meshes, by the strategies of the scope `MESH`.
+    """Search for the solution on the next meshes of a refinement.
+
+    The search tries the strategies of the scope `MESH`, in the order of the table in `strategies`.
 
     Attributes
     ----------
@@ -413,7 +442,7 @@ class _MeshSolve(Search[S], Generic[S]):
     change : float or None
         Expected change of the objective.
     gap : float
-        Complementarity gap, relative to the objective, that a stronger damping leaves.
+        Complementarity gap, relative to the objective, that a solve with stronger damping leaves.
     """
 
     solve: Callable[..., S]
@@ -424,7 +453,11 @@ class _MeshSolve(Search[S], Generic[S]):
     gap: float
 
     def holds(self, fact: Fact) -> bool:
-        """Return whether a condition that a strategy requires (`Fact`) is true at this stage."""
+        """Return whether a condition that a strategy requires is true at this stage of the search.
+
+        The conditions concern the warm start, and whether damping or a small barrier parameter
+        keeps the next solution near the previous solution.
+        """
         is_kept_near = self.change is not None or _are_damped(self.dampings)
         has_warm = self.start.warm is not None
         return {
@@ -434,10 +467,10 @@ class _MeshSolve(Search[S], Generic[S]):
         }[fact]
 
     def attempt(self, strategy: Strategy) -> S:
-        """Solve on the next meshes as a strategy of the table prescribes.
+        """Solve on the next meshes with a strategy of the table, and return the result.
 
-        The strategy determines the start, the damping of the controls, and the budget of
-        iterations.
+        The strategy determines the starting point, whether the damping of the controls is
+        increased, and the limit of iterations.
         """
         if strategy.is_firm:
             self.dampings = tuple(d and d.firmer(_FIRM, self.gap) for d in self.dampings)
@@ -449,9 +482,9 @@ class _MeshSolve(Search[S], Generic[S]):
 
 
 def _sharper(dampings: tuple[Damping | None, ...], tolerance: float) -> tuple[Damping | None, ...]:
-    """Return the dampings with a smaller complementarity gap, which is a fraction of the tolerance.
+    """Return the dampings with a complementarity gap of at most a fraction of the tolerance.
 
-    There is one damping for each horizon; None for a horizon without damping.
+    `dampings` and the result have one item for each horizon, None for a horizon without damping.
     """
     least = _LEAST_INEXACT * tolerance
     return tuple(
@@ -460,7 +493,10 @@ def _sharper(dampings: tuple[Damping | None, ...], tolerance: float) -> tuple[Da
 
 
 def _are_damped(dampings: tuple[Damping | None, ...]) -> bool:
-    """Return whether any controls are damped (penalised for changes from the previous mesh)."""
+    """Return whether any controls are damped, that is penalised for changes from the previous mesh.
+
+    `dampings` has one item for each horizon, None for a horizon without damping.
+    """
     return any(damping is not None and damping.controls.size > 0 for damping in dampings)
 
 
@@ -469,9 +505,9 @@ def _is_limited_by_the_barrier(
 ) -> bool:
     """Return whether Ipopt's barrier, not the mesh, limits the accuracy of a solution.
 
-    There are two cases. Either the complementarity gap exceeds the tolerance while the error of
-    every element is at most `fine`; or the scaled objective is so small that it has no influence on
-    Ipopt's convergence test.
+    Two conditions must hold. The error of every element is at most `fine`; the costs of control
+    switches are not counted. And either the complementarity gap exceeds the tolerance, or the
+    scaled objective is so small that it has no influence on Ipopt's convergence test.
     """
     (part,), (error,) = solution.parts, errors
     counted = replace(error, switches=0.0 * error.switches, costs=0.0 * error.costs)
@@ -484,16 +520,18 @@ def _is_limited_by_the_barrier(
 
 @dataclass
 class _Reached(Generic[S]):
-    """Solution within tolerance, kept while a restart by Pontryagin's principle is tried.
+    """Solution that met the tolerance, kept while the refinement is restarted from other controls.
+
+    The refinement is restarted if Pontryagin's principle shows better controls.
 
     Attributes
     ----------
     solution : Outcome
         The solution before the restart.
     shown : float, optional
-        Lower bound on the gain of the restart, relative to the objective: the largest value of gain
-        minus estimated error over the solutions found since the restart. None before the first of
-        these solutions.
+        Lower bound on the improvement of the objective by the restart, relative to the objective:
+        the largest value of improvement minus estimated error over the solutions found since the
+        restart. None before the first of these solutions.
     earned : float
         Improvement of `solution` over the solution before the previous restart, relative to the
         objective; 0 if there was none.
@@ -504,30 +542,37 @@ class _Reached(Generic[S]):
     earned: float = 0.0
 
     def gain(self, other: S) -> float:
-        """Return by how much another solution is better, relative to the objective."""
+        """Return the improvement of the objective in another solution, relative to the objective.
+
+        The improvement is negative if the other solution is worse than the kept solution.
+        """
         first = self.solution.parts[0]
         earned = self.solution.objective - other.objective
         is_maximised = first.problem.compiled.declared.maximise
         return (-earned if is_maximised else earned) / first.nominal_objective
 
     def compare(self, other: S, error: float) -> None:
-        """Record the gain of a solution found after the restart, minus the solution's error."""
+        """Update `shown` with a solution that was found after the restart.
+
+        `other` is this solution, `error` its estimated relative error.
+        """
         shown = self.gain(other) - error
         self.shown = shown if self.shown is None else max(self.shown, shown)
 
     def better(self, other: S) -> S:
-        """Return the better of two solutions: the solution before the restart, or `other`."""
+        """Return the better of two solutions: the kept solution, or `other`, found after it."""
         if self.gain(other) >= 0.0:
             return other
         return self.solution.updated(history=other.parts[0].history)
 
 
 def _result_above_tolerance(ended: S, reached: _Reached[S] | None, tolerance: float) -> S:
-    """Return the result of a refinement that ended above its tolerance.
+    """Return the result of a refinement that ended without meeting its tolerance.
 
-    If the refinement had been restarted, the result is the solution before the restart. The
-    returned solution carries a warning if the restart has shown that a better solution exists, or
-    has led to no solution.
+    `ended` is the last solution. If the refinement had been restarted from other controls, the
+    result is instead `reached`, the solution that met the tolerance before the restart. If the
+    restart has shown that a better solution exists, or has led to no solution, the status and
+    message of the result state this.
     """
     if reached is None:
         return ended
@@ -536,17 +581,21 @@ def _result_above_tolerance(ended: S, reached: _Reached[S] | None, tolerance: fl
 
 
 def _cut_off(reached: _Reached[S]) -> S:
-    """Return the solution before a restart that ran out of meshes, with a warning.
+    """Return the solution before a restart that used up the allowed number of meshes.
 
-    The solution came from an earlier restart; its error may be as large as the gain of that
-    restart.
+    Its status and message state that better controls exist. The solution itself is the result of
+    an earlier restart, and its error is at least the gain of that earlier restart.
     """
     own = reached.solution.parts[0].error_estimate
     return _doubted(reached.solution.updated(error_estimate=max(own, reached.earned)))
 
 
 def _doubted(solution: S) -> S:
-    """Return a solution with the warning that better controls exist, but led to no optimum."""
+    """Return a solution whose status and message state that better controls exist.
+
+    By Pontryagin's principle other controls improve the objective, but no optimum was found from
+    them.
+    """
     return solution.updated(
         status=Status.TOLERANCE_NOT_MET,
         message=(
@@ -563,11 +612,10 @@ def _meshes(solution: Outcome) -> tuple[Mesh, ...]:
 
 
 def _objective_change(solution: Solution, tolerance: float) -> float:
-    """Return the relative change of the objective since the previous mesh.
+    """Return the relative change of the objective since the previous mesh, infinite on the first.
 
-    If the objective agrees better with an earlier mesh that met the tolerance, the change since
-    that mesh is returned, because a mesh between them that did not meet the tolerance may have
-    another objective. Infinite on the first mesh.
+    If the change since an earlier mesh that met the tolerance is smaller, that change is returned:
+    an intermediate mesh that did not meet the tolerance may have another objective.
     """
     *before, now = solution.history
     accepted = [record for record in before[:-1] if record.error <= tolerance]
@@ -589,9 +637,10 @@ def _gains_too_little(records: Sequence[MeshRecord]) -> bool:
 
 
 def _most_moved(solution: Outcome, before: tuple[Solution | None, ...]) -> str:
-    """Return a phrase on the control that changed most between the previous mesh and this mesh.
+    """Return a phrase, for a message, on the control that changed most since the previous mesh.
 
-    The phrase gives the control's name, the time and the change; "" if there is no control.
+    The phrase gives the name of the control, and the time and size of its largest change. It is
+    empty if there is no control. `before` has the solution on the previous mesh for each horizon.
     """
     found = []
     for part, last in zip(solution.parts, before, strict=True):

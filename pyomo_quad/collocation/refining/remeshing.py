@@ -30,28 +30,30 @@ class RefinementOptions:
     Attributes
     ----------
     first_elements, first_degree : int
-        Number of elements and degree of the initial mesh.
+        Number of elements of the initial mesh, and their degree.
     max_meshes : int
         Number of solves after which the refinement stops.
     min_degree, max_degree : int
-        Range of degrees.
+        Lowest degree to which an element's degree is lowered, and highest to which it is raised.
     smooth_decay : float
-        Decades by which Legendre coefficients must fall per degree in a smooth element.
+        Decrease of the Legendre coefficients of the solution, in decades per degree, above which
+        the solution counts as smooth in an element. The degree of the element is then raised;
+        otherwise the element is split.
     smallest_width : float
         Fraction of the horizon below which no element is split.
     max_points : int
         Number of collocation points above which no finer mesh is tried.
     allowance : Allowance
-        Tolerances for flying the controls in open loop.
+        Tolerances for a flight with the controls in open loop.
     damping : float
         Strength of the penalty on the distance between the controls and the controls on the
         previous mesh. Only controls that enter linearly are penalised. If a control differs by its
         whole range, the penalty is `damping` times the tolerance times the objective.
     limits_move : bool
-        Whether many limits become active and inactive along the trajectory. Most of these junctions
-        hardly affect the objective. Elements are then split at junctions only after all other
-        errors meet the tolerance, and the complementarity gap is reduced only down to the error on
-        the previous mesh.
+        Whether many limits become active and inactive along the trajectory. Most of these changes
+        (junctions) hardly affect the objective. If true, elements are split at junctions only after
+        all errors meet the tolerance, and each solve reduces the complementarity gap only to a
+        fraction of the error on the previous mesh.
     on_mesh : callable, optional
         Called with the solution on each finished mesh, its error estimate and history included. If
         it returns False, the refinement ends with the status interrupted, and with the solution on
@@ -73,16 +75,16 @@ class RefinementOptions:
 
     @property
     def breach_between_points(self) -> float:
-        """Allowed relative violation of bounds between collocation points.
+        """Relative violation of bounds that is allowed between collocation points.
 
-        Infinite if the bounds are not imposed between the points.
+        Infinite if bounds are imposed at the collocation points only.
         """
         allowed = min(self.allowance.control_breach, self.allowance.limit_breach)
         return 0.5 * allowed if self.limits_move and allowed > 0.0 else math.inf
 
     @property
     def first_mesh(self) -> Mesh:
-        """Initial mesh of a refinement, of equally wide elements of one degree."""
+        """Initial mesh of a refinement: elements of equal width and equal degree."""
         return Mesh.uniform(self.first_elements, self.first_degree)
 
 
@@ -121,8 +123,9 @@ class _Piece:
     Attributes
     ----------
     end : float
-        Right end as a fraction of the horizon.
+        Right end of the element as a fraction of the horizon.
     degree : int
+        Degree of the element's polynomials.
     error : float
         Error of the element of the present mesh from which this element was made; for a merged
         element, the predicted error.
@@ -138,17 +141,17 @@ class _Piece:
 
 @dataclass(frozen=True, kw_only=True)
 class Marks:
-    """Marks on elements, by index, that control the next mesh of a refinement.
+    """Choice of the elements that the next mesh of a refinement changes or keeps.
 
     Attributes
     ----------
     coarse : frozenset of int
-        Elements to refine.
+        Indices of the elements to refine.
     kept : frozenset of int
-        Elements that must keep their degree.
+        Indices of the elements whose degree must not be lowered.
     are_kinked : bool
-        Whether controls reach their limits with kinks instead of jumps. True if no control enters
-        linearly.
+        Whether controls reach their limits with kinks instead of jumps. The refinement sets it if
+        no control enters linearly, so that no control is damped.
     """
 
     coarse: frozenset[int]
@@ -159,7 +162,7 @@ class Marks:
 def mesh_for_states(
     solution: Solution, tolerance: float, options: RefinementOptions, *, least_degree: int
 ) -> tuple[Mesh, float]:
-    """Return the next mesh for a solution if only the errors of its states count.
+    """Return the next mesh for a solution, refined by the errors of its states alone.
 
     Parameters
     ----------
@@ -210,14 +213,14 @@ def refined_mesh(
     solution : Solution
     error : ErrorEstimate
     marks : Marks
-        Elements to refine, and elements that must keep their degree.
+        Elements to refine, and elements whose degree must not be lowered.
     tolerance : float
     options : RefinementOptions
 
     Returns
     -------
     Mesh
-        The same mesh if no further change is allowed.
+        The next mesh; the same mesh if the next mesh would have more points than `options` allows.
     """
     mesh = solution.mesh
     pieces: list[_Piece] = []
@@ -243,9 +246,10 @@ def refined_mesh(
 def _lowered(
     solution: Solution, e: int, error: float, tolerance: float, options: RefinementOptions
 ) -> _Piece:
-    """Return an accurate element for the next mesh, with its degree lowered if possible.
+    """Return an element with a small error for the next mesh, with its degree lowered if possible.
 
-    The degree is lowered as far as the highest Legendre terms are negligible.
+    The degree is lowered as long as the highest Legendre coefficients of the states are negligible.
+    `e` is the index of the element, `error` its estimated error.
     """
     mesh = solution.mesh
     degree = mesh.degrees[e]
@@ -257,10 +261,10 @@ def _lowered(
 
 
 def _switches(solution: Solution, marks: Marks) -> dict[int, float]:
-    """Return the times of the control switches to be isolated in small elements, by element.
+    """Return the times of the control switches that the next mesh isolates in narrow elements.
 
-    If the element contains exactly one kink of a control, the switch is the kink; otherwise it is a
-    jump of a control.
+    A switch is a kink or a jump of a control. If an element contains exactly one kink, the switch
+    is the kink; otherwise it is a jump.
 
     Parameters
     ----------
@@ -290,8 +294,7 @@ def _isolated(mesh: Mesh, e: int, jump: float, size: float) -> list[_Piece]:
     The sliver is a narrow element of degree 1, with one collocation point. The control is constant
     in the sliver: if it satisfies its limits at the point, it satisfies them everywhere. The error
     of the states decreases with the square of the sliver's width. If an adjacent element is already
-    a sliver for this jump, but the jump reaches beyond it, the element is split into thirds
-    instead.
+    a sliver, the jump extends beyond that sliver; the element is then split into thirds instead.
 
     Parameters
     ----------
@@ -323,10 +326,10 @@ def _finer(
     tolerance: float,
     options: RefinementOptions,
 ) -> list[_Piece]:
-    """Return the elements that replace an element whose error is too large.
+    """Return the elements of the next mesh that replace an element whose error is too large.
 
-    If the solution is smooth in the element, the element's degree is raised; otherwise the element
-    is split.
+    If the solution is smooth in the element, the result is one element with a higher degree;
+    otherwise the element is split. `e` is the index of the element.
     """
     mesh = solution.mesh
     degree, size = mesh.degrees[e], float(error.per_element[e])
@@ -357,16 +360,20 @@ def _finer(
 
 
 def _parts(mesh: Mesh, e: int, count: int, degree: int, size: float) -> list[_Piece]:
-    """Split an element into equally wide parts of one degree."""
+    """Split an element into `count` equally wide elements of the given degree.
+
+    `e` is the index of the element, `size` its error, which the parts keep.
+    """
     edges = np.linspace(mesh.breakpoints[e], mesh.breakpoints[e + 1], count + 1)
     ends = [*(float(b) for b in edges[1:-1]), mesh.breakpoints[e + 1]]
     return [_Piece(end, degree, size) for end in ends]
 
 
 def _merged(pieces: list[_Piece], solution: Solution, tolerance: float) -> list[_Piece]:
-    """Merge neighbouring elements if the predicted error is far below the tolerance.
+    """Merge neighbouring elements of the next mesh if the merged element is accurate enough.
 
-    Elements that were refined for this mesh, and boundaries that the problem requires, are kept.
+    Its predicted error must be far below the tolerance. Elements that were refined for the next
+    mesh are not merged. A boundary between elements is kept if the problem requires it.
     """
     required = solution.problem.required_breakpoints(solution.instance)
     merged: list[_Piece] = []
@@ -390,7 +397,8 @@ def _merged(pieces: list[_Piece], solution: Solution, tolerance: float) -> list[
 def _legendre_sizes(solution: Solution, e: int) -> FloatArray:
     """Return the relative magnitudes of the states' Legendre coefficients in an element.
 
-    Shape (degree + 1,), the largest over the states for each order.
+    The result has for each order the largest magnitude over all states, shape (degree + 1,). `e` is
+    the index of the element.
     """
     mesh, states = solution.mesh, solution.trajectory.states
     first, last = mesh.first_node[e], mesh.first_node[e + 1]
@@ -405,7 +413,8 @@ def _legendre_sizes(solution: Solution, e: int) -> FloatArray:
 def _integrand_sizes(solution: Solution, e: int) -> FloatArray:
     """Return the relative magnitudes of the integrands' Legendre coefficients in an element.
 
-    Shape (degree,), the largest over the integrals for each order.
+    The result has for each order the largest magnitude over all integrals, shape (degree,). `e` is
+    the index of the element.
     """
     mesh, program = solution.mesh, solution.program
     points = slice(mesh.first_node[e], mesh.first_node[e + 1])
@@ -420,7 +429,9 @@ def _integrand_sizes(solution: Solution, e: int) -> FloatArray:
 def _decay(sizes: FloatArray) -> float:
     """Return the decay rate of Legendre coefficients in decades per degree, by least squares.
 
-    The constant term gives no information on smoothness, and rounding levels off the tail.
+    The decay rate measures how smooth a function is. `sizes` are the magnitudes of the coefficients
+    in order of degree. Two kinds of coefficients are left out: the constant term, which gives no
+    information on smoothness, and coefficients at the level of rounding.
     """
     order = np.arange(1, sizes.size)
     kept = sizes[1:] > 1e-14
@@ -430,9 +441,10 @@ def _decay(sizes: FloatArray) -> float:
 
 
 def _jump(solution: Solution, e: int) -> float | None:
-    """Return the time of a bounded control's jump in an element, as a fraction of the horizon.
+    """Return the time at which a bounded control jumps in an element, as a fraction of the horizon.
 
-    The result is None if no control jumps, or the problem requires a boundary of the element.
+    `e` is the index of the element. The result is None if no control jumps. It is also None if the
+    problem requires a boundary of the element, because the jump is then at that boundary.
     """
     mesh = solution.mesh
     if known_boundaries(solution)[e : e + 2].any():

@@ -21,18 +21,20 @@ _SAME_WIDTH = 1.0 + 1e-9
 
 
 def misplaced_switches(solution: Solution) -> FloatArray:
-    """Bound the increase of the objective by a misplaced control switch in each element.
+    """Bound the increase of the objective by a control switch at a wrong time, for each element.
 
     Let J(s) be the least objective with a control that switches at time s. If the switch is later
     by ds, the Hamiltonian before the switch, H-, applies for ds instead of the Hamiltonian after
-    the switch, H+, and the costates are the derivatives of the objective with respect to the
-    changed states: dJ/ds = H- - H+. At the optimal switch the Hamiltonian does not jump
-    (Weierstrass and Erdmann). A mesh determines the element of the switch but not its place inside:
-    the polynomials, or the single point of a sliver (a narrow element cut around a switch), put the
-    switch anywhere in the width w. Neither the equations between the points nor a comparison with
-    the previous mesh, which may have had the same sliver, determine the place. The jump of the
-    Hamiltonian decreases towards the optimal switch, which is at most w away, so that J is too
-    large by at most |H- - H+| w.
+    the switch, H+. The costates are the derivatives of the objective with respect to the changed
+    states, so that dJ/ds = H- - H+. At the optimal switch the Hamiltonian does not jump
+    (Weierstrass and Erdmann).
+
+    A mesh determines the element in which the control switches, but not the time of the switch
+    within the width w of the element: the polynomials of the element, or the single point of a
+    sliver (a narrow element cut around a switch), may put the switch anywhere in it. Neither the
+    equations between the points nor a comparison with the previous mesh, which may have had the
+    same sliver, determine the time. The jump of the Hamiltonian decreases towards the optimal
+    switch, which is at most w away, so that J is too large by at most |H- - H+| w.
 
     If an equation depends on time explicitly, the Hamiltonian changes without a switch. The
     Hamiltonians of two neighbouring points are therefore compared at equal times: at the time of
@@ -78,7 +80,8 @@ def misplaced_switches(solution: Solution) -> FloatArray:
 def _jumping_elements(solution: Solution) -> frozenset[int]:
     """Return the indices of elements in or beside which an algebraic variable jumps.
 
-    A change by more than a quarter of the variable's range counts as a jump.
+    A variable jumps if its values at the points of the element, and at one point on either side,
+    differ by more than a quarter of the variable's range.
     """
     held, ranges = solution.trajectory.algebraics, solution.algebraic_ranges
     first = solution.mesh.first_node
@@ -93,7 +96,7 @@ def _jumping_elements(solution: Solution) -> frozenset[int]:
 def _hamiltonians(
     solution: Solution, points: NDArray[np.intp], fractions: FloatArray
 ) -> FloatArray:
-    """Return the Hamiltonian at collocation points, with time-dependent data of other times.
+    """Return the Hamiltonian at collocation points, with time-dependent parameters of other times.
 
     Parameters
     ----------
