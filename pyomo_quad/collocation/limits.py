@@ -57,6 +57,14 @@ class LimitValues:
     lower: FloatArray
     upper: FloatArray
 
+    @property
+    def relative_violations(self) -> FloatArray:
+        """Violations at the n times relative to max(1, abs(bound)); 0 where the limit is met."""
+        with np.errstate(invalid="ignore"):
+            below = (self.lower - self.values) / np.maximum(1.0, np.abs(self.lower))
+            above = (self.values - self.upper) / np.maximum(1.0, np.abs(self.upper))
+        return np.nan_to_num(np.fmax(np.fmax(below, above), 0.0), nan=0.0)
+
     def worst(self, chosen: slice, t: FloatArray) -> Violation:
         """Return the worst violation of the limit among a range of times.
 

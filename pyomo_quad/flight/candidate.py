@@ -28,12 +28,8 @@ from pyomo_quad.flight.long_flight import fine_mesh, guess_of, is_long, rough_me
 from pyomo_quad.flight.mission_problem import MissionProblem
 from pyomo_quad.flight.plan import Plan
 from pyomo_quad.flight.route_flights import RouteFlights
-from pyomo_quad.flight.stricter_limits import (
-    elements_with_breaches,
-    split_elements,
-    within_limits,
-)
-from pyomo_quad.flight.verdict import energy_of, plan_of, verified
+from pyomo_quad.flight.stricter_limits import mesh_where_broken, within_limits
+from pyomo_quad.flight.verdict import plan_of, verified
 from pyomo_quad.flight.verification import BALANCE_TOLERANCE, shares_lacking
 from pyomo_quad.model.battery import GIVEN_SHARE
 from pyomo_quad.scenario.accuracy import Accuracy
@@ -525,12 +521,11 @@ class Candidate:
         str or None
             Number of solves; None if no stricter limit is known.
         """
-        relaxed, asked = self.found, self.scenario.solver.accuracy
-        least, solves = energy_of(self.mission.told, relaxed), 0
+        relaxed, asked, solves = self.found, self.scenario.solver.accuracy, 0
 
-        def fly(solution: Solution) -> Plan:
+        def fly(solution: Solution, least_energy: float) -> Plan:
             plan = replace(self.plan_of(solution), routes=self.routes)
-            return verified(plan, solution, asked, least)
+            return verified(plan, solution, asked, least_energy)
 
         for plan in within_limits(self.mission, relaxed, self.plan, asked, fly):
             self.flown, solves = plan, solves + 1
@@ -564,9 +559,7 @@ class Candidate:
         """
         self.tolerance *= _TIGHTER
         found, asked = self.found, self.scenario.solver.accuracy
-        mesh = split_elements(
-            found.mesh, elements_with_breaches(self.plan, found.mesh_in_time, asked)
-        )
+        mesh = mesh_where_broken(found, self.plan, asked)
         tighter = self.mission.solve(
             tolerance=self.tolerance,
             mesh=mesh,

@@ -45,9 +45,10 @@ _ROUGHLY = {"tolerance": 1e-2, "refinement": RefinementOptions(max_meshes=5)}
 _MOST_RETURNS = 6
 # Error estimate of a mesh relative to the tolerances on the simulated flight.
 _ESTIMATED = 0.5
-# Error of states, and violation of a limit between points, both relative, up to which feedback and
-# stricter limits make a solution flyable (measured: docs/decisions/speed.md).
-_FOLLOWED, _CUT = 1e-2, 0.1
+# Error of states relative to the tolerance, and violation of a limit between points relative to the
+# larger of 1 and the limit, up to which feedback and stricter limits make a solution flyable
+# (measured: docs/decisions/speed.md).
+_FOLLOWED, _CUT = 20.0, 0.1
 
 
 class MissionProblem:
@@ -122,7 +123,11 @@ class MissionProblem:
         """
         figures = FIGURES[self.told.solver.accuracy]
         if self.told.solver.accuracy is not Accuracy.PROOF and self.problems.is_declared:
-            return Allowance(control_breach=HELD_BREACH, limit_breach=_CUT, state_error=_FOLLOWED)
+            return Allowance(
+                control_breach=HELD_BREACH,
+                limit_breach=_CUT,
+                state_error=_FOLLOWED * self.told.solver.tolerance,
+            )
         return Allowance(
             control_breach=HELD_BREACH,
             limit_breach=_ESTIMATED * figures.breach,
@@ -322,10 +327,10 @@ class MissionProblem:
         if search is None:
             return
 
-        def fly(solution: Solution) -> Plan:
+        def fly(solution: Solution, least_energy: float | None = None) -> Plan:
             timings = {"build": 0.0, "compile": 0.0, "solve": search.spent_s}
             plan = plan_of(self.told, solution, timings, self.hover_energy(solution))
-            found = verified(plan, solution, Accuracy.QUICK, energy_of(self.told, finished))
+            found = verified(plan, solution, Accuracy.QUICK, least_energy)
             return replace(found, status=PlanStatus.SOLVED)
 
         def flown() -> Iterator[Plan]:

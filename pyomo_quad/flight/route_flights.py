@@ -9,6 +9,7 @@ solutions are refined to the tolerance.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from math import inf
 from typing import Any
 
@@ -110,8 +111,14 @@ class RouteFlights:
             Result of the solve along each journey.
         """
         flown: list[tuple[Journey, Solution]] = []
+        is_pruned = self._scenario.solver.accuracy is not Accuracy.PROOF
+        dominant: list[_SidesTouched] = []
         for journey in journeys:
+            if is_pruned and any(_is_dominated(journey, sides) for sides in dominant):
+                continue
             solution = self.fly(journey)
+            if solution.status.is_solved:
+                dominant.append(sides_touched(self._scenario, journey, solution))
             if not any(_is_same(solution, other) for _, other in flown):
                 flown.append((journey, solution))
         known = dict(enumerate(solution for _, solution in flown))
@@ -383,8 +390,7 @@ def journey_as_flown(told: Scenario, journey: Journey, solution: Solution) -> Jo
     solution : Solution
         Result of the solve.
     """
-    names = [slot.name for slot in solution.problem.compiled.declared.states]
-    track = solution.trajectory.states[:, [names.index(name) for name in POSITION_STATES]]
+    track = solution.trajectory.states[:, _position_columns(solution)]
     times = solution.timeline.time(np.append(0.0, solution.mesh.point_fractions))
     passed = [solution.value("mission.passing_time", index=k) for k in range(len(journey) - 1)]
     begun = [0, *np.searchsorted(times, passed)]
@@ -400,6 +406,62 @@ def journey_as_flown(told: Scenario, journey: Journey, solution: Solution) -> Jo
             sides.append((name, list(Side)[crossed[0]] if crossed.size else side))
         flown.append(replace(route, sides=tuple(sides)))
     return tuple(flown)
+
+
+# Sides on which a flight touches zones, as pairs of name and side, for each leg.
+_SidesTouched = tuple[frozenset[tuple[str, Side]], ...]
+# Distance from a zone's clearance at which a path on a coarse mesh touches it [m].
+_TOUCHING_M = 0.1
+# Samples per element of the path, at which its distance from zones is computed.
+_LOOKS = 8
+
+
+def sides_touched(told: Scenario, journey: Journey, solution: Solution) -> _SidesTouched:
+    """Return the zones that a flight touches, with the sides on which it passes them, for each leg.
+
+    A zone that the optimum does not touch may be left out of the mission without changing the
+    optimum. No flight on another side of this zone is then cheaper, as long as it passes the other
+    zones on the same sides; see docs/theory/routes.md.
+
+    Parameters
+    ----------
+    told : Scenario
+        The mission.
+    journey : tuple of Route
+        The journey (a route for each leg) along which the initial guess led.
+    solution : Solution
+        Result of the solve.
+    """
+    mesh, columns = solution.mesh, _position_columns(solution)
+    inner = np.linspace(0.0, 1.0, _LOOKS, endpoint=False)
+    starts = np.asarray(mesh.breakpoints[:-1])
+    fractions = np.append((starts[:, None] + mesh.widths[:, None] * inner).ravel(), 1.0)
+    places = solution.trajectory.states_at(fractions)[:, columns]
+    times = solution.timeline.time(fractions)
+    passed = [solution.value("mission.passing_time", index=k) for k in range(len(journey) - 1)]
+    borders = [0, *np.searchsorted(times, passed).tolist(), len(times) - 1]
+    zones = {zone.name: zone for zone in told.airspace.keep_out}
+    least = -told.airspace.clearance - _TOUCHING_M
+    return tuple(
+        frozenset(
+            (name, side)
+            for name, side in route.sides
+            if zones[name].depth(places[first : last + 1]).max() >= least
+        )
+        for route, (first, last) in zip(
+            journey_as_flown(told, journey, solution), pairwise(borders), strict=True
+        )
+    )
+
+
+def _is_dominated(journey: Journey, touched: _SidesTouched) -> bool:
+    """Return whether a journey passes the zones that a known optimum touches on the same sides."""
+    return all(sides <= set(route.sides) for route, sides in zip(journey, touched, strict=True))
+
+
+def _position_columns(solution: Solution) -> list[int]:
+    names = [slot.name for slot in solution.problem.compiled.declared.states]
+    return [names.index(name) for name in POSITION_STATES]
 
 
 # Relative difference of states below which two solutions count as the same flight.

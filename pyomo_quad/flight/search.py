@@ -31,8 +31,11 @@ USABLE_ENERGY = 0.1
 _PATIENCE, _SHARE, _SHARE_FOR_BETTER = 9e3, 0.3, 0.05
 # Simulating the controls of a mesh counts as the work of this number of iterations on the mesh.
 _ITERATIONS_OF_FLIGHT = 10
-# Largest number of plans that are made from one finished mesh, with stricter and stricter limits.
-_MOST_PLANS = 3
+# Fewest meshes of a refinement after which its solution may be flyable.
+_FEWEST_MESHES = 2
+# Largest number of plans that are made from one finished mesh, with stricter and stricter limits,
+# once the work is `_LONG` times `_PATIENCE`; before, limits are not made stricter.
+_MOST_PLANS, _LONG = 3, 2.5
 
 
 class Stage(StrEnum):
@@ -182,13 +185,15 @@ class Search:
         """
         self._note(energy_J)
         share = _SHARE if self.usable is None else _SHARE_FOR_BETTER
-        if self._waited < _PATIENCE or self._work_of_flights > share * self.work:
+        is_coarse = len(solution.history) < _FEWEST_MESHES
+        is_soon = self._waited < _PATIENCE or self._work_of_flights > share * self.work
+        if is_coarse or is_soon or self.deadline.is_over:
             return
-        if self.deadline.is_over:
-            return
+        # The solve on the next mesh breaks fewer limits than this one.
+        most = _MOST_PLANS if self._waited >= _LONG * _PATIENCE else 1
         before, stage = self.usable, self.stage
         self.stage = Stage.USABLE
-        for plan, _ in zip(flown(), range(_MOST_PLANS), strict=False):
+        for plan, _ in zip(flown(), range(most), strict=False):
             self.keep(plan)
             self._work_of_flights += _ITERATIONS_OF_FLIGHT * solution.mesh.points
             if before is not None or self.usable is not None:

@@ -11,17 +11,20 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from itertools import pairwise
+from math import ceil
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pyomo_quad.flight.limit_words import excess
+from pyomo_quad.flight.verdict import energy_of
 from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
 
-    from pyomo_quad.collocation import Mesh, Solution
+    from pyomo_quad.collocation import Mesh, Solution, Violation
     from pyomo_quad.flight.mission_problem import MissionProblem
     from pyomo_quad.flight.plan import Plan
 
@@ -40,25 +43,25 @@ _STRICTER = {
     "mission.hold_distance": ("mission.passing_radius[{}]", -1.0),
     "mission.passing_near": ("mission.passing_radius[{}]", -1.0),
     "mission.passing_speed": ("mission.passing_speed_max[{}]", -1.0),
-    "mission.yaw_keeping": ("mission.turning_max", -1.0),
 }
 # Parameters of the heights at which a mission starts and ends.
 _ENDS = ("mission.start_z", "mission.goal_z")
 # Violation of a limit, relative to the larger of 1 and the limit, above which a stricter limit is
-# not tried; and the change of the limit relative to the violation, since the violation between the
-# points of another mesh may be somewhat larger.
-_SLIGHT, _MORE = 0.5, 1.2
-# Number of parts into which an element is split if the flight violated a limit in it.
-_PARTS = 4
+# not tried.
+_SLIGHT = 0.5
+# Change of a limit relative to its violation, somewhat more because the violation between the
+# points of another mesh may be larger; and the factor on all changes if they cost more energy than
+# the accuracy allows.
+_MORE, _LESS = 1.2, 0.25
+# Factors by which points lie closer together in windows around broken limits, and in windows around
+# limits whose changes cost too much.
+_DENSER, _DENSEST = 3, 8
+# Limits whose corners paths cut.
+_CORNERS = "airspace.keep_out"
+# Shortest element of a window [s].
+_SHORTEST_S = 1e-3
 # Largest share of a positive limit, such as a radius, by which it becomes stricter.
 _MOST = 0.5
-
-
-def _opts(o):
-    import os, json
-
-    e = json.loads(os.environ.get("TIGHT", "{}"))
-    return replace(o, extra=(*o.extra, *e.items()))
 
 
 def within_limits(
@@ -66,12 +69,13 @@ def within_limits(
     relaxed: Solution,
     plan: Plan,
     accuracy: Accuracy,
-    fly: Callable[[Solution], Plan],
+    fly: Callable[[Solution, float], Plan],
 ) -> Iterator[Plan]:
     """Yield plans that keep the limits which the simulated flight of a plan breaks slightly.
 
-    Each is solved on one mesh with limits that are stricter by the violations found so far. The
-    elements in which the flight broke a limit are split.
+    Each plan is solved on one mesh, which is finer at the times of the violations found so far, and
+    with limits that are stricter because of these violations. If a plan keeps all limits, but its
+    stricter limits cost too much energy, they are relaxed again on a still finer mesh.
 
     Parameters
     ----------
@@ -83,29 +87,40 @@ def within_limits(
     accuracy : Accuracy
         Accuracy whose tolerance on limits is asked for.
     fly : callable
-        Takes a solution; returns its plan with the result of the simulation.
+        Takes a solution and an estimate of the least energy [J]; returns the solution's plan with
+        the result of the simulation.
 
     Yields
     ------
     Plan
-        Plans whose solutions have the parameters of the mission; none if a solve fails, if the
-        package knows no parameter of a broken limit, or if no limit is broken.
+        Plans whose solutions have the parameters of the mission; none if a solve fails, if a limit
+        is broken by a large amount, or if no limit is broken.
     """
     numbers = dict(mission.arguments["parameters"] or {})
-    changes: Counter[str] = Counter()
+    margins: Counter[str] = Counter()
+    cuts: Counter[str] = Counter()
     last = relaxed
     while True:
-        more = stricter_limits(plan, accuracy, numbers)
-        if not more:
+        strict = _changed(numbers, margins)
+        windows = _windows(plan, accuracy, {name: strict[name] for name in margins})
+        broken = broken_limits(plan, accuracy)
+        denser = _DENSER
+        if broken:
+            for name, (violation, change) in _by_parameter(plan, broken, numbers).items():
+                cuts.setdefault(name, violation)
+                margins[name] += change
+        elif margins and plan.error_estimate > FIGURES[accuracy].energy:
+            denser = _DENSEST
+            for name in margins:
+                margins[name] *= _LESS
+        if not windows or any(breach.relative > _SLIGHT for breach in broken):
             return
-        changes.update(more)
-        broken = elements_with_breaches(plan, last.mesh_in_time, accuracy)
         found = mission.solve(
-            _changed(numbers, changes),
+            _changed(numbers, margins),
             tolerance=None,
-            options=_opts(mission.arguments["options"]),
-            mesh=split_elements(last.mesh, broken),
+            mesh=_denser_mesh(last, windows, denser),
             warm_start=last,
+            options=mission.arguments["options"].for_other_limits(),
         )
         if not found.status.is_solved:
             return
@@ -117,48 +132,62 @@ def within_limits(
             history=relaxed.history,
             error_estimate=relaxed.error_estimate,
         )
-        plan = fly(own)
+        plan = fly(own, _least_energy(mission, relaxed, found, margins, cuts))
         yield plan
 
 
-def stricter_limits(
-    plan: Plan, accuracy: Accuracy, numbers: Mapping[str, float]
-) -> dict[str, float]:
-    """Return the changes of parameters that make the limits broken by a plan's flight stricter.
+def _least_energy(
+    mission: MissionProblem,
+    relaxed: Solution,
+    strict: Solution,
+    margins: Mapping[str, float],
+    cuts: Mapping[str, float],
+) -> float:
+    """Estimate the least energy of a mission [J] from two solutions on either side of its limits.
+
+    The relaxed solution breaks limits between its points, by the amounts `cuts`; in the other
+    solution they are stricter by `margins`. Between the two, the energy changes in proportion to
+    the limits, to first order.
+    """
+    low, high = (energy_of(mission.told, solution) for solution in (relaxed, strict))
+    shares = (abs(m) / max(abs(m) + abs(cuts[name]), 1e-300) for name, m in margins.items())
+    return high - max(shares, default=0.0) * (high - low)
+
+
+def broken_limits(plan: Plan, accuracy: Accuracy) -> tuple[Violation, ...]:
+    """Return the violations of limits in a plan's flight that exceed an accuracy's tolerance."""
+    if plan.flown is None:
+        return ()
+    flown, allowed = plan.flown, FIGURES[accuracy].breach
+    found = plan.dynamics.violations(flown.t, flown.states, flown.controls)
+    return tuple(breach for breach in found if breach.relative > allowed)
+
+
+def _by_parameter(
+    plan: Plan, broken: Iterable[Violation], numbers: Mapping[str, float]
+) -> dict[str, tuple[float, float]]:
+    """Return, by full name of a parameter, how far its limit is broken, and the change against it.
+
+    Limits without such a parameter are left out. On a finer mesh they are kept better.
 
     Parameters
     ----------
     plan : Plan
-        Plan with the result of its simulation.
-    accuracy : Accuracy
-        Accuracy whose tolerance on limits is asked for.
+    broken : iterable of Violation
+        The broken limits.
     numbers : mapping
         Full name of a parameter -> value, for the mission.
-
-    Returns
-    -------
-    dict
-        Full name of a parameter -> change to add. It is empty if the flight breaks no limit, if a
-        violation is large, or if the package knows no parameter of a broken limit.
     """
-    if plan.flown is None:
-        return {}
-    flown, changes = plan.flown, dict[str, float]()
-    for breach in plan.dynamics.violations(flown.t, flown.states, flown.controls):
-        if breach.relative <= FIGURES[accuracy].breach:
-            continue
+    found = dict[str, tuple[float, float]]()
+    for breach in broken:
         limit, _, index = breach.name.partition("[")
-        if breach.relative > _SLIGHT or limit not in _STRICTER:
-            return {}
-        parameter, sign = _STRICTER[limit]
+        parameter, sign = _STRICTER.get(limit, ("", 0.0))
         name = parameter.format(index.removesuffix("]"))
-        names = [n for n in numbers if n == name or (name.endswith(",") and n.startswith(name))]
-        if not names:
-            return {}
-        change = sign * _MORE * excess(breach, plan.dynamics.unit(breach.name))[0]
-        for name in names:
-            changes[name] = max(changes.get(name, 0.0), change, key=abs)
-    return changes
+        size = excess(breach, plan.dynamics.unit(breach.name))[0]
+        for own in numbers:
+            if name and (own == name or (name.endswith(",") and own.startswith(name))):
+                found[own] = max(found.get(own, (0.0, 0.0)), (size, sign * _MORE * size))
+    return found
 
 
 def _changed(numbers: Mapping[str, float], changes: Mapping[str, float]) -> dict[str, float]:
@@ -174,30 +203,75 @@ def _changed(numbers: Mapping[str, float], changes: Mapping[str, float]) -> dict
     return found
 
 
-def elements_with_breaches(plan: Plan, mesh: Mesh, accuracy: Accuracy) -> tuple[int, ...]:
-    """Return the elements of a mesh in which the simulated flight of a plan violates limits.
+def mesh_where_broken(solution: Solution, plan: Plan, accuracy: Accuracy) -> Mesh:
+    """Return the mesh of a solution, finer at the times at which a simulated flight breaks limits.
+
+    Parameters
+    ----------
+    solution : Solution
+    plan : Plan
+        Plan of the solution, with the result of its simulation.
+    accuracy : Accuracy
+        Sets the tolerated violation.
+    """
+    return _denser_mesh(solution, _windows(plan, accuracy, {}), _DENSER)
+
+
+def _denser_mesh(solution: Solution, windows: Iterable[tuple[float, float]], denser: int) -> Mesh:
+    """Return the mesh of a solution with short elements in given windows of time [s].
+
+    Where a path cuts the corner of a zone, the depth of the cut is proportional to the distance
+    between two points. In the windows, the distance is smaller by the factor `denser`; outside, the
+    elements stay as they are.
+    """
+    mesh, cuts = solution.mesh, list[float]()
+    for window in windows:
+        first, last = np.clip(solution.timeline.fraction(np.array(window)), 0.0, 1.0)
+        for e, (start, end) in enumerate(pairwise(mesh.breakpoints)):
+            low, high = max(first, start), min(last, end)
+            if low < high:
+                parts = ceil(denser * (high - low) / mesh.widths[e])
+                cuts.extend(np.linspace(low, high, parts + 1).tolist())
+    shortest = _SHORTEST_S / (solution.horizon[1] - solution.horizon[0])
+    known = np.asarray(mesh.breakpoints)
+    kept: list[float] = []
+    for cut in sorted(cuts):
+        if np.abs(known - cut).min() > shortest and (not kept or cut - kept[-1] > shortest):
+            kept.append(cut)
+    return mesh.with_breakpoints(kept)
+
+
+def _windows(
+    plan: Plan, accuracy: Accuracy, numbers: Mapping[str, float]
+) -> list[tuple[float, float]]:
+    """Return start and end [s] of the windows in which a flight breaks limits on a coarse mesh.
+
+    These are corners of zones, and limits that no parameter makes stricter.
+
+    Each window extends beyond the violation by its duration, since the optimum on a finer mesh may
+    pass the zone a little earlier or later.
 
     Parameters
     ----------
     plan : Plan
-        Plan with the result of its simulation; without one, no element is returned.
-    mesh : Mesh
-        Mesh whose boundaries are fractions of the plan's horizon in time.
+        Plan with the result of its simulation.
     accuracy : Accuracy
         Sets the tolerated violation.
+    numbers : mapping
+        Parameters of stricter limits, by full name.
     """
     if plan.flown is None:
-        return ()
-    flown = plan.flown
-    breaches = plan.dynamics.violations(flown.t, flown.states, flown.controls)
-    times = [breach.time for breach in breaches if breach.relative > FIGURES[accuracy].breach]
-    return tuple(sorted(set(mesh.locate(plan.trajectories.fractions(np.array(times))).tolist())))
-
-
-def split_elements(mesh: Mesh, elements: Iterable[int]) -> Mesh:
-    """Return a mesh with some elements, given by index, split into `_PARTS` equal parts."""
-    return mesh.with_breakpoints(
-        mesh.breakpoints[e] + mesh.widths[e] * part / _PARTS
-        for e in elements
-        for part in range(1, _PARTS)
-    )
+        return []
+    flown, dynamics, found = plan.flown, plan.dynamics, list[tuple[float, float]]()
+    instants = dynamics.solved(flown.t, flown.states, flown.controls, numbers)
+    for limit in dynamics.limits_of(instants):
+        limit_of_path = limit.name.partition("[")[0]
+        if limit_of_path in _STRICTER and limit_of_path != _CORNERS:
+            continue
+        is_beyond = limit.relative_violations > FIGURES[accuracy].breach
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], is_beyond.astype(int), [0]])))
+        for first, after in zip(edges[::2], edges[1::2], strict=True):
+            start = float(flown.t[max(first - 1, 0)])
+            end = float(flown.t[min(after, len(flown.t) - 1)])
+            found.append((start - (end - start), end + (end - start)))
+    return found

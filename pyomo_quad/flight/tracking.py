@@ -40,10 +40,10 @@ _DEVIATIONS = {
     **dict.fromkeys(POSITION_STATES, 0.05),
     **dict.fromkeys(VELOCITY_STATES, 0.1),
     **dict.fromkeys(TILT_STATES, 0.05),
-    "rigid_body.psi": 0.02,
+    "rigid_body.psi": 0.05,
     "rigid_body.p": 0.3,
     "rigid_body.q": 0.3,
-    "rigid_body.r": 0.1,
+    "rigid_body.r": 0.01,
 }
 _ROTOR_SPEED, _ROTOR_DEVIATION = "rotors.omega[", 5.0
 # Correction of each rotor's acceleration with that weight [rad/s^2], and factor on the weights of

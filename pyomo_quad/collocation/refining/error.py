@@ -637,12 +637,11 @@ def _breaches(
 ) -> FloatArray:
     """Return the worst violation of equations and limits in each element, shape (n_elements,).
 
-    The measure of a violation depends on its kind. For an equation, it is the relative residual, times
-    a given weight.
-    For a bound or limit on controls alone, it is the change of states that the violation causes
-    within the element. For any other limit, it is the effect on the objective, estimated from the
-    multipliers of the bounds on states. If a violation exceeds its tolerance in `Allowance`, the
-    violation itself counts.
+    The measure of a violation depends on its kind. For an equation, it is the relative residual,
+    times `weight`. For a bound or limit on controls alone, it is the change of states that the
+    violation causes within the element. For any other limit, it is the effect on the objective,
+    estimated from the multipliers of the bounds on states. If a violation exceeds its tolerance in
+    `Allowance`, the violation itself counts.
     """
     mesh = solution.mesh
     residuals, limits, controls = (

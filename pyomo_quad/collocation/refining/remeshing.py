@@ -77,8 +77,11 @@ class RefinementOptions:
     def breach_between_points(self) -> float:
         """Relative violation of bounds that is allowed between collocation points.
 
-        Infinite if bounds are imposed at the collocation points only.
+        Infinite if bounds are imposed at the collocation points only. That suffices if a simulation
+        corrects the controls, because it also shows which bounds are violated in between.
         """
+        if self.allowance.state_error is not None:
+            return math.inf
         allowed = min(self.allowance.control_breach, self.allowance.limit_breach)
         return 0.5 * allowed if self.limits_move and allowed > 0.0 else math.inf
 
