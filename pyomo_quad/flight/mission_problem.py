@@ -46,9 +46,9 @@ _MOST_RETURNS = 6
 # Error estimate of a mesh relative to the tolerances on the simulated flight.
 _ESTIMATED = 0.5
 # Error of states relative to the tolerance, and violation of a limit between points relative to the
-# larger of 1 and the limit, up to which feedback and stricter limits make a solution flyable
+# tolerance on it, up to which feedback and stricter limits make a solution flyable
 # (measured: docs/decisions/speed.md).
-_FOLLOWED, _CUT = 20.0, 0.1
+_FOLLOWED, _CUT = 20.0, 20.0
 
 
 class MissionProblem:
@@ -125,7 +125,7 @@ class MissionProblem:
         if self.told.solver.accuracy is not Accuracy.PROOF and self.problems.is_declared:
             return Allowance(
                 control_breach=HELD_BREACH,
-                limit_breach=_CUT,
+                limit_breach=_CUT * figures.breach,
                 state_error=_FOLLOWED * self.told.solver.tolerance,
             )
         return Allowance(

@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from itertools import islice
 from math import inf, isfinite
 from typing import TYPE_CHECKING
 
@@ -34,8 +35,9 @@ _ITERATIONS_OF_FLIGHT = 10
 # Fewest meshes of a refinement after which its solution may be flyable.
 _FEWEST_MESHES = 2
 # Largest number of plans that are made from one finished mesh, with stricter and stricter limits,
-# once the work is `_LONG` times `_PATIENCE`; before, limits are not made stricter.
-_MOST_PLANS, _LONG = 3, 2.5
+# once the work is `_LONG` times `_PATIENCE` or the error estimate at most `_NEARLY`; before that,
+# limits are not made stricter.
+_MOST_PLANS, _LONG, _NEARLY = 3, 5.0, 1e-3
 
 
 class Stage(StrEnum):
@@ -190,10 +192,11 @@ class Search:
         if is_coarse or is_soon or self.deadline.is_over:
             return
         # The solve on the next mesh breaks fewer limits than this one.
-        most = _MOST_PLANS if self._waited >= _LONG * _PATIENCE else 1
+        is_last_resort = self._waited >= _LONG * _PATIENCE
+        most = _MOST_PLANS if is_last_resort or solution.error_estimate <= _NEARLY else 1
         before, stage = self.usable, self.stage
         self.stage = Stage.USABLE
-        for plan, _ in zip(flown(), range(most), strict=False):
+        for plan in islice(flown(), most):
             self.keep(plan)
             self._work_of_flights += _ITERATIONS_OF_FLIGHT * solution.mesh.points
             if before is not None or self.usable is not None:

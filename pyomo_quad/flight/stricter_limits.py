@@ -47,8 +47,8 @@ _STRICTER = {
 # Parameters of the heights at which a mission starts and ends.
 _ENDS = ("mission.start_z", "mission.goal_z")
 # Violation of a limit, relative to the larger of 1 and the limit, above which a stricter limit is
-# not tried.
-_SLIGHT = 0.5
+# not tried; and the same for limits without a parameter, which are broken where the mesh is coarse.
+_SLIGHT, _SLIGHT_ON_COARSE_MESH = 0.5, 0.05
 # Change of a limit relative to its violation, somewhat more because the violation between the
 # points of another mesh may be larger; and the factor on all changes if they cost more energy than
 # the accuracy allows.
@@ -113,7 +113,7 @@ def within_limits(
             denser = _DENSEST
             for name in margins:
                 margins[name] *= _LESS
-        if not windows or any(breach.relative > _SLIGHT for breach in broken):
+        if not windows or any(_is_grossly_broken(breach) for breach in broken):
             return
         found = mission.solve(
             _changed(numbers, margins),
@@ -161,6 +161,12 @@ def broken_limits(plan: Plan, accuracy: Accuracy) -> tuple[Violation, ...]:
     flown, allowed = plan.flown, FIGURES[accuracy].breach
     found = plan.dynamics.violations(flown.t, flown.states, flown.controls)
     return tuple(breach for breach in found if breach.relative > allowed)
+
+
+def _is_grossly_broken(breach: Violation) -> bool:
+    """Return whether a violation is too large for a stricter limit, or for a few finer elements."""
+    has_parameter = breach.name.partition("[")[0] in _STRICTER
+    return breach.relative > (_SLIGHT if has_parameter else _SLIGHT_ON_COARSE_MESH)
 
 
 def _by_parameter(

@@ -115,9 +115,9 @@ class Allowance:
         Tolerance on the final states, relative to max(1, abs(final state)).
     state_error : float, optional
         Tolerance on the error of the states between the points, relative to their magnitudes, and
-        on the residuals of algebraic equations there; by default the tolerance of the refinement. A
-        larger value suffices if the controls are corrected by feedback in a simulation: the
-        objective then depends on the square of this error.
+        ten times on the residuals of algebraic equations there; by default the tolerance of the
+        refinement. A larger value suffices if a simulation corrects the controls by feedback, and
+        solves the algebraic equations: the objective then depends on the square of this error.
     """
 
     control_breach: float = np.inf
@@ -262,7 +262,7 @@ def estimate_error(
         switches=none,
         costs=none,
         restraint=_restraints(solution),
-        violation=_breaches(solution, dense, allowance, weight),
+        violation=_breaches(solution, dense, allowance, _EQUATION_SHARE[weight < 1.0] * weight),
         integrals=_quadrature_errors(solution, panels),
         miss=_missed(solution, moved, tolerance / allowance.final_miss),
         gap=_gap(solution),
@@ -278,6 +278,9 @@ def estimate_error(
     )
 
 
+# Weight of residuals of algebraic equations relative to that of the states' errors: if the states
+# count in full, and if a simulation solves the equations.
+_EQUATION_SHARE = 1.0, 0.1
 # Least magnitude of the objective in the relative complementarity gap, in the unit of its scaling.
 _LEAST_SIZE = 1e-3
 
