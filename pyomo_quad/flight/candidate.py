@@ -29,10 +29,10 @@ from pyomo_quad.flight.mission_problem import MissionProblem
 from pyomo_quad.flight.plan import Plan
 from pyomo_quad.flight.route_flights import RouteFlights
 from pyomo_quad.flight.stricter_limits import mesh_where_broken, within_limits
-from pyomo_quad.flight.verdict import plan_of, verified
+from pyomo_quad.flight.verdict import energy_of, plan_of, verified
 from pyomo_quad.flight.verification import BALANCE_TOLERANCE, shares_lacking
 from pyomo_quad.model.battery import GIVEN_SHARE
-from pyomo_quad.scenario.accuracy import Accuracy
+from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -47,6 +47,8 @@ _MOST_REMEDIES = 3
 _LIMITS = "limits."
 # Factor by which the tolerance is tightened if a simulated flight does not confirm the solution.
 _TIGHTER = 0.1
+# Factor on the tolerances for flying the controls of a solution, with each such simulation.
+_FINER = 0.25
 # Largest number of solves with limits that become stricter and stricter.
 _MOST_STRICTER = 4
 
@@ -117,6 +119,8 @@ class Candidate:
     def __post_init__(self) -> None:
         self.tolerance = self.mission.told.solver.tolerance
         self._began = time.perf_counter()
+        # Factor on the tolerances for flying the controls of a solution.
+        self._share = 1.0
 
     @property
     def found(self) -> Solution:
@@ -531,7 +535,18 @@ class Candidate:
             self.flown, solves = plan, solves + 1
             if plan.is_verified or solves == _MOST_STRICTER:
                 break
+            if plan.solution is not None and self._is_better(plan, relaxed):
+                self.solution = plan.solution
+                break
         return f"{solves} solves" if solves else None
+
+    def _is_better(self, plan: Plan, relaxed: Solution) -> bool:
+        """Return whether a plan within stricter limits costs less than the optimum without them.
+
+        The solve has then left the valley of that optimum, and must be refined in its own.
+        """
+        least, tolerance = energy_of(self.mission.told, relaxed), self.scenario.solver.tolerance
+        return least - plan.energy > tolerance * abs(least)
 
     def is_astray(self) -> bool:
         """Return whether the simulated flight deviates from the plan although the solve converged.
@@ -557,14 +572,18 @@ class Candidate:
         str or None
             The new tolerance, as text; None if the solve does not converge.
         """
-        self.tolerance *= _TIGHTER
         found, asked = self.found, self.scenario.solver.accuracy
+        plan, allowed = self.plan, FIGURES[asked].energy
+        self._share *= _FINER
+        # With corrected controls, a coarse mesh costs no more energy than estimated.
+        if asked is Accuracy.PROOF or plan.error_estimate > allowed:
+            self.tolerance *= _TIGHTER
         mesh = mesh_where_broken(found, self.plan, asked)
         tighter = self.mission.solve(
             tolerance=self.tolerance,
             mesh=mesh,
             warm_start=found,
-            refinement=self.mission.stricter_refinement(self.tolerance),
+            refinement=self.mission.stricter_refinement(self._share),
         )
         if tighter.status is not Status.CONVERGED:
             return None

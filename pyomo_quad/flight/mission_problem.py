@@ -134,13 +134,13 @@ class MissionProblem:
             final_miss=_ESTIMATED * figures.miss,
         )
 
-    def stricter_refinement(self, tolerance: float) -> RefinementOptions:
-        """Return the options of a refinement to a smaller tolerance.
+    def stricter_refinement(self, share: float) -> RefinementOptions:
+        """Return the options of a refinement with smaller tolerances for flying the controls.
 
-        The tolerances for flying the controls decrease in proportion to the tolerance.
+        The tolerances on states and limits between the points are multiplied by `share`.
         """
         refinement: RefinementOptions = self.arguments["refinement"]
-        share, allowed = tolerance / self.told.solver.tolerance, refinement.allowance
+        allowed = refinement.allowance
         if allowed.state_error is None:
             return refinement
         stricter = replace(

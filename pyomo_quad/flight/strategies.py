@@ -104,9 +104,14 @@ RETRIES = (
 #: Verification of a solution by simulation of its controls.
 PROOF = (
     Strategy("flight", REFINING, _C.is_solved, _C.fly),
-    Strategy("stricter limits", REFINING, _C.breaks_limits, _C.keep_limits),
-    Strategy(
-        "smaller tolerance after a failed simulation", REFINING, _C.is_astray, _C.tighten, repeats=3
+    *(
+        (
+            Strategy("stricter limits", REFINING, _C.breaks_limits, _C.keep_limits),
+            Strategy(
+                "smaller tolerance after a failed simulation", REFINING, _C.is_astray, _C.tighten
+            ),
+        )
+        * 3
     ),
 )
 _WITHIN_PACK = f"power limited to {100.0 * GIVEN_SHARE:.0f} % of the pack's greatest"

@@ -47,14 +47,14 @@ _STRICTER = {
 # Parameters of the heights at which a mission starts and ends.
 _ENDS = ("mission.start_z", "mission.goal_z")
 # Violation of a limit, relative to the larger of 1 and the limit, above which a stricter limit is
-# not tried; and the same for limits without a parameter, which are broken where the mesh is coarse.
-_SLIGHT, _SLIGHT_ON_COARSE_MESH = 0.5, 0.05
+# not tried.
+_SLIGHT = 0.5
 # Change of a limit relative to its violation, somewhat more because the violation between the
 # points of another mesh may be larger; and the factor on all changes if they cost more energy than
 # the accuracy allows.
 _MORE, _LESS = 1.2, 0.25
-# Factors by which points lie closer together in windows around broken limits, and in windows around
-# limits whose changes cost too much.
+# Factors by which points lie closer together in windows around zones that a path cuts, and around
+# zones whose larger clearance costs too much.
 _DENSER, _DENSEST = 3, 8
 # Limits whose corners paths cut.
 _CORNERS = "airspace.keep_out"
@@ -94,7 +94,7 @@ def within_limits(
     ------
     Plan
         Plans whose solutions have the parameters of the mission; none if a solve fails, if a limit
-        is broken by a large amount, or if no limit is broken.
+        is broken by a large amount or has no parameter, or if no limit is broken.
     """
     numbers = dict(mission.arguments["parameters"] or {})
     margins: Counter[str] = Counter()
@@ -113,7 +113,9 @@ def within_limits(
             denser = _DENSEST
             for name in margins:
                 margins[name] *= _LESS
-        if not windows or any(_is_grossly_broken(breach) for breach in broken):
+        else:
+            return
+        if not all(_helps(breach) for breach in broken):
             return
         found = mission.solve(
             _changed(numbers, margins),
@@ -163,18 +165,15 @@ def broken_limits(plan: Plan, accuracy: Accuracy) -> tuple[Violation, ...]:
     return tuple(breach for breach in found if breach.relative > allowed)
 
 
-def _is_grossly_broken(breach: Violation) -> bool:
-    """Return whether a violation is too large for a stricter limit, or for a few finer elements."""
-    has_parameter = breach.name.partition("[")[0] in _STRICTER
-    return breach.relative > (_SLIGHT if has_parameter else _SLIGHT_ON_COARSE_MESH)
+def _helps(breach: Violation) -> bool:
+    """Return whether a stricter limit helps against a violation, and not only a finer mesh."""
+    return breach.name.partition("[")[0] in _STRICTER and breach.relative <= _SLIGHT
 
 
 def _by_parameter(
     plan: Plan, broken: Iterable[Violation], numbers: Mapping[str, float]
 ) -> dict[str, tuple[float, float]]:
     """Return, by full name of a parameter, how far its limit is broken, and the change against it.
-
-    Limits without such a parameter are left out. On a finer mesh they are kept better.
 
     Parameters
     ----------
@@ -250,9 +249,7 @@ def _denser_mesh(solution: Solution, windows: Iterable[tuple[float, float]], den
 def _windows(
     plan: Plan, accuracy: Accuracy, numbers: Mapping[str, float]
 ) -> list[tuple[float, float]]:
-    """Return start and end [s] of the windows in which a flight breaks limits on a coarse mesh.
-
-    These are corners of zones, and limits that no parameter makes stricter.
+    """Return start and end [s] of the windows in which a flight cuts through zones.
 
     Each window extends beyond the violation by its duration, since the optimum on a finer mesh may
     pass the zone a little earlier or later.
@@ -271,8 +268,7 @@ def _windows(
     flown, dynamics, found = plan.flown, plan.dynamics, list[tuple[float, float]]()
     instants = dynamics.solved(flown.t, flown.states, flown.controls, numbers)
     for limit in dynamics.limits_of(instants):
-        limit_of_path = limit.name.partition("[")[0]
-        if limit_of_path in _STRICTER and limit_of_path != _CORNERS:
+        if not limit.name.startswith(_CORNERS):
             continue
         is_beyond = limit.relative_violations > FIGURES[accuracy].breach
         edges = np.flatnonzero(np.diff(np.concatenate([[0], is_beyond.astype(int), [0]])))
