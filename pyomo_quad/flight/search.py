@@ -34,10 +34,8 @@ _PATIENCE, _SHARE, _SHARE_FOR_BETTER = 9e3, 0.3, 0.05
 _ITERATIONS_OF_FLIGHT = 10
 # Fewest meshes of a refinement after which its solution may be flyable.
 _FEWEST_MESHES = 2
-# Largest number of plans that are made from one finished mesh, with stricter and stricter limits,
-# once the work is `_LONG` times `_PATIENCE` or the error estimate at most `_NEARLY`; before that,
-# limits are not made stricter.
-_MOST_PLANS, _LONG, _NEARLY = 3, 5.0, 1e-3
+# Largest number of plans that are made from one finished mesh, with stricter and stricter limits.
+_MOST_PLANS = 3
 
 
 class Stage(StrEnum):
@@ -191,12 +189,9 @@ class Search:
         is_soon = self._waited < _PATIENCE or self._work_of_flights > share * self.work
         if is_coarse or is_soon or self.deadline.is_over:
             return
-        # The solve on the next mesh breaks fewer limits than this one.
-        is_last_resort = self._waited >= _LONG * _PATIENCE
-        most = _MOST_PLANS if is_last_resort or solution.error_estimate <= _NEARLY else 1
         before, stage = self.usable, self.stage
         self.stage = Stage.USABLE
-        for plan in islice(flown(), most):
+        for plan in islice(flown(), _MOST_PLANS):
             self.keep(plan)
             self._work_of_flights += _ITERATIONS_OF_FLIGHT * solution.mesh.points
             if before is not None or self.usable is not None:
