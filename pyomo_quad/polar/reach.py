@@ -307,7 +307,7 @@ def write_reach(folder: Path, reach: Reach, figures: Figures = Figures.SVG) -> d
     reach : Reach
         Boundary of the places within reach.
     figures : Figures, optional
-        Which figures to draw, and in which file formats.
+        File formats of the figures, or `Figures.NONE` for a report without figures.
 
     Returns
     -------

@@ -44,7 +44,7 @@ def write_polar(folder: Path, polar: Polar, figures: Figures = Figures.SVG) -> N
     polar : Polar
         Steady flight over airspeed, payload and wind.
     figures : Figures, optional
-        Which figures to draw, and in which file formats.
+        File formats of the figures, or `Figures.NONE` for a report without figures.
     """
     ends = polar.winds[polar.winds[ANGLE].isin((0.0, 90.0, 180.0))]
     write_study(

@@ -492,7 +492,8 @@ def view_data(flights: Sequence[StyledFlight], airspace: Airspace, arm_m: float)
     Returns
     -------
     dict
-        Tracks and columns of the flights, groups of columns, zones, start and goal.
+        Name, colour and columns over time of each flight; groups of columns that the player plots
+        together; keep-out zones; positions of start and goal; and `arm_m`.
     """
     framed = [flight for flight in flights if flight not in leaving_paths(flights)]
     shown = [flight for flight in distinct_paths(flights) if flight in framed]

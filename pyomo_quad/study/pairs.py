@@ -9,6 +9,7 @@ U | middle of the box around all winds that occur; W itself if the wind is stead
 f(v) | force of the air, against the airspeed
 s | thrust that holds the mass still at zero airspeed, as a rule its weight
 P | power of the vehicle, a function of u and v
+m | mass of the vehicle
 p, w, eta | prices of momentum per mass, of displacement, and of kinetic energy
 T, a, r | size of the thrust, airspeed along it and across it
 
@@ -26,16 +27,21 @@ over winds in a polyhedron is found at a corner.
 
 P depends on T, a and r alone, not on the orientation of the pair (u, v) in space. The orientation
 with the largest sum of the price terms is known: this largest sum is the sum of the singular values
-of (u + f) p' + v q' with q = w - eta s.  H is thus the least over three numbers: T, a and r.  The
-least value is bounded from below by branch and bound: the compiled equations are enclosed over
-boxes with their slopes, and a box is halved until H is proven to be nowhere in the box below the
-best point found by more than a tolerance.  With the power model `momentum` the first number is not
-the thrust but the induced velocity, from which the declared balance gives the thrust.
+of the matrix (u + f) p' + v q' with q = w - eta s, where ' denotes the transpose.  H is thus the
+least over three numbers: T, a and r.  In the computation the first number is not T but the rotor
+speed, from which the equations give the thrust; with the power model `momentum` it is the induced
+velocity, from which the declared balance gives rotor speed and thrust.
 
-If a rotor's profile power increases with its thrust T, rotors with unequal thrusts take no less
-power in all than rotors with equal thrusts.  If it decreases, at high airspeed and low thrust, they
-take no less than its convex envelope: c T^1.5 + m T^0.5 touches its tangent through zero thrust
-where both terms are equal, and lies (c^0.5 T^0.5 - m^0.5)^2 T^0.5 above it.
+The least value is bounded from below by branch and bound: the compiled equations are enclosed over
+boxes with their slopes, and a box is halved until H is proven to be nowhere in the box below the
+best point found by more than a tolerance.
+
+With the power model `momentum`, the profile power of one rotor with the thrust t is
+c t^1.5 + k t^0.5 with coefficients c and k (k is written m in docs/theory/bound.md, eq. (17)); k is
+zero in still air. If c t >= k, rotors with unequal thrusts take no less power in all than rotors
+with equal thrusts t.  If c t < k, at high airspeed and low thrust, they may take less, but no less
+than the convex envelope of the profile power. The envelope is there the tangent through zero
+thrust, and lies (c^0.5 t^0.5 - k^0.5)^2 t^0.5 below the profile power.
 
 The mass may change at a waypoint: p and eta times the mass are the same on all legs.
 """
@@ -220,15 +226,19 @@ class Pairs:
         return moving[0] - still[0], moving[1] - still[1]
 
     def _at(self, points: FloatArray, numbers: Sequence[float] = (0.0,) * 4) -> FloatArray:
-        """Evaluate the function H and its parts at pairs of thrust and airspeed, shape (8, n).
+        """Evaluate the function H and its parts at n pairs of thrust and airspeed.
 
         H is the power of a pair minus the terms of the prices (multipliers of momentum,
-        displacement and kinetic energy). The rows of the result are H without the terms of
-        `_constant`, thrust, rotor speed, margin, force of the air across and along the thrust,
-        power, and excess; `_of_rotors` explains margin and excess. H and power are reduced by the
-        excess where the margin is negative, so that they are valid for rotors with unequal speeds.
-        `points` holds the three coordinates of each pair, shape (3, n), and `numbers` the prices,
-        as `_numbers` returns them.
+        displacement and kinetic energy). `points` holds the three coordinates of each pair, shape
+        (3, n): rotor speed (induced velocity for the power model `momentum`), airspeed along and
+        across the thrust. `numbers` are four numbers that follow from the prices, as `_numbers`
+        returns them.
+
+        The result has the shape (8, n). Its rows are: H without the terms that are the same for all
+        pairs (`_constant`), thrust, rotor speed, margin, force of the air across and along the
+        thrust, power, and excess. `_of_rotors` explains margin and excess. H and power are reduced
+        by the excess where the margin is negative, so that they are valid for rotors with unequal
+        speeds.
         """
         found = self._enclosure.at(points, (*numbers, 1.0))
         found[[0, 6]] -= np.where(found[3] >= 0.0, 0.0, found[7])
@@ -407,8 +417,9 @@ class Pairs:
         """Prove a lower bound on H without its constant terms, by branch and bound [W].
 
         H is the power of a pair of thrust and airspeed minus the terms of the prices (multipliers);
-        the constant terms are those of `_constant`. `best` is the least value of H that is known so
-        far: the result is never larger. `numbers` are the prices, as `_numbers` returns them.
+        the constant terms (`_constant`) are the same for all pairs. `best` is the least value of H
+        that is known so far: the result is never larger. `numbers` are four numbers that follow
+        from the prices, as `_numbers` returns them.
         """
         cuts = [np.linspace(edge[0], edge[1], _FIRST_BOXES + 1) for edge in self._edges()]
         low = np.stack(np.meshgrid(*(c[:-1] for c in cuts), indexing="ij")).reshape(3, -1)
@@ -438,7 +449,7 @@ class Pairs:
         low, high : ndarray, shape (3, n)
             Least and greatest coordinates of the pairs in each box.
         numbers : sequence of float
-            The prices, as `_numbers` returns them.
+            Four numbers that follow from the prices, as `_numbers` returns them.
 
         Returns
         -------

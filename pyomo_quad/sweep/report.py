@@ -43,7 +43,7 @@ def write_sweep_report(
     frame : DataFrame
         Result table with one row for each case that has ended, from `results_frame`.
     figures : Figures, optional
-        Which figures to draw, and in which file formats.
+        File formats of the figures, or `Figures.NONE` for a report without figures.
 
     Examples
     --------
