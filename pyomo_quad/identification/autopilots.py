@@ -274,7 +274,11 @@ def _ardupilot_by_second(messages: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
 
 
 def _is_flying(events: pd.DataFrame, times: FloatArray) -> NDArray[np.bool_]:
-    """Return whether the land detector reports flight at each time; True without a detector."""
+    """Return whether the land detector of an ArduPilot log reports flight at each time.
+
+    `events` is the log's table of events with their times in microseconds; `times` has the same
+    unit. The result is True throughout if the log has no events of the detector.
+    """
     if not {"TimeUS", "Id"} <= set(events):
         return np.ones(len(times), dtype=bool)
     told = events[events["Id"].isin((_LANDED_EVENT, _FLYING_EVENT))]

@@ -197,7 +197,10 @@ def draw_winds(polar: Polar) -> Figure:
 
 
 def draw_reach(polar: Polar) -> Figure:
-    """Draw the distance out and back on one battery charge over the course, in polar axes."""
+    """Draw the greatest distance out and back on one battery charge, in polar coordinates.
+
+    The angle is the course (direction of flight from the start), and the radius the distance.
+    """
     figure = Figure(figsize=(FULL_WIDTH, 4.2))
     axes = figure.add_axes((0.25, 0.08, 0.5, 0.84), projection="polar")
     courses = np.radians(polar.reach[COURSE].to_numpy())

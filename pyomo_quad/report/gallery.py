@@ -515,9 +515,10 @@ def _cut(flights: Sequence[StyledFlight]) -> str:
 
 
 def _coinciding(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
-    """Return the caption's sentence on flights whose energy curve lies under the plan's curve.
+    """Return the caption's sentence on flights whose energy curve is hidden by the plan's curve.
 
-    The sentence is empty if all curves can be distinguished.
+    The curves show the energy above hovering over time. The sentence is empty if all curves can be
+    distinguished.
     """
     if ENERGY.name not in flights[0].frame:
         return ""

@@ -436,7 +436,7 @@ def _draw_projection(
 
 
 def _ends(optimum: StyledFlight) -> tuple[tuple[np.ndarray, str, str], ...]:
-    """Return position, name and marker of start and goal; a single marker if both coincide."""
+    """Return position, name and marker of a plan's start and goal; one marker if both coincide."""
     track = _track(optimum)
     way = np.linalg.norm(np.diff(track, axis=0), axis=1).sum()
     if np.linalg.norm(track[-1] - track[0]) <= _SAME_PLACE * way:

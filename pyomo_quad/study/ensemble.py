@@ -360,7 +360,10 @@ class InTurbulence:
 
     @property
     def savings(self) -> tuple[Saving, ...]:
-        """The energy saving over the autopilot, in a tuple; empty if no autopilot was simulated."""
+        """The energy saving over the autopilot as a tuple of one item, for reports of ensembles.
+
+        The tuple is empty if no autopilot was simulated.
+        """
         return () if self.saving is None else (self.saving,)
 
     @property

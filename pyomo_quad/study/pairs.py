@@ -186,7 +186,7 @@ class Pairs:
         return self._dynamics.expressions(tuple(keys), self._dynamics.start, self._values(*at))
 
     def _of_rotors(self, first: Symbol, along: Symbol, across: Symbol) -> tuple[Any, ...]:
-        """Return rotor speed, thrust, power, `excess` and `margin` of a pair as expressions.
+        """Return rotor speed, thrust, power, `excess` and `margin` of a pair: CasADi expressions.
 
         A pair of thrust and airspeed has the coordinates `first` (rotor speed, or induced velocity
         for the power model `momentum`), `along` and `across` (airspeed along and across the

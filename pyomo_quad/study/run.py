@@ -59,10 +59,12 @@ class RunResult(Summarised):
         Effect of the controller's adaptation to the actual wind, see `comparison.adaptation_study`;
         None in calm air.
     front : DataFrame
-        Energy against time, see `study.front`; empty if the mission fixes its duration.
+        Energy-time front: least energy against duration, see `study.front`; empty if the mission
+        fixes its duration.
     aims : DataFrame
-        Least energy against least charge, see `study.aims`; empty with the attitude equations of
-        Yacef et al. (`vehicle.attitude` "paper").
+        Comparison of the plans of least energy and of least battery charge, see `study.aims`; empty
+        with the attitude equations of Yacef et al. (`vehicle.attitude` "paper") and in the other
+        cases that `aims.energy_and_charge` lists.
     timings : mapping
         Wall-clock times [s] by name: the times of planning (`Plan.timings`); "certify" for the
         lower bound; "front" for energy against time and for the comparison of objectives; "fly" for
