@@ -59,7 +59,7 @@ class Link:
     value : casadi.SX
         CasADi expression of the value, in the symbols of the horizon.
     time : float
-        Declared time of the value.
+        Time of the value: a member of the horizon's continuous set.
     state : PointSymbol, optional
         The state and its time, if the value is a state at a node of the mesh, and therefore itself
         an unknown of the horizon's program; else None.
@@ -102,16 +102,18 @@ class CouplingWriter(TemplateWriter):
     def write_objective(self, objective: Any) -> Any:
         """Return the objective as a CasADi expression.
 
-        Unlike a constraint on several horizons, the objective may contain values at any declared
-        time.
+        A constraint on several horizons may contain values at the start and the end of a horizon
+        only. The objective may contain values at any declared time (member of a continuous set).
         """
         self._in_objective = True
         return casadi.SX(self.write(objective.expr, objective.name))
 
     def leaf(self, data: Any) -> Any:
-        """Return the symbol for a Pyomo variable or parameter in a constraint on several horizons.
+        """Return the symbol for a Pyomo variable or parameter that couples several horizons.
 
-        For a value of a horizon this is the symbol of the static variable that equals it.
+        The variable or parameter appears in the objective or in a constraint on several horizons.
+        If it is a value of one horizon, the result is the symbol of a static variable (a variable
+        without time) that equals this value.
         """
         over = self.copy.other_of(data.parent_component())
         if over is None:
@@ -163,6 +165,8 @@ class CouplingWriter(TemplateWriter):
 
     def named(self, expression: Any) -> Any:
         """Return the symbol that replaces a named Pyomo expression, None if it is not replaced.
+
+        The expression appears in the objective or in a constraint on several horizons.
 
         Only the integrals over the horizons are replaced. Any other named expression is translated
         like an unnamed expression.
@@ -272,7 +276,8 @@ def _refuse_gaps(
     links : list of Link
         Static variables that stand for values of the horizons in these conditions.
     free : dict
-        Free times by the name of the continuous set; see `JointProblem`.
+        For each continuous set, by name: the static variables (variables without time) that replace
+        members of the set; see `JointProblem`.
     """
     for condition in conditions:
         names = symbol_names(condition.expression)
@@ -323,6 +328,9 @@ def _own_cost(reader: ModelReader, cost: Any, in_conditions: frozenset[str]) -> 
 def _integrals_in(reader: ModelReader, names: frozenset[str]) -> list[Slot]:
     """Return static variables for a horizon's integrals that are used outside the horizon.
 
+    A static variable is a variable without time; each of the returned variables stands for one
+    integral.
+
     `names` are the names of the symbols in objective and constraints on several horizons.
     """
     return [
@@ -344,7 +352,7 @@ class StateValue:
     Attributes
     ----------
     program : int
-        Position of the program in the list of the horizons' programs.
+        Position of the horizon's program in the list of the nonlinear programs of all horizons.
     state : str
         Name of the state.
     fraction : float
@@ -414,8 +422,8 @@ class Union:
     def joined(self, parts: Sequence[FloatArray]) -> FloatArray:
         """Return the unknowns of the joint program from the unknowns of the separate programs.
 
-        `parts` has the unknowns of each program. A shared unknown takes the value from the first
-        program that has it.
+        `parts` has the unknowns of each program. A shared unknown (for example, a static variable
+        that appears in several programs) takes its value from the first program that contains it.
         """
         whole = np.zeros(self.unknowns)
         for places, part in reversed(list(zip(self.places, parts, strict=True))):

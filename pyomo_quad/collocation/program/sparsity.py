@@ -73,14 +73,19 @@ class Layout:
 
     @cached_property
     def state_columns(self) -> IndexArray:
-        """Positions of the states at the nodes, shape (n_points + 1, n_states)."""
+        """Positions of the states at the nodes among the program's unknowns.
+
+        The shape is (n_points + 1, n_states).
+        """
         if self.mesh is None:
             return np.zeros((0, 0), dtype=np.intp)
         starts = self.stride * np.arange(self.points + 1)
         return (starts[:, None] + np.arange(self.n_states)[None, :]).astype(np.intp)
 
     def state_column(self, name: str, fraction: float) -> int:
-        """Return a state's position at the node nearest to a fraction of the horizon.
+        """Return the position, among the unknowns, of a state at the node nearest to a given time.
+
+        `name` is the name of the state, and `fraction` the time as a fraction of the horizon.
 
         The result is -1 if no state has the name, or the model has no time.
         """
@@ -92,7 +97,10 @@ class Layout:
 
     @cached_property
     def algebraic_columns(self) -> IndexArray:
-        """Positions of the algebraic variables at the points, shape (n_points, n_algebraics)."""
+        """Positions of the algebraic variables at the points among the program's unknowns.
+
+        The shape is (n_points, n_algebraics).
+        """
         if self.mesh is None:
             return np.zeros((0, 0), dtype=np.intp)
         starts = self.n_states + self.stride * np.arange(self.points)
@@ -100,7 +108,7 @@ class Layout:
 
     @cached_property
     def static_columns(self) -> IndexArray:
-        """Positions of the static variables, shape (n_statics,)."""
+        """Positions of the static variables among the program's unknowns, shape (n_statics,)."""
         first = self.unknowns - self.n_statics
         return np.arange(first, self.unknowns, dtype=np.intp)
 
@@ -167,6 +175,8 @@ class Layout:
     def point_values(self) -> csr_matrix:
         """Matrix from the unknowns to the values at declared times in conditions and objective.
 
+        Declared times are members of the continuous set; conditions are constraints at these times.
+
         A value at a time between nodes is interpolated, so that its row has one weight per node of
         the element.
         """
@@ -185,7 +195,7 @@ class Layout:
         """Return the positions and weights of the unknowns that give a value at a declared time.
 
         The value is the sum of the weights times the unknowns. `symbol` identifies the variable, or
-        its derivative, and the declared time.
+        its derivative, and the declared time (a member of the continuous set).
         """
         if self.mesh is None:
             return np.zeros(0, dtype=np.intp), np.zeros(0)
@@ -209,9 +219,10 @@ class Layout:
 
 
 def _nonzero(columns: IndexArray, weights: FloatArray) -> tuple[IndexArray, FloatArray]:
-    """Return the positions and weights whose interpolation weight is not zero.
+    """Remove the unknowns with weight zero from the terms of an interpolated value.
 
-    `columns` are positions of unknowns, `weights` their weights in an interpolated value.
+    The value is the sum of unknowns times weights. `columns` are the positions of these unknowns,
+    and `weights` their weights. The result has the positions and weights that remain.
     """
     kept = weights != 0.0
     return columns[kept], weights[kept]
