@@ -185,7 +185,7 @@ class Outcome(Summarised):
     def parts(self) -> tuple[Solution, ...]:
         """Solutions on the individual horizons, one for each continuous set of the model.
 
-        Each has the status and history of the whole solve.
+        Each of these solutions has the status and the history of the whole solve.
         """
 
     @property
@@ -343,8 +343,8 @@ class Solution(Outcome):
         """Values of the output states at the nodes, shape (n_points + 1, n_outputs).
 
         Output states are states on which neither objective nor other equations depend, for example
-        an energy that is only reported. They are not unknowns of the nonlinear program, and are
-        computed at first access.
+        an energy that is only reported. Output states are not unknowns of the nonlinear program,
+        and are computed at first access.
         """
         program, outputs = self.program, self.problem.outputs
         if not len(outputs) or program.mesh is None:
@@ -407,7 +407,7 @@ class Solution(Outcome):
         t : float or array, optional
             Physical times; omitted for a static variable or an integral.
         index : optional
-            The component's index without time.
+            Index of the component without the time: i for ``x[i, t]``; omitted for ``x[t]``.
 
         Returns
         -------
@@ -427,7 +427,7 @@ class Solution(Outcome):
         return float(values[0]) if np.ndim(t) == 0 else values.reshape(np.shape(t))
 
     def _static(self, name: str, index: tuple[Any, ...]) -> float:
-        """Return the value of a static variable or of an integral, by name and index."""
+        """Return the value of a variable without time, or of an integral, by name and index."""
         declared = self.problem.compiled.declared
         for slot, number in zip(declared.statics, self.trajectory.statics, strict=True):
             if (slot.component, slot.index) == (name, index) or slot.name == name:
@@ -483,7 +483,7 @@ class Solution(Outcome):
         t : float or array
             Physical times.
         index : optional
-            The state's index without time.
+            Index of the state without the time: i for ``x[i, t]``; omitted for ``x[t]``.
 
         Returns
         -------

@@ -44,7 +44,8 @@ def without_bound(solution: Solution) -> Solution:
 def with_surplus(solution: Solution) -> Solution:
     """Add a note to a successful solution of a model with more equations than free unknowns.
 
-    Some of its equations are redundant, so that their multipliers are not unique.
+    Some of the model's equations are redundant, so that the multipliers of the solution are not
+    unique.
     """
     if solution.bounds.surplus <= 0 or not solution.status.is_solved:
         return solution
