@@ -92,9 +92,9 @@ class Evaluator:
 
     A component is a variable, derivative or named expression over time. Its CasADi function has
     five inputs, evaluated at one time: the rates (derivatives of the states with respect to the
-    fraction of the horizon), the states, the algebraic variables, the static variables, and the
-    data (fraction of the horizon, time-dependent parameters, constant parameters). Output states,
-    which no other equation depends on, follow the states of the nonlinear program.
+    fraction of the horizon), the states, the algebraic variables, the static variables (without
+    time), and the data (fraction of the horizon, time-dependent parameters, constant parameters).
+    Output states, which no other equation depends on, follow the states of the nonlinear program.
 
     Parameters
     ----------
@@ -459,8 +459,8 @@ class Formulation:
     def required_breakpoints(self, instance: Instance) -> tuple[float, ...]:
         """Return the fractions of the horizon at which an element of every mesh must end.
 
-        The result has, in increasing order, the fractions between 0 and 1 at which a condition is
-        imposed on a variable, a variable is fixed, or a time-dependent parameter jumps.
+        The result has, in increasing order, the fractions between 0 and 1 at which a constraint at
+        a single time is imposed, a variable is fixed, or a time-dependent parameter jumps.
         """
         declared = self.compiled.declared
         fractions = {p.fraction for p in declared.point_symbols} | {f for _, f in declared.fixed}

@@ -225,9 +225,9 @@ class _Known:
     def order_times(self, z: FloatArray) -> None:
         """Set initial values of the free times, and correct them so that all times increase.
 
-        A free time is a static variable whose value replaces a declared time, a member of the
-        continuous set. If neither model nor guess has a value, the free time begins at the declared
-        time. The array `z` of unknowns is changed in place.
+        A free time is a static variable (a variable without time) whose value replaces a declared
+        time, a member of the continuous set. If neither model nor guess has a value, the free time
+        begins at the declared time. The array `z` of unknowns is changed in place.
         """
         program, bounds = self.program, self.bounds
         statics, clock = program.compiled.declared.statics, program.compiled.declared.clock

@@ -66,7 +66,7 @@ class JointSolution(Outcome):
         Solution on each horizon, by the name of its continuous set.
     coupling : Solution
         Values of the variables that belong to no horizon, together with the objective and the
-        conditions that concern several horizons or no horizon.
+        constraints that concern several horizons or no horizon.
     size : (int, int)
         Number of unknowns and of constraints of the joint nonlinear program.
     """
@@ -159,7 +159,7 @@ class JointSolution(Outcome):
         component : Var, DerivativeVar, Expression or str
             A component of the model or its full name.
         t : float or array, optional
-            Physical times; omitted for a static variable or an integral.
+            Physical times; omitted for a static variable (a variable without time) or an integral.
         index : optional
             Index of the component without the time: i for ``x[i, t]``; omitted for ``x[t]``.
 

@@ -325,7 +325,7 @@ class Problem(Summarised, Formulation):
         ----------
         mesh : Mesh or None
             None for a model without time. Element boundaries are added at times at which a
-            condition is imposed or a parameter jumps.
+            constraint at a single time is imposed, a variable is fixed, or a parameter jumps.
         start : Start
             Initial point: a guess or a warm start.
         damping : Damping, optional

@@ -191,7 +191,7 @@ class Outcome(Summarised):
     @property
     @abstractmethod
     def warm_start(self) -> Any:
-        """Warm start for another solve, independent of this solution's problem."""
+        """Warm start for another solve: trajectory and multipliers, without the problem."""
 
     def updated(self, **changes: Any) -> Self:
         """Return a copy of this solution with other values of the given attributes.
@@ -335,7 +335,7 @@ class Solution(Outcome):
 
     @cached_property
     def warm_start(self) -> WarmStart:
-        """Warm start for another solve, independent of this solution's problem."""
+        """Warm start for another solve: trajectory and multipliers, without the problem."""
         return warm_start_of(self.program, self.unknowns, self.multipliers, self.cold_start)
 
     @cached_property
@@ -405,7 +405,7 @@ class Solution(Outcome):
         component : Var, DerivativeVar, Expression or str
             A component of the model or its full name.
         t : float or array, optional
-            Physical times; omitted for a static variable or an integral.
+            Physical times; omitted for a static variable (a variable without time) or an integral.
         index : optional
             Index of the component without the time: i for ``x[i, t]``; omitted for ``x[t]``.
 

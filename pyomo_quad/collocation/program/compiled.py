@@ -659,7 +659,8 @@ def _fingerprint(declared: Declarations, functions: list[Any]) -> str:
     """Return a hash of the model's equations and names that does not depend on parameter values.
 
     The hash serves to check that a warm start belongs to the same model. `functions` are the CasADi
-    functions of all equations, conditions and the objective.
+    functions of all equations over time, of the conditions (constraints at declared times) and of
+    the objective.
     """
     d = declared
     names = ["maximise" if d.maximise else "minimise", *(e.name for e in d.equations)]

@@ -73,9 +73,9 @@ class Link:
 
     @property
     def condition(self) -> PointCondition:
-        """Condition by which the static variable equals the value of the horizon.
+        """Constraint by which the static variable equals the value of the horizon.
 
-        The condition belongs to the horizon's nonlinear program.
+        The constraint belongs to the horizon's nonlinear program.
         """
         zero, difference = casadi.SX(0), casadi.SX(self.value) - self.slot.symbol
         return PointCondition(name=self.slot.name, expression=difference, lower=zero, upper=zero)
@@ -211,7 +211,8 @@ def read_horizons(model: Any, times: FreeTimes | None) -> CoupledDeclarations:
     ----------
     model : ConcreteModel
     times : mapping, optional
-        Free times by the name of the continuous set; see `JointProblem`.
+        For each continuous set, by name: the static variables (variables without time) that replace
+        members of the set; see `JointProblem`.
 
     Raises
     ------
@@ -262,7 +263,7 @@ def read_horizons(model: Any, times: FreeTimes | None) -> CoupledDeclarations:
 def _refuse_gaps(
     conditions: list[PointCondition], links: list[Link], free: dict[str, dict[float, Any]]
 ) -> None:
-    """Raise an error for a condition that links two horizons with a gap of time between them.
+    """Raise an error for an equality that links two horizons with a gap of time between them.
 
     An equality between a value at the end of one horizon and a value at the start of another is
     meant to continue the first horizon in the second. The equality is refused if the second horizon
@@ -272,9 +273,9 @@ def _refuse_gaps(
     Parameters
     ----------
     conditions : list of PointCondition
-        Conditions on several horizons.
+        Constraints on values of several horizons.
     links : list of Link
-        Static variables that stand for values of the horizons in these conditions.
+        Static variables that stand for values of the horizons in these constraints.
     free : dict
         For each continuous set, by name: the static variables (variables without time) that replace
         members of the set; see `JointProblem`.
@@ -308,8 +309,8 @@ def _own_cost(reader: ModelReader, cost: Any, in_conditions: frozenset[str]) -> 
     cost : casadi.SX
         The objective.
     in_conditions : frozenset of str
-        Names of all symbols in conditions on several horizons. An integral in a condition is not
-        separated.
+        Names of all symbols in the constraints on several horizons. An integral in such a
+        constraint is not separated.
 
     Returns
     -------
@@ -341,7 +342,7 @@ def _integrals_in(reader: ModelReader, names: frozenset[str]) -> list[Slot]:
 
 
 def _with(declared: Declarations, statics: list[Slot]) -> Declarations:
-    """Return a copy of a horizon's declarations with additional static variables."""
+    """Return a copy of a horizon's declarations with additional static variables (without time)."""
     return replace(declared, statics=(*declared.statics, *statics))
 
 

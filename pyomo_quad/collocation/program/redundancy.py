@@ -206,7 +206,7 @@ def misses(
     Parameters
     ----------
     left_out : tuple of Candidate
-        The conditions left out.
+        The conditions (constraints or fixed values at declared times) left out.
     program : Transcription
         Program of the last mesh.
     bounds, fixed : Bounds, dict

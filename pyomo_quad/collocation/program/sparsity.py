@@ -63,7 +63,7 @@ class Layout:
 
     @property
     def n_statics(self) -> int:
-        """Number of static variables."""
+        """Number of static variables (variables without time)."""
         return len(self.declared.statics)
 
     @property
@@ -108,7 +108,7 @@ class Layout:
 
     @cached_property
     def static_columns(self) -> IndexArray:
-        """Positions of the static variables among the program's unknowns, shape (n_statics,)."""
+        """Positions of the variables without time among the unknowns, shape (n_statics,)."""
         first = self.unknowns - self.n_statics
         return np.arange(first, self.unknowns, dtype=np.intp)
 
@@ -145,9 +145,9 @@ class Layout:
     def path_variables(self) -> csr_matrix:
         """Matrix from the unknowns to rates, states, algebraic and static variables at the points.
 
-        The points are the collocation points, and rates are derivatives with respect to the
-        fraction of the horizon. The rows of the first point come first, then the rows of the second
-        point, and so on.
+        The points are the collocation points. Rates are derivatives with respect to the fraction of
+        the horizon; static variables do not depend on time. The rows of the first point come first,
+        then the rows of the second point, and so on.
         """
         slopes, n = self.slope_matrix, self.n_states
         rates = kron(slopes, np.eye(n)) @ _chosen(self.state_columns.ravel(), self.unknowns)
@@ -166,7 +166,8 @@ class Layout:
     def condition_variables(self) -> csr_matrix:
         """Matrix from the unknowns to the values at declared times and the static variables.
 
-        Conditions (constraints at declared times) and the objective contain these values.
+        Conditions (constraints at declared times, the members of the continuous set) and the
+        objective contain these values. Static variables do not depend on time.
         """
         statics = _chosen(self.static_columns, self.unknowns)
         return vstack([self.point_values, statics], format="csr")
@@ -404,9 +405,10 @@ class JacobianScatter:
     def objective_slopes(self, point_sources: FloatArray) -> FloatArray:
         """Return derivatives of the objective with respect to integrals that enter it directly.
 
-        An integral enters the objective directly if no static variable stands for it.
-        `point_sources` are the values that CasADi returned for the derivatives of conditions and
-        objective. The result has the shape (n_integrals,).
+        An integral enters the objective directly if no static variable (variable without time)
+        stands for it. `point_sources` are the values that CasADi returned for the derivatives of
+        conditions (constraints at declared times) and objective. The result has the shape
+        (n_integrals,).
         """
         slopes = np.zeros(self.n_integrals)
         slopes[self.slope_integrals] = point_sources[self.slope_sources]
@@ -430,8 +432,8 @@ def jacobian_scatter(compiled: CompiledModel, layout: Layout) -> JacobianScatter
 
     Their inputs (sources) are the values that CasADi returns at each evaluation: the nonzeros of
     the Jacobian of path equations and integrands, point by point, then the nonzeros of the Jacobian
-    of conditions and objective, and a final 1 (the derivative of a static variable in the
-    constraint that makes it equal to an integral).
+    of conditions (constraints at declared times) and objective, and a final 1 (the derivative of a
+    constraint that makes a static variable equal to an integral, with respect to that variable).
     """
     path, points = compiled.path, compiled.points
     n_path = layout.points * len(path.jacobian_rows)
@@ -484,7 +486,8 @@ def hessian_scatter(compiled: CompiledModel, layout: Layout) -> Scatter:
 
     The map gives the nonzeros of the lower triangle. Its inputs (sources) are the values that
     CasADi returns at each evaluation: the nonzeros of the Hessians of the path equations, point by
-    point, then the nonzeros of the Hessian of conditions and objective.
+    point, then the nonzeros of the Hessian of conditions (constraints at declared times) and
+    objective.
     """
     into, path, points = Contributions(), compiled.path, compiled.points
     n_path, count = layout.points * len(path.hessian_rows), len(path.hessian_rows)

@@ -135,9 +135,10 @@ class Data:
 class Transcription:
     """Nonlinear program of a model on one mesh, with derivatives, in the form Ipopt requires.
 
-    Constraints ("rows") are ordered: path equations point by point, conditions, definitions of
-    static variables that equal integrals. Parts that depend on the mesh alone are built once and
-    shared by the programs that `with_data` returns.
+    Constraints ("rows") are ordered: path equations point by point, then conditions (constraints at
+    declared times, the members of the continuous set), then definitions of static variables that
+    equal integrals. Parts that depend on the mesh alone are built once and shared by the programs
+    that `with_data` returns.
 
     Parameters
     ----------
@@ -191,7 +192,7 @@ class Transcription:
         return self.first_integral_row + len(self.compiled.static_of_integral)
 
     def trajectory(self, z: FloatArray) -> Trajectory:
-        """Return the unknowns `z` as states, algebraic and static variables on the mesh."""
+        """Return the unknowns `z` as a trajectory: states, algebraic and static variables."""
         layout = self.layout
         return Trajectory(
             mesh=self.mesh or Mesh.uniform(1, 1),
@@ -217,14 +218,19 @@ class Transcription:
 
     @property
     def first_integral_row(self) -> int:
-        """Position of the first constraint that equates a static variable to an integral."""
+        """Position, among the constraints, of the first that equates a variable to an integral.
+
+        The variable is static (it does not depend on time), and stands for the integral in
+        conditions and objective.
+        """
         return self.first_condition_row + len(self.compiled.declared.conditions)
 
     @property
     def horizon(self) -> tuple[float, float] | None:
         """Start and end of the horizon as physical times, None if one of them is a variable.
 
-        The two times are parameters, unless a static variable replaces them.
+        Start and end are parameters, unless a static variable (a variable without time) replaces
+        them.
         """
         names = [p.name for p in self.compiled.declared.parameters]
         if not {"horizon.start", "horizon.end"} <= set(names):

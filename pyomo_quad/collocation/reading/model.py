@@ -109,7 +109,7 @@ class RelationReader:
         ----------
         component : Constraint
         index : tuple
-            Index without time, which the members share.
+            Index without the time (i for ``x[i, t]``), which the members share.
         instances : dict
             Active members by time, including the member at the template time (the added interior
             time at which equations are read).
@@ -398,10 +398,10 @@ class RelationReader:
                 )
 
     def _fixing_condition(self, data: Any) -> PointCondition:
-        """Return the condition by which an algebraic variable equals its value fixed at one time.
+        """Return the constraint by which an algebraic variable equals its value fixed at one time.
 
-        `data` is the fixed member of the variable at that time. The value is a parameter of the
-        condition.
+        `data` is the fixed member of the variable at that time. The value is a parameter in the
+        constraint.
         """
         number = self.symbols.fixed_value(data)
         expression = casadi.SX(self._writer.write(data, data.name)) - number
@@ -627,7 +627,7 @@ class ModelReader:
         return f"derivative of {state.name}"
 
     def _bounds(self, slot: Slot) -> tuple[Any, Any]:
-        """Return lower and upper bound of a static variable as CasADi expressions."""
+        """Return lower and upper bound of a variable without time as CasADi expressions."""
         return (
             self.writer.bound(slot.lower, -casadi.inf, slot.name),
             self.writer.bound(slot.upper, casadi.inf, slot.name),

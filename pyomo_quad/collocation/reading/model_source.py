@@ -50,9 +50,9 @@ _AT_ANY_TIME = (
 
 
 def family_name(name: str) -> str:
-    """Return the name of the component that declares a constraint, bound or condition.
+    """Return the name of the component to which the name of a constraint or bound belongs.
 
-    Index and time are removed: ``omega[1] at time 2`` becomes ``omega``.
+    Index and time are removed from the name: ``omega[1] at time 2`` becomes ``omega``.
     """
     return name.split("[", 1)[0].split(" at time", 1)[0]
 
@@ -293,7 +293,8 @@ class LiveModel:
         """Set the model's derivatives at a declared time to their solved values.
 
         `time` is the declared time, a member of the continuous set. `rate(name, index=...)` returns
-        the value of the derivative with the given name and the given index without the time.
+        the value of the derivative with the given name and the given index without the time (i for
+        ``x[i, t]``).
         """
         for derivative in self.model.component_objects(DerivativeVar, descend_into=True):
             for position in derivative:

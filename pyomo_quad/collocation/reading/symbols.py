@@ -221,7 +221,8 @@ def integrand(integral: Any, index: Any, symbol: TimeSymbol | Instant) -> Any:
     integral : Integral
     index : index of the integral, or None
     symbol : TimeSymbol or Instant
-        The time: a symbol, or a number that selects the members at the template time.
+        The time: a symbol, or a number that selects the members at the template time (the added
+        interior time at which equations are read).
     """
     probe = _TrapezoidProbe(integral.parent_block(), integral.get_continuousset(), symbol)
     return integral._rule(probe, index)  # noqa: SLF001
@@ -311,7 +312,7 @@ class AddressBook:
         return self.split(component, data.index())
 
     def split(self, component: Any, index: Any) -> Address:
-        """Split a component's full index into index without time, and time, as an `Address`.
+        """Split a component's full index into the time and the remaining index, as an `Address`.
 
         `index` is an index of the component, which may contain a time.
         """
@@ -344,7 +345,7 @@ class Slot:
     component : str
         Full name of the Pyomo component.
     index : tuple
-        Index without time.
+        Index without the time, () if time is the only index or there is none.
     symbol : casadi.SX
     lower, upper : casadi.SX
         Bounds as expressions of the parameters, infinite unless given.
@@ -427,7 +428,7 @@ class PointCondition:
 
 @dataclass(frozen=True, kw_only=True)
 class Integral:
-    """Integral over the horizon: its symbol in conditions and objective, and its integrand.
+    """Integral over the horizon: its symbol in constraints and objective, and its integrand.
 
     The integrand is a CasADi expression per unit of the fraction of the horizon.
     """
@@ -456,11 +457,12 @@ class Declarations:
         Other quantities that vary with time without a formula, such as numbers that a rule looks up
         by its time.
     clock : PhaseTimes
-        Physical times of start and end of the horizon and of the free times, in CasADi symbols.
+        Physical times of start and end of the horizon, and of the free times (times that the solve
+        determines), in CasADi symbols.
     equations : tuple of PathEquation
         Constraints over time.
     conditions : tuple of PointCondition
-        Constraints at declared times.
+        Constraints at declared times, the members of the continuous set.
     point_symbols : tuple of PointSymbol
         Values at declared times in conditions and objective.
     integrals : tuple of Integral

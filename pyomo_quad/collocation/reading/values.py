@@ -139,7 +139,7 @@ class ModelValues:
         ------
         TranscriptionError
             If a name is no component of the model, or a function of time is given although the
-            model has free times.
+            model has free times (times that the solve determines).
         """
         named = {
             key.name
@@ -302,7 +302,7 @@ class ModelValues:
         return found if np.all(np.isfinite(found)) else None
 
     def static_value(self, slot: Slot) -> float | None:
-        """Return the value of a static variable in the model, None if it has none."""
+        """Return the value in the model of a variable without time, None if it has none."""
         return self._source.variable(slot)
 
     def declared_fractions(self) -> list[float]:
@@ -326,7 +326,7 @@ class ModelValues:
 
         `fraction` is the declared time, a member of the continuous set, as a fraction of the
         horizon. `rate(name, index=...)` returns the value of the derivative with the given name and
-        the given index without the time.
+        the given index without the time (i for ``x[i, t]``).
         """
         self._source.load_rates(self._declared_time(*self.declared_horizon, fraction), rate)
 

@@ -1,7 +1,8 @@
 """Translation of Pyomo expressions to CasADi expressions.
 
-Equations over time are translated at a single time, the template time, in symbols that stand for
-functions of time. The resulting expressions hold at all times.
+Equations over time are translated at a single time, the template time, which is added to the
+continuous set. The symbols in the translation stand for functions of time. The resulting
+expressions hold at all times.
 """
 
 from __future__ import annotations
@@ -315,9 +316,10 @@ class TemplateWriter:
         ----------
         component : Constraint
         index : tuple
-            Index without time.
+            Index without the time (i for ``x[i, t]``).
         instance : ConstraintData or None
-            The constraint's member at the template time.
+            The constraint's member at the template time (the added interior time at which equations
+            are read).
         """
         rule, name = rule_of(component), indexed_name(component.name, index)
         if rule is None and instance is None:
@@ -553,7 +555,7 @@ class TemplateWriter:
         """Return a component as a CasADi expression that holds at any time, by full name.
 
         The result is None if the model has no component over time of this name. `index` is the
-        index without time.
+        index without the time: (i,) for ``x[i, t]``.
 
         Raises
         ------
@@ -566,7 +568,10 @@ class TemplateWriter:
         return self.write_at_template(found, index)
 
     def components_over_time(self) -> Iterator[tuple[str, tuple[Any, ...]]]:
-        """Yield the components that `over_time` can translate, as (name, index without time)."""
+        """Yield the components that `over_time` can translate, as (name, index without time).
+
+        The index without time is (i,) for ``x[i, t]``.
+        """
         kinds = (Var, DerivativeVar, Param, Expression)
         for component in self.copy.model.component_objects(kinds, descend_into=True):
             if self.addresses.time_position(component) is not None:
@@ -578,7 +583,8 @@ class TemplateWriter:
     def write_at_template(self, component: Any, index: tuple[Any, ...]) -> Any:
         """Return a variable or expression over time as a CasADi expression that holds at any time.
 
-        `index` is the index without time.
+        `index` is the index without the time: (i,) for ``x[i, t]``. The expression is read at the
+        template time, the interior time that was added for this purpose.
         """
         position = self.addresses.join(component, index, self.copy.template_time)
         return casadi.SX(self.write(component[position], component.name, over_time=True))
