@@ -215,8 +215,8 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
 
         The kinds are the caller's start, a simulation, the point of least constraint violation, the
         optimum on a coarse mesh, the optimum of the elastic program (equations violated at a
-        penalty), and a solve without redundant conditions. The result is None if no initial point
-        of that kind exists.
+        penalty), and, for a solve without redundant conditions, the point of least constraint
+        violation. The result is None if no initial point of the required kind exists.
         """
         if first is First.GIVEN:
             return self._ended(self.finish(own, mesh, self.start))

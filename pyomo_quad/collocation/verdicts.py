@@ -189,7 +189,7 @@ def outside_tables(solution: Solution) -> str:
 
     A table interpolates data over a range of its argument, and has no meaning outside that range.
     The message names the table whose argument lies farthest outside, with the value of the
-    argument. It is empty if all arguments are inside.
+    argument. The message is empty if all arguments are inside.
     """
     program, z = solution.program, solution.unknowns
     tables = program.compiled.tables

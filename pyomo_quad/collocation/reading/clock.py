@@ -268,8 +268,8 @@ def _refuse_unusable(time: Any, sets: tuple[Any, ...], given: dict[float, Any]) 
     """Raise an error if a variable that is to replace a declared time cannot be used.
 
     A declared time is a member of the continuous set `time`. `given` maps declared times to the
-    variables that replace them. Each must be a static variable: a variable that none of the
-    continuous sets `sets` indexes. No variable may replace two declared times.
+    variables that replace them. Each of these variables must be a static variable: a variable that
+    none of the continuous sets `sets` indexes. No variable may replace two declared times.
     """
     taken: dict[str, float] = {}
     for at, variable in given.items():

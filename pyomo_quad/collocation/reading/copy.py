@@ -58,7 +58,7 @@ class WorkingCopy:
     declared_times : tuple of float
         The times that the user declared, in rising order.
     others : tuple of ContinuousSet
-        The other horizons of the model, whose declarations are read elsewhere.
+        Continuous sets of the other horizons of the model, whose declarations are read separately.
     """
 
     model: Any

@@ -598,9 +598,9 @@ class ModelReader:
         """Return the names of the states that equations without time derivatives determine.
 
         Each equation determines at most one state. If the model has derivatives in space, the
-        discretisation in space has added one equation for each of them. An added equation
-        determines the derivative for which it was added, and therefore no state. `read` has the
-        names of the symbols in each equation.
+        discretisation in space has added one equation for each derivative in space. An added
+        equation determines the derivative for which it was added, and therefore no state. `read`
+        has the names of the symbols in each equation.
         """
         rates = {s.rate.name() for s in self.symbols.states.values()}
         algebraic = [names for names in read if not names & rates]

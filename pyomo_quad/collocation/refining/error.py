@@ -380,10 +380,11 @@ def state_errors_as_interpolated(solution: Solution) -> FloatArray:
     """Return the state errors if algebraic variables between the points follow their polynomials.
 
     Between the collocation points, an algebraic variable that an equation defines has two values:
-    the value of its polynomial, and the value from the equation. An example is r in ``x' = r``, ``f
-    = r + r^3``. `estimate_error` takes the value from the equation; its estimate may then be small
-    although the polynomial is inaccurate. This function takes the value of the polynomial, so that
-    its result also shows the inaccuracy of the polynomial.
+    the value of its polynomial, and the value from the equation. An example is r, which the second
+    of the equations ``x' = r`` and ``f = r + r^3`` defines. `estimate_error` takes the value from
+    the equation; its estimate may then be small although the polynomial is inaccurate. This
+    function takes the value of the polynomial, so that its result also shows the inaccuracy of the
+    polynomial.
 
     Returns
     -------

@@ -603,8 +603,8 @@ def _cut_off(reached: _Reached[S]) -> S:
 def _doubted(solution: S) -> S:
     """Return a solution whose status and message state that better controls exist.
 
-    By Pontryagin's principle, other controls improve the objective, but no solve that started from
-    these controls found an optimum.
+    By Pontryagin's principle, other controls improve the objective, but the refinement has not
+    found an optimum with them.
     """
     return solution.updated(
         status=Status.TOLERANCE_NOT_MET,
