@@ -204,9 +204,8 @@ class ErrorEstimate:
     def largest(self) -> float:
         """Largest error of the solution, which the refinement compares with the tolerance.
 
-        The result is the maximum over all elements and all kinds of error, and the relative
-        complementarity gap (the error that Ipopt's barrier leaves in the objective) if that is
-        larger.
+        It is the maximum over all elements, all kinds of error, and the relative complementarity
+        gap.
         """
         return max(self.gap, float(self.per_element.max(initial=0.0)))
 
