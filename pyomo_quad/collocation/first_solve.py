@@ -83,7 +83,9 @@ class FirstSolve(Search[S], Generic[S]):
 
     @property
     def failed(self) -> S:
-        """Result of the solve with the caller's own start, mesh and settings, without a verdict.
+        """Result of the failed solve with the caller's own start, mesh and settings.
+
+        The result contains no verdict on the feasibility of the problem (see `judged`).
 
         Raises
         ------

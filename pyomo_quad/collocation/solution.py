@@ -191,7 +191,10 @@ class Outcome(Summarised):
     @property
     @abstractmethod
     def warm_start(self) -> Any:
-        """Warm start for another solve: trajectory and multipliers, without the problem."""
+        """Warm start for another solve: trajectory and multipliers of this solution.
+
+        The warm start contains no reference to the compiled problem that was solved.
+        """
 
     def updated(self, **changes: Any) -> Self:
         """Return a copy of this solution with other values of the given attributes.
@@ -335,7 +338,10 @@ class Solution(Outcome):
 
     @cached_property
     def warm_start(self) -> WarmStart:
-        """Warm start for another solve: trajectory and multipliers, without the problem."""
+        """Warm start for another solve: trajectory and multipliers of this solution.
+
+        The warm start contains no reference to the compiled problem that was solved.
+        """
         return warm_start_of(self.program, self.unknowns, self.multipliers, self.cold_start)
 
     @cached_property

@@ -221,7 +221,7 @@ class SolverOptions:
 
         On a new mesh, a collocation point may lie on the other side of the time at which a limit
         becomes active. If the start lies on its bounds, these bounds then block Ipopt's first dozen
-        steps. If the start lies slightly inside the bounds, they do not.
+        steps. The settings therefore move the start slightly inside the bounds.
         """
         pushes = dict.fromkeys(_PUSHES, _INSIDE) | {"warm_start_mult_bound_push": _BEGUN}
         return replace(self, extra=(*pushes.items(), *self.extra))

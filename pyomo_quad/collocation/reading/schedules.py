@@ -565,7 +565,7 @@ class Interpolant:
         return Reading(None, tuple(self.row(time)))
 
     def __call__(self, time: float) -> float:
-        """Return the value of the first function at a time."""
+        """Return the value, at a time, of the first of the interpolated functions."""
         return self.row(time)[0]
 
 
@@ -624,14 +624,16 @@ def interpolant(
 def _fitted(
     row: Callable[[float], Sequence[float]], first: float, last: float
 ) -> tuple[FloatArray, bool]:
-    """Fit a polynomial to functions of time between two times.
+    """Fit a polynomial to functions of time, between the times `first` and `last`.
+
+    `row` maps a time to the values of the functions.
 
     Returns
     -------
     ndarray, shape (degree + 1, n_functions)
         Chebyshev coefficients of the polynomial through the values at 13 Chebyshev nodes.
     bool
-        Whether it agrees with the functions between the nodes to 1e-13.
+        Whether the polynomial agrees with the functions between the nodes to 1e-13.
     """
     local = np.concatenate([_NODES, _COMPARED])
     times = 0.5 * (first + last) + 0.5 * (last - first) * local

@@ -627,7 +627,8 @@ class TemplateWriter:
     def _expression(self, component: Any, index: tuple[Any, ...], rule: Any) -> Any:
         """Return the CasADi expression of a named Pyomo expression over time, from its rule.
 
-        The rule is called when the expression is needed first. The result is cached by name.
+        The rule is called when the expression is needed for the first time. The result is cached by
+        name.
         """
         name, block = indexed_name(component.name, index), component.parent_block()
         if name in self._by_rule:
