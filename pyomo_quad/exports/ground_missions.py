@@ -384,7 +384,9 @@ def _apart(home: GeodeticOrigin, *places: _Place) -> float:
 def _place_of(
     item: _Item, read: _File, first: _Place | None, last: _Place | None, notes: Counter[str]
 ) -> _Place | None:
-    """Return the place to which a command makes the vehicle fly; None for other commands.
+    """Return the place to which a command makes the vehicle fly.
+
+    The result is None for a command that does not make the vehicle fly to a place.
 
     Parameters
     ----------

@@ -5,8 +5,9 @@ u_1 | relaxation_voltage | V | voltage of the RC pair, the slow part of the pack
 R_1, tau_1 | relaxation_resistance, relaxation_time_constant | ohm, s | of one cell
 T | temperature | K | of the pack, a state
 C_T, h | heat_capacity, cooling | J/K, W/K | of one cell
-T_a, T_r | ambient_temperature, reference_temperature | K | of the air, of the resistances as given
-E_a | activation_energy | J/mol | of the resistances
+T_a | ambient_temperature | K | of the air
+T_r | reference_temperature | K | to which the resistances in the scenario refer
+E_a | activation_energy | J/mol | of the resistances, in Arrhenius's law
 s_R | resistance_share | - | resistance at the temperature T over resistance at T_r
 
 Derivation and sources: see docs/theory/battery.md, eqs. (4) to (10). Without `battery.relaxation`
@@ -82,7 +83,7 @@ def states_at_start(scenario: Scenario) -> dict[str, float]:
 def fields_after(scenario: Scenario, ended: Mapping[str, float]) -> dict[str, float]:
     """Return scenario fields with which the next flight starts at the battery's present state.
 
-    The fields are the initial relaxation voltage and temperature. The charge is not among them.
+    The fields are the initial relaxation voltage and temperature, but not the initial charge.
 
     Parameters
     ----------

@@ -185,7 +185,7 @@ class LibraryEntry:
     battery: str = ""
 
     def values(self) -> dict[str, Any]:
-        """Return the entry's values whose source is stated, by dotted path of the field."""
+        """Return the values for which the entry states a source, by dotted path of the field."""
         everything = {spell(path): value for path, value in leaves(self.tables)}
         return {field: everything[field] for field in self.sources}
 
