@@ -139,7 +139,10 @@ class WindSeries(Part):
 
 
 class Intensity(StrEnum):
-    """Intensity of turbulence, defined by the wind 6 m above ground (MIL-F-8785C, 3.7.3.4)."""
+    """Intensity of turbulence, defined by the wind 6 m above ground (MIL-F-8785C, 3.7.3.4).
+
+    This wind is 15 knots for `LIGHT`, 30 knots for `MODERATE` and 45 knots for `SEVERE` turbulence.
+    """
 
     LIGHT = "light"
     MODERATE = "moderate"
