@@ -196,7 +196,7 @@ DIP = 0.14
 def saturated(
     value: NumericExpression, floor: NumericExpression, width: NumericExpression
 ) -> NumericExpression:
-    """Return a smooth max(value, floor) that equals any value far above the floor to rounding.
+    """Return a smooth max(value, floor), equal to the value (to rounding) far above the floor.
 
     Parameters
     ----------

@@ -126,7 +126,7 @@ def _check_times(times: tuple[float, ...], place: str) -> None:
 def check_cover(
     times: Sequence[float], start: float, field: str, duration: float, place: str
 ) -> None:
-    """Raise an error if a measured wind begins after the mission's start or ends before its end.
+    """Raise an error unless a measured wind covers the mission from its start to its end.
 
     Parameters
     ----------
