@@ -1,17 +1,18 @@
 """Wind that varies from place to place: a spline over place and time for each component.
 
 symbol | name | unit | meaning
-s | field_unit | m/s | factor on the wind of the field, as a speed
+s | field_unit | m/s | factor on the splines, which have no unit: `wind.field_scale` times 1 m/s
 x, y, z, t | - | m, s | the vehicle's place, and the wind time
 
-Each component is a tensor product of cubic not-a-knot B-splines through its values on the grid
-(`collocation.Table`). It is twice differentiable with exact derivatives, and the cost of an
-evaluation does not grow with the grid.  Along an axis of two or three points, the component is the
-line or parabola through the values.  Grid points without wind, such as points inside a building,
-get the wind of the nearest point with wind, because a spline needs a value everywhere; a flight
-through them is refused (`unknown_wind`) unless `wind.beyond` is "hold".
+Each component of the wind velocity is a tensor product of cubic not-a-knot B-splines through its
+values on the grid (`collocation.Table`). It is twice differentiable with exact derivatives, and the
+cost of an evaluation does not grow with the grid. Along an axis of two or three points, the
+component is the line or parabola through the values. Grid points without wind, such as points
+inside a building, get the wind of the nearest point with wind, because a spline needs a value
+everywhere. A flight through places whose nearest grid point has no wind is refused
+(`unknown_wind`) unless `wind.beyond` is "hold".
 
-Outside of the grid the spline has no meaning, and may promise a wind that would carry the vehicle
+Outside of the grid the spline has no meaning, and its values could make it seem favourable to fly
 there. Flights therefore stay within the edges of the grid (`model.airspace`).
 
 With `wind.beyond` "hold", there is no such limit: the place is clipped smoothly to the grid, and
@@ -133,7 +134,7 @@ def _filled(grid: WindGrid) -> tuple[list[FloatArray], FloatArray]:
     axes : list of ndarray
         Coordinates along each axis [m, m, m, s].
     values : ndarray, shape (n_components, *grid)
-        Wind [m/s] relative to `field_unit`.
+        Wind [m/s] as in the file, before the multiplication by the scenario's `wind.field_scale`.
     """
     from scipy.interpolate import BarycentricInterpolator  # noqa: PLC0415  for fields alone
     from scipy.ndimage import distance_transform_edt  # noqa: PLC0415  for fields alone
