@@ -26,7 +26,7 @@ from pyomo_quad.study.pairs import POWER_TOLERANCE, Pairs, bound_of_pairs, wind_
 from pyomo_quad.study.potential import Places, bound_by_places
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from pyomo_quad.arrays import FloatArray
 
@@ -468,28 +468,31 @@ def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand
     found = bound_of_pairs(pairs, legs, shared, steady.hover_power)
     of_field = "" if winds is None else ", and over all winds that occur anywhere in the field,"
     if winds is not None and _has_places(scenario, legs, standing, winds):
-        ends = np.array([mission.start.position, mission.goal.position])
-        by_places = bound_by_places(
+        by_places = _bound_of_places(
+            counted,
             lambda near: Pairs(scenario, dynamics, standing, fastest, near),
             winds,
-            Places(winds_of_columns(scenario), ends),
-            legs[0],
-            shared[0],
             steady.hover_power,
         )
         if by_places > found:
-            found, of_field = (
-                by_places,
-                ", and over all winds that occur in each cell of the field,",
-            )
+            found = by_places
+            of_field = ", and over all winds that occur in each cell of the field,"
     found -= _energy_returned(scenario, planner)
     if found <= 0.0:
         return None, "no prices were found that bound the energy above zero."
-    of_legs = f" on each of {len(legs)} legs" if counted.mission.waypoints else ""
+    return found, _basis_of_pairs(scenario, counted, len(legs), of_field)
+
+
+def _basis_of_pairs(scenario: Scenario, counted: Scenario, legs: int, of_field: str) -> str:
+    """Return the basis of a bound over pairs of thrust and airspeed, in words.
+
+    The mission `counted` may lack waypoints of the scenario; `of_field` names the winds.
+    """
+    of_legs = f" on each of {legs} legs" if counted.mission.waypoints else ""
     left_out = (
         "; waypoints are left out where their order is open" if counted is not scenario else ""
     )
-    return found, (
+    return (
         "the means of force, of its power and of velocity are fixed by rest at both ends and by "
         f"the displacement{of_legs}{left_out}, and the least power over all pairs of thrust and "
         f"airspeed{of_field} under power.model {scenario.power.model.value} is proven by branch "
@@ -498,6 +501,22 @@ def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand
         "allowed, for every flight that meets the boundary conditions within the rotor speed limits"
         f"{_airspace_clause(scenario)}."
     )
+
+
+def _bound_of_places(
+    scenario: Scenario,
+    pairs_in: Callable[[FloatArray], Pairs],
+    winds: FloatArray,
+    power: float,
+) -> float:
+    """Return the lower bound by the places of a flight without waypoints [J].
+
+    The parameters are those of `bound_by_places`.
+    """
+    mission, ((leg,), (durations,)) = scenario.mission, legs_of(scenario)
+    ends = np.array([mission.start.position, mission.goal.position])
+    places = Places(winds_of_columns(scenario), ends)
+    return bound_by_places(pairs_in, winds, places, leg, durations, power)
 
 
 def _has_places(
