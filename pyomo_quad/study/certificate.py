@@ -17,15 +17,16 @@ from scipy.optimize import OptimizeResult, minimize
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.steady import MomentumDemand, SteadyFlight
 from pyomo_quad.model.aerodynamics import acts_in_body_axes
-from pyomo_quad.model.wind_field import wind_corners
+from pyomo_quad.model.wind_field import wind_corners, winds_of_columns
 from pyomo_quad.scenario import PowerModel, Scenario
 from pyomo_quad.scenario.mission import Order
-from pyomo_quad.scenario.wind import WindCoupling
-from pyomo_quad.study.legs import Itinerary, legs_of
+from pyomo_quad.scenario.wind import Beyond, WindCoupling
+from pyomo_quad.study.legs import Itinerary, Leg, legs_of
 from pyomo_quad.study.pairs import POWER_TOLERANCE, Pairs, bound_of_pairs, wind_of
+from pyomo_quad.study.potential import Places, bound_by_places
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     from pyomo_quad.arrays import FloatArray
 
@@ -508,15 +509,33 @@ def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand
         counted = scenario.with_mission(waypoints=())
     legs, shared = legs_of(counted)
     found = bound_of_pairs(pairs, legs, shared, steady.hover_power)
+    of_field = "" if winds is None else ", and over all winds that occur anywhere in the field,"
+    if winds is not None and _has_places(scenario, legs, standing, winds):
+        by_places = _bound_of_places(
+            counted,
+            lambda near: Pairs(scenario, dynamics, standing, fastest, near),
+            winds,
+            steady.hover_power,
+        )
+        if by_places > found:
+            found = by_places
+            of_field = ", and over all winds that occur in each cell of the field,"
     found -= _energy_returned(scenario, planner)
     if found <= 0.0:
         return None, "no prices were found that bound the energy above zero."
-    of_legs = f" on each of {len(legs)} legs" if counted.mission.waypoints else ""
+    return found, _basis_of_pairs(scenario, counted, len(legs), of_field)
+
+
+def _basis_of_pairs(scenario: Scenario, counted: Scenario, legs: int, of_field: str) -> str:
+    """Return the basis of a bound over pairs of thrust and airspeed, in words.
+
+    The mission `counted` may lack waypoints of the scenario; `of_field` names the winds.
+    """
+    of_legs = f" on each of {legs} legs" if counted.mission.waypoints else ""
     left_out = (
         "; waypoints are left out where their order is open" if counted is not scenario else ""
     )
-    of_field = "" if winds is None else ", and over all winds that occur anywhere in the field,"
-    return found, (
+    return (
         "the means of force, of its power and of velocity are fixed by rest at both ends and by "
         f"the displacement{of_legs}{left_out}, and the least power over all pairs of thrust and "
         f"airspeed{of_field} under power.model {scenario.power.model.value} is proven by branch "
@@ -524,6 +543,36 @@ def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand
         f"{100 * POWER_TOLERANCE:g} % of that of hover; holds at all passing times and durations "
         "allowed, for every flight that meets the boundary conditions within the rotor speed limits"
         f"{_airspace_clause(scenario)}."
+    )
+
+
+def _bound_of_places(
+    scenario: Scenario,
+    pairs_in: Callable[[FloatArray], Pairs],
+    winds: FloatArray,
+    power: float,
+) -> float:
+    """Return the lower bound by the places of a flight without waypoints [J].
+
+    The parameters are those of `bound_by_places`.
+    """
+    mission, ((leg,), (durations,)) = scenario.mission, legs_of(scenario)
+    ends = np.array([mission.start.position, mission.goal.position])
+    places = Places(winds_of_columns(scenario), ends)
+    return bound_by_places(pairs_in, winds, places, leg, durations, power)
+
+
+def _has_places(
+    scenario: Scenario, legs: Sequence[Leg], standing: FloatArray, winds: FloatArray
+) -> bool:
+    """Return whether a bound can count where the wind of a field blows: `study.potential`."""
+    return (
+        scenario.wind.beyond is not Beyond.HOLD
+        and len(legs) == 1
+        and legs[0].slack == 0.0
+        and not np.any(standing[:2])
+        and not np.any(winds[:, 2])
+        and bool(np.any(np.ptp(winds, axis=0) > _ROUNDING))
     )
 
 
