@@ -430,8 +430,8 @@ def _read(
     Returns
     -------
     tuple of (Scenario, DataFrame, DataFrame)
-        Scenario with the vehicle, rows of all flights, and rows of battery voltage. The last table
-        is empty if any log lacks the voltage.
+        Scenario with the vehicle, table of the samples of all flights, and table of the samples of
+        the battery voltage. The last table is empty if any log lacks the voltage.
     """
     import pandas as pd  # noqa: PLC0415
 

@@ -135,7 +135,11 @@ def _plain_lines(started: float) -> Callable[["State"], None]:
 
 
 def _state_of(now: "State") -> str:
-    """Return a line on a search for a plan: stage, best energy, uncertainty, processor time."""
+    """Return a line on the state of a search for a plan, for the progress display.
+
+    The line gives the stage of the search, the best energy and its uncertainty, the iteration, the
+    number of mesh points and the processor time.
+    """
     best = "no energy yet"
     if isfinite(now.energy_J):
         known = f" ± {100.0 * now.uncertainty:.2g} %" if isfinite(now.uncertainty) else ""

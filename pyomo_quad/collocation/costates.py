@@ -91,6 +91,9 @@ def _roughness(degree: int) -> FloatArray:
 
     For an element of degree d, the fit is the least-squares polynomial of degree d - 2. The nodes
     are the left end and the d collocation points, so that the matrix has shape (d + 1, d + 1).
+
+    `costate_errors_of` uses the residuals to detect multipliers that do not vary smoothly over the
+    element.
     """
     smooth = legendre.legvander(2.0 * radau_rule(degree).nodes - 1.0, max(degree - 2, 0))
     return np.asarray(np.eye(degree + 1) - smooth @ np.linalg.pinv(smooth))
@@ -183,6 +186,9 @@ def _products(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the gradient of a weighted sum of the path equations, at each collocation point.
 
+    The adjoint equations, by which costates are computed, contain these gradients. A path equation
+    is a constraint that is imposed at every collocation point.
+
     Parameters
     ----------
     program : Transcription
@@ -232,10 +238,10 @@ def costate_errors_of(
     """Estimate the largest error of each costate over the horizon, relative to its magnitude.
 
     Where the solution is smooth, the adjoint equations are integrated once more, with the costates
-    `Costates.at_points`. The estimate is the resulting change of each costate. A limit on a state
-    that becomes active or inactive inside an element may change the costates by a jump anywhere in
-    that element. If the limit's multiplier does not vary smoothly over an element, the error
-    therefore includes the multiplier's full effect on all costates in the element.
+    `Costates.at_points`. The estimate is twice the resulting change of each costate. A limit on a
+    state that becomes active or inactive inside an element may change the costates by a jump
+    anywhere in that element. If the limit's multiplier does not vary smoothly over an element, the
+    error therefore includes the multiplier's full effect on all costates in the element.
 
     Parameters
     ----------

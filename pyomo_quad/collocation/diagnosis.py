@@ -142,8 +142,8 @@ def _soft_program_rows(
 ) -> Iterator[_SoftRow]:
     """Yield the one-sided limits on constraints of the program, for `SoftRows.of`.
 
-    These constraints are the path inequalities at the collocation points, and the conditions at
-    declared times.
+    These constraints are the path inequalities at the collocation points, and the conditions
+    (constraints at declared times, the members of the continuous set).
     """
     equations = program.compiled.declared.equations
     rows = [
@@ -168,14 +168,17 @@ _ELASTIC = SolverOptions(tolerance=1e-7, max_iterations=300)
 
 @dataclass(frozen=True, kw_only=True)
 class Residual:
-    """Equation that the best iterate violates, with the violation in the equation's own unit.
+    """Equation that a failed solve violates, with the violation in the equation's own unit.
+
+    The violation is evaluated at the best iterate, the point with the least constraint violation
+    that the solve found.
 
     Attributes
     ----------
     name : str
         Full name of the equation.
     element : int, optional
-        Index of the element, from 0; None for a condition at a declared time.
+        Index of the element, from 0; None for a condition at a single time.
     time : float, optional
         Physical time.
     violation : float
@@ -200,6 +203,8 @@ class Residual:
 @dataclass(frozen=True, kw_only=True)
 class ActiveLimit:
     """Limit that is active at the best iterate of a failed solve.
+
+    The best iterate is the point with the least constraint violation that the solve found.
 
     Attributes
     ----------
@@ -251,6 +256,8 @@ class Relaxation:
 class Diagnosis:
     """Reasons for the failure of a solve.
 
+    The best iterate is the point with the least constraint violation that the solve found.
+
     Attributes
     ----------
     residuals : tuple of Residual
@@ -276,7 +283,7 @@ class Diagnosis:
 
     @property
     def is_infeasible(self) -> bool:
-        """Whether the problem has no feasible point near the last iterate.
+        """Whether the problem has no feasible point near the best iterate of the failed solve.
 
         False also if the diagnosis could not compute the least violation.
         """
@@ -297,7 +304,8 @@ def diagnose(
     Parameters
     ----------
     solution : Solution
-        The result of a solve that did not converge; its unknowns are the best iterate.
+        The result of a solve that did not converge; its unknowns are the best iterate, the point
+        with the least constraint violation that the solve found.
     families : frozenset of str, optional
         Names of the components whose limits may be relaxed; all by default.
     progress : callable, optional
@@ -399,7 +407,9 @@ def _least_slacks(solution: Solution, soft: SoftRows, progress: Progress | None)
 
 
 def _residuals(solution: Solution) -> tuple[Residual, ...]:
-    """Return the ten equations with the largest scaled violations at the last iterate.
+    """Return the ten equations with the largest scaled violations at the best iterate.
+
+    The best iterate is the point with the least constraint violation that the solve found.
 
     The largest violation comes first. Equations that are satisfied are left out.
     """
@@ -424,9 +434,10 @@ def _residuals(solution: Solution) -> tuple[Residual, ...]:
 
 
 def _active(solution: Solution, soft: SoftRows) -> tuple[ActiveLimit, ...]:
-    """Return the limits that are active at the last iterate, one entry per component.
+    """Return the limits that are active at the best iterate, one entry per component.
 
-    `soft` has the one-sided limits to examine. Limits on unknowns with a fixed value are left out.
+    The best iterate is the point with the least constraint violation that the solve found. `soft`
+    has the one-sided limits to examine. Limits on unknowns with a fixed value are left out.
     """
     values = solution.program.constraints(solution.unknowns)
     held = np.where(soft.row >= 0, values[soft.row], solution.unknowns[soft.column])

@@ -52,7 +52,7 @@ class Instants:
         ``(keys, *inputs)`` -> values of the components that `keys` names, shape (n, n_keys); an
         `Evaluator`.
     numbers : callable
-        (data, new values of parameters by full name) -> data with these values.
+        (data, new values of parameters by full name) -> copy of the data with the new values.
     """
 
     inputs: list[FloatArray]
@@ -69,7 +69,8 @@ class Instants:
         Parameters
         ----------
         keys : tuple of (str, index)
-            Full names, and indices without time (None for none).
+            For each component: its full name, and its index without the time (i for ``x[i, t]``,
+            None for ``x[t]``).
         changed : mapping, optional
             New values of parameters by full name; they must affect neither rates nor algebraic
             variables.
@@ -231,7 +232,7 @@ class Dynamics:
         return tuple(slot.name for slot in self._formulation.compiled.declared.signals)
 
     def moment(self, t: float) -> list[float]:
-        """Return the time-dependent inputs of the equations at a time.
+        """Return the time-dependent inputs of the compiled equations at a time.
 
         Parameters
         ----------
@@ -316,8 +317,8 @@ class Dynamics:
         Parameters
         ----------
         keys : tuple of (str, index)
-            Full names, and indices without time. The name of an equation over time gives its
-            residual.
+            For each component: its full name, and its index without the time (i for ``x[i, t]``,
+            None for ``x[t]``). The name of an equation over time gives its residual.
         t : float
             Physical time at which time-dependent parameters are evaluated.
         values : mapping
@@ -486,7 +487,7 @@ class Dynamics:
         states : ndarray, shape (n, n_states)
         controls : ndarray, shape (n, n_controls)
         index : optional
-            The component's index without time.
+            Index of the component without the time: i for ``x[i, t]``; omitted for ``x[t]``.
 
         Returns
         -------
@@ -507,7 +508,8 @@ class Dynamics:
         Parameters
         ----------
         keys : tuple of (str, index)
-            Full names, and indices without time (None for none).
+            For each component: its full name, and its index without the time (i for ``x[i, t]``,
+            None for ``x[t]``).
         t, states, controls : ndarray
             As in `evaluate`.
 
@@ -519,7 +521,7 @@ class Dynamics:
 
     @property
     def states_used_up(self) -> tuple[str, ...]:
-        """Names of states with a given initial value and a free final value.
+        """Names of the states that a flight uses up: initial value given, final value free.
 
         An example is the charge of a battery.
         """
@@ -790,7 +792,8 @@ class _Core:
         unknowns : casadi.SX
             Rates, then the algebraic variables that equations determine.
         inputs : list of casadi.SX
-            States, controls, static variables and data.
+            States, controls, static variables (variables without time) and data (fraction of the
+            horizon and parameters).
         rest : casadi.SX
             Further expressions of the unknowns, to be evaluated at the solution.
         """
@@ -961,9 +964,9 @@ def written_law(dynamics: Dynamics, law: Law, sizes: tuple[int, int, int]) -> An
     law : callable
         See `Law`.
     sizes : (int, int, int)
-        Numbers of time-dependent inputs, joint states and components of the command. The joint
-        state consists of the vehicle's states, the law's own states, and the integral of the
-        objective's integrand.
+        Numbers of time-dependent inputs of the equations (see `Dynamics.moment`), of joint states
+        and of components of the command that the law follows. The joint state consists of the
+        vehicle's states, the law's own states, and the integral of the objective's integrand.
 
     Returns
     -------
@@ -993,10 +996,10 @@ def written_law(dynamics: Dynamics, law: Law, sizes: tuple[int, int, int]) -> An
 
 
 def joint_sizes(dynamics: Dynamics, n_command: int, n_own: int) -> tuple[int, int, int]:
-    """Return the dimensions of a closed loop.
+    """Return the three dimensions of a closed loop of vehicle and control law.
 
-    They are the numbers of time-dependent inputs of the equations, of joint states, and of
-    components of the command that the control law follows.
+    They are the numbers of time-dependent inputs of the equations (see `Dynamics.moment`), of joint
+    states, and of components of the command that the control law follows.
 
     The joint state consists of the vehicle's states, the n_own states of the law, and the integral
     of the objective's integrand.
@@ -1023,7 +1026,8 @@ def closed(
     Returns
     -------
     list of symbols
-        Columns of the time-dependent inputs, the joint state and the command.
+        Columns of the time-dependent inputs of the equations (see `Dynamics.moment`), of the joint
+        state, and of the command that the law follows.
     expression
         Time derivative of the joint state.
     expression
@@ -1086,8 +1090,9 @@ class ClosedLoop:
         """Return the CasADi function of the closed loop.
 
         The function maps (time-dependent inputs, joint state, command) to the time derivative of
-        the joint state and the controls. `sizes` are the dimensions of the inputs, as from
-        `joint_sizes`.
+        the joint state and the controls. The joint state consists of the states of vehicle and law,
+        and of the integral of the objective's integrand. `sizes` are the dimensions of the three
+        inputs, as from `joint_sizes`.
         """
         symbols, rates, controls = closed(self._dynamics, law, sizes, {})
         # To find common subexpressions, CasADi would write out the data of each table in full.
@@ -1134,7 +1139,8 @@ class ClosedLoop:
         Returns
         -------
         ndarray, shape (n, n_joint, n_moment)
-            Derivatives with respect to the n_moment time-dependent inputs of the equations.
+            Derivatives with respect to the n_moment time-dependent inputs of the equations, which
+            `Dynamics.moment` returns.
         ndarray, shape (n, n_joint, n_joint)
             Derivatives with respect to the joint state.
         """

@@ -1,8 +1,8 @@
-"""Exceptions of the engine, and the text of errors from user code."""
+"""Exceptions of the collocation engine, and the text of errors from user code."""
 
 
 class EngineError(Exception):
-    """Base class of all exceptions that the engine raises deliberately."""
+    """Base class of all exceptions that the collocation engine raises deliberately."""
 
 
 class TranscriptionError(EngineError, ValueError):

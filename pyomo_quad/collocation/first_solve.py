@@ -83,7 +83,9 @@ class FirstSolve(Search[S], Generic[S]):
 
     @property
     def failed(self) -> S:
-        """Result of the solve with the caller's own start, mesh and settings, without a verdict.
+        """Result of the failed solve with the caller's own start, mesh and settings.
+
+        The result contains no verdict on the feasibility of the problem (see `judged`).
 
         Raises
         ------
@@ -105,7 +107,7 @@ class FirstSolve(Search[S], Generic[S]):
         return fact is Fact.JUDGED and is_judged
 
     def attempt(self, strategy: Strategy) -> S | None:
-        """Solve with the initial point, mesh and settings of a strategy of the table.
+        """Solve with the initial point, mesh and settings that a fallback strategy prescribes.
 
         The result is None if the strategy does not apply to this problem.
         """
@@ -132,7 +134,7 @@ class FirstSolve(Search[S], Generic[S]):
         first : First
             Kind of initial point.
         own : callable
-            (mesh, start) -> solution on one mesh, with the strategy's settings.
+            Function (mesh, start) -> solution on one mesh, with the strategy's settings.
         mesh : Mesh, list of Mesh, or None
             Initial mesh.
         """
@@ -170,7 +172,8 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     Attributes
     ----------
     bounds_of : callable
-        Transcription (nonlinear program on one mesh) -> its bounds, with all conditions imposed.
+        Transcription (nonlinear program on one mesh) -> its bounds. All conditions (constraints at
+        single times) are imposed, also redundant conditions.
     simulate : callable, optional
         Function without arguments that simulates the model from its initial states and returns the
         trajectory. The function returns None if the model has controls or free initial states,
@@ -181,7 +184,7 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     progress : callable or None
         Called at each iteration; returning False stops the solve.
     is_overdetermined : bool
-        Whether there are more equations than free unknowns.
+        Whether the model has more equations than free unknowns.
     is_mesh_free : bool
         Whether the first mesh may be changed, because the caller gave none.
     """
@@ -214,8 +217,8 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
 
         The kinds are the caller's start, a simulation, the point of least constraint violation, the
         optimum on a coarse mesh, the optimum of the elastic program (equations violated at a
-        penalty), and a solve without redundant conditions. The result is None if no initial point
-        of that kind exists.
+        penalty), and, for a solve without redundant conditions, the point of least constraint
+        violation. The result is None if no initial point of the required kind exists.
         """
         if first is First.GIVEN:
             return self._ended(self.finish(own, mesh, self.start))

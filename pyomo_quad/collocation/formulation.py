@@ -63,7 +63,10 @@ class WrittenComponents:
         self._written = written
 
     def components_over_time(self) -> Iterator[tuple[str, tuple[Any, ...]]]:
-        """Yield the full name and the index without time of each component."""
+        """Yield for each component its full name and its index without the time.
+
+        For ``x[i, t]`` with the time t, the index without the time is (i,).
+        """
         yield from self._written
 
     def over_time(self, name: str, index: tuple[Any, ...]) -> Any:
@@ -89,9 +92,9 @@ class Evaluator:
 
     A component is a variable, derivative or named expression over time. Its CasADi function has
     five inputs, evaluated at one time: the rates (derivatives of the states with respect to the
-    fraction of the horizon), the states, the algebraic variables, the static variables, and the
-    data (fraction of the horizon, time-dependent parameters, constant parameters). Output states,
-    which no other equation depends on, follow the states of the nonlinear program.
+    fraction of the horizon), the states, the algebraic variables, the static variables (without
+    time), and the data (fraction of the horizon, time-dependent parameters, constant parameters).
+    Output states, which no other equation depends on, follow the states of the nonlinear program.
 
     Parameters
     ----------
@@ -146,7 +149,7 @@ class Evaluator:
         component : Pyomo component or str
             Variable or expression, or its full name.
         index : optional
-            Index without time; None for a component that is indexed by time only.
+            Index of the component without the time: i for ``x[i, t]``, None for ``x[t]``.
 
         Raises
         ------
@@ -180,7 +183,7 @@ class Evaluator:
         component : str
             Full name of the variable or expression.
         index : optional
-            Its index without time.
+            Index of the component without the time: i for ``x[i, t]``; omitted for ``x[t]``.
         """
         try:
             return self._writer.over_time(component, index_tuple(index)) is not None
@@ -190,8 +193,8 @@ class Evaluator:
     def function(self, keys: tuple[tuple[str, Any], ...]) -> Any:
         """Return the CasADi function that evaluates several components, compiled at first use.
 
-        `keys` are pairs (full name, index without time). The function's only output is a column
-        vector with one component per row.
+        `keys` are pairs (full name, index without the time). The index is i for ``x[i, t]``, and
+        None for ``x[t]``. The function's only output is a column vector with one component per row.
         """
         if keys not in self._functions:
             rows = casadi.vertcat(*[self.expression(name, index) for name, index in keys])
@@ -206,7 +209,8 @@ class Evaluator:
         Parameters
         ----------
         keys : tuple of (str, index)
-            Full names and indices without time (None for a component that has no other index).
+            For each component: its full name, and its index without the time (i for ``x[i, t]``,
+            None for ``x[t]``).
         inputs : ndarray, shape (n, k)
             Rates, states, algebraic variables, static variables and data, one row per point each.
 
@@ -455,8 +459,8 @@ class Formulation:
     def required_breakpoints(self, instance: Instance) -> tuple[float, ...]:
         """Return the fractions of the horizon at which an element of every mesh must end.
 
-        The result has, in increasing order, the fractions between 0 and 1 at which a condition is
-        imposed on a variable, a variable is fixed, or a time-dependent parameter jumps.
+        The result has, in increasing order, the fractions between 0 and 1 at which a constraint at
+        a single time is imposed, a variable is fixed, or a time-dependent parameter jumps.
         """
         declared = self.compiled.declared
         fractions = {p.fraction for p in declared.point_symbols} | {f for _, f in declared.fixed}
@@ -539,7 +543,8 @@ class Formulation:
         Parameters
         ----------
         statics : ndarray, shape (n_statics,)
-            Values of the static variables, which include the free times.
+            Values of the static variables (variables without time). Some of them may be free times:
+            physical times that the solve determines.
         instance : Instance
             Data of one solve, with the times that are not free.
         """

@@ -225,9 +225,9 @@ class _Known:
     def order_times(self, z: FloatArray) -> None:
         """Set initial values of the free times, and correct them so that all times increase.
 
-        A free time is a static variable whose value replaces a declared time, a member of the
-        continuous set. If neither model nor guess has a value, the free time begins at the declared
-        time. The array `z` of unknowns is changed in place.
+        A free time is a static variable (a variable without time) whose value replaces a declared
+        time, a member of the continuous set. If neither model nor guess has a value, the free time
+        begins at the declared time. The array `z` of unknowns is changed in place.
         """
         program, bounds = self.program, self.bounds
         statics, clock = program.compiled.declared.statics, program.compiled.declared.clock
@@ -292,11 +292,11 @@ def on_path_equalities(program: Transcription, bounds: Bounds, z: FloatArray) ->
     """Move states as little as possible until they satisfy the equations among states alone.
 
     An equation among states, such as a path that a vehicle must follow, has index 2: the equation
-    contains neither rates nor controls. At a point that violates the equation, the derivatives of
-    the equation tell Ipopt little about the rates and controls that would satisfy it. The states
-    are moved by Gauss-Newton steps, each the shortest in units of the states' magnitudes. The
-    algebraic variables are then adjusted to the moved states. The result has shape (n_unknowns,)
-    and lies inside the bounds. If the residual does not decrease, the given point `z` is returned.
+    contains neither rates nor controls. The derivatives of the equation therefore give Ipopt little
+    information on the rates and controls with which the states would satisfy it. The states are
+    moved by Gauss-Newton steps, each the shortest in units of the states' magnitudes. The algebraic
+    variables are then adjusted to the moved states. The result has shape (n_unknowns,) and lies
+    inside the bounds. If the residual does not decrease, the given point `z` is returned.
     """
     compiled, layout = program.compiled, program.layout
     path, n = compiled.path, layout.n_states

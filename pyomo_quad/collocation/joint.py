@@ -66,7 +66,7 @@ class JointSolution(Outcome):
         Solution on each horizon, by the name of its continuous set.
     coupling : Solution
         Values of the variables that belong to no horizon, together with the objective and the
-        conditions that concern several horizons or no horizon.
+        constraints that concern several horizons or no horizon.
     size : (int, int)
         Number of unknowns and of constraints of the joint nonlinear program.
     """
@@ -135,7 +135,7 @@ class JointSolution(Outcome):
         component : Var, DerivativeVar, Expression or str
             A component of the model over the horizon, or its full name.
         index : optional
-            The component's index without time.
+            Index of the component without the time: i for ``x[i, t]``; omitted for ``x[t]``.
 
         Raises
         ------
@@ -159,9 +159,9 @@ class JointSolution(Outcome):
         component : Var, DerivativeVar, Expression or str
             A component of the model or its full name.
         t : float or array, optional
-            Physical times; omitted for a static variable or an integral.
+            Physical times; omitted for a static variable (a variable without time) or an integral.
         index : optional
-            The component's index without time.
+            Index of the component without the time: i for ``x[i, t]``; omitted for ``x[t]``.
 
         Returns
         -------
@@ -285,7 +285,8 @@ class JointProblem(Summarised):
         Returns
         -------
         JointSolution
-            The result with its status; a failure of the numerics is a result, not an exception.
+            The result. Its status shows whether the solve converged; a solve that fails to converge
+            raises no exception.
 
         Raises
         ------
@@ -341,9 +342,10 @@ class JointProblem(Summarised):
         )
 
     def _refuse_of_one_horizon(self, horizon: tuple[float, float] | None, starts: int) -> None:
-        """Raise an error if an argument of `solve` is given that only a single horizon permits.
+        """Raise an error for arguments of `solve` that are not supported for several horizons.
 
-        These arguments are `horizon` (its ends) and `starts` (number of initial points).
+        These arguments are `horizon` (start and end of the only horizon), which must be None, and
+        `starts` (number of initial points), which must be 1.
         """
         names = ", ".join(self.horizons)
         if horizon is not None:
@@ -578,12 +580,13 @@ class JointProblem(Summarised):
         return np.clip(z, bounds.lower, bounds.upper), None
 
     def _set_links(self, union: Union, program: Transcription, z: FloatArray, places: Any) -> None:
-        """Set the static variables that stand for values of one horizon, in place.
+        """Set the static variables that stand for values of one horizon in the coupling, in place.
 
-        The coupling of the horizons contains such a static variable instead of, for example, the
-        derivative of a state at the horizon's end. Its entry in the array `z` of the joint
-        program's unknowns is set to the horizon's present value, taken from the horizon's entries
-        `places` of `z`.
+        The coupling consists of the objective and of the constraints on several horizons. It
+        contains a static variable (a variable without time) instead of, for example, the derivative
+        of a state at the end of a horizon. The array `z` holds the unknowns of the joint program.
+        The entry of each static variable in `z` is set to the value for which it stands. That value
+        is computed from the horizon's own unknowns, the entries `places` of `z`.
         """
         if program.mesh is None:
             return
@@ -608,7 +611,10 @@ class JointProblem(Summarised):
         refuse_overdetermined(CoupledProgram(union, union.programs), bounds, z, held)
 
     def load(self, solution: JointSolution) -> None:
-        """Load a solution's values into the variables of the Pyomo model, at its declared times.
+        """Load a solution's values into the variables of the Pyomo model.
+
+        Variables over time receive their values at the declared times, the members of the
+        continuous sets.
 
         Duals, reduced costs and costates are loaded into the suffixes `dual`, `rc` and `costate`,
         if the model declares them as imported suffixes.

@@ -20,9 +20,9 @@ class Violation:
     name : str
         Name of the component that declares the limit.
     size : float
-        Amount by which the limit is exceeded, in the limit's unit; 0 if the limit is met.
+        Amount by which the limit is exceeded, in the limit's unit; 0 if the limit is satisfied.
     bound : float
-        Value of the limit at that time.
+        Value of the limit at the time of the worst violation.
     time : float
         Physical time of the worst violation.
     """

@@ -56,8 +56,10 @@ class RadauRule:
 def barycentric_weights(nodes: FloatArray) -> FloatArray:
     """Return the barycentric weights of distinct nodes in the unit interval, shape (n_nodes,).
 
-    Differences are multiplied by 4, the inverse capacity of the interval, so that the products
-    neither underflow nor overflow at high degree.
+    The weight of a node is the inverse of the product of its differences from all other nodes. The
+    differences are multiplied by 4, the inverse of the logarithmic capacity of the interval, so
+    that the products neither underflow nor overflow at high degree. The common factor has no effect
+    on barycentric interpolation.
     """
     differences = 4.0 * (nodes[:, None] - nodes[None, :])
     np.fill_diagonal(differences, 1.0)
@@ -155,7 +157,7 @@ def real_array(
     Parameters
     ----------
     arrays : mapping
-        Name to array, for example as read from a file.
+        Arrays by name, for example as read from a file.
     name : str
         Name of the wanted array.
     shape : tuple of int or None

@@ -137,8 +137,8 @@ class Problem(Summarised, Formulation):
             Start and end of the horizon, in place of the ends of the continuous set.
         guess : mapping, optional
             Initial values by the name of a variable, as in ``rotors.omega[1]``: a function of time,
-            a constant, or samples at the times under the key "time". A frame of `Solution.to_frame`
-            is a mapping of this kind.
+            a constant, or samples at the times under the key "time". The DataFrame that
+            `Solution.to_frame` returns is a mapping of this kind.
         warm_start : Solution or WarmStart, optional
             Solution of the same model on any mesh; its trajectory and multipliers are the initial
             point.
@@ -155,7 +155,8 @@ class Problem(Summarised, Formulation):
         Returns
         -------
         Solution
-            The result with its status; a failure of the numerics is a result, not an exception.
+            The result. Its status shows whether the solve converged; a solve that fails to converge
+            raises no exception.
 
         Raises
         ------
@@ -324,7 +325,7 @@ class Problem(Summarised, Formulation):
         ----------
         mesh : Mesh or None
             None for a model without time. Element boundaries are added at times at which a
-            condition is imposed or a parameter jumps.
+            constraint at a single time is imposed, a variable is fixed, or a parameter jumps.
         start : Start
             Initial point: a guess or a warm start.
         damping : Damping, optional
@@ -488,7 +489,10 @@ class Problem(Summarised, Formulation):
         return Dynamics(self, self.instance(parameters, horizon), statics)
 
     def load(self, solution: Solution) -> None:
-        """Load a solution's values into the variables of the Pyomo model, at its declared times.
+        """Load a solution's values into the variables of the Pyomo model.
+
+        Variables over time receive their values at the declared times, the members of the
+        continuous set.
 
         Duals, reduced costs and costates are loaded into the suffixes `dual`, `rc` and `costate`,
         if the model declares them as imported suffixes.
@@ -600,8 +604,9 @@ def load_values(*solutions: Solution) -> None:
     """Load the values of solutions into the Pyomo model to which they belong.
 
     Each solution covers one horizon (continuous set) of the model, or the variables of no horizon.
-    Static variables, variables and derivatives at the declared times, integrals and imported
-    suffixes receive their values.
+    Values are loaded into static variables (variables without time), into variables and derivatives
+    over time at the declared times (the members of the continuous sets), into integrals, and into
+    imported suffixes.
     """
     for solution in solutions:
         declared, values = solution.problem.compiled.declared, solution.problem.values

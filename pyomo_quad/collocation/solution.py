@@ -185,13 +185,16 @@ class Outcome(Summarised):
     def parts(self) -> tuple[Solution, ...]:
         """Solutions on the individual horizons, one for each continuous set of the model.
 
-        Each has the status and history of the whole solve.
+        Each of these solutions has the status and the history of the whole solve.
         """
 
     @property
     @abstractmethod
     def warm_start(self) -> Any:
-        """Warm start for another solve, independent of this solution's problem."""
+        """Warm start for another solve: trajectory and multipliers of this solution.
+
+        The warm start contains no reference to the compiled problem that was solved.
+        """
 
     def updated(self, **changes: Any) -> Self:
         """Return a copy of this solution with other values of the given attributes.
@@ -335,7 +338,10 @@ class Solution(Outcome):
 
     @cached_property
     def warm_start(self) -> WarmStart:
-        """Warm start for another solve, independent of this solution's problem."""
+        """Warm start for another solve: trajectory and multipliers of this solution.
+
+        The warm start contains no reference to the compiled problem that was solved.
+        """
         return warm_start_of(self.program, self.unknowns, self.multipliers, self.cold_start)
 
     @cached_property
@@ -343,8 +349,8 @@ class Solution(Outcome):
         """Values of the output states at the nodes, shape (n_points + 1, n_outputs).
 
         Output states are states on which neither objective nor other equations depend, for example
-        an energy that is only reported. They are not unknowns of the nonlinear program, and are
-        computed at first access.
+        an energy that is only reported. Output states are not unknowns of the nonlinear program,
+        and are computed at first access.
         """
         program, outputs = self.program, self.problem.outputs
         if not len(outputs) or program.mesh is None:
@@ -405,9 +411,9 @@ class Solution(Outcome):
         component : Var, DerivativeVar, Expression or str
             A component of the model or its full name.
         t : float or array, optional
-            Physical times; omitted for a static variable or an integral.
+            Physical times; omitted for a static variable (a variable without time) or an integral.
         index : optional
-            The component's index without time.
+            Index of the component without the time: i for ``x[i, t]``; omitted for ``x[t]``.
 
         Returns
         -------
@@ -427,7 +433,7 @@ class Solution(Outcome):
         return float(values[0]) if np.ndim(t) == 0 else values.reshape(np.shape(t))
 
     def _static(self, name: str, index: tuple[Any, ...]) -> float:
-        """Return the value of a static variable or of an integral, by name and index."""
+        """Return the value of a variable without time, or of an integral, by name and index."""
         declared = self.problem.compiled.declared
         for slot, number in zip(declared.statics, self.trajectory.statics, strict=True):
             if (slot.component, slot.index) == (name, index) or slot.name == name:
@@ -483,7 +489,7 @@ class Solution(Outcome):
         t : float or array
             Physical times.
         index : optional
-            The state's index without time.
+            Index of the state without the time: i for ``x[i, t]``; omitted for ``x[t]``.
 
         Returns
         -------

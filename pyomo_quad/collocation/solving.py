@@ -81,7 +81,7 @@ class _WholeSolve(Search[S], Generic[S]):
         )
 
     def attempt(self, strategy: Strategy) -> S:
-        """Solve with a strategy of the table, and return the result.
+        """Solve with a given solution strategy, and return the result.
 
         The strategy determines the starting point: the warm start, the guess, or the last iterate
         of the interrupted solve from the warm start. It also determines whether the iterations are
@@ -133,12 +133,13 @@ def within_budget(
     *,
     is_known: bool = True,
 ) -> S:
-    """Solve from a warm start with a budget of iterations, and from the guess if it is exceeded.
+    """Solve from a warm start with a budget of iterations, and from the guess if that is too few.
 
     A warm start is useful only if it is faster than a solve from the guess (cold start). On its
     first mesh it may take as many iterations as the cold start took on the first mesh, and on all
-    meshes together as many as the cold start took on all meshes. If the warm start takes more, the
-    problem is solved from the guess. If that solve fails, the warm start is continued.
+    meshes together as many as the cold start took on all meshes. These numbers are the budget. If
+    the solve from the warm start exceeds the budget, the problem is solved from the guess. If that
+    solve fails, too, the solve from the warm start is continued.
 
     Parameters
     ----------
@@ -180,8 +181,8 @@ def carried_out(
     The mesh is refined if there is a tolerance.
 
     If a refinement is interrupted or fails, the solution on the most accurate finished mesh is
-    returned, with the status of the failure. Doubts about the result, such as tables that are read
-    outside their range, are recorded in its status and message.
+    returned, with the status of the failure. Doubts about the result are recorded in its status and
+    message, for example if an interpolation table is evaluated outside the range of its data.
 
     Parameters
     ----------

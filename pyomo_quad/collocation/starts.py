@@ -69,7 +69,8 @@ class ColdStart:
 class WarmStart:
     """Trajectory and multipliers of a solution, stored without the problem that was solved.
 
-    A later solve of the same equations, on any mesh, can start from it.
+    A later solve of the same equations, on any mesh, can start from this trajectory and these
+    multipliers.
 
     Attributes
     ----------
@@ -83,8 +84,8 @@ class WarmStart:
     equations : ndarray, shape (n_points, n_equations)
         Multipliers of the equations over time at the collocation points.
     conditions : ndarray, shape (n_conditions,)
-        Multipliers of all other constraints: conditions at declared times, and definitions of
-        integrals that are unknowns.
+        Multipliers of all other constraints: conditions (constraints at declared times, the members
+        of the continuous set), and definitions of integrals that are unknowns.
     cold_start : ColdStart, optional
         Iterations of the solve without a warm start, if known.
     """
@@ -330,8 +331,8 @@ class Start:
     def of(cls, given: Any, guess: Any = None) -> Start:
         """Return the `Start` of a solve from its arguments `warm_start` and `guess`.
 
-        `given` is None, a warm start, or an object with an attribute `warm_start`: a solution or a
-        plan.
+        `given` is the argument `warm_start`: None, a warm start, or an object with an attribute
+        `warm_start`, such as a solution or a flight plan.
         """
         return cls(warm=getattr(given, "warm_start", given), guess=guess)
 
@@ -342,7 +343,7 @@ class Start:
 
     @property
     def cold_start(self) -> ColdStart | None:
-        """Record, from the warm start, of the iterations that a solve from the guess took.
+        """Record of the iterations that a solve from the guess took, as stored in the warm start.
 
         None if there is no warm start, or if it contains no record.
         """

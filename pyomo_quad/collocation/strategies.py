@@ -225,7 +225,7 @@ class Search(ABC, Generic[S]):
 
     @abstractmethod
     def attempt(self, strategy: Strategy) -> S | None:
-        """Solve with a strategy of the table, and return the result.
+        """Solve with a given solution strategy, and return the result.
 
         The result is None if the strategy does not apply to the problem.
         """
@@ -246,13 +246,15 @@ class Search(ABC, Generic[S]):
 
 
 def first_success(scope: Scope, search: Search[S]) -> S:
-    """Try the strategies of a scope in the order of the table, until one gives a final result.
+    """Try solution strategies in the order of their table, until one gives a final result.
+
+    Only the strategies for one part of a solve, `scope`, are tried.
 
     Parameters
     ----------
     scope : Scope
     search : Search
-        Carries the strategies out, and decides which results are final.
+        Object that carries the strategies out, and decides which results are final.
 
     Returns
     -------

@@ -45,9 +45,9 @@ class Sensitivities:
     def add(self, name: str, price: Callable[[float], float]) -> None:
         """Add the derivative with respect to a component over time, as a function of time.
 
-        If the component `name` has a function already, the sum of both functions is stored. This
-        happens for a limit with a lower and an upper side, of which at most one is active at any
-        time.
+        `name` is the name of the component, and `price` the function: time -> derivative. If the
+        component has a function already, the sum of the two functions is stored. A limit with a
+        lower and an upper side, of which at most one is active at any time, has two functions.
         """
         held = self.over_time.get(name)
         if held is None:

@@ -44,7 +44,8 @@ def without_bound(solution: Solution) -> Solution:
 def with_surplus(solution: Solution) -> Solution:
     """Add a note to a successful solution of a model with more equations than free unknowns.
 
-    Some of its equations are redundant, so that their multipliers are not unique.
+    Some of the model's equations are redundant, so that the multipliers of the solution are not
+    unique.
     """
     if solution.bounds.surplus <= 0 or not solution.status.is_solved:
         return solution
@@ -188,7 +189,7 @@ def outside_tables(solution: Solution) -> str:
 
     A table interpolates data over a range of its argument, and has no meaning outside that range.
     The message names the table whose argument lies farthest outside, with the value of the
-    argument. It is empty if all arguments are inside.
+    argument. The message is empty if all arguments are inside.
     """
     program, z = solution.program, solution.unknowns
     tables = program.compiled.tables

@@ -180,7 +180,7 @@ def read_mission(
         "vehicle": {"use": vehicle} | ({"payload": payload_kg} if payload_kg else {}),
         "wind": {"use": "calm"},
         "power": {"model": "momentum"},
-        "mission": _mission(read, places),
+        "mission": _mission(read, places, notes),
         "airspace": _airspace(read, printable(str(path))),
     }
     scenario = scenario_from_mapping(tables, printable(str(path)))
@@ -384,7 +384,9 @@ def _apart(home: GeodeticOrigin, *places: _Place) -> float:
 def _place_of(
     item: _Item, read: _File, first: _Place | None, last: _Place | None, notes: Counter[str]
 ) -> _Place | None:
-    """Return the place to which a command makes the vehicle fly; None for other commands.
+    """Return the place to which a command makes the vehicle fly.
+
+    The result is None for a command that does not make the vehicle fly to a place.
 
     Parameters
     ----------
@@ -481,13 +483,26 @@ def _release(places: list[_Place], payload_kg: float, notes: Counter[str]) -> No
         opened[0].release = payload_kg
 
 
-def _mission(read: _File, places: list[_Place]) -> dict[str, Any]:
+def _mission(read: _File, places: list[_Place], notes: Counter[str]) -> dict[str, Any]:
+    """Return the scenario's table `mission`: origin, start, goal, waypoints and rally points.
+
+    Unlike a waypoint, start and goal have neither a time of hover nor a radius; if the file gives
+    one, a remark is added to `notes`. Start and goal always have a heading. If the file gives the
+    heading of one of them only, both get this heading, so that the vehicle need not turn.
+    """
     start, *between, goal = places
+    for place in (start, goal):
+        if place.hold:
+            notes["the time of hover at an end of the flight"] += 1
+        if place.radius:
+            notes["the acceptance radius at an end of the flight"] += 1
+    yaws = [place.yaw for place in (start, goal) if place.yaw is not None]
+    first, last = ({"yaw": yaws[0]}, {"yaw": yaws[-1]}) if yaws else ({}, {})
     return {
         "duration": "free",
         "origin": read.home.model_dump(),
-        "start": {"position": start.position},
-        "goal": {"position": goal.position},
+        "start": {"position": start.position, **first},
+        "goal": {"position": goal.position, **last},
         "waypoints": [
             {
                 name: value

@@ -278,7 +278,9 @@ class _Graph:
         beside = [places_beside(zone, airspace.clearance, ends) for zone in relevant]
         places = np.vstack([ends, *beside])
         is_free = airspace.distance_to_height_limits(places) >= 0.0
-        for zone in airspace.keep_out:
+        # Zones that are not relevant yet must not remove places: they become relevant only when a
+        # route hits them, and their own places then lead round both zones.
+        for zone in relevant:
             is_free &= zone.depth(places) + airspace.clearance <= ROUNDING
         if airspace.keep_in is not None:
             is_free &= airspace.keep_in.depth(places) >= 0.0

@@ -41,11 +41,12 @@ _CURRENTS, _VOLTAGES = ("current_a", "current_average_a"), ("voltage_v", "voltag
 
 
 @contextmanager
-def _whole_log(autopilot: str, package: str) -> Iterator[None]:
-    """Context manager: turn any failure of a log reader into a one-line ScenarioError.
+def _reader_errors(autopilot: str, package: str) -> Iterator[None]:
+    """Context manager: turn failures of another package's log reader into a one-line ScenarioError.
 
-    The readers of other packages print the errors that they find, and raise exceptions of many
-    types for damaged logs.
+    Readers such as `pyulog` print the errors that they find, and raise exceptions of many types for
+    damaged logs. The printed text is suppressed. `autopilot` and `package` are the names in the
+    message. Errors of the file system and a lack of memory are not converted.
     """
     try:
         with redirect_stdout(StringIO()):
@@ -127,7 +128,7 @@ def read_ulog(file: Path) -> pd.DataFrame:
     ScenarioError
         If the package `pyulog` is missing, or the log is damaged or lacks a topic or a field.
     """
-    with _whole_log("PX4", "pyulog"), file.open("rb") as stream:
+    with _reader_errors("PX4", "pyulog"), file.open("rb") as stream:
         from pyulog import ULog  # noqa: PLC0415  an extra
 
         read = ULog(stream, message_name_filter_list=list(_TOPICS)).data_list
@@ -211,7 +212,7 @@ def read_ardupilot(file: Path) -> pd.DataFrame:
     with file.open("rb"):
         pass  # raise the operating system's own error if the file cannot be read
     rows: dict[str, list[dict[str, float]]] = {name: [] for name in _MESSAGES}
-    with _whole_log("ArduPilot", "pymavlink"):
+    with _reader_errors("ArduPilot", "pymavlink"):
         from pymavlink.DFReader import DFReader_binary  # noqa: PLC0415  an extra
 
         log = DFReader_binary(str(file))
@@ -273,7 +274,11 @@ def _ardupilot_by_second(messages: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
 
 
 def _is_flying(events: pd.DataFrame, times: FloatArray) -> NDArray[np.bool_]:
-    """Return whether the land detector reports flight at each time; True without a detector."""
+    """Return whether the land detector of an ArduPilot log reports flight at each time.
+
+    `events` is the log's table of events with their times in microseconds; `times` has the same
+    unit. The result is True throughout if the log has no events of the detector.
+    """
     if not {"TimeUS", "Id"} <= set(events):
         return np.ones(len(times), dtype=bool)
     told = events[events["Id"].isin((_LANDED_EVENT, _FLYING_EVENT))]

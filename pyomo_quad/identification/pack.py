@@ -130,7 +130,7 @@ class _Flown(NamedTuple):
     rest : (float, float)
         Mean voltage per cell [V] and mean power [W] before the load.
     aloft : int
-        Number of rows in flight, from the first row on.
+        Number of rows from the first row to the last row under load, which count as flight.
     """
 
     name: object
@@ -442,8 +442,8 @@ def identify_pack(scenario: Scenario, frame: pd.DataFrame) -> PackIdentification
     Parameters
     ----------
     scenario : Scenario
-        Scenario with the battery before the fit. The voltage of the full cell, K and the capacity
-        are kept.
+        Scenario with the battery before the fit. The voltage of the full cell, the polarisation
+        voltage K and the capacity are not fitted.
     frame : DataFrame
         All rows of the flights, including rows on the ground, from `read_voltages`.
 

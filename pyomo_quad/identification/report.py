@@ -63,7 +63,7 @@ def write_identification(
     base : str
         Vehicle before the fit: a name of the library, or a vehicle file.
     figures : Figures, optional
-        Which figures to draw, and in which file formats.
+        File formats of the figures, or `Figures.NONE` for a report without figures.
     pack : PackIdentification, optional
         Battery fitted to the same flights, if the logs have voltages.
     """

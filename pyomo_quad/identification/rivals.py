@@ -1,10 +1,11 @@
 """Published models of a multirotor's power, as rivals of the package's own model.
 
 name | power
-constant power | one number
-constant efficiency | ideal power of hover times a number, P = c (m g)^1.5 / sqrt(rho)
-regression by phase | P = a + b (m g)^1.5 / sqrt(rho) in each phase of the flight
+constant power | P = a
+constant efficiency | proportional to the ideal power of hover, P = c (m g)^1.5 / sqrt(rho)
+regression by phase | P = a + b (m g)^1.5 / sqrt(rho), with own a and b in each phase of the flight
 
+P is the power, m the mass with payload, g gravity, and rho the air density; a, b and c are fitted.
 The rivals are fitted and validated on the same flights in the same way. The last model has the form
 of Rodrigues et al., "Drone flight data reveal energy and greenhouse gas emissions savings for very
 small package delivery", Patterns 3 (2022), with new coefficients.
@@ -60,7 +61,12 @@ def model_table(found: Identification) -> pd.DataFrame:
 
 
 def _regressors(frame: pd.DataFrame, mass: float) -> dict[str, FloatArray]:
-    """Return the regressors of each published model by name, each of shape (rows, parameters)."""
+    """Return the regressors of each published power model, by the model's name.
+
+    The models are linear in their parameters: the power in each row is a row of the regressors,
+    shape (n_rows, n_parameters), times the parameters. `mass` is the vehicle's mass without payload
+    [kg].
+    """
     hovering = ((mass + frame[PAYLOAD]) ** 1.5 / np.sqrt(frame[DENSITY])).to_numpy()[:, None]
     phases = (frame[[PHASE]].to_numpy() == FLYING).astype(float)
     return {

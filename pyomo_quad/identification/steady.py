@@ -181,7 +181,10 @@ def filled_in(frame: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
 
 
 def _read_csv(file: Path) -> pd.DataFrame:
-    """Read the known columns of a CSV table of steady flight points, at least one row."""
+    """Read the columns of `STEADY_COLUMNS` from a CSV table of steady flight points.
+
+    Other columns are ignored. A table without rows, or without power and endurance, is an error.
+    """
     source, wanted = printable(str(file)), wanted_columns(STEADY_COLUMNS)
     try:
         held = pd.read_csv(file, nrows=_MOST_POINTS)
@@ -300,9 +303,10 @@ def identify_steady(
 def _deviations(
     fit: Fit, values: FloatArray, power: FloatArray, points: pd.DataFrame
 ) -> FloatArray:
-    """Return the standard deviations of the fitted parameters.
+    """Return the standard deviations of the fitted parameters `values`, shape (n,).
 
-    The standard deviations follow from linear least squares. The error of a measured power is
+    `power` is the computed power of each of the measured `points` [W]. The standard deviations
+    follow from linear least squares. The error of a measured power is
     estimated from the residuals or, with few points, is at least an assumed relative error.
     """
     slopes = fit.slopes(values)

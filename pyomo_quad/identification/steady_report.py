@@ -38,7 +38,7 @@ def write_steady(folder: Path, found: SteadyFit, base: str, figures: Figures) ->
     base : str
         Vehicle before the fit: a name of the library, or a vehicle file.
     figures : Figures
-        Which figures to draw, and in which file formats.
+        File formats of the figures, or `Figures.NONE` for a report without figures.
     """
     table = point_table(found.points, found.power)
     source = f"identified from {len(found.points)} steady points, plus or minus"

@@ -5,16 +5,17 @@ c_k | centre[zone, ball, axis] | m | centre of ball k of a zone, on the axes of 
 n_k | normal[zone, ball, axis] | - | direction across an edge of a polygon, of length one
 R_k | radius[zone, ball] | m | radius of ball k
 c | clearance | m | distance kept from every zone
-d_k | beyond[zone, ball] | m | distance from the surface of the ball minus the clearance
+d_k | beyond[zone, ball] | m | distance of the vehicle from ball k (negative inside), minus c
 w | edge_width | m | width over which two faces of a zone are blended
 
-A zone is the intersection of balls (`scenario.airspace.Ball`), where a ball has one axis (an
-interval) or two (a disk). A cylinder is a disk and an interval of height. A box is three intervals.
-A convex polygon is an interval across each edge, and an interval of height. A place is outside the
-zone if it is outside at least one of the balls, that is if
-the largest of the d_k is positive. A smooth lower bound replaces this maximum, so that no place
-inside a zone is allowed. Near an edge, where two of the d_k agree to about w, places up to 0.14 w =
-70 mm outside the zone (0.28 w = 140 mm at the corners of a box) are forbidden too. Elsewhere the
+A zone is the intersection of balls (`scenario.airspace.Ball`). A ball measures distances in one
+coordinate (an interval), in two (a disk) or in three (a sphere). A cylinder is the intersection of
+a disk and an interval of height, a box that of three intervals. A prism over a convex polygon is
+the intersection of an interval across each edge and an interval of height. A place is outside the
+zone if it is outside at least one of the balls, that is, if the largest of the d_k is positive. A
+smooth lower bound replaces this maximum in the model, so that no place inside a zone is allowed.
+Near an edge of the zone, where two of the d_k differ by less than about w, places up to 0.14 w =
+70 mm outside the zone (0.28 w = 140 mm at the corners of a box) are forbidden, too. Elsewhere the
 forbidden places are exactly the zone. The clearance moves the faces outwards, so that edges stay
 sharp.
 
@@ -25,13 +26,13 @@ The fence (`keep_in`) is a linear limit for each of its edges. The fence is exac
 corners included, and has no clearance.
 
 Over terrain, floor and ceiling limit the height above the ground (`model.ground`), and flights stay
-where the ground is known, within the edges of its grid.  In a wind field they stay within the edges
-of the field, unless `wind.beyond` is "hold".  Zones have their own heights z: terrain
-moves neither their bottom nor their top.
+where the ground is known, within the edges of the terrain's grid. In a wind field, flights stay
+within the edges of the field's grid, unless the scenario extends the field beyond them
+(`wind.beyond = "hold"`). Bottom and top of a zone are coordinates z, to which the height of the
+ground is not added.
 
-A flight cannot start, end or pass a waypoint on the surface of a zone, because a part of every
-neighbourhood of a place on the surface is forbidden. `declare_airspace` therefore raises an error
-for a mission with a start, goal or waypoint on a surface.
+`declare_airspace` raises an error for a mission with a start, goal or waypoint on the surface of a
+zone, because there the smallest deviation towards the zone would be forbidden.
 """
 
 from collections.abc import Mapping, Sequence
@@ -230,12 +231,12 @@ def declare_airspace(m: ConcreteModel, scenario: Scenario) -> None:
         def ceiling_limit(b: Block, t: float) -> RelationalExpression:
             return height_above_ground(m, t, -1) <= b.ceiling
 
-    for of_grid, limit, end, doc in (
+    for of_grid, limit, parameter, doc in (
         (_edges(scenario), "terrain_edge", "terrain_end", "inside of the terrain [m]"),
         (_field_edges(scenario), "field_edge", "field_end", "inside of the wind field [m]"),
     ):
         if of_grid:
-            inside = partial(_inside, of_grid, end)
+            inside = partial(_inside, of_grid, parameter)
             b.add_component(limit, Constraint(list(of_grid), m.time, rule=inside, doc=doc))
 
     if scenario.airspace.keep_in is not None:
@@ -251,17 +252,29 @@ def declare_airspace(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _inside(
-    edges: Mapping[str, tuple[int, float, float]], end: str, b: Block, edge: str, t: float
+    edges: Mapping[str, tuple[int, float, float]], parameter: str, b: Block, edge: str, t: float
 ) -> RelationalExpression:
-    """Return the constraint that the vehicle is on the inner side of an edge of a data grid.
+    """Return the constraint that keeps the vehicle inside one edge of a data grid, at time t.
 
-    The grid is the grid of the terrain or of a wind field. `edges` holds for each edge, by name:
-    the axis across the edge (0, 1 or 2 for x, y or z), the side (1 for an upper limit, -1 for a
-    lower limit) and the coordinate. `end` is the name of the model's parameter that holds these
-    coordinates [m], `edge` the name of the edge.
+    The grid is the grid of the terrain or of a wind field. This function is a Pyomo rule after its
+    first two arguments have been fixed.
+
+    Parameters
+    ----------
+    edges : mapping
+        For each edge of the grid, by name: the axis across the edge (0, 1 or 2 for x, y or z), the
+        side (1 for an upper limit, -1 for a lower limit) and the coordinate [m], which is not used.
+    parameter : str
+        Name of the parameter of block `airspace` that holds the coordinate of each edge [m].
+    b : Block
+        Block `airspace`.
+    edge : str
+        Name of the edge.
+    t : float
+        Time [s].
     """
     axis, side, _ = edges[edge]
-    out = b.parent_block().rigid_body.component(AXES[axis])[t] - b.component(end)[edge]
+    out = b.parent_block().rigid_body.component(AXES[axis])[t] - b.component(parameter)[edge]
     return side * out <= 0.0 * units.m
 
 
@@ -273,10 +286,10 @@ def _declare_keep_outs(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
         off = {axis: body.component(axis)[t] - b.centre[zone, ball, axis] for axis in axes}
         normal = b.component("normal")
         if normal is not None and (zone, ball, AXES[0]) in normal:
-            away = sum(normal[zone, ball, axis] * off[axis] for axis in axes) ** 2
+            squared = sum(normal[zone, ball, axis] * off[axis] for axis in axes) ** 2
         else:
-            away = sum(off[axis] ** 2 for axis in axes)
-        return _distance_outside(away, b.radius[zone, ball] + b.clearance, b.rounding)
+            squared = sum(off[axis] ** 2 for axis in axes)
+        return _distance_outside(squared, b.radius[zone, ball] + b.clearance, b.rounding)
 
     @b.Constraint(
         [zone.name for zone in scenario.airspace.keep_out], m.time, doc="outside of a zone [m]"
@@ -286,27 +299,44 @@ def _declare_keep_outs(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
         return _largest(distances, b.edge_width) >= 0
 
 
-def _distance_outside(away: Any, radius: Any, rounding: Any) -> Any:
+def _distance_outside(squared_distance: Any, radius: Any, rounding: Any) -> Any:
     """Return the distance of a place from the surface of a ball, negative inside the ball [m].
 
-    ``away`` is the squared distance of the place from the ball's centre [m^2]; the smoothing
-    `rounding` [m] makes the result differentiable at the centre and has no effect on the surface.
+    The arguments are numbers or Pyomo expressions.
+
+    Parameters
+    ----------
+    squared_distance : number or expression
+        Square of the distance of the place from the ball's centre [m^2].
+    radius : number or expression
+        Radius of the ball [m].
+    rounding : number or expression
+        Length [m] that makes the result differentiable at the centre. On the surface, the result is
+        zero for every value of this length.
     """
-    return sqrt(away + rounding**2) - sqrt(radius**2 + rounding**2)
+    return sqrt(squared_distance + rounding**2) - sqrt(radius**2 + rounding**2)
 
 
 def _largest(distances: Sequence[Any], width: Any) -> Any:
     """Return a smooth lower bound of the largest of several distances [m].
 
-    The distances are the signed distances of a place from the balls of a zone. The place is outside
-    the zone if the largest of them is positive. `width` [m] is the difference between two distances
-    below which the maximum is smoothed.
+    Parameters
+    ----------
+    distances : sequence of number or expression
+        Signed distances of a place from the balls whose intersection is a zone [m]. The place is
+        outside the zone if the largest distance is positive.
+    width : number or expression
+        Difference between two distances below which their maximum is smoothed [m].
     """
     return reduce(lambda one, other: saturated(one, other, width), distances)
 
 
 def _refuse_touching(scenario: Scenario) -> None:
-    """Raise a ScenarioError for a start, waypoint or goal on the surface of a keep-out zone."""
+    """Raise a ScenarioError if a start, waypoint or goal is on the surface of a keep-out zone.
+
+    The surface is the surface of the forbidden places: the zone with its clearance and its rounded
+    edges. A waypoint with a radius is not checked, because the flight may pass beside it.
+    """
     told, mission = scenario.airspace, scenario.mission
     # A waypoint with a radius may be passed away from the surface.
     is_exact = (True, *(waypoint.radius == 0.0 for waypoint in mission.waypoints), True)
@@ -327,10 +357,10 @@ def _refuse_touching(scenario: Scenario) -> None:
 
 
 def _smoothed_distance(zone: KeepOut, clearance: float, place: Sequence[float]) -> float:
-    """Return the distance of a place from a zone, less the clearance [m].
+    """Return the smoothed distance of a place from a zone, less the clearance [m].
 
-    The distance is smoothed in the same way as in the path constraint of the zone. It is negative
-    inside the zone.
+    The smoothing is the same as in the path constraint `keep_out`. The result is negative where
+    this constraint forbids the place, for example inside the zone.
     """
     distances = [
         _distance_outside(

@@ -10,22 +10,27 @@ e_0, k, c_1, c_2 | E0, K, A, B | V, V, V, 1/(A h) | constants of one cell
 Q_bat, R_bat | capacity, cell_resistance | A h, ohm | of one cell
 f_Q, f_R | capacity_factor, resistance_factor | - | state of health; only with battery.health
 
-`battery_circuit` adds a slow drop and a temperature where the scenario gives them. Derivation and
-sources: see docs/theory/battery.md, eqs. (1) to (6).
+The module `battery_circuit` adds a slow voltage drop and a temperature of the pack if the scenario
+gives their constants. Derivation and sources: see docs/theory/battery.md, eqs. (1) to (6).
 
 P is the power of the chosen power model, so that the energy of the flight is the energy that leaves
 the pack. Declared units convert the ampere-seconds of eq. (4) to ampere-hours.
 
 Assumptions: no self-discharge, no entropic heat, an open-circuit voltage that does not depend on
-the temperature; without `battery.relaxation` and `battery.thermal` no recovery and no temperature
-either. Two guards (smooth lower limits) keep the equations finite where the paper's equations are
-undefined: eq. (5) has a pole at an empty cell, and no current delivers more than the pack's
-greatest power, U^2/4R. Above a fifth of the charge and below nine tenths of the greatest power, the
-guards change no result by more than rounding. A negative `power_reserve` or state of charge shows
-that the pack cannot fly the mission.
+the temperature; without the tables `battery.relaxation` and `battery.thermal` of the scenario, no
+recovery of the voltage at rest and no temperature.
+
+The paper's equations are undefined in two cases: eq. (5) has a pole at an empty cell, and no
+current delivers more than the pack's greatest power U^2/(4 R), where U is the open-circuit voltage
+(less the relaxation voltage) and R the resistance of the pack. Two guards (smooth lower limits on
+the state of charge and on the share of the greatest power that is left) keep the equations finite.
+Above a fifth of the charge and below nine tenths of the greatest power, the guards change no result
+by more than rounding. The pack cannot fly the mission if the state of charge or `power_reserve`,
+the greatest power less the power drawn, is negative.
 
 If the polarisation voltage k / SoC can exceed the other terms of e_m, the voltage vanishes before
-the pack is empty. The greatest power is then negative, and the flights are limited to e_m >= 0.
+the pack is empty. Where the voltage is negative, the greatest power is negative, too; the flights
+are therefore limited to e_m >= 0.
 """
 
 from pyomo.core import (
@@ -95,6 +100,9 @@ def may_lose_voltage(scenario: Scenario) -> bool:
 
 def build_pack(scenario: Scenario) -> ConcreteModel:
     """Build a model of the battery alone that delivers a constant power, `power.load` [W].
+
+    The package `identification` simulates this model under the measured power of flights, to fit
+    the constants of the battery.
 
     Parameters
     ----------
@@ -190,7 +198,10 @@ def declare_loss(m: ConcreteModel) -> None:
 
 
 def _declare_sizes(b: Block) -> None:
-    """Declare capacity [A h] and resistance [ohm] of the whole pack at its state of health."""
+    """Declare capacity [A h] and resistance [ohm] of the whole pack at its state of health.
+
+    The state of health is a factor on the capacity and a factor on the resistance of new cells.
+    """
     capacity = b.capacity * b.cells_parallel
     resistance = b.cell_resistance * b.cells_series / b.cells_parallel
     if b.component("capacity_factor") is not None:

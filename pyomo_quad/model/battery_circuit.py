@@ -5,8 +5,9 @@ u_1 | relaxation_voltage | V | voltage of the RC pair, the slow part of the pack
 R_1, tau_1 | relaxation_resistance, relaxation_time_constant | ohm, s | of one cell
 T | temperature | K | of the pack, a state
 C_T, h | heat_capacity, cooling | J/K, W/K | of one cell
-T_a, T_r | ambient_temperature, reference_temperature | K | of the air, of the resistances as given
-E_a | activation_energy | J/mol | of the resistances
+T_a | ambient_temperature | K | of the air
+T_r | reference_temperature | K | to which the resistances in the scenario refer
+E_a | activation_energy | J/mol | of the resistances, in Arrhenius's law
 s_R | resistance_share | - | resistance at the temperature T over resistance at T_r
 
 Derivation and sources: see docs/theory/battery.md, eqs. (4) to (10). Without `battery.relaxation`
@@ -82,7 +83,7 @@ def states_at_start(scenario: Scenario) -> dict[str, float]:
 def fields_after(scenario: Scenario, ended: Mapping[str, float]) -> dict[str, float]:
     """Return scenario fields with which the next flight starts at the battery's present state.
 
-    The fields are the initial relaxation voltage and temperature. The charge is not among them.
+    The fields are the initial relaxation voltage and temperature, but not the initial charge.
 
     Parameters
     ----------
@@ -170,7 +171,8 @@ def resistance_at(b: Block, t: float) -> NumericExpression:
 def source_voltage(b: Block, t: float) -> NumericExpression:
     """Open-circuit voltage less the relaxation voltage, before the ohmic drop [V].
 
-    See docs/theory/battery.md, eq. (5).
+    Without a relaxation voltage in the scenario, this is the open-circuit voltage. See
+    docs/theory/battery.md, eq. (5).
     """
     if b.component("relaxation_voltage") is None:
         return b.open_circuit_voltage[t]
@@ -178,7 +180,10 @@ def source_voltage(b: Block, t: float) -> NumericExpression:
 
 
 def slow_resistance(b: Block, t: float) -> NumericExpression:
-    """Resistance of the RC pair at the battery's health and temperature [ohm]."""
+    """Resistance of the RC pair at the battery's health and temperature [ohm].
+
+    The RC pair (a resistor and a capacitor in parallel) models the slow part of the voltage drop.
+    """
     of_pack = b.relaxation_resistance * b.cells_series / b.cells_parallel
     if b.component("resistance_factor") is not None:
         of_pack *= b.resistance_factor
@@ -188,6 +193,8 @@ def slow_resistance(b: Block, t: float) -> NumericExpression:
 def relaxation_balance(b: Block, t: float) -> RelationalExpression:
     """RC pair: the relaxation voltage tends to the battery current times the pair's resistance [V].
 
+    The RC pair (a resistor and a capacitor in parallel) models the slow part of the voltage drop.
+    The result is the differential equation of the relaxation voltage, the voltage of this pair.
     See docs/theory/battery.md, eq. (8).
     """
     settled = slow_resistance(b, t) * b.current[t]
@@ -198,7 +205,10 @@ def relaxation_balance(b: Block, t: float) -> RelationalExpression:
 
 
 def initial_relaxation(b: Block) -> RelationalExpression:
-    """Relaxation voltage at the start, of all cells in series [V]."""
+    """Relaxation voltage at the start, of all cells in series [V].
+
+    The result is the initial condition of the state `relaxation_voltage`.
+    """
     start = b.parent_block().time.first()
     return b.relaxation_voltage[start] == b.cells_series * b.initial_relaxation_voltage
 
@@ -206,7 +216,8 @@ def initial_relaxation(b: Block) -> RelationalExpression:
 def heat(b: Block, t: float) -> NumericExpression:
     """Heat of the pack's losses, Bernardi's equation without entropy [W].
 
-    See docs/theory/battery.md, eq. (9).
+    The heat is the open-circuit voltage less the terminal voltage, times the current. See
+    docs/theory/battery.md, eq. (9).
     """
     return (b.open_circuit_voltage[t] - b.voltage[t]) * b.current[t]
 
@@ -214,7 +225,9 @@ def heat(b: Block, t: float) -> NumericExpression:
 def heat_balance(b: Block, t: float) -> RelationalExpression:
     """Lumped temperature: heat of the losses less the heat lost to the air [W].
 
-    See docs/theory/battery.md, eq. (10).
+    The result is the differential equation of the temperature, which is equal in all cells: the
+    heat capacity times the rate of the temperature equals the difference of the two heat flows. See
+    docs/theory/battery.md, eq. (10).
     """
     cells = b.cells_series * b.cells_parallel
     warming = cells * b.heat_capacity * b.dtemperature_dt[t]
@@ -223,5 +236,8 @@ def heat_balance(b: Block, t: float) -> RelationalExpression:
 
 
 def initial_temperature(b: Block) -> RelationalExpression:
-    """Temperature of the battery at the start [K]."""
+    """Temperature of the battery at the start [K].
+
+    The result is the initial condition of the state `temperature`.
+    """
     return b.temperature[b.parent_block().time.first()] == b.initial_pack_temperature

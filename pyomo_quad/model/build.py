@@ -1,4 +1,4 @@
-"""Builders of the continuous-time model of a mission, from `model` or from a user's own file."""
+"""Functions that build the continuous-time model of a mission, or load a user's own builder."""
 
 from collections.abc import Callable, Hashable
 from importlib.util import module_from_spec, spec_from_file_location
@@ -44,9 +44,10 @@ def build_model(scenario: Scenario) -> ConcreteModel:
     Returns
     -------
     ConcreteModel
-        Model with ``time`` (start, one interior point, end; not discretised), ``clock`` and the
-        blocks ``vehicle, rigid_body, rotors, wind, aerodynamics, power, battery, limits, airspace,
-        mission`` and, over terrain, ``ground``, the integral ``energy`` and the ``objective``.
+        Model with ``time`` (start, one interior point, end; not discretised), ``clock`` (the time
+        as a parameter, for terms of equations) and the blocks ``vehicle, rigid_body, rotors, wind,
+        aerodynamics, power, battery, limits, airspace, mission`` and, over terrain, ``ground``, the
+        integral ``energy`` and the ``objective``.
         Suffix ``scaling_factor`` holds one over the usual magnitude of each variable.
 
     Examples
@@ -131,7 +132,10 @@ def build_remaining(scenario: Scenario) -> ConcreteModel:
 
 
 def _vehicle_in_the_wind(scenario: Scenario) -> ConcreteModel:
-    """Start the model of a mission: time, vehicle, rotors, rigid-body states, ground and wind."""
+    """Return a new model that declares time, vehicle, rotors, rigid body, ground and wind.
+
+    The model has no equations of motion yet: the callers add forces and the further components.
+    """
     m = ConcreteModel(name=scenario.name)
     *passages, duration = scenario.nominal_times
     inside = sorted(set(passages)) or [duration / 2]
@@ -279,7 +283,7 @@ def ask_for_least_time(m: ConcreteModel, bounds: tuple[float, float], guess: flo
     Returns
     -------
     Var
-        The duration, to pass to the engine as the end of the horizon.
+        The duration, to pass to `collocation.compile` as the end of the time horizon.
 
     Examples
     --------

@@ -9,8 +9,9 @@ z - L | height_limited_above | m | upper bound of the height above the ground, w
 The ground of `airspace.terrain` is bilinear between the points of its grid.  U and L are splines
 through values on the same grid (`scenario.surfaces`). These splines are twice differentiable with
 exact derivatives, and the cost of an evaluation does not grow with the grid (`collocation.Table`).
-The distance of U and L from the ground is at most `Surface.excess`. A flight at the floor is
-therefore at most this much higher above the ground than the floor requires, and never lower.
+The distance of U and L from the ground is at most `Surface.excess`. A flight at the height of the
+floor above U is therefore never lower above the ground than the floor requires, and higher by
+`Surface.excess` at most.
 
 Over flat ground both heights are z, and no block is declared.
 """

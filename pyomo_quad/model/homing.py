@@ -1,7 +1,7 @@
 """Reserve of charge that brings a vehicle home from any place, as a limit along the flight.
 
 symbol | name | unit | meaning
-d_k | way | m | straight distance to home k: the start, or a rally point
+d_k | way | m | straight distance to home k
 w_k | tail_wind | m/s | component of the wind towards home k, at the vehicle
 g_k | ground_speed | m/s | ground speed towards home k at the airspeed V, by the wind triangle
 H_k | height_home | m | least height of the level return to home k over terrain
@@ -9,15 +9,18 @@ c_k | climb | m | climb from the vehicle's height to H_k, over terrain
 q_k | charge_to | A h | charge of the return to home k, including the margin
 q | charge_home | A h | charge of the return to the nearest home
 
+A home is a place at which the vehicle may land: the start of the mission, or a rally point.
+
 The return is a steady, level flight at one airspeed V, at which the pack delivers a constant
 current i. At the ground speed g = w + sqrt(V^2 - |wind|^2 + w^2) the distance d takes the time d /
 g, so that the charge of the return is (1 + margin) i d / g. The wind along the return is taken
 equal to the wind at the vehicle, and a difference of height counts as distance; the margin covers
 the errors of these assumptions.
 
-Over terrain the vehicle first climbs, without progress, until it clears the highest ground on its
-straight way home by the floor of the airspace. The vehicle then flies level to the place above the
-home, and descends; the descent counts as distance. See docs/theory/homing.md.
+Over terrain the vehicle first climbs, without progress, until its height above the highest ground
+on the straight line to the home is the floor of the airspace (least height above the ground). The
+vehicle then flies level to the place above the home, and descends; the descent counts as distance.
+See docs/theory/homing.md.
 """
 
 from collections.abc import Hashable
@@ -90,7 +93,8 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 def terrain_key(scenario: Scenario) -> Hashable:
     """Return the homes if the model has tables of the terrain below the returns, else None.
 
-    The key is part of `structure_key`: the tables differ from home to home, so that a model cannot
+    A home is a place at which the vehicle may land: the start of the mission, or a rally point. The
+    result is part of `structure_key`: the tables differ from home to home, so that a model cannot
     be used again for another home by changing parameter values only.
     """
     has_tables = scenario.mission.return_reserve and scenario.airspace.ground is not None
@@ -101,7 +105,7 @@ def declare_homing(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the charge that a return flight needs at each time, and its limit, in block `homing`.
 
     The limit holds at each time of the mission: charge drawn plus charge of the return to the
-    nearest home does not exceed the usable charge of the pack.
+    nearest home (the start or a rally point) does not exceed the usable charge of the pack.
 
     Parameters
     ----------

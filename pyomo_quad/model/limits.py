@@ -91,9 +91,10 @@ def declare_limits(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _less_reserve(b: Block, most: NumericExpression) -> NumericExpression:
-    """Return the upper limit of rotor speed or thrust in a plan: `most` minus the reserve.
+    """Return the largest rotor speed or thrust that a plan may use.
 
-    The reserve is a fraction of `most` that the plan leaves to the controller.
+    The result is `most`, the largest speed or thrust of the vehicle, minus a fraction of `most`
+    that the plan leaves to the controller which follows the plan.
     """
     reserve = b.component(_RESERVE)
     return most if reserve is None else (1 - reserve) * most

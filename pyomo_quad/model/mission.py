@@ -293,7 +293,9 @@ def _declare_end(
 def _goal_of_turning(b: Block) -> tuple[Any, ...]:
     """Return the conditions on yaw and yaw rate at the goal.
 
-    They are deactivated in a mission with constant heading, which makes them redundant.
+    With a constant heading (constraint `yaw_keeping`), these conditions are redundant.
+    `_declare_kept_yaw` therefore deactivates them, and `start_where_measured`, which deactivates
+    `yaw_keeping`, activates them again.
     """
     return b.goal_place["psi"], b.goal_rest["r"]
 
@@ -313,8 +315,8 @@ def start_where_measured(m: ConcreteModel) -> None:
     """Replace the start of a mission by measured states, mutable parameters of block `start`.
 
     Models for replanning in flight use these parameters. Each state gets a parameter of the same
-    name, and a condition that equates the state's initial value to the parameter. The condition of
-    a constant heading is removed.
+    name, and a condition that equates the state's initial value to the parameter. The constraint
+    that keeps the heading constant is deactivated, because a gust may have turned the vehicle.
 
     Parameters
     ----------
@@ -385,5 +387,16 @@ def end_in_equilibrium(m: ConcreteModel) -> None:
 
 
 def measured_start(states: Mapping[str, float]) -> dict[str, float]:
-    """Return the values of the parameters in block `start`, from measured states by full name."""
+    """Return the values of the parameters in block `start`, which hold the measured states.
+
+    Parameters
+    ----------
+    states : mapping
+        Measured value of each state, by the full name of the state, as ``"rigid_body.x"``.
+
+    Returns
+    -------
+    dict
+        Value of each parameter, by the full name of the parameter, as ``"start.x"``.
+    """
     return {f"start.{name.rpartition('.')[2]}": value for name, value in states.items()}

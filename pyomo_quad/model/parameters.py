@@ -107,7 +107,10 @@ def declare_parameters(b: Block, scenario: Scenario) -> None:
 
 
 def add_parameters(b: Block, table: Iterable[Parameter], scenario: Scenario) -> None:
-    """Add to a block a mutable Pyomo parameter for each declaration with a value."""
+    """Add to a block a mutable Pyomo parameter for each declaration in `table`.
+
+    A declaration that has no value in the scenario is left out.
+    """
     for row in table:
         value = row.value(scenario)
         if value is None or value == {}:
@@ -193,7 +196,7 @@ DIP = 0.14
 def saturated(
     value: NumericExpression, floor: NumericExpression, width: NumericExpression
 ) -> NumericExpression:
-    """Return a smooth max(value, floor) that equals the value, except for rounding, far above it.
+    """Return a smooth max(value, floor), equal to the value (to rounding) far above the floor.
 
     Parameters
     ----------

@@ -19,8 +19,8 @@ By default, braking returns energy in the models `motor`, `motor_with_friction`,
 an efficiency have no such balance: a braking power divided by an efficiency would return more
 energy than braking absorbs.
 
-Alternating acceleration and braking of the rotors saves no energy: see docs/theory/bound.md, eq.
-(5).
+Alternating acceleration and braking of the rotors saves no energy, except in the model
+`efficiency`: see docs/theory/bound.md, eqs. (5) and (6).
 
 Momentum theory, blade drag and climb, in moving air, `power.model momentum`; derivation and
 validated range: see docs/theory/momentum_power.md, eqs. (1) to (6).
@@ -215,8 +215,9 @@ def _power_of_each_rotor(
 
 
 def declare_motor_power(m: ConcreteModel, name: str) -> None:
-    """Declare the power model `motor`: terminal voltage times current of each motor, eq. (2)-(3).
+    """Declare the power model `motor`: terminal voltage times current of each motor.
 
+    Voltage and current follow from eqs. (2) and (3) of the paper (Yacef et al.).
     The model is valid at all speeds and torques of the motor. The copper loss grows with the square
     of the torque, so the power is convex in the rotor acceleration alpha and in thrust. With
     regeneration, braking returns the braking power less the loss in the winding. The rotor has no
@@ -308,7 +309,8 @@ def declare_efficiency_power(m: ConcreteModel, name: str) -> None:
 def declare_motor_power_with_friction(m: ConcreteModel, name: str) -> None:
     """Declare the power model `motor_with_friction`: v i with dry and viscous friction.
 
-    The model follows Morbidi et al. (2016). The power is convex in the rotor acceleration. The
+    v is the voltage and i the current of the motor, whose torque includes the friction. The model
+    follows Morbidi et al. (2016). The power is convex in the rotor acceleration. The
     power is not convex in thrust, because viscous and dry friction make the first newton of thrust
     the most expensive. The published friction constants seem ten times too high: hover takes 1.3
     kW.

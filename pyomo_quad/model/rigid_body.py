@@ -13,7 +13,8 @@ equations: the Euler rates equal the body rates, which is correct to first order
 the yaw balance has no reaction to the rotors' acceleration.
 
 The gyroscopic terms of the rotors follow eq. (6); eq. (9) contradicts them in sign and in order of
-derivative. Balances are undivided, as printed.
+derivative. As in eq. (6), the force balances are not divided by the mass, and the moment balances
+are not divided by the moments of inertia.
 """
 
 from collections.abc import Callable

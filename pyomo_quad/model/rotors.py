@@ -99,8 +99,9 @@ _NOMINAL_ACCELERATION = 1e3
 def declare_rotors(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare rotor speeds, their accelerations and the mixer in block `rotors`.
 
-    Speeds are states and accelerations are controls. The mixer gives total thrust [N], moments [N
-    m] and speed imbalance [rad/s] of the rotor speeds.
+    Speeds are states and accelerations are controls. The mixer gives the total thrust [N], the
+    moments about the body axes [N m] and the speed imbalance [rad/s]: the sum of the rotor speeds,
+    each with the sign of its direction of rotation, which determines the gyroscopic moments.
 
     Parameters
     ----------
@@ -168,8 +169,9 @@ def _declare_mixer(b: Block, m: ConcreteModel) -> None:
 def _declare_mixer_of_places(b: Block, m: ConcreteModel) -> None:
     """Declare thrust and moments for any planar rotor layout; eq. (7) is a special case.
 
-    Thrust, moments and speed imbalance are sums over the rotors, with the position and the
-    direction of rotation of each rotor.
+    Thrust and moments are sums over the rotors, with the position and the direction of rotation of
+    each rotor. The speed imbalance, the sum of the rotor speeds with the signs of their directions
+    of rotation, is declared, too.
     """
 
     @b.Expression(b.rotor, m.time, doc="thrust of one rotor [N]")

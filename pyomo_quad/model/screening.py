@@ -20,10 +20,10 @@ from pyomo.repn import generate_standard_repn
 
 
 class Severity(StrEnum):
-    """Severity of a finding about a model or scenario.
+    """Severity of a finding, the result of a check of a model or scenario.
 
-    The finding shows that the flight is impossible, or that the vehicle is unphysical, or it
-    advises the user to check a declaration (caution).
+    `IMPOSSIBLE` means that no flight can satisfy the model or scenario, `UNPHYSICAL` that numbers
+    of the vehicle contradict physics, and `CAUTION` that the user should check a declaration.
     """
 
     IMPOSSIBLE = "impossible"
@@ -379,7 +379,7 @@ def unit_errors(model: ConcreteModel) -> tuple[str, ...]:
 
 
 def is_over(component: Component, time: ContinuousSet) -> bool:
-    """Return whether a component is indexed by time."""
+    """Return whether one of the index sets of a component is `time`, the set of times."""
     return component.is_indexed() and any(s is time for s in component.index_set().subsets())
 
 
@@ -389,7 +389,10 @@ def _over_time(model: ConcreteModel, kind: type, time: ContinuousSet) -> list[In
 
 
 def instances(component: IndexedComponent, instant: float) -> list[ComponentData]:
-    """Return the members of a component over time at one time, such as one for each rotor."""
+    """Return the members of a time-indexed component whose time is `instant`.
+
+    A component that is indexed by rotor and time, for example, has one such member per rotor.
+    """
     return [d for index, d in component.items() if instant in _as_tuple(index)[-1:]]
 
 

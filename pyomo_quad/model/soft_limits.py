@@ -75,10 +75,11 @@ BREACHES = ("soft.most", "soft.above", "soft.below")
 
 
 def usual_price(scenario: Scenario) -> float:
-    """Return a penalty on violations of soft limits [J per unit] that exceeds most multipliers.
+    """Return the initial penalty per unit of violation of a soft limit [J per unit].
 
-    An exact penalty must exceed the multiplier of the limit; then violations are zero wherever a
-    flight without violation exists.
+    The penalty is the energy that lifts the vehicle by 300 m. It exceeds the Lagrange multipliers
+    of most limits. A penalty above the multiplier of a limit is exact: the violation is then zero
+    wherever a flight without violation exists.
     """
     return _LIFTED_M * scenario.vehicle.total_mass * scenario.gravity
 

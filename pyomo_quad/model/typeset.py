@@ -108,7 +108,7 @@ def _component(component: IndexedComponent, time: ContinuousSet, instant: float)
 
 
 def _index(data: ComponentData) -> tuple[Hashable, ...]:
-    """Return the index of a member of an indexed component, as a tuple without its time."""
+    """Return the index of a member of a component as a tuple, without the time in this index."""
     index = data.index()
     if index is None:
         return ()

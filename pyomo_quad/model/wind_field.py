@@ -1,17 +1,18 @@
 """Wind that varies from place to place: a spline over place and time for each component.
 
 symbol | name | unit | meaning
-s | field_unit | m/s | factor on the wind of the field, as a speed
+s | field_unit | m/s | factor on the splines, which have no unit: `wind.field_scale` times 1 m/s
 x, y, z, t | - | m, s | the vehicle's place, and the wind time
 
-Each component is a tensor product of cubic not-a-knot B-splines through its values on the grid
-(`collocation.Table`). It is twice differentiable with exact derivatives, and the cost of an
-evaluation does not grow with the grid.  Along an axis of two or three points, the component is the
-line or parabola through the values.  Grid points without wind, such as points inside a building,
-get the wind of the nearest point with wind, because a spline needs a value everywhere; a flight
-through them is refused (`unknown_wind`) unless `wind.beyond` is "hold".
+Each component of the wind velocity is a tensor product of cubic not-a-knot B-splines through its
+values on the grid (`collocation.Table`). It is twice differentiable with exact derivatives, and the
+cost of an evaluation does not grow with the grid. Along an axis of two or three points, the
+component is the line or parabola through the values. Grid points without wind, such as points
+inside a building, get the wind of the nearest point with wind, because a spline needs a value
+everywhere. A flight through places whose nearest grid point has no wind is refused
+(`unknown_wind`) unless `wind.beyond` is "hold".
 
-Outside of the grid the spline has no meaning, and may promise a wind that would carry the vehicle
+Outside of the grid the spline has no meaning, and its values could make it seem favourable to fly
 there. Flights therefore stay within the edges of the grid (`model.airspace`).
 
 With `wind.beyond` "hold", there is no such limit: the place is clipped smoothly to the grid, and
@@ -20,6 +21,7 @@ from the border, the clipped place equals the vehicle's place to 1e-10 of a step
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -133,7 +135,7 @@ def _filled(grid: WindGrid) -> tuple[list[FloatArray], FloatArray]:
     axes : list of ndarray
         Coordinates along each axis [m, m, m, s].
     values : ndarray, shape (n_components, *grid)
-        Wind [m/s] relative to `field_unit`.
+        Wind [m/s] as in the file, before the multiplication by the scenario's `wind.field_scale`.
     """
     from scipy.interpolate import BarycentricInterpolator  # noqa: PLC0415  for fields alone
     from scipy.ndimage import distance_transform_edt  # noqa: PLC0415  for fields alone
@@ -179,18 +181,8 @@ def wind_corners(scenario: Scenario) -> FloatArray:
     ValueError
         If the scenario has no wind field.
     """
-    grid = scenario.wind.grid
-    if grid is None:
-        raise ValueError(f"{scenario.name} has no wind.field")
-    axes, values = _filled(grid)
-    points = values
-    for number, axis in enumerate(axes):
-        points = np.moveaxis(
-            _control_points(axis, np.moveaxis(points, number + 1, 0)), 0, number + 1
-        )
-    is_held = scenario.wind.beyond is Beyond.HOLD
-    is_open = np.ones(points.shape[1:], dtype=bool) if is_held else _near_wind(grid, points.shape)
-    winds = scenario.wind.field_scale * points[:, is_open]
+    _, points, is_open = _controlled(scenario)
+    winds = points[:, is_open]
     angles = 2 * np.pi * np.arange(_SIDES) / _SIDES
     sides = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     reach = (sides @ winds[:2]).max(axis=1)
@@ -204,6 +196,80 @@ def wind_corners(scenario: Scenario) -> FloatArray:
     rising = winds[2] if len(winds) > len(_HORIZONTAL) else np.zeros(1)
     heights = sorted({float(rising.min()), float(rising.max())})
     return np.array([[*c, scenario.wind.vertical + height] for height in heights for c in corners])
+
+
+def _controlled(
+    scenario: Scenario,
+) -> tuple[list[FloatArray], FloatArray, NDArray[np.bool_]]:
+    """Return the axes of a field, its control points, and which of them a flight may meet.
+
+    Returns
+    -------
+    axes : list of ndarray
+        Coordinates along each axis [m, m, m, s].
+    points : ndarray, shape (n_components, *counts)
+        Control points [m/s], four for each cell along each axis.
+    is_open : ndarray of bool, shape counts
+        Whether the cell of a control point may be entered.
+    """
+    grid = scenario.wind.grid
+    if grid is None:
+        raise ValueError(f"{scenario.name} has no wind.field")
+    axes, points = _filled(grid)
+    for number, axis in enumerate(axes):
+        points = np.moveaxis(
+            _control_points(axis, np.moveaxis(points, number + 1, 0)), 0, number + 1
+        )
+    is_held = scenario.wind.beyond is Beyond.HOLD
+    is_open = np.ones(points.shape[1:], dtype=bool) if is_held else _near_wind(grid, points.shape)
+    return axes, scenario.wind.field_scale * points, is_open
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColumnWinds:
+    """Limits of the horizontal wind in the columns over the cells of a field's grid.
+
+    Attributes
+    ----------
+    x, y : ndarray, shapes (nx + 1,) and (ny + 1,)
+        Edges of the cells [m].
+    low, high : ndarray, shape (2, nx, ny)
+        Limits of the wind along x and y at all heights and times [m/s].
+    is_open : ndarray of bool, shape (nx, ny)
+        Whether a flight may enter the column.
+    """
+
+    x: FloatArray
+    y: FloatArray
+    low: FloatArray
+    high: FloatArray
+    is_open: NDArray[np.bool_]
+
+
+def winds_of_columns(scenario: Scenario) -> ColumnWinds:
+    """Return limits of the horizontal wind over each cell of a field's grid.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        A scenario with a wind field.
+
+    Raises
+    ------
+    ValueError
+        If the scenario has no wind field.
+    """
+    axes, points, is_open = _controlled(scenario)
+    cells = (points.shape[1] // _SPLINE_POINTS, points.shape[2] // _SPLINE_POINTS)
+    shape = (cells[0], _SPLINE_POINTS, cells[1], _SPLINE_POINTS, -1)
+    winds, near = points[:2].reshape(2, *shape), is_open.reshape(shape)
+    return ColumnWinds(
+        x=axes[0],
+        y=axes[1],
+        low=np.where(near, winds, np.inf).min(axis=(2, 4, 5)),
+        high=np.where(near, winds, -np.inf).max(axis=(2, 4, 5)),
+        is_open=np.asarray(near.any(axis=(1, 3, 4))),
+    )
 
 
 def _control_points(axis: FloatArray, values: FloatArray) -> FloatArray:

@@ -280,7 +280,11 @@ def _plan(scenario: Scenario, planner: Planner) -> Plan:
 
 
 def _flown(plan: Plan) -> Flight:
-    """Return the flight of a plan, simulated even if the solve did not prove it optimal."""
+    """Return the flight of a plan, verified by simulation even if no optimum was found.
+
+    If the planner has not verified the plan, because its solve did not converge, the controls of
+    the plan are simulated here.
+    """
     if plan.verification is not None:
         return plan.flight()
     held = plan.trajectories

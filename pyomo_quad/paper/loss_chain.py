@@ -44,7 +44,8 @@ class EnergyChain:
     copper_loss, shaft : float
         Loss in the motors' windings, and energy supplied to the rotors.
     constant_product : float
-        Torque constant times voltage constant of a motor, 1 for a motor that conserves energy.
+        Torque constant k_t times speed constant k_v of a motor: 1 for a motor that conserves
+        energy, larger for a motor that would create energy.
     """
 
     drawn: float

@@ -29,9 +29,10 @@ _THROUGH_DRAG = {"wind.coupling": WindCoupling.DRAG}
 
 
 class Tolerance(NamedTuple):
-    """Relative difference up to which a table of the report counts as reproduced.
+    """Relative difference up to which values of a table of the report count as reproduced.
 
-    The tables in the repository are compared with tables that another machine computes.
+    A recomputed table, for example from another machine, is compared with the table in the
+    repository.
 
     Attributes
     ----------
@@ -78,7 +79,7 @@ def write_paper_report(folder: Path, study: PaperStudy, figures: Figures = Figur
     study : PaperStudy
         Results of the study.
     figures : Figures, optional
-        Which figures to draw, and in which file formats.
+        File formats of the figures, or `Figures.NONE` for a report without figures.
     """
     tables = paper.paper_tables(study)
     optimum = paper.find_flight(study.flights, Experiment.CALM, PowerModel.MOTOR)
@@ -103,10 +104,10 @@ def write_paper_report(folder: Path, study: PaperStudy, figures: Figures = Figur
 
 
 def _equations() -> Iterator[dict[str, Any]]:
-    """Yield the model's equations for the flight in wind, in groups, for the report.
+    """Yield the model's equations for the flight in wind, typeset in groups for the report.
 
-    Each group holds the equations of one variant of the model (power model, effect of the wind)
-    that no earlier group contains.
+    Each group belongs to one variant of the model (power model, effect of the wind). It holds only
+    the equations that no earlier group contains.
     """
     seen: set[str] = set()
     groups: tuple[tuple[str | None, PowerModel | None, dict[str, Any]], ...] = (

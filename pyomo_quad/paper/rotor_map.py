@@ -150,7 +150,8 @@ def chattering_floors(
 def floor_energy(scenario: Scenario, sampled: RotorMap, bound: float) -> float:
     """Compute a lower bound on the energy of any flight whose rotor acceleration is bounded.
 
-    The rotors may alternate between speeds and accelerations arbitrarily fast.
+    The rotors may alternate between speeds and accelerations arbitrarily fast. f_r is the
+    efficiency of motor and rotor of Yacef et al.
 
     Parameters
     ----------

@@ -68,6 +68,8 @@ def _used(values: dict[str, object], field: str) -> float:
 def corrections(study: PaperStudy) -> dict[str, Any]:
     """Return the numbers with which the report shows errors and gaps in the paper of Yacef et al.
 
+    An example is the shortfall of the thrust at the rotor speed that the paper prints for hover.
+
     Returns
     -------
     dict

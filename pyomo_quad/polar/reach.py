@@ -157,7 +157,8 @@ def _is_within_terrain(scenario: Scenario, places: FloatArray) -> NDArray[np.boo
 def _share_per_climb(scenario: Scenario, steady: SteadyFlight, curve: SteadyCurve) -> float:
     """Return the share of the battery charge that one metre of climb uses [1/m]; 0 without terrain.
 
-    Rate and current of the climb are those of the return flight of a mission (`climb_current`).
+    The climb has the rate of climb of `mission.return_flight`, and the battery current that
+    `climb_current` computes or that `mission.return_flight.climb_current` states.
     """
     if scenario.airspace.ground is None:
         return 0.0
@@ -307,7 +308,7 @@ def write_reach(folder: Path, reach: Reach, figures: Figures = Figures.SVG) -> d
     reach : Reach
         Boundary of the places within reach.
     figures : Figures, optional
-        Which figures to draw, and in which file formats.
+        File formats of the figures, or `Figures.NONE` for a report without figures.
 
     Returns
     -------

@@ -44,7 +44,7 @@ def write_polar(folder: Path, polar: Polar, figures: Figures = Figures.SVG) -> N
     polar : Polar
         Steady flight over airspeed, payload and wind.
     figures : Figures, optional
-        Which figures to draw, and in which file formats.
+        File formats of the figures, or `Figures.NONE` for a report without figures.
     """
     ends = polar.winds[polar.winds[ANGLE].isin((0.0, 90.0, 180.0))]
     write_study(
@@ -197,7 +197,10 @@ def draw_winds(polar: Polar) -> Figure:
 
 
 def draw_reach(polar: Polar) -> Figure:
-    """Draw the distance out and back on one battery charge over the course, in polar axes."""
+    """Draw the greatest distance out and back on one battery charge, in polar coordinates.
+
+    The angle is the course (direction of flight from the start), and the radius the distance.
+    """
     figure = Figure(figsize=(FULL_WIDTH, 4.2))
     axes = figure.add_axes((0.25, 0.08, 0.5, 0.84), projection="polar")
     courses = np.radians(polar.reach[COURSE].to_numpy())

@@ -17,7 +17,7 @@ class Figures(StrEnum):
 
     @property
     def formats(self) -> tuple[str, ...]:
-        """Endings of the files that each figure is written to; the report shows the first.
+        """File endings in which each figure is written; the report shows the file with the first.
 
         For example ``("svg", "png")`` for `ALL`; empty for `NONE`.
         """

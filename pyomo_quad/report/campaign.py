@@ -35,7 +35,7 @@ def write_campaign(
     campaign : Campaign
         Flights on one or more battery charges.
     figures : Figures, optional
-        Which figures to draw, and in which file formats.
+        File formats of the figures, or `Figures.NONE` for a report without figures.
 
     Returns
     -------

@@ -33,7 +33,7 @@ class Drawing:
     name : str
         Name of the figure's file, without ending.
     title, caption : str
-        Heading of the figure, and the text below it.
+        Heading above the figure, and text below the figure.
     draw : callable
         Function without arguments that draws and returns the matplotlib Figure.
     needs : tuple of str
@@ -51,19 +51,19 @@ class Drawing:
 
     @property
     def files(self) -> tuple[str, ...]:
-        """Names of the figure's files, one for each format; the report shows the first."""
+        """Names of the figure's files, one for each format; the report shows the first file."""
         return tuple(f"{self.name}.{ending}" for ending in self.formats)
 
 
 def wanted_drawings(drawings: Iterable[Drawing], figures: Figures) -> tuple[Drawing, ...]:
-    """Return the figures with the requested file formats, or no figures for `Figures.NONE`.
+    """Return copies of figures with the requested file formats; none for `Figures.NONE`.
 
     Parameters
     ----------
     drawings : iterable of Drawing
         Figures of a report.
     figures : Figures
-        Which figures the user requests, and in which file formats.
+        File formats that the user requests, or `Figures.NONE` for a report without figures.
     """
     if figures is Figures.NONE:
         return ()
@@ -98,7 +98,7 @@ def write_study(
     drawings : iterable of Drawing, optional
         The figures, in the order of the report; not iterated if no figures are requested.
     figures : Figures, optional
-        Which figures to draw, and in which file formats.
+        File formats of the figures, or `Figures.NONE` for a report without figures.
     name : str, optional
         File name of the text.
     **values

@@ -55,7 +55,7 @@ def write_ensemble(
         Energy savings of these flights compared with other flights in the same winds, such as the
         flights of an autopilot. Each item also holds these other flights.
     figures : Figures, optional
-        Which figures to draw, and in which file formats.
+        File formats of the figures, or `Figures.NONE` for a report without figures.
 
     Returns
     -------

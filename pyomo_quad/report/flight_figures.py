@@ -494,7 +494,8 @@ def _draw_legs(axes: Axes, flight: StyledFlight, legs: pd.DataFrame) -> None:
 def draw_front(front: pd.DataFrame) -> Figure:
     """Draw the energy-time front: least energy against duration, with the plan marked.
 
-    Each point is an optimal flight for one price of time, the energy that one second is worth [W].
+    Each point is an optimal flight for one price of time: the energy that one second less of
+    flight is worth [J/s = W].
 
     Parameters
     ----------

@@ -198,9 +198,10 @@ def _discard(begun: Path) -> None:
 
 @contextmanager
 def _until_finished(begun: Path) -> Iterator[None]:
-    """Context manager: remove a temporary file or folder after the ``with`` block.
+    """Context manager: remove the temporary file or folder `begun` after the ``with`` block.
 
-    If the process is terminated inside the block, `discard_unfinished` removes the file or folder.
+    A caller renames a completed output inside the block, so that the output itself is kept. If the
+    process is terminated inside the block, `discard_unfinished` removes `begun`.
     """
     _unfinished.add(begun)
     try:
@@ -226,9 +227,9 @@ def final_folder(path: str | Path) -> Path:
 
 
 def _unused(path: Path) -> Path:
-    """Return a path, or raise FileExistsError if a file or folder with this path exists.
+    """Return `path` unchanged; raise FileExistsError if a file or folder with this path exists.
 
-    `output_folder` thus checks the path of its temporary folder before it creates the folder.
+    `output_folder` checks the path of its temporary folder before it creates the folder.
     """
     if os.path.lexists(path):
         raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST))
@@ -311,15 +312,18 @@ def _remove_leftovers(final: Path) -> None:
 def _is_of_a_run(folder: Path) -> bool:
     """Return whether a run of this package made a folder: the folder then contains a manifest.
 
-    The check prevents that a user's own folder with a temporary name is moved or deleted.
+    A manifest is the hidden file in which a run lists its output files. The check prevents that a
+    user's own folder, whose name happens to be a temporary name of this module, is moved or
+    deleted.
     """
     return not folder.is_symlink() and (folder / MANIFEST_NAME).is_file()
 
 
 def _remove(folder: Path) -> None:
-    """Delete an output folder, its manifest last.
+    """Delete an output folder; delete its manifest (the list of its files) last.
 
-    If the deletion is interrupted, the manifest still marks the rest as an output of this package.
+    If the deletion is interrupted, the manifest still marks the remaining files as an output of
+    this package.
     """
     for entry in folder.iterdir():
         if entry.name == MANIFEST_NAME:

@@ -106,7 +106,7 @@ def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawin
     has_forecast = plan.scenario.wind.forecast is not None
     blowing = flights[1] if has_forecast and len(flights) > 1 else None
     mission, tolerance = plan.mission_flown, plan.scenario.solver.tolerance
-    way = (_way(flights, mission),) if _has_way(plan.scenario) else ()
+    way = (_way(flights, mission),) if _has_speed_figure(plan.scenario) else ()
     if plan.scenario.airspace.ground is not None:
         way = (_heights(flights, mission), *way)
     mesh = partial(draw_mesh, plan.history, plan.mesh, tolerance, flights[0].duration_s)
@@ -222,7 +222,8 @@ def comparison_drawings(
 def _not_comparable(flights: Sequence[StyledFlight], compared: Sequence[StyledFlight]) -> str:
     """Return the caption's sentence that names the flights without a bar in the chart of energies.
 
-    The flights `compared` have a bar. The sentence is empty if all `flights` have one.
+    The flights `compared`, which reached the goal and broke no limit, have a bar. The sentence
+    names the other flights in `flights`; it is empty if all flights have a bar.
     """
     rest = [flight for flight in flights if flight not in compared]
     return _naming("Without a bar, because they missed the goal or broke a limit", rest)
@@ -250,8 +251,8 @@ def front_drawing(front: pd.DataFrame) -> Drawing:
     Parameters
     ----------
     front : DataFrame
-        One row for each price of time (value of one second in J), with the columns of
-        `FrontColumn`.
+        One row for each price of time (the energy that one second less of flight is worth, in W),
+        with the columns of `FrontColumn`.
     """
     caption = (
         "Flights of least energy for several prices of a second; star: the plan. No flight on the "
@@ -284,7 +285,8 @@ def drawings_of_run(result: "RunResult") -> tuple[Drawing, ...]:
 def _in_turbulence(often: "InTurbulence", plan: "Plan") -> Iterator[Drawing]:
     """Yield the figures of a plan's simulated flights in turbulence, for the report of a run.
 
-    `often` holds the flights. The names of the figures begin with ``turbulence_``.
+    `often` holds many simulated flights of the plan, each in its own random wind. The names of the
+    figures begin with ``turbulence_``.
     """
     margin = 0.0 if plan.risk is None else plan.risk.margins.get("airspace.clearance", 0.0)
     for drawing in ensemble_drawings(often.flown, often.savings, margin):
@@ -380,7 +382,7 @@ def _zones(mission: "Scenario") -> str:
     return f" Red: keep-out zones ({named})." if named else ""
 
 
-def _has_way(scenario: "Scenario") -> bool:
+def _has_speed_figure(scenario: "Scenario") -> bool:
     """Return whether a report has the figure of speed over path length.
 
     The figure is shown for missions with waypoints, keep-out zones, a speed limit or a free
@@ -458,7 +460,7 @@ def _supply(flights: Sequence[StyledFlight], hover_energy_J: float) -> tuple[Dra
     energy = (
         "From above: power, energy spent, and energy spent less the energy of hovering until then; "
         "dotted: hovering."
-        f"{_own_floors(flights)}{_cut(flights)}{_coinciding(flights, hover_energy_J)}"
+        f"{_unequal_durations(flights)}{_cut(flights)}{_coinciding(flights, hover_energy_J)}"
     )
     motors = f"The four motors: {_optimum_alone(flights)}"
     battery = f"The battery: {_listed(pair)}.{_not_drawn(flights, pair)}"
@@ -483,7 +485,7 @@ def _wind(optimum: StyledFlight, blowing: StyledFlight | None) -> tuple[Drawing,
     return (Drawing("wind", "Wind", caption, partial(draw_wind, optimum, blowing), _columns(WIND)),)
 
 
-def _own_floors(flights: Sequence[StyledFlight]) -> str:
+def _unequal_durations(flights: Sequence[StyledFlight]) -> str:
     """Return a warning for the caption of energy curves if the durations of the flights differ.
 
     Energies above hovering cannot be compared between flights of different durations. The text is
@@ -513,9 +515,10 @@ def _cut(flights: Sequence[StyledFlight]) -> str:
 
 
 def _coinciding(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
-    """Return the caption's sentence on flights whose energy curve lies under the plan's curve.
+    """Return the caption's sentence on flights whose energy curve is hidden by the plan's curve.
 
-    The sentence is empty if all curves can be distinguished.
+    The curves show the energy above hovering over time. The sentence is empty if all curves can be
+    distinguished.
     """
     if ENERGY.name not in flights[0].frame:
         return ""

@@ -436,7 +436,7 @@ def _draw_projection(
 
 
 def _ends(optimum: StyledFlight) -> tuple[tuple[np.ndarray, str, str], ...]:
-    """Return position, name and marker of start and goal; a single marker if both coincide."""
+    """Return position, name and marker of a plan's start and goal; one marker if both coincide."""
     track = _track(optimum)
     way = np.linalg.norm(np.diff(track, axis=0), axis=1).sum()
     if np.linalg.norm(track[-1] - track[0]) <= _SAME_PLACE * way:
@@ -492,7 +492,8 @@ def view_data(flights: Sequence[StyledFlight], airspace: Airspace, arm_m: float)
     Returns
     -------
     dict
-        Tracks and columns of the flights, groups of columns, zones, start and goal.
+        Name, colour and columns over time of each flight; groups of columns that the player plots
+        together; keep-out zones; positions of start and goal; and `arm_m`.
     """
     framed = [flight for flight in flights if flight not in leaving_paths(flights)]
     shown = [flight for flight in distinct_paths(flights) if flight in framed]

@@ -100,7 +100,7 @@ def write_solve_report(
     rate_hz : float, optional
         Number of table rows per second; by default the table has one row for each mesh node.
     figures : Figures, optional
-        Which figures to draw, and in which file formats.
+        File formats of the figures, or `Figures.NONE` for a report without figures.
     """
     write_study(
         folder,
@@ -125,8 +125,8 @@ def write_run_report(folder: Path, result: "RunResult", figures: Figures = Figur
     result : RunResult
         A plan with the baseline flights it is compared with.
     figures : Figures, optional
-        Which figures to draw, and in which file formats. Without figures the HTML page has no
-        interactive player of flights.
+        File formats of the figures, or `Figures.NONE` for no figures. Without figures the HTML page
+        has no interactive player of flights.
     """
     replanned = replanning_table(result.flights, result.scenario.baseline.mpc or Replanning())
     optional = {
@@ -235,7 +235,7 @@ def write_compare_report(
     is_good : bool
         Whether all plans were verified; sets the colour of the box with the page's main result.
     figures : Figures, optional
-        Which figures to draw, and in which file formats.
+        File formats of the figures, or `Figures.NONE` for a report without figures.
     """
     if comparison.empty:
         write_table(comparison, folder / COMPARISON_NAME)
@@ -254,7 +254,7 @@ def write_compare_report(
 
 
 def _title(plan: "Plan") -> str:
-    """Return the report's title; the status precedes it if the plan is not verified."""
+    """Return the report's title, preceded by the plan's status if the plan is not verified."""
     title = plan.scenario.title or plan.scenario.name
     return title if plan.is_flyable else f"{STATUS_WORDS[plan.status]}: {title}"
 

@@ -236,7 +236,8 @@ def full_width(
     shape : pair of int, optional
         Rows and columns of panels.
     left, right, **margins
-        Arguments of `Figure.subplots_adjust`, as shares of the figure.
+        Edges and gaps of the panels as fractions of the figure: arguments of
+        `Figure.subplots_adjust`.
 
     Returns
     -------

@@ -160,7 +160,7 @@ def plan_summary(
     plan : Plan
         The plan, which may be the best iterate of a failed solve.
     wall_s : mapping
-        Wall times [s] of phases that the plan does not know itself, such as import and report.
+        Wall times [s] of phases that `Plan.timings` does not contain, such as import and report.
     warnings : sequence of str, optional
         Cautions to record.
     """
@@ -212,7 +212,7 @@ def run_summary(result: "RunResult", *, wall_s: Mapping[str, float]) -> dict[str
     result : RunResult
         A plan with the baseline flights it is compared with.
     wall_s : mapping
-        Wall times [s] of phases that the result does not know itself, such as import and report.
+        Wall times [s] of phases that `result.timings` does not contain, such as the report.
     """
     from pyomo_quad.study.ensemble import ensemble_summary  # noqa: PLC0415  as below
     from pyomo_quad.study.headline import headline_of  # noqa: PLC0415  a solve has none
@@ -350,7 +350,7 @@ def read_front(folder: Path) -> "pd.DataFrame | None":
     """Read the energy-time front (least energy against duration) of a report folder.
 
     Each point of the front is the optimal flight for one price of time: the energy that one second
-    is worth.
+    less of flight is worth [J/s = W].
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Shapes of keep-out zones for figures: outlines along an axis, and faces in space."""
+"""Shapes of keep-out zones for figures: outlines seen along an axis, and faces in space."""
 
 from collections.abc import Iterator
 from itertools import pairwise

@@ -11,7 +11,10 @@ from types import MappingProxyType
 
 
 class Accuracy(StrEnum):
-    """Accuracy that a scenario requires of its plan; the levels are listed in ascending order."""
+    """Accuracy that a scenario requires of its plan: `QUICK`, `STANDARD` or `PROOF`.
+
+    The members are listed in ascending order of accuracy. `Figures` has the tolerances of a level.
+    """
 
     QUICK = "quick"
     STANDARD = "standard"

@@ -401,13 +401,13 @@ class TerrainGrid(Part):
         return unpacked(self.heights).reshape(len(self.x), len(self.y))
 
     def surface(self, side: int) -> "Surface":
-        """Return a smooth surface that does not cross the ground.
+        """Return a smooth surface close to the ground, from which a height limit is measured.
 
         Parameters
         ----------
         side : int
-            1 for a surface that is nowhere below the ground, -1 for a surface that is nowhere above
-            the ground.
+            1 for a surface that is nowhere below the ground, for the floor (least height); -1
+            for a surface that is nowhere above the ground, for the ceiling (greatest height).
         """
         return _surface(self, side)
 

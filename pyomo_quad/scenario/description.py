@@ -145,7 +145,10 @@ _LIMITS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusi
 
 @dataclass(frozen=True, kw_only=True)
 class WritableField:
-    """Description of a field that users may write in a scenario or study file, as text."""
+    """Description of a field that users may write in a scenario or study file.
+
+    The attributes are texts, the cells of a row in the documentation's table of fields.
+    """
 
     path: str
     unit: str
@@ -386,7 +389,10 @@ _SCHEMA_LINE = "#:schema ./scenario.schema.json\n"
 
 
 def shipped_scenarios() -> Mapping[str, Path]:
-    """Return the path of each shipped scenario by its name, or by a short name such as `paper`."""
+    """Return the paths of the shipped scenarios, by name.
+
+    Some scenarios are listed a second time under a short name, such as `paper`.
+    """
     place = next(place for place in _PLACES if place.is_dir())
     found = {f.stem: f for f in sorted(place.glob("*.toml")) if not f.stem.startswith(_STUDY)}
     return {short: found[name] for short, name in _SHORT_NAMES.items() if name in found} | found

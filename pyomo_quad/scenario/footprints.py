@@ -86,9 +86,11 @@ def _polygon_of(written: Any) -> Any:  # noqa: ANN401  before validation, and se
 
 
 def convex_parts(polygon: Any) -> list[_Ring]:  # noqa: ANN401  see `is_convex`
-    """Divide a polygon into convex parts: triangulate, then merge neighbours that stay convex.
+    """Divide a polygon into convex parts.
 
-    Method of Hertel and Mehlhorn (1983): at most four times the least number of parts.
+    The polygon is triangulated. Then neighbouring parts are merged as long as their union is
+    convex, by the method of Hertel and Mehlhorn (1983), which gives at most four times the least
+    possible number of parts.
 
     Parameters
     ----------

@@ -52,7 +52,7 @@ from pyomo_quad.scenario.tables import (
 from pyomo_quad.scenario.unit_keys import in_declared_units
 from pyomo_quad.scenario.vehicle import Vehicle
 from pyomo_quad.scenario.wind import Wind, with_air_density, with_coupling
-from pyomo_quad.scenario.wind_file import read_wind_file
+from pyomo_quad.scenario.wind_file import check_cover, read_wind_file
 
 LARGEST_FILE_BYTES = 1_000_000
 DEEPEST_NESTING = 8
@@ -185,7 +185,7 @@ class LibraryEntry:
     battery: str = ""
 
     def values(self) -> dict[str, Any]:
-        """Return the entry's values whose source is stated, by dotted path of the field."""
+        """Return the values for which the entry states a source, by dotted path of the field."""
         everything = {spell(path): value for path, value in leaves(self.tables)}
         return {field: everything[field] for field in self.sources}
 
@@ -722,7 +722,7 @@ class _Filled:
         if "floor" not in airspace and is_number(clearance):
             said = "airspace.clearance over airspace.terrain"
             self.put(("airspace", "floor"), clearance, said)
-        if self.origin.is_resolved and path not in self.origin.assignments:
+        if self.is_recorded(("airspace",), "terrain", "ground"):
             return
         # This module imports pandas, which scenarios without terrain do not need.
         from pyomo_quad.scenario.terrain_file import read_terrain  # noqa: PLC0415
@@ -730,6 +730,29 @@ class _Filled:
         where = self.naming(path, file)
         ground = read_terrain(self.origin.folder / file, where, self.on_earth())
         self.put_read(("airspace", "ground"), ground, file)
+
+    def is_recorded(self, place: FieldPath, named: str, content: str) -> bool:
+        """Return whether a record (a stored scenario) contains the content of a data file.
+
+        The file is then not read again, because its name is relative to the folder of the scenario
+        file, which the record does not state. If an override changes the file's name or content,
+        the result is False.
+
+        Parameters
+        ----------
+        place : tuple of str
+            Path of the table that names the file.
+        named, content : str
+            Fields of this table for the file's name and for the file's content.
+        """
+        fields = (*place, named), (*place, content)
+        is_overridden = any(
+            path[: len(field)] == field[: len(path)]
+            for path in self.origin.assignments
+            for field in fields
+        )
+        has_content = value_at(self.tables, *place, content) is not None
+        return self.origin.is_resolved and has_content and not is_overridden
 
     def winds(self, named: str) -> Iterator[tuple[tuple[str, ...], Mapping[str, Any]]]:
         """Yield those of the tables `wind` and `wind.forecast` that name a data file.
@@ -753,6 +776,8 @@ class _Filled:
     def add_wind_fields(self) -> None:
         """Add the wind fields (wind over places) from the files that `wind.field` names."""
         for place, wind in self.winds("field"):
+            if self.is_recorded(place, "field", "grid"):
+                continue
             # This module imports pandas, which scenarios without a wind field do not need.
             from pyomo_quad.scenario.wind_field import read_wind_field  # noqa: PLC0415
 
@@ -771,9 +796,18 @@ class _Filled:
         for place, wind in self.winds("file"):
             path, offset = (*place, "file"), wind.get("time_offset", 0.0)
             where = f"{message_origin(self.origin, self.provenance, path)}: {spell(path)}"
-            told = (spell(field), _SHORTEST_S if longest is None else longest)
-            series = read_wind_file(self.origin.folder / wind["file"], where, told, offset)
-            self.put_read((*place, "series"), series, wind["file"])
+            duration = _SHORTEST_S if longest is None else longest
+            if self.is_recorded(place, "file", "series"):
+                series, file = wind["series"], shown(FilePath(wind["file"]).name)
+                # An override may have made the mission longer than the recorded wind.
+                if series["times"] and is_number(duration) and is_number(offset):
+                    check_cover(
+                        series["times"], offset, spell(field), duration, f"{where} = {file}"
+                    )
+            else:
+                told = (spell(field), duration)
+                series = read_wind_file(self.origin.folder / wind["file"], where, told, offset)
+                self.put_read((*place, "series"), series, wind["file"])
             if series["times"] and isinstance(offset, int | float):
                 known.append((series["times"][-1] - offset, f"file {shown(wind['file'])[1:-1]}"))
         if field == _LONGEST and longest is None and known:

@@ -522,7 +522,11 @@ class Scenario(Part):
 
 
 def _meaning(name: str) -> str:
-    """Return the first part of the description of a vehicle's field, as its short meaning."""
+    """Return the meaning of a vehicle's field in a few words, for error messages.
+
+    The result is the description of the field `name`: the text after its last colon, if it has
+    one, and up to the next comma.
+    """
     meaning = (Vehicle.model_fields[name].description or name).rpartition(": ")[2]
     return meaning.partition(",")[0]
 

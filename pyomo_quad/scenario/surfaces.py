@@ -267,7 +267,7 @@ class _Axis:
         Parameters
         ----------
         of_cells : ndarray, shape (n - 1, ...)
-            Value of each cell.
+            Value of each cell, at least 0.
 
         Returns
         -------

@@ -230,7 +230,10 @@ class Baseline(Part):
 
 
 class PowerModel(StrEnum):
-    """Model of the power, whose integral over time is the energy of the flight."""
+    """Model of the electrical power of the rotors; `model.power` has the equations of each model.
+
+    The integral of the power over time is the energy of the flight.
+    """
 
     MOTOR = "motor"
     EFFICIENCY = "efficiency"

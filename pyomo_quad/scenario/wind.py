@@ -139,7 +139,10 @@ class WindSeries(Part):
 
 
 class Intensity(StrEnum):
-    """Intensity of turbulence, defined by the wind 6 m above ground (MIL-F-8785C, 3.7.3.4)."""
+    """Intensity of turbulence, defined by the wind 6 m above ground (MIL-F-8785C, 3.7.3.4).
+
+    This wind is 15 knots for `LIGHT`, 30 knots for `MODERATE` and 45 knots for `SEVERE` turbulence.
+    """
 
     LIGHT = "light"
     MODERATE = "moderate"
@@ -397,7 +400,9 @@ class Wind(Part):
         return self
 
     def complaints(self, place: tuple[float, float, float]) -> Iterator[str]:
-        """Yield an error message if the wind field has no known wind at a place at any time.
+        """Yield an error message if the wind at a place is missing at all times of the wind field.
+
+        The wind is missing outside the grid of the field, and where the file has no value.
 
         Parameters
         ----------
@@ -570,7 +575,7 @@ def with_coupling(
 
 
 def _is_any(number: object) -> bool:
-    """Return whether a coefficient, a number or list of numbers, is not zero."""
+    """Return whether a coefficient (a number, or a list of numbers) has a value other than zero."""
     return any(number) if isinstance(number, list | tuple) else bool(number)
 
 

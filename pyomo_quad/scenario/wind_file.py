@@ -1,7 +1,7 @@
 """Reading of measured winds over time, height or both from CSV files."""
 
 import csv
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from math import isfinite
 from pathlib import Path
@@ -71,7 +71,7 @@ def read_wind_file(
     _check_times(series["times"], place)
     field, duration = longest
     if isinstance(duration, int | float) and isinstance(time_offset, int | float):
-        _check_cover(series["times"], time_offset, field, duration, place)
+        check_cover(series["times"], time_offset, field, duration, place)
     return series
 
 
@@ -123,9 +123,24 @@ def _check_times(times: tuple[float, ...], place: str) -> None:
             )
 
 
-def _check_cover(
-    times: tuple[float, ...], start: float, field: str, duration: float, place: str
+def check_cover(
+    times: Sequence[float], start: float, field: str, duration: float, place: str
 ) -> None:
+    """Raise an error unless a measured wind covers the mission from its start to its end.
+
+    Parameters
+    ----------
+    times : sequence of float
+        Times of the measured wind [s], ascending.
+    start : float
+        Wind time at the start of the mission [s].
+    field : str
+        Dotted path of the field that limits the mission's duration, for the error message.
+    duration : float
+        Longest duration of the mission [s].
+    place : str
+        Beginning of the error message: the field and the file.
+    """
     if times[0] > start or times[-1] - start < duration:
         refuse(
             place,

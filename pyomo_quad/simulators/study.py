@@ -80,7 +80,12 @@ Track = tuple[np.ndarray, np.ndarray]
 
 
 class Plant(StrEnum):
-    """Simulated vehicle: the package's own (declared) model, or a variant of RotorPy's model."""
+    """Simulated vehicle of a flight: the package's own model, or a variant of RotorPy's model.
+
+    `DECLARED` is the package's own model. `ROTORPY` is RotorPy's simulation with settings that make
+    it obey the same equations. `AS_IT_COMES` is RotorPy's simulation with its own defaults. Each
+    further member differs from `ROTORPY` in the feature that its value names.
+    """
 
     DECLARED = "declared"
     ROTORPY = "rotorpy"
@@ -201,7 +206,7 @@ class OutsideStudy:
 
 
 class Arrivals(NamedTuple):
-    """Numbers of a controller's flights in RotorPy, by outcome.
+    """Counts of a controller's flights in RotorPy, by their outcome.
 
     Attributes
     ----------
@@ -217,7 +222,9 @@ class Arrivals(NamedTuple):
 
 
 def arrivals(flights: pd.DataFrame, controller: str) -> Arrivals:
-    """Count a controller's flights in RotorPy that arrived, and those that are confirmed.
+    """Count the flights of one controller in RotorPy, by their outcome.
+
+    Outcomes are: arrived at the goal, and confirmed or not confirmed by a second integration.
 
     Parameters
     ----------

@@ -93,23 +93,30 @@ def energy_and_charge(
 
 
 def charge_beyond_least(aims: "pd.DataFrame") -> float:
-    """Return how much more charge the plan of least energy draws than the plan of least charge.
+    """Return the relative excess charge of the plan of least energy over the least charge.
 
-    The result is relative to the least charge. `aims` is a table of `energy_and_charge` that is not
-    empty.
+    Both plans, of least energy and of least charge, fly the same mission. The result is
+    (charge of the plan of least energy - least charge) / least charge. `aims` is a table from
+    `energy_and_charge` that is not empty.
     """
     of_energy, of_charge = aims[AimColumn.CHARGE]
     return float(of_energy / of_charge - 1.0)
 
 
 def disagreement(aims: "pd.DataFrame") -> tuple[str, ...]:
-    """Return a warning if the plans of least energy and least charge differ in charge.
+    """Return a warning if the plan of least energy draws clearly more than the least charge.
+
+    Parameters
+    ----------
+    aims : DataFrame
+        Plans of least energy and of least charge for one mission, from `energy_and_charge`; may be
+        empty.
 
     Returns
     -------
     tuple of str
-        The warning, if the plan of least energy draws more than `DISAGREEMENT` (relative) above the
-        least charge; otherwise empty.
+        The warning, if the plan of least energy exceeds the least charge by more than the fraction
+        `DISAGREEMENT`; otherwise empty.
     """
     if aims.empty or charge_beyond_least(aims) <= DISAGREEMENT:
         return ()

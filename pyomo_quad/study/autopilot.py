@@ -133,9 +133,9 @@ def fly_cruise(
 ) -> Flight:
     """Simulate a mission as an autopilot flies it, straight between waypoints.
 
-    The autopilot waits at the goal until the vehicle has arrived, but at most for the longest time
-    in `SETTLINGS_S` [s]. In a mission of fixed duration it waits at least to the end of the
-    mission.
+    The autopilot waits at the goal until the vehicle has arrived near the goal and is nearly at
+    rest. It waits at most for the longest waiting time in `SETTLINGS_S` [s]. In a mission of fixed
+    duration it waits at least to the end of the mission.
 
     Parameters
     ----------
@@ -154,20 +154,20 @@ def fly_cruise(
     Flight
         The simulated flight under the controller.
     """
-    longest, dynamics = _longest(scenario, settings, planner)
+    longest, dynamics = _with_longest_wait(scenario, settings, planner)
     flown = fly_reference(longest, Reference.CRUISE, dynamics=dynamics).flown
     end = _end(scenario, settings, flown, dynamics)
     told = cruise_at(scenario.cruising(settings), least_s=end)
     return fly_baseline(told, Reference.CRUISE, dynamics=vehicle_flown(planner, told), plan=plan)
 
 
-def _longest(
+def _with_longest_wait(
     scenario: Scenario, settings: CruiseSettings, planner: Planner
 ) -> tuple[Scenario, Dynamics]:
     """Return scenario and dynamics of an autopilot's flight with the longest wait at the goal.
 
-    `fly_cruise` and the search for settings simulate this flight, and find in it the time of
-    arrival.
+    `fly_cruise` and the search for settings simulate this flight first, in order to find the time
+    at which the vehicle arrives. The longest wait is the last waiting time in `SETTLINGS_S`.
 
     Returns
     -------
@@ -187,11 +187,12 @@ def _least(scenario: Scenario) -> float:
 
 
 def _end(scenario: Scenario, settings: CruiseSettings, flown: Flown, dynamics: Dynamics) -> float:
-    """Return the time at which an autopilot's simulated flight has arrived at the goal [s].
+    """Return the time at which the vehicle has arrived in a simulated flight of an autopilot [s].
 
-    The time is not earlier than the end of the reference trajectory. In a mission of fixed duration
-    it is not earlier than the end of the mission. If the vehicle does not arrive, it is the end of
-    the simulation.
+    The vehicle has arrived if it is near the goal and nearly at rest. The time is not earlier than
+    the end of the reference trajectory. In a mission of fixed duration it is not earlier than the
+    end of the mission. If the vehicle does not arrive, it is the end of the simulation. `flown` is
+    the flight, simulated with the longest wait at the goal; `dynamics` names its states.
     """
     moving = cruise_at(scenario.cruising(settings)).mission.fixed_duration
     places, velocities = (
@@ -310,7 +311,7 @@ def _start_of_search(
 def _tried(
     scenario: Scenario, settings: CruiseSettings, *, plan: Plan | None, planner: Planner
 ) -> TriedCruise:
-    longest, dynamics = _longest(scenario, settings, planner)
+    longest, dynamics = _with_longest_wait(scenario, settings, planner)
     within = reached(scenario.cruising(settings))
     try:
         flown = fly_reference(
@@ -371,9 +372,9 @@ class TuningColumn(TableColumn):
 
 
 def tuning_table(tuning: Tuning | None) -> "pd.DataFrame":
-    """Return the settings that the tuning of an autopilot tried, as a table in order.
+    """Return a table of the settings that the tuning of an autopilot tried, in the order tried.
 
-    The table is empty without a tuning. The energies were computed in the search, at reduced
+    The table is empty if `tuning` is None. The energies were computed in the search, at reduced
     accuracy; `Tuning.flight` has the energy of the best settings to full accuracy.
     """
     return TuningColumn.of_objects(() if tuning is None else tuning.tried)

@@ -195,7 +195,7 @@ def _refuse_other_packs(missions: Sequence[Scenario]) -> None:
 
 
 def _planned(present: Scenario, last: Plan | None, planner: Planner) -> Plan | str:
-    """Return the plan of the next flight, or the reason in words why the battery prevents it.
+    """Return the plan of a campaign's next flight, or the reason in words if there is none.
 
     `present` is the mission with the present state of the battery. `last` is the previous plan of
     the same mission, which gives the warm start.
@@ -214,9 +214,9 @@ def _planned(present: Scenario, last: Plan | None, planner: Planner) -> Plan | s
 
 
 def _ended(plan: Plan) -> dict[str, float]:
-    """Return the states at the end of a plan, by state name.
+    """Return the values of all states at the end of a plan, by state name.
 
-    The next flight of a campaign starts with the battery states among them.
+    They include the states of the battery, with which the next flight of a campaign starts.
     """
     held = plan.trajectories
     return dict(zip(held.state_names, held.states[-1].tolist(), strict=True))

@@ -17,15 +17,16 @@ from scipy.optimize import OptimizeResult, minimize
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.steady import MomentumDemand, SteadyFlight
 from pyomo_quad.model.aerodynamics import acts_in_body_axes
-from pyomo_quad.model.wind_field import wind_corners
+from pyomo_quad.model.wind_field import wind_corners, winds_of_columns
 from pyomo_quad.scenario import PowerModel, Scenario
 from pyomo_quad.scenario.mission import Order
-from pyomo_quad.scenario.wind import WindCoupling
-from pyomo_quad.study.legs import Itinerary, legs_of
+from pyomo_quad.scenario.wind import Beyond, WindCoupling
+from pyomo_quad.study.legs import Itinerary, Leg, legs_of
 from pyomo_quad.study.pairs import POWER_TOLERANCE, Pairs, bound_of_pairs, wind_of
+from pyomo_quad.study.potential import Places, bound_by_places
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     from pyomo_quad.arrays import FloatArray
 
@@ -214,7 +215,7 @@ _STANDING_SAMPLES = 101
 # nodes: declared powers are polynomials of degree four at most in steady flight; any other power
 # exceeds the tolerance of the fit.
 _DEGREE = 8
-_READINGS = 24
+_FIT_NODES = 24
 _FIT_ERROR = 1e-10  # relative to the largest value at the nodes
 # Number of samples of the fit up to twice the speed of hover, the range of usual flights, and
 # number of samples beyond this speed.
@@ -262,12 +263,17 @@ class Certificate:
         return least * (1 - SAME_TIME) <= duration_s <= greatest * (1 + SAME_TIME)
 
     def gap_percent(self, energy_J: float) -> float | None:
-        """Return the largest possible saving over a flight, in per cent of the flight's energy.
+        """Return the optimality gap of a flight: the energy that any other flight can save at most.
+
+        Parameters
+        ----------
+        energy_J : float
+            Energy of the flight.
 
         Returns
         -------
         float or None
-            100 (energy - lower bound) / energy; None if no bound is known.
+            100 (energy - lower bound) / energy, in per cent; None if no bound is known.
         """
         if self.lower_bound_J is None:
             return None
@@ -317,21 +323,23 @@ def _bound(scenario: Scenario, planner: Planner) -> _Found:
     power = _SteadyPower(scenario, planner.steady_flight(scenario))
     if not power.is_polynomial:
         return None, "the power of steady flight is not a polynomial of the rotor speed."
-    uncounted = _uncounted(scenario, demand)
-    bounds = [_bound_as_a_whole(scenario, demand, power, uncounted)]
+    why_not_by_legs = _why_not_by_legs(scenario, demand)
+    bounds = [_bound_as_a_whole(scenario, demand, power, why_not_by_legs)]
     if scenario.mission.is_free or scenario.mission.waypoints:
-        if not uncounted:
+        if not why_not_by_legs:
             bounds.append(_bound_by_legs(scenario, planner, demand, power))
-        elif uncounted == _WITH_DRAG:
+        elif why_not_by_legs == _WITH_DRAG:
             bounds.append(_bound_by_pairs(scenario, planner, demand))
     return max(bounds, key=lambda found: -inf if found[0] is None else found[0])
 
 
-def _uncounted(scenario: Scenario, demand: MomentumDemand) -> str:
-    """Return why no lower bound on the energy covers waypoints or a free duration; "" if one does.
+def _why_not_by_legs(scenario: Scenario, demand: MomentumDemand) -> str:
+    """Return the reason why the bound leg by leg does not apply to a mission; "" if it applies.
 
-    For instance, the wind may change with time. The reason completes the sentence "no bound is
-    known that counts waypoints ...". `demand` is the thrust that the momentum balance requires.
+    `_bound_by_legs` computes this lower bound on the energy, which takes account of waypoints and
+    of a free duration. It does not apply, for instance, if the wind changes with time. The reason
+    is the end of a sentence such as "no bound is known that counts waypoints in a wind that changes
+    with time". `demand` is the thrust that the momentum balance requires.
     """
     times = np.linspace(0.0, scenario.nominal_duration, _STANDING_SAMPLES)
     standing = np.array([demand.thrust(float(t)) for t in times])
@@ -345,7 +353,7 @@ def _uncounted(scenario: Scenario, demand: MomentumDemand) -> str:
 
 
 def _bound_as_a_whole(
-    scenario: Scenario, demand: MomentumDemand, power: _SteadyPower, uncounted: str
+    scenario: Scenario, demand: MomentumDemand, power: _SteadyPower, why_not_by_legs: str
 ) -> _Found:
     """Bound the energy of flights of fixed duration from below, ignoring waypoints.
 
@@ -357,8 +365,9 @@ def _bound_as_a_whole(
         Thrust that the momentum balance requires.
     power : _SteadyPower
         Total power over total thrust at constant rotor speeds.
-    uncounted : str
-        Reason from `_uncounted` why waypoints and a free duration are not covered, for the texts.
+    why_not_by_legs : str
+        Reason from `_why_not_by_legs` why the bound that takes account of waypoints and of a free
+        duration does not apply. The returned text contains it.
 
     Returns
     -------
@@ -369,9 +378,9 @@ def _bound_as_a_whole(
     """
     mission = scenario.mission
     if mission.released > 0.0:
-        return None, f"no bound is known for a mass that changes in flight {uncounted}."
+        return None, f"no bound is known for a mass that changes in flight {why_not_by_legs}."
     if mission.is_free:
-        return None, f"no bound is known for a free duration {uncounted}."
+        return None, f"no bound is known for a free duration {why_not_by_legs}."
     displacement = np.subtract(mission.goal.position, mission.start.position)
     duration = mission.fixed_duration
     # A bound above the energy of full power for the whole flight proves that no flight exists.
@@ -379,7 +388,7 @@ def _bound_as_a_whole(
     found = _best_bound(ThrustMoments(demand, displacement, duration), power, ceiling)
     if found > ceiling:
         return None, _IMPOSSIBLE
-    left_out = f"; no bound is known that counts waypoints {uncounted}, so these are left out"
+    left_out = f"; no bound is known that counts waypoints {why_not_by_legs}, so these are left out"
     return found, (
         "momentum balance and displacement fix two means of the thrust vector, and steady power "
         f"under power.model {scenario.power.model.value} bounds what they cost"
@@ -500,15 +509,33 @@ def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand
         counted = scenario.with_mission(waypoints=())
     legs, shared = legs_of(counted)
     found = bound_of_pairs(pairs, legs, shared, steady.hover_power)
+    of_field = "" if winds is None else ", and over all winds that occur anywhere in the field,"
+    if winds is not None and _has_places(scenario, legs, standing, winds):
+        by_places = _bound_of_places(
+            counted,
+            lambda near: Pairs(scenario, dynamics, standing, fastest, near),
+            winds,
+            steady.hover_power,
+        )
+        if by_places > found:
+            found = by_places
+            of_field = ", and over all winds that occur in each cell of the field,"
     found -= _energy_returned(scenario, planner)
     if found <= 0.0:
         return None, "no prices were found that bound the energy above zero."
-    of_legs = f" on each of {len(legs)} legs" if counted.mission.waypoints else ""
+    return found, _basis_of_pairs(scenario, counted, len(legs), of_field)
+
+
+def _basis_of_pairs(scenario: Scenario, counted: Scenario, legs: int, of_field: str) -> str:
+    """Return the basis of a bound over pairs of thrust and airspeed, in words.
+
+    The mission `counted` may lack waypoints of the scenario; `of_field` names the winds.
+    """
+    of_legs = f" on each of {legs} legs" if counted.mission.waypoints else ""
     left_out = (
         "; waypoints are left out where their order is open" if counted is not scenario else ""
     )
-    of_field = "" if winds is None else ", and over all winds that occur anywhere in the field,"
-    return found, (
+    return (
         "the means of force, of its power and of velocity are fixed by rest at both ends and by "
         f"the displacement{of_legs}{left_out}, and the least power over all pairs of thrust and "
         f"airspeed{of_field} under power.model {scenario.power.model.value} is proven by branch "
@@ -519,8 +546,38 @@ def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand
     )
 
 
+def _bound_of_places(
+    scenario: Scenario,
+    pairs_in: Callable[[FloatArray], Pairs],
+    winds: FloatArray,
+    power: float,
+) -> float:
+    """Return the lower bound by the places of a flight without waypoints [J].
+
+    The parameters are those of `bound_by_places`.
+    """
+    mission, ((leg,), (durations,)) = scenario.mission, legs_of(scenario)
+    ends = np.array([mission.start.position, mission.goal.position])
+    places = Places(winds_of_columns(scenario), ends)
+    return bound_by_places(pairs_in, winds, places, leg, durations, power)
+
+
+def _has_places(
+    scenario: Scenario, legs: Sequence[Leg], standing: FloatArray, winds: FloatArray
+) -> bool:
+    """Return whether a bound can count where the wind of a field blows: `study.potential`."""
+    return (
+        scenario.wind.beyond is not Beyond.HOLD
+        and len(legs) == 1
+        and legs[0].slack == 0.0
+        and not np.any(standing[:2])
+        and not np.any(winds[:, 2])
+        and bool(np.any(np.ptp(winds, axis=0) > _ROUNDING))
+    )
+
+
 def _airspace_clause(scenario: Scenario) -> str:
-    """Return the end of the sentence that states a lower bound, for a mission with an airspace.
+    """Return the clause on the airspace that ends the sentence about a lower bound.
 
     The clause says that the bound also holds for the flights that stay within the airspace. It is
     empty if the scenario has no keep-out zones, floor or ceiling.
@@ -532,9 +589,10 @@ def _airspace_clause(scenario: Scenario) -> str:
 
 
 def _obstacles(scenario: Scenario) -> Iterator[str]:
-    """Yield the reasons why no lower bound on a scenario's energy is known, the simplest first.
+    """Yield the features of a scenario for which no lower bound on the energy is known, in words.
 
-    It yields nothing if a bound may be known.
+    An example is a user's own model. Without such features nothing is yielded, and a bound may be
+    known.
     """
     if scenario.model is not None:
         yield f"no bound is known for a user's own model ({scenario.model})."
@@ -615,12 +673,13 @@ class _SteadyPower:
     thrust, power : ndarray, shape (n,)
         Total thrust [N], increasing, and total power [W], at samples of the rotor speed.
     is_polynomial : bool
-        Whether the fitted polynomials equal the declared model to rounding.
+        Whether thrust and power of the declared model are polynomials of the rotor speed. The
+        samples are values of fitted polynomials, which then equal the model to rounding.
     """
 
     def __init__(self, scenario: Scenario, steady: SteadyFlight) -> None:
         slowest, fastest = scenario.limits.rotor_speed_min, scenario.limits.rotor_speed_max
-        between = 0.5 * (1 - np.cos(np.pi * np.arange(_READINGS) / (_READINGS - 1)))
+        between = 0.5 * (1 - np.cos(np.pi * np.arange(_FIT_NODES) / (_FIT_NODES - 1)))
         speeds = slowest + (fastest - slowest) * between
         # Dense in the range of usual flights, however high the limit is.
         usual = np.clip(_USUAL_SPEED * steady.hover_speed, slowest, fastest)
@@ -669,13 +728,13 @@ class _SteadyPower:
 
 
 def _fit(
-    readings: FloatArray, speeds: FloatArray, samples: FloatArray
+    computed: FloatArray, speeds: FloatArray, samples: FloatArray
 ) -> tuple[Chebyshev, FloatArray, bool]:
     """Fit a polynomial of the rotor speed to computed values of the model's thrust or power.
 
     Parameters
     ----------
-    readings : ndarray
+    computed : ndarray
         Values of the model at the rotor speeds ``speeds``.
     speeds : ndarray
         Rotor speeds of the fit, rad/s.
@@ -689,12 +748,12 @@ def _fit(
     values : ndarray
         The fit at the speeds ``samples``.
     is_exact : bool
-        Whether the fit equals the ``readings`` to rounding.
+        Whether the fit equals the ``computed`` values to rounding.
     """
     domain = [speeds[0], speeds[-1]]
-    polynomial = Chebyshev.fit(speeds, readings, _DEGREE, domain=domain)
-    error = float(np.max(np.abs(polynomial(speeds) - readings)))
-    return polynomial, polynomial(samples), error <= _FIT_ERROR * float(np.max(np.abs(readings)))
+    polynomial = Chebyshev.fit(speeds, computed, _DEGREE, domain=domain)
+    error = float(np.max(np.abs(polynomial(speeds) - computed)))
+    return polynomial, polynomial(samples), error <= _FIT_ERROR * float(np.max(np.abs(computed)))
 
 
 def _below(thrust: FloatArray, power: FloatArray) -> FloatArray:

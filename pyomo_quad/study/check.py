@@ -248,9 +248,10 @@ def reach_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
 
 
 def _available_thrust(scenario: Scenario, steady: SteadyFlight) -> tuple[str, float]:
-    """Return the limit that permits the least thrust, as "field = value", and this thrust [N].
+    """Return the most restrictive limit on the thrust, and the largest thrust that it permits [N].
 
-    The limits compared are the limits on rotor speed, on thrust and on rotor acceleration.
+    The limit is given in words, as "field = value". Limits on rotor speed, on thrust and on rotor
+    acceleration are compared.
     """
     limits = scenario.limits
     # Rotors start and end at hover speed, so they can be fastest half way through the flight.
@@ -314,12 +315,13 @@ def _too_short(
 
 
 def _least_duration(scenario: Scenario, demand: MomentumDemand, available: float) -> float:
-    """Return the longest duration found for which the thrust is insufficient for the mission [s].
+    """Return a lower bound on the duration in which the available thrust suffices [s].
 
-    A message recommends more time than this. The duration is found by doubling and bisection,
-    starting from the duration of the mission. It is infinite if no duration suffices, or if the
-    wind after the end of the mission is unknown. `demand` is the thrust that the momentum balance
-    requires; `available` is the thrust that the limits allow [N].
+    The mission's own duration is too short; a message recommends to allow more than the returned
+    time. The bound is found by doubling and bisection, starting from the mission's duration. It is
+    infinite if no duration that was tried suffices, or if the wind after the end of the mission is
+    unknown. `demand` is the thrust that the momentum balance requires; `available` is the thrust
+    that the limits allow [N].
     """
     if scenario.wind.series is not None:
         return inf
@@ -475,7 +477,10 @@ def _idle_limits(scenario: Scenario) -> Iterator[Finding]:
 
 
 def _tilt_left_to_plans(scenario: Scenario) -> Iterator[Finding]:
-    """Yield a caution if plans of a scenario may tilt further than its controller can follow."""
+    """Yield a caution if plans of a scenario may tilt further than its controller can follow.
+
+    The controller's tilt is limited by `baseline.gains.tilt_max`, a plan's tilt by `limits`.
+    """
     given, without = scenario.baseline.gains.tilt_max, {"baseline.gains.tilt_max": None}
     allowed = followed_tilt(scenario.with_values(without)) if given is not None else 0.0
     if given is not None and given < allowed * (1 - _ROUNDING):

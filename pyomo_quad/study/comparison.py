@@ -53,7 +53,7 @@ def adaptation_study(scenario: Scenario, *, dynamics: Dynamics) -> "pd.DataFrame
     Parameters
     ----------
     scenario : Scenario
-        The mission with fixed times.
+        The mission, with fixed duration and passing times of waypoints (`Plan.mission_flown`).
     dynamics : Dynamics
         Dynamics of the vehicle in the actual wind.
 
@@ -142,7 +142,7 @@ def compare_flights(
     Parameters
     ----------
     scenario : Scenario
-        The mission with the times of the plan.
+        The mission, with the duration and the passing times of the plan (`Plan.mission_flown`).
     flights : sequence of Flight
         Flights of the mission; the flight of the plan is named `OPTIMAL`.
     certificate : Certificate
@@ -153,7 +153,7 @@ def compare_flights(
     Returns
     -------
     DataFrame
-        One row per flight, columns of `ComparisonColumn`; NaN where there is no number.
+        One row per flight, columns of `ComparisonColumn`; NaN where a value is undefined.
 
     Notes
     -----
@@ -222,7 +222,11 @@ def compare_flights(
 
 
 def against_hovering(excess_J: float, digits: int = 2) -> str:
-    """Return an energy above hovering in words, such as "3.20 J less than hovering"."""
+    """Return an energy above hovering in words, such as "3.20 J less than hovering".
+
+    `excess_J` is the energy of a flight less the energy of hovering for the same time, and `digits`
+    the number of decimals.
+    """
     return f"{abs(excess_J):.{digits}f} J {'less' if excess_J < 0.0 else 'more'} than hovering"
 
 
@@ -465,8 +469,9 @@ def _time_inside(scenario: Scenario, frame: "pd.DataFrame") -> float:
 
 
 def _rotor_values(frame: "pd.DataFrame", component: str) -> FloatArray:
-    """Return a variable of the rotors from a flight's table, one column for each rotor.
+    """Return the values of one variable of the rotors in a flight's table, a column for each rotor.
 
+    `component` is the variable's name in the model, such as "rotors.omega" for the rotor speeds.
     There are at least four columns, NaN where a user's model lacks a rotor.
     """
     shown = [one for one in ALL_COLUMNS if one.component == component]

@@ -1,8 +1,9 @@
 """Estimate of the processor time that planning a mission takes, and of its costly features.
 
-A solve takes the time of Ipopt's iterations, which is proportional to the number of unknowns:
-variables per collocation point, times points of the mesh, times the meshes, routes and orders that
-are tried.  These numbers are known before the solve.  The constants were measured by
+Most of the time is spent in Ipopt's iterations. The time of an iteration is proportional to the
+number of unknowns: variables per collocation point, times collocation points of the mesh. Several
+meshes, routes round keep-out zones and orders of the waypoints may be solved.  Their numbers are
+known or estimated before the solve.  The constants were measured by
 `python -m tests.benchmarks resolve missions`, whose tables compare estimates with measured times.
 """
 

@@ -85,7 +85,7 @@ class Ensemble(Summarised):
     Attributes
     ----------
     scenario : Scenario
-        The mission with its times.
+        The mission, with fixed duration and passing times of waypoints.
     name : str
         Name of the flights, as in a comparison: "adaptive/plan".
     seed : int
@@ -117,13 +117,19 @@ class Ensemble(Summarised):
 
     @property
     def broken(self) -> dict[str, Share]:
-        """Share of the flights that broke each limit, by limit in words, the largest first."""
+        """Share of flights that broke a limit, for each broken limit, the largest share first.
+
+        The key is the limit in words.
+        """
         counts = Counter(name for ending in self.flown.endings for name in ending.broken)
         return {name: Share(count, self.count) for name, count in counts.most_common()}
 
     @property
     def worst(self) -> dict[str, float]:
-        """Largest relative violation of each broken limit over all flights, by limit in words."""
+        """Largest relative violation of each broken limit over all flights.
+
+        The key is the limit in words.
+        """
         return {
             name: max(ending.broken.get(name, 0.0) for ending in self.flown.endings)
             for name in self.broken
@@ -198,7 +204,7 @@ def fly_plan_often(
     Parameters
     ----------
     scenario : Scenario
-        The mission with the times of the plan (`Plan.mission_flown`).
+        The mission, with the duration and the passing times of the plan (`Plan.mission_flown`).
     held : Trajectories
         States and controls of the plan over time. The plan was made for the scenario's forecast of
         the wind.
@@ -232,12 +238,12 @@ def fly_cruise_often(
 
     With the same seed, the winds are the same as in `fly_plan_often`. The autopilot waits at the
     goal until at least half of the flights arrive and break no limit, but at most for the longest
-    time in `SETTLINGS_S` [s]. All flights last at least `least_s`.
+    waiting time in `SETTLINGS_S` [s]. All flights last at least `least_s`.
 
     Parameters
     ----------
     scenario : Scenario
-        The mission with its times.
+        The mission. Passing times and duration are replaced by those of the autopilot's flight.
     settings : CruiseSettings
         Speed, acceleration and jerk of the autopilot.
     planner : Planner
@@ -354,7 +360,10 @@ class InTurbulence:
 
     @property
     def savings(self) -> tuple[Saving, ...]:
-        """The energy saving over the autopilot, in a tuple; empty if no autopilot was simulated."""
+        """The energy saving over the autopilot as a tuple of one item, for reports of ensembles.
+
+        The tuple is empty if no autopilot was simulated.
+        """
         return () if self.saving is None else (self.saving,)
 
     @property

@@ -1,8 +1,8 @@
-"""Lower bound on the energy of a flight in legs, by prices of momentum and a price of time.
+"""Lower bound on the energy of a flight through waypoints, by Lagrange duality.
 
-A leg is the flight from one waypoint to the next, a passage the instant at a waypoint, and a price
-the multiplier (dual variable) of a quantity that the mission fixes.  Derivation: see
-docs/theory/bound.md, eqs. (12) and (13).
+A leg is the flight from one waypoint to the next. A passage is the instant at a waypoint. A price
+is the Lagrange multiplier (dual variable) of a quantity that the mission fixes; here these are
+momentum and time.  Derivation: see docs/theory/bound.md, eqs. (12) and (13).
 
 symbol | meaning
 d_k, T_k, m_k | displacement of leg k, its duration, and the mass on it
@@ -11,9 +11,10 @@ s_k | thrust that holds the vehicle still on leg k: weight and the acceleration 
 y | price of momentum, J per N s: linear in time on each leg
 P* | conjugate of the power: maximum of price times thrust minus power
 
-The thrust is u = m_k a + s_k, and power is at least p . u - P*(|p|) at any price p.  With
-p = y / m_k the acceleration integrates by parts: the boundary terms cancel at the passages, where
-neither velocity nor y jumps, and vanish at rest.  So every flight spends at least
+With the acceleration a, the thrust is u = m_k a + s_k, and power is at least p . u - P*(|p|) at any
+price p of the thrust.  With p = y / m_k the acceleration integrates by parts: the boundary terms
+cancel at the passages, where neither velocity nor y jumps, and vanish at rest.  So every flight
+spends at least
 
 sum over k of  A_k / T_k + G_k T_k,   A_k = -(change of y) . d_k - r_k |change of y|,
 G_k = mean over the leg of p . s_k - P*(|p|).

@@ -1,7 +1,7 @@
 """Lower bound on the energy of flights whose power or drag depends on the airspeed.
 
 A price is the multiplier (dual variable) of a quantity that the mission fixes.  Derivation: see
-docs/theory/bound.md, eqs. (14) to (22).
+docs/theory/bound.md, eqs. (14) to (23).
 
 symbol | meaning
 u, v, W | thrust, airspeed and wind, world axes
@@ -9,6 +9,7 @@ U | middle of the box around all winds that occur; W itself if the wind is stead
 f(v) | force of the air, against the airspeed
 s | thrust that holds the mass still at zero airspeed, as a rule its weight
 P | power of the vehicle, a function of u and v
+m | mass of the vehicle
 p, w, eta | prices of momentum per mass, of displacement, and of kinetic energy
 T, a, r | size of the thrust, airspeed along it and across it
 
@@ -26,16 +27,21 @@ over winds in a polyhedron is found at a corner.
 
 P depends on T, a and r alone, not on the orientation of the pair (u, v) in space. The orientation
 with the largest sum of the price terms is known: this largest sum is the sum of the singular values
-of (u + f) p' + v q' with q = w - eta s.  H is thus the least over three numbers: T, a and r.  The
-least value is bounded from below by branch and bound: the compiled equations are enclosed over
-boxes with their slopes, and a box is halved until H is proven to be nowhere in the box below the
-best point found by more than a tolerance.  With the power model `momentum` the first number is not
-the thrust but the induced velocity, from which the declared balance gives the thrust.
+of the matrix (u + f) p' + v q' with q = w - eta s, where ' denotes the transpose.  H is thus the
+least over three numbers: T, a and r.  In the computation the first number is not T but the rotor
+speed, from which the equations give the thrust; with the power model `momentum` it is the induced
+velocity, from which the declared balance gives rotor speed and thrust.
 
-If a rotor's profile power increases with its thrust T, rotors with unequal thrusts take no less
-power in all than rotors with equal thrusts.  If it decreases, at high airspeed and low thrust, they
-take no less than its convex envelope: c T^1.5 + m T^0.5 touches its tangent through zero thrust
-where both terms are equal, and lies (c^0.5 T^0.5 - m^0.5)^2 T^0.5 above it.
+The least value is bounded from below by branch and bound: the compiled equations are enclosed over
+boxes with their slopes, and a box is halved until H is proven to be nowhere in the box below the
+best point found by more than a tolerance.
+
+With the power model `momentum`, the profile power of one rotor with the thrust t is
+c t^1.5 + k t^0.5 with coefficients c and k (k is written m in docs/theory/bound.md, eq. (17)); k is
+zero in still air. If c t >= k, rotors with unequal thrusts take no less power in all than rotors
+with equal thrusts t.  If c t < k, at high airspeed and low thrust, they may take less, but no less
+than the convex envelope of the profile power. The envelope is there the tangent through zero
+thrust, and lies (c^0.5 t^0.5 - k^0.5)^2 t^0.5 below the profile power.
 
 The mass may change at a waypoint: p and eta times the mass are the same on all legs.
 """
@@ -76,10 +82,15 @@ _FASTER = 1e4
 _SAMPLES = 25
 _CANDIDATES = 8
 _ZOOMS = 9
+# `Pairs.samples`: samples along each of the three numbers, and thrust relative to hover.
+_COARSE = (30, 33, 17)
+_USUAL_THRUST = (0.3, 1.8)
 # `Pairs.least`: boxes along each of the three numbers before the first halving, and number of boxes
 # at which the search ends with its present bound.
 _FIRST_BOXES = 8
 _MOST_BOXES = 500_000
+# Proofs that `Pairs.least_through_air` advances together, more do not fit a cache.
+_AT_ONCE = 4
 # `bound_of_pairs`: limit on linear programs, and number of headings with which each pair enters.
 _ROUNDS = 60
 _HEADINGS = 8
@@ -180,7 +191,7 @@ class Pairs:
         return self._dynamics.expressions(tuple(keys), self._dynamics.start, self._values(*at))
 
     def _of_rotors(self, first: Symbol, along: Symbol, across: Symbol) -> tuple[Any, ...]:
-        """Return rotor speed, thrust, power, `excess` and `margin` of a pair as expressions.
+        """Return rotor speed, thrust, power, `excess` and `margin` of a pair: CasADi expressions.
 
         A pair of thrust and airspeed has the coordinates `first` (rotor speed, or induced velocity
         for the power model `momentum`), `along` and `across` (airspeed along and across the
@@ -220,15 +231,19 @@ class Pairs:
         return moving[0] - still[0], moving[1] - still[1]
 
     def _at(self, points: FloatArray, numbers: Sequence[float] = (0.0,) * 4) -> FloatArray:
-        """Evaluate the function H and its parts at pairs of thrust and airspeed, shape (8, n).
+        """Evaluate the function H and its parts at n pairs of thrust and airspeed.
 
         H is the power of a pair minus the terms of the prices (multipliers of momentum,
-        displacement and kinetic energy). The rows of the result are H without the terms of
-        `_constant`, thrust, rotor speed, margin, force of the air across and along the thrust,
-        power, and excess; `_of_rotors` explains margin and excess. H and power are reduced by the
-        excess where the margin is negative, so that they are valid for rotors with unequal speeds.
-        `points` holds the three coordinates of each pair, shape (3, n), and `numbers` the prices,
-        as `_numbers` returns them.
+        displacement and kinetic energy). `points` holds the three coordinates of each pair, shape
+        (3, n): rotor speed (induced velocity for the power model `momentum`), airspeed along and
+        across the thrust. `numbers` are four numbers that follow from the prices, as `_numbers`
+        returns them.
+
+        The result has the shape (8, n). Its rows are: H without the terms that are the same for all
+        pairs (`_constant`), thrust, rotor speed, margin, force of the air across and along the
+        thrust, power, and excess. `_of_rotors` explains margin and excess. H and power are reduced
+        by the excess where the margin is negative, so that they are valid for rotors with unequal
+        speeds.
         """
         found = self._enclosure.at(points, (*numbers, 1.0))
         found[[0, 6]] -= np.where(found[3] >= 0.0, 0.0, found[7])
@@ -267,7 +282,8 @@ class Pairs:
         # Air passes the disc at least at v_i minus the airspeed.
         return still + self.fastest if self._has_induced else still
 
-    def _numbers(self, prices: MotionPrices, mass: float) -> tuple[float, ...]:
+    def numbers(self, prices: MotionPrices, mass: float) -> tuple[float, ...]:
+        """Return the four numbers in which H depends on prices: docs/theory/bound.md, eq. (16)."""
         displacement = prices.displacement - prices.motion * mass * self.standing
         size = float(np.linalg.norm(prices.momentum))
         if size == 0.0:
@@ -320,6 +336,48 @@ class Pairs:
         rows = [row for _, at, own, wind in chosen for row in self._rows(at, own, mass, wind)]
         return float(minima[0][0]), rows
 
+    def least_through_air(
+        self, prices: Sequence[MotionPrices], above: FloatArray, tolerance: float
+    ) -> FloatArray:
+        """Return proven lower bounds on H of motions through still air, shape (n,) [W].
+
+        Implements G of docs/theory/bound.md, eq. (23).
+
+        Parameters
+        ----------
+        prices : sequence of MotionPrices
+            Multipliers in H; the price of momentum is that of the motion through the air.
+        above : ndarray, shape (n,)
+            Values of H at pairs [W], the nearer to the least values the faster.
+        tolerance : float
+            Largest difference from the least values, or from `above` where that is less [W].
+        """
+        constants = np.array([self._constant(p, 1.0, np.zeros(3)) for p in prices])
+        numbers = np.array([self.numbers(p, 1.0) for p in prices]).T
+        found = [
+            self._proven(
+                numbers[:, k : k + _AT_ONCE], (above - constants)[k : k + _AT_ONCE], tolerance
+            )
+            for k in range(0, len(prices), _AT_ONCE)
+        ]
+        return np.concatenate(found) + constants
+
+    def samples(self) -> FloatArray:
+        """Return thrust, two forces of the air, power and airspeed of many pairs, shape (6, n).
+
+        Forces and airspeeds are along the thrust and across it. Pairs that no cheap flight has,
+        with much more or less thrust than hover, are left out.
+        """
+        sides = self._edges()
+        axes = [np.linspace(a, b, count) for (a, b), count in zip(sides, _COARSE, strict=True)]
+        axes[0] *= axes[0] / axes[0][-1]
+        points = np.stack(np.meshgrid(*axes, indexing="ij")).reshape(3, -1)
+        _, thrust, _, _, across, along, power, _ = self._at(points)
+        share = thrust / float(np.linalg.norm(self.standing))
+        kept = (share > _USUAL_THRUST[0]) & (share < _USUAL_THRUST[1])
+        found = np.stack([thrust, along, across, power, *points[1:]])
+        return np.asarray(found[:, kept])
+
     def _minima(self, prices: MotionPrices, mass: float) -> tuple[FloatArray, FloatArray]:
         """Sample H; return its least local minima: coordinates, shape (3, n), and values [W].
 
@@ -328,7 +386,7 @@ class Pairs:
         """
         from scipy.ndimage import minimum_filter  # noqa: PLC0415  not for every certificate
 
-        numbers = self._numbers(prices, mass)
+        numbers = self.numbers(prices, mass)
         edges = self._edges()
         axes = [np.linspace(edge[0], edge[1], _SAMPLES) for edge in edges]
         # Minima lie at small values of the first number, where samples are denser.
@@ -399,60 +457,78 @@ class Pairs:
         for wind in self._winds:
             own = self._in_wind(prices, wind)
             constant = self._constant(own, mass, wind)
-            numbers = self._numbers(own, mass)
-            proven = min(proven, self._proven(numbers, sampled - constant, tolerance) + constant)
+            numbers = np.array(self.numbers(own, mass))[:, None]
+            found = self._proven(numbers, np.array([sampled - constant]), tolerance)
+            proven = min(proven, float(found[0]) + constant)
         return proven
 
-    def _proven(self, numbers: Sequence[float], best: float, tolerance: float) -> float:
-        """Prove a lower bound on H without its constant terms, by branch and bound [W].
+    def _proven(self, numbers: FloatArray, sampled: FloatArray, tolerance: float) -> FloatArray:
+        """Return proven lower bounds on the lesser of H without its constant and a value [W].
 
-        H is the power of a pair of thrust and airspeed minus the terms of the prices (multipliers);
-        the constant terms are those of `_constant`. `best` is the least value of H that is known so
-        far: the result is never larger. `numbers` are the prices, as `_numbers` returns them.
+        H is the power of a pair of thrust and airspeed minus the terms of the prices (multipliers).
+        `numbers` has shape (4, n) for n sets of prices; values and result have shape (n,).
         """
         cuts = [np.linspace(edge[0], edge[1], _FIRST_BOXES + 1) for edge in self._edges()]
         low = np.stack(np.meshgrid(*(c[:-1] for c in cuts), indexing="ij")).reshape(3, -1)
         high = np.stack(np.meshgrid(*(c[1:] for c in cuts), indexing="ij")).reshape(3, -1)
+        count = numbers.shape[1]
+        of = np.repeat(np.arange(count), low.shape[1])
+        low, high, best = np.tile(low, count), np.tile(high, count), sampled.copy()
         looked_at = 0
         while low.size:
             looked_at += low.shape[1]
-            under, reached, split = self._box(low, high, numbers)
-            best = min(best, reached)
-            is_open = under < best - tolerance
-            if looked_at > _MOST_BOXES:
-                best = float(np.min(under[is_open], initial=best))
+            kept, is_alike = self._not_excluded(low, high, numbers[:, of], (best - tolerance)[of])
+            low, high, of = low[:, kept], high[:, kept], of[kept]
+            if not low.size:
                 break
-            low, high, split = low[:, is_open], high[:, is_open], split[is_open]
+            under, reached, split = self._box(low, high, numbers[:, of], is_alike)
+            np.minimum.at(best, of, reached)
+            is_open = under < (best - tolerance)[of]
+            low, high, split, of = low[:, is_open], high[:, is_open], split[is_open], of[is_open]
+            if looked_at > _MOST_BOXES * count:
+                np.minimum.at(best, of, under[is_open])
+                break
             low, high = _halved(low, high, split)
+            of = np.tile(of, 2)
         return best - tolerance
 
+    def _not_excluded(
+        self, low: FloatArray, high: FloatArray, numbers: FloatArray, enough: FloatArray
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return which boxes a flight may reach with H below ``enough`` [W].
+
+        The second result says for each of these boxes whether rotors with equal thrusts take the
+        least power everywhere in it. Bounds of the values alone cost much less than those of the
+        slopes (`_box`).
+        """
+        given = np.vstack([numbers, np.zeros(low.shape[1])])
+        under, over = self._enclosure.values_over(low, high, given)
+        nearest = np.minimum(np.abs(low[1]), np.abs(high[1])) * (low[1] * high[1] > 0.0)
+        is_empty = (
+            (under[1] > self._most_thrust)
+            | (over[2] < self._slowest)
+            | (np.hypot(nearest, low[2]) > self.fastest)
+        )
+        # A bound that is not a number excludes nothing.
+        kept = ~is_empty & ~(under[0] >= enough)
+        return kept, under[3, kept] >= 0.0
+
     def _box(
-        self, low: FloatArray, high: FloatArray, numbers: Sequence[float]
-    ) -> tuple[FloatArray, float, NDArray[np.int_]]:
-        """Bound the function H from below in n boxes of pairs of thrust and airspeed.
-
-        H is the power of a pair minus the terms of the prices (multipliers).
-
-        Parameters
-        ----------
-        low, high : ndarray, shape (3, n)
-            Least and greatest coordinates of the pairs in each box.
-        numbers : sequence of float
-            The prices, as `_numbers` returns them.
+        self, low: FloatArray, high: FloatArray, numbers: FloatArray, is_alike: NDArray[np.bool_]
+    ) -> tuple[FloatArray, FloatArray, NDArray[np.int_]]:
+        """Bound the function H from below in n boxes of the search.
 
         Returns
         -------
         under : ndarray, shape (n,)
-            Lower bound of H in each box; infinite if no flight of the vehicle has pairs in the box.
-        reached : float
-            Least H found at a point of the boxes.
+            Lower bound of H in each box.
+        reached : ndarray, shape (n,)
+            H at a point of each box; infinite above the largest thrust.
         split : ndarray of int, shape (n,)
             Axis along which to halve each box.
         """
-        given = np.repeat(np.array([*numbers, 1.0])[:, None], low.shape[1], axis=1)
-        (under, over), _ = self._enclosure.over(low, high, given)
-        given[-1] = under[3] >= 0.0
-        (under, over), slopes = self._enclosure.over(low, high, given)
+        given = np.vstack([numbers, is_alike])
+        (under, _), slopes = self._enclosure.over(low, high, given)
         # Centre of the mean value form: its best place if the slope changes sign (Baumann, 1988).
         falls, rises = slopes
         with np.errstate(invalid="ignore"):
@@ -461,18 +537,13 @@ class Pairs:
         share = np.where(np.isnan(share), 0.5, share)
         centre = low + share * (high - low)
         reach = np.where(np.isfinite(falls) & np.isfinite(rises), lost, inf)
-        middle = self._enclosure.at(centre, given)[0]
+        middle, thrust, _, margin, *_, excess = self._enclosure.at(centre, given)
         proven = np.fmax(under[0], middle - np.sum(reach, axis=0))
-        nearest = np.minimum(np.abs(low[1]), np.abs(high[1])) * (low[1] * high[1] > 0.0)
-        is_empty = (
-            (under[1] > self._most_thrust)
-            | (over[2] < self._slowest)
-            | (np.hypot(nearest, low[2]) > self.fastest)
-        )
         relative = (high - low) / np.array([[self._corner], [self.fastest], [self.fastest]])
         by_reach = np.where(np.all(np.isfinite(reach), axis=0), reach, relative)
-        reached = float(np.min(self._worth(centre, numbers)))
-        return np.where(is_empty, inf, proven), reached, np.argmax(by_reach, axis=0)
+        worth = middle + np.where(is_alike, 0.0, np.where(margin >= 0.0, excess, 0.0))
+        reached = np.where(thrust <= self._most_thrust, worth, inf)
+        return proven, reached, np.argmax(by_reach, axis=0)
 
 
 def _halved(
@@ -520,6 +591,19 @@ def bound_of_pairs(
     power : float
         Power of hover, the scale of powers, W.
     """
+    prices, program = prices_of_pairs(pairs, legs, shared, power)
+    tolerance = POWER_TOLERANCE * power
+    proven = [pairs.least(p, leg.mass, tolerance) for p, leg in zip(prices, legs, strict=True)]
+    return program.bound(prices, np.array(proven))
+
+
+def prices_of_pairs(
+    pairs: Pairs, legs: Sequence[Leg], shared: Sequence[tuple[float, float]], power: float
+) -> tuple[list[MotionPrices], _Program]:
+    """Return the prices of the largest bound that sampled pairs give, and their linear program.
+
+    The parameters are those of `bound_of_pairs`.
+    """
     tolerance = POWER_TOLERANCE * power
     program = _Program(legs, shared, power, pairs.standing)
     best, centre = -inf, program.start
@@ -541,9 +625,7 @@ def bound_of_pairs(
         # Half way from the best prices, because the optimum of a program with few pairs lies far
         # away.
         tried = (centre + solution) / 2
-    chosen = program.prices(centre)
-    proven = [pairs.least(p, leg.mass, tolerance) for p, leg in zip(chosen, legs, strict=True)]
-    return program.bound(chosen, np.array(proven))
+    return program.prices(centre), program
 
 
 class _Program:

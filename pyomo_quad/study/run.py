@@ -59,10 +59,12 @@ class RunResult(Summarised):
         Effect of the controller's adaptation to the actual wind, see `comparison.adaptation_study`;
         None in calm air.
     front : DataFrame
-        Energy against time, see `study.front`; empty if the mission fixes its duration.
+        Energy-time front: least energy against duration, see `study.front`; empty if the mission
+        fixes its duration.
     aims : DataFrame
-        Least energy against least charge, see `study.aims`; empty with the attitude equations of
-        Yacef et al. (`vehicle.attitude` "paper").
+        Comparison of the plans of least energy and of least battery charge, see `study.aims`; empty
+        with the attitude equations of Yacef et al. (`vehicle.attitude` "paper") and in the other
+        cases that `aims.energy_and_charge` lists.
     timings : mapping
         Wall-clock times [s] by name: the times of planning (`Plan.timings`); "certify" for the
         lower bound; "front" for energy against time and for the comparison of objectives; "fly" for
@@ -105,10 +107,10 @@ class RunResult(Summarised):
 
     @property
     def gap_percent(self) -> float | None:
-        """Largest possible saving compared with the plan, in per cent of the plan's energy.
+        """Optimality gap: energy of the plan above the lower bound, in per cent of its energy.
 
-        The saving is the energy of the plan less the lower bound. None if no bound is known, if the
-        plan has no flight, or if it was made for a forecast of the wind.
+        No flight of the mission can save more energy compared with the plan. None if no bound is
+        known, if the plan has no flight, or if it was made for a forecast of the wind.
         """
         if not self.flights or self.scenario.wind.forecast is not None:
             return None
@@ -132,8 +134,9 @@ class RunResult(Summarised):
         """Return all flights as a dataset over "flight" and "sample", with units.
 
         The flights differ in duration, so "time_s" is a variable over both dimensions; a flight
-        with fewer samples ends in NaN.  Energies, duration and miss of each flight are variables
-        over "flight"; scenario, status and lower bound are attributes.
+        with fewer samples ends in NaN.  Energies, duration and final distance from the goal
+        ("terminal_miss_m") of each flight are variables over "flight"; scenario, status and lower
+        bound are attributes.
 
         Examples
         --------
@@ -365,8 +368,8 @@ def _often(
     tuning : Tuning or None
         Tuned autopilot of the run, which is simulated in the same winds.
     references : sequence of Reference
-        Reference trajectories of the run. Without a tuned autopilot, the first cruise speed of the
-        scenario is simulated if they contain the cruise.
+        Reference trajectories of the run. If they contain `Reference.CRUISE` but no autopilot was
+        tuned, an autopilot with the scenario's first cruise speed is simulated instead.
 
     Returns
     -------

@@ -203,10 +203,11 @@ class _Figures:
 
 
 def _worst_direction(curves: Sequence[Curve], quantity: Quantity) -> str:
-    """Return the caption's sentence on a wind rose: the value at its centre, the worst direction.
+    """Return the caption's sentence on a wind rose's centre value and on the worst wind direction.
 
     `curves` are the curves of the wind rose, and `quantity` is the output column that it shows. The
-    sentence names the wind direction in which the quantity is worst.
+    centre is the least value of all curves. The worst direction is the wind direction in which the
+    quantity is worst.
     """
     least, _ = charts.rose_range(curves, quantity)
     worst_rows = [quantity.worst_row(curve.rows) for curve in curves]

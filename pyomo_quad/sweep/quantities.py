@@ -112,7 +112,7 @@ def setting(value: object) -> str:
 
 
 def settings_name(fixed: Mapping[str, Any]) -> str:
-    """Return the legend's name of a curve, from the fields that are constant along it.
+    """Return the name of a curve in a chart's legend: the fields that are constant along the curve.
 
     Parameters
     ----------

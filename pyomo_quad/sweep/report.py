@@ -43,7 +43,7 @@ def write_sweep_report(
     frame : DataFrame
         Result table with one row for each case that has ended, from `results_frame`.
     figures : Figures, optional
-        Which figures to draw, and in which file formats.
+        File formats of the figures, or `Figures.NONE` for a report without figures.
 
     Examples
     --------
@@ -137,7 +137,12 @@ def _axis(dimension: Dimension, path: str) -> dict[str, Any]:
 
 
 def _arrivals(results: SweepResults) -> Iterator[dict[str, Any]]:
-    """Count, for each kind of controlled flight, the cases in which it did not reach the goal."""
+    """Yield, for each kind of controlled flight, the cases in which the flight missed the goal.
+
+    The kinds are the flights of the controller along the plan or along a baseline's reference
+    trajectory. Each item holds the kind's name, its number of flights, the row numbers of the cases
+    without arrival, and the largest distance from the goal in these cases [m].
+    """
     rows = results.finished
     for column in map(str, rows.columns):
         is_planned = column == TERMINAL_MISS and results.design.task != StudyTask.FLY_PLAN
@@ -158,7 +163,7 @@ def _sensitivities(
 ) -> Iterator[dict[str, Any]]:
     """Yield the range of each quantity as each scenario field varies, for the report's template.
 
-    Yields nothing for a quantity that varies with one field only.
+    A quantity is left out if fewer than two fields can be compared.
     """
     for quantity in quantities:
         found = results.sensitivities(quantity.column)

@@ -222,8 +222,8 @@ class Sweep:
     def _commit(self, outcome: CaseOutcome) -> list[Case]:
         """Store the row of a case that ended, and return the cases that can be solved now.
 
-        These are the cases that start from the solution of the case. Warm starts that no case needs
-        any more are deleted from the store.
+        These are the children of the case that ended: neighbouring cases whose solves start from
+        its solution. Warm starts that no case needs any more are deleted from the store.
         """
         case = self._cases[outcome.position]
         is_settled = outcome.status is not CaseStatus.LOST

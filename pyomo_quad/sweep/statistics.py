@@ -392,8 +392,9 @@ def best_along(curve: Curve, field: str, quantity: str, tried: Sequence[float]) 
 class _Plane:
     """Linear least-squares fit of a quantity over the random fields of a sweep.
 
-    The fit is ``middle + slopes @ (values - centre)``; ``explained`` is the fraction of the
-    quantity's variance that the fit explains.
+    The fit is ``middle + slopes @ (values - centre)``, where ``values`` are the values of the
+    random ``fields``, ``centre`` their means over the cases, and ``middle`` the fit at the means.
+    ``explained`` is the fraction of the quantity's variance that the fit explains.
     """
 
     fields: tuple[str, ...]

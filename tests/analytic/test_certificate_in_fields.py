@@ -3,11 +3,14 @@
 import casadi
 import numpy as np
 import pytest
+import shapely
 import xarray as xr
 
 from pyomo_quad.flight.steady import MomentumDemand
-from pyomo_quad.model.wind_field import wind_corners
+from pyomo_quad.model.wind_field import ColumnWinds, wind_corners, winds_of_columns
+from pyomo_quad.study.legs import legs_of
 from pyomo_quad.study.pairs import POWER_TOLERANCE, MotionPrices, Pairs
+from pyomo_quad.study.potential import PlacePrices, Places, Sampled, bound_by_places
 from tests.analytic.test_certificate_through_air import M100, flying
 from tests.declared_model import scenario
 from tests.flights import PLANNER, certified
@@ -69,6 +72,11 @@ def test_no_wind_of_the_field_is_outside_of_the_polyhedron(tmp_path, field, scal
     ways = random.normal(size=(500, 3))
     farthest, allowed = (ways @ winds.T).max(axis=1), (ways @ corners.T).max(axis=1)
     assert np.all(farthest <= allowed + 1e-9)
+    over = winds_of_columns(told)
+    at = states[:, [list(dynamics.state_names).index(f"rigid_body.{name}") for name in "xy"]].T
+    i, j = (np.searchsorted(axis, one) - 1 for axis, one in zip((over.x, over.y), at, strict=True))
+    assert np.all(over.low[:, i, j] - 1e-9 <= winds[:, :2].T)
+    assert np.all(over.high[:, i, j] + 1e-9 >= winds[:, :2].T)
     # A polygon of eight sides round a disc reaches 1 / cos(22.5 degrees) of its radius.
     assert np.ptp(corners, axis=0).max() <= 1.1 * np.ptp(winds, axis=0).max() + 0.01
 
@@ -132,6 +140,98 @@ def test_no_plan_in_a_field_spends_less_than_its_bound(tmp_path, field, duration
     assert plan.is_verified
     assert 0.5 * plan.energy <= found.lower_bound_J <= plan.energy
     assert "over all winds that occur" in found.reason
+
+
+def columns(closed=()):
+    """Winds over cells of 10 m, of which some are closed."""
+    x, y = np.linspace(0.0, 100.0, 11), np.linspace(0.0, 60.0, 7)
+    is_open = np.ones((10, 6), dtype=bool)
+    for cell in closed:
+        is_open[cell] = False
+    still = np.zeros((2, 10, 6))
+    return ColumnWinds(x=x, y=y, low=still, high=still, is_open=is_open)
+
+
+def discs(places, radius):
+    angles = 2 * np.pi * np.arange(64) / 64
+    ring = radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    return np.tile(ring, (places.corners.shape[0] * 4, 1, 1))
+
+
+def test_a_potential_of_one_slope_rises_by_the_distance():
+    ends = np.array([[12.0, 7.0, 5.0], [83.0, 52.0, 5.0]])
+    places = Places(columns(), ends)
+    rise, straight = places.rise(discs(places, 3.0)), 3.0 * np.linalg.norm(ends[1] - ends[0])
+    assert np.cos(np.pi / 64) * straight * (1 - 1e-5) <= rise <= straight * (1 + 1e-9)
+
+
+def test_a_potential_rises_round_a_wall_by_no_more_than_the_shortest_way():
+    ends = np.array([[20.0, 10.0, 5.0], [80.0, 10.0, 5.0]])
+    places = Places(columns([(5, j) for j in range(4)]), ends)
+    rise = places.rise(discs(places, 2.0))
+    shortest = 2.0 * (np.hypot(30.0, 30.0) + 10.0 + np.hypot(20.0, 30.0))
+    assert 2.0 * 60.0 < 0.9 * shortest <= rise <= shortest
+
+
+def test_motions_in_a_cell_spend_at_least_what_its_gradients_credit(tmp_path):
+    told = in_field(tmp_path, shear, duration="free")
+    pairs, steady = pairs_of(told)
+    weight, hover = pairs.standing[2], steady.hover_power
+    prices = PlacePrices(
+        offset=np.array([2.0, -1.0, 1.4 * hover / weight]), motion=0.9, climb=1.2 * weight
+    )
+    random = np.random.default_rng(3)
+    winds = np.array([[-3.0, 1.0], [-3.0, 2.0], [-1.0, 1.0], [-1.0, 2.0]])
+    size = np.linalg.norm(prices.offset[:2] + prices.motion * winds, axis=1)
+    lengths = np.tile([0.0, 10.0, 25.0, 40.0], (9, 1))
+    tolerance, sampled = POWER_TOLERANCE * hover, Sampled(pairs)
+    table = prices.table(
+        lambda own: pairs.least_through_air(own, sampled(own), tolerance),
+        np.array([size.min() - 0.1, size.max() + 0.1]),
+        lengths,
+    )
+    allowed = table.gradients(prices, winds)
+    assert np.linalg.norm(allowed, axis=2).min() > 1.0
+    common = shapely.intersection_all(shapely.polygons(allowed))
+    for place in np.array(common.exterior.coords)[:: len(common.exterior.coords) // 5]:
+        wind = np.array([*(random.dirichlet(np.ones(4)) @ winds), 0.0])
+        own = MotionPrices(
+            momentum=prices.offset + prices.motion * wind,
+            displacement=np.array([*place, prices.climb]),
+            motion=prices.motion,
+        )
+        still = Pairs(
+            told, steady.dynamics, pairs.standing,
+            float(steady.thrust(told.limits.rotor_speed_max)), wind[None],
+        )  # fmt: skip
+        assert still.cheapest(own, 1.0)[0] >= -1e-6 * hover
+
+
+@pytest.mark.slow
+def test_two_layers_cost_nearly_what_each_costs_alone(tmp_path):
+    def layers(x, _y, _z):
+        return (-4.0 if x <= 50.0 else -1.0), 0.0, 0.0
+
+    both = certified(in_field(tmp_path, layers, duration="free"))
+    alone = [certified(flying([50.0, 0.0, 0.0], "free", wind)).lower_bound_J for wind in (4.0, 1.0)]
+    assert 0.92 * sum(alone) <= both.lower_bound_J <= sum(alone)
+    assert "in each cell of the field" in both.reason
+
+
+@pytest.mark.slow
+def test_a_nearly_uniform_field_has_nearly_the_bound_of_its_mean_wind(tmp_path):
+    def nearly(x, _y, _z):
+        return -HEAD_WIND + 1e-3 * (x - 50.0), 0.0, 0.0
+
+    told = in_field(tmp_path, nearly, duration="free")
+    pairs, steady = pairs_of(told)
+    (leg,), (durations,) = legs_of(told)
+    ends = np.array([told.mission.start.position, told.mission.goal.position])
+    power, places = steady.hover_power, Places(winds_of_columns(told), ends)
+    found = bound_by_places(lambda _: pairs, wind_corners(told), places, leg, durations, power)
+    mean = certified(flying([100.0, 0.0, 0.0], "free", HEAD_WIND)).lower_bound_J
+    # The polygon of gradients and the values between the proven ones cost up to 3 %.
+    assert 0.97 * mean <= found <= 1.002 * mean
 
 
 def test_a_field_that_accelerates_has_no_bound(tmp_path):

@@ -163,6 +163,24 @@ def changed(tmp_path, change):
     return file
 
 
+@pytest.mark.parametrize("numbers", [(0, 4), (0,), (4,)])
+def test_headings_of_start_and_goal_are_kept_and_their_holds_and_radii_told(tmp_path, numbers):
+    def change(document):
+        for number in numbers:
+            item = document["mission"]["items"][number]
+            item.update(command=16, params=[3.0, 1.5, 0, 90.0 * number, *item["params"][4:]])
+
+    read = read_mission(changed(tmp_path, change))
+    # Compass headings of 0 and 360 degrees look north, along y.
+    ends = read.scenario.mission.start, read.scenario.mission.goal
+    assert [end.yaw for end in ends] == pytest.approx([np.pi / 2] * 2)
+    times = f" ({len(numbers)} times)" if len(numbers) > 1 else ""
+    assert read.left_out == (
+        f"the time of hover at an end of the flight{times}",
+        f"the acceptance radius at an end of the flight{times}",
+    )
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [

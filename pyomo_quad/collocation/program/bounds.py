@@ -66,7 +66,7 @@ def bounds_of(
     fixed : dict
         Values of variables fixed at declared times, by (variable name, fraction of the horizon).
     left_out : frozenset of str, optional
-        Names of conditions (constraints at declared times) that are not imposed.
+        Names of conditions (constraints at single declared times) that are not imposed.
 
     Returns
     -------
@@ -176,8 +176,9 @@ def _after_jumps(program: Transcription, data: FloatArray) -> Iterator[Limit]:
 def _fixed(program: Transcription, fixed: dict[tuple[str, float], float]) -> Iterator[Limit]:
     """Yield the values of states that are fixed at declared times, as equal bounds at a node.
 
-    `fixed` maps (variable name, fraction of the horizon) to the value. The lower and the upper
-    bound of the state's unknown at the nearest node both equal this value.
+    A declared time is a member of the continuous set. `fixed` maps (variable name, fraction of the
+    horizon) to the value. The lower and the upper bound of the state's unknown at the nearest node
+    both equal this value.
     """
     for (name, fraction), number in fixed.items():
         column = program.layout.state_column(name, fraction)
@@ -386,7 +387,7 @@ def counted(bounds: Bounds) -> str:
 def refuse_overdetermined(
     program: NonlinearProgram, bounds: Bounds, z: FloatArray, fixed: Iterable[str]
 ) -> None:
-    """Raise an error for linear equations that contradict each other.
+    """Raise an error if a program's equations are linear and contradict each other.
 
     Only programs with more equations than free unknowns are checked. Nonlinear equations are
     accepted, because only a solve can decide whether they have a solution.

@@ -323,7 +323,7 @@ class TableArguments:
         (variables at a collocation point, data of the point) -> values of the arguments in
         `over_time`. The data are the fraction of the horizon and the parameters.
     in_conditions : tuple of TableUse
-        Arguments in conditions at declared times.
+        Arguments in conditions (constraints at declared times, the members of the continuous set).
     points : casadi.Function
         (values at declared times with static variables and integrals, parameters) -> values of the
         arguments in `in_conditions`.
@@ -453,9 +453,10 @@ def _unpacked(parts: Packed) -> CompiledModel:
 def compile_declarations(declared: Declarations) -> CompiledModel:
     """Compile the declarations of a model to CasADi functions.
 
-    States on which nothing else depends are left out of the nonlinear program, and are computed
-    from its solution. Constraints on a single variable become bounds. Integrals that conditions use
-    become static variables, each with a constraint that defines it.
+    States on which neither the objective nor other equations depend are left out of the nonlinear
+    program, and are computed from its solution. Constraints on a single variable become bounds.
+    Integrals in conditions (constraints at declared times) become static variables (variables
+    without time), each with a constraint that defines it.
     """
     if symbol_names(declared.objective) & _point_symbols(declared).keys():
         declared = set_outputs_aside(declared)
@@ -511,7 +512,8 @@ def _times(declared: Declarations, parameters: Any) -> Any:
     """Return a CasADi function for the physical times that bound the phases of the horizon.
 
     The function maps (static variables, parameters) to the start of the horizon, its free interior
-    times and its end. A phase lies between two consecutive times of this list.
+    times (times that the solve determines) and its end. A phase lies between two consecutive times
+    of this list.
     """
     inputs = [_symbols(declared.statics), parameters]
     return casadi.Function("times", inputs, [stacked(declared.clock.times)])
@@ -520,10 +522,10 @@ def _times(declared: Declarations, parameters: Any) -> Any:
 def with_moving_limits(declared: Declarations) -> Declarations:
     """Rewrite limits that depend on static variables, so that all bounds depend on data alone.
 
-    If times are free, the time t in a rule such as `m.x[t] <= t` depends on static variables. The
-    bounds of a constraint or variable, however, may depend only on data: the fraction of the
-    horizon and the parameters. The limit is therefore subtracted from the body of the constraint,
-    whose bound becomes zero.
+    If times are free (determined by the solve), the time t in a rule such as `m.x[t] <= t` depends
+    on static variables (variables without time). The bounds of a constraint or variable, however,
+    may depend only on data: the fraction of the horizon and the parameters. The limit is therefore
+    subtracted from the body of the constraint, whose bound becomes zero.
     """
     statics = symbol_names(_symbols(declared.statics))
 
@@ -556,8 +558,9 @@ def with_moving_limits(declared: Declarations) -> Declarations:
 def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> list[PathEquation]:
     """Return constraints equivalent to a path equation, with sides that depend on data alone.
 
-    `moves` returns whether a given side depends on static variables. Each side that depends on
-    static variables becomes a separate constraint.
+    The data are the fraction of the horizon and the parameters. `moves` returns whether a given
+    side depends on static variables (variables without time). Each side that depends on static
+    variables becomes a separate constraint.
     """
     below, above = moves(equation.lower), moves(equation.upper)
     if not (below or above):
@@ -656,7 +659,8 @@ def _fingerprint(declared: Declarations, functions: list[Any]) -> str:
     """Return a hash of the model's equations and names that does not depend on parameter values.
 
     The hash serves to check that a warm start belongs to the same model. `functions` are the CasADi
-    functions of all equations, conditions and the objective.
+    functions of all equations over time, of the conditions (constraints at declared times) and of
+    the objective.
     """
     d = declared
     names = ["maximise" if d.maximise else "minimise", *(e.name for e in d.equations)]
@@ -673,8 +677,9 @@ def _values(name: str, rows: Any, variables: Any, data: Any) -> Any:
 def _anonymous(function: Any) -> str:
     """Return the code of a CasADi function as text, with neutral names of its symbols.
 
-    The names of the model's symbols contain declared times, as ``x[0.5]``. The text must not depend
-    on these times, because it determines the hash that identifies the model's equations.
+    The names of the model's symbols contain members of its continuous set, as ``x[0.5]``. The text
+    must not depend on these times, because it determines the hash that identifies the model's
+    equations.
     """
     symbols = [casadi.SX.sym(f"i{k}", function.size1_in(k)) for k in range(function.n_in())]
     return str(casadi.Function("f", symbols, function.call(symbols)).serialize())
@@ -727,8 +732,10 @@ def _point_symbols(declared: Declarations) -> dict[str, Any]:
 def _boundable_at_points(declared: Declarations) -> frozenset[str]:
     """Return the names of quantities in conditions that are unknowns of the nonlinear program.
 
-    These quantities are values of states at declared times, and static variables. A condition on a
-    single one of them becomes a bound of the unknown.
+    A condition is a constraint at declared times (members of the continuous set).
+
+    The quantities are values of states at declared times, and static variables (variables without
+    time). A condition that contains only one of these quantities becomes a bound of the unknown.
     """
     states = {s.name for s in declared.states}
     at_points = {
@@ -744,6 +751,8 @@ def _is_static(declared: Declarations, name: str) -> bool:
 
 def _with_integral_variables(declared: Declarations) -> Declarations:
     """Add a static variable for each integral that does not enter the objective linearly.
+
+    A static variable is a variable without time.
 
     A constraint, a single dense row of the nonlinear program, makes the static variable equal to
     the integral. An integral that enters only the objective, and linearly, needs no static

@@ -59,7 +59,7 @@ class Link:
     value : casadi.SX
         CasADi expression of the value, in the symbols of the horizon.
     time : float
-        Declared time of the value.
+        Time of the value: a member of the horizon's continuous set.
     state : PointSymbol, optional
         The state and its time, if the value is a state at a node of the mesh, and therefore itself
         an unknown of the horizon's program; else None.
@@ -73,9 +73,9 @@ class Link:
 
     @property
     def condition(self) -> PointCondition:
-        """Condition by which the static variable equals the value of the horizon.
+        """Constraint by which the static variable equals the value of the horizon.
 
-        The condition belongs to the horizon's nonlinear program.
+        The constraint belongs to the horizon's nonlinear program.
         """
         zero, difference = casadi.SX(0), casadi.SX(self.value) - self.slot.symbol
         return PointCondition(name=self.slot.name, expression=difference, lower=zero, upper=zero)
@@ -102,16 +102,18 @@ class CouplingWriter(TemplateWriter):
     def write_objective(self, objective: Any) -> Any:
         """Return the objective as a CasADi expression.
 
-        Unlike a constraint on several horizons, the objective may contain values at any declared
-        time.
+        A constraint on several horizons may contain values at the start and the end of a horizon
+        only. The objective may contain values at any declared time (member of a continuous set).
         """
         self._in_objective = True
         return casadi.SX(self.write(objective.expr, objective.name))
 
     def leaf(self, data: Any) -> Any:
-        """Return the symbol for a Pyomo variable or parameter in a constraint on several horizons.
+        """Return the symbol for a Pyomo variable or parameter that couples several horizons.
 
-        For a value of a horizon this is the symbol of the static variable that equals it.
+        The variable or parameter appears in the objective or in a constraint on several horizons.
+        If it is a value of one horizon, the result is the symbol of a static variable (a variable
+        without time) that equals this value.
         """
         over = self.copy.other_of(data.parent_component())
         if over is None:
@@ -164,6 +166,8 @@ class CouplingWriter(TemplateWriter):
     def named(self, expression: Any) -> Any:
         """Return the symbol that replaces a named Pyomo expression, None if it is not replaced.
 
+        The expression appears in the objective or in a constraint on several horizons.
+
         Only the integrals over the horizons are replaced. Any other named expression is translated
         like an unnamed expression.
         """
@@ -207,7 +211,8 @@ def read_horizons(model: Any, times: FreeTimes | None) -> CoupledDeclarations:
     ----------
     model : ConcreteModel
     times : mapping, optional
-        Free times by the name of the continuous set; see `JointProblem`.
+        For each continuous set, by name: the static variables (variables without time) that replace
+        members of the set; see `JointProblem`.
 
     Raises
     ------
@@ -258,7 +263,7 @@ def read_horizons(model: Any, times: FreeTimes | None) -> CoupledDeclarations:
 def _refuse_gaps(
     conditions: list[PointCondition], links: list[Link], free: dict[str, dict[float, Any]]
 ) -> None:
-    """Raise an error for a condition that links two horizons with a gap of time between them.
+    """Raise an error for an equality that links two horizons with a gap of time between them.
 
     An equality between a value at the end of one horizon and a value at the start of another is
     meant to continue the first horizon in the second. The equality is refused if the second horizon
@@ -268,11 +273,12 @@ def _refuse_gaps(
     Parameters
     ----------
     conditions : list of PointCondition
-        Conditions on several horizons.
+        Constraints on values of several horizons.
     links : list of Link
-        Static variables that stand for values of the horizons in these conditions.
+        Static variables that stand for values of the horizons in these constraints.
     free : dict
-        Free times by the name of the continuous set; see `JointProblem`.
+        For each continuous set, by name: the static variables (variables without time) that replace
+        members of the set; see `JointProblem`.
     """
     for condition in conditions:
         names = symbol_names(condition.expression)
@@ -303,8 +309,8 @@ def _own_cost(reader: ModelReader, cost: Any, in_conditions: frozenset[str]) -> 
     cost : casadi.SX
         The objective.
     in_conditions : frozenset of str
-        Names of all symbols in conditions on several horizons. An integral in a condition is not
-        separated.
+        Names of all symbols in the constraints on several horizons. An integral in such a
+        constraint is not separated.
 
     Returns
     -------
@@ -323,6 +329,9 @@ def _own_cost(reader: ModelReader, cost: Any, in_conditions: frozenset[str]) -> 
 def _integrals_in(reader: ModelReader, names: frozenset[str]) -> list[Slot]:
     """Return static variables for a horizon's integrals that are used outside the horizon.
 
+    A static variable is a variable without time; each of the returned variables stands for one
+    integral.
+
     `names` are the names of the symbols in objective and constraints on several horizons.
     """
     return [
@@ -333,7 +342,7 @@ def _integrals_in(reader: ModelReader, names: frozenset[str]) -> list[Slot]:
 
 
 def _with(declared: Declarations, statics: list[Slot]) -> Declarations:
-    """Return a copy of a horizon's declarations with additional static variables."""
+    """Return a copy of a horizon's declarations with additional static variables (without time)."""
     return replace(declared, statics=(*declared.statics, *statics))
 
 
@@ -344,7 +353,7 @@ class StateValue:
     Attributes
     ----------
     program : int
-        Position of the program in the list of the horizons' programs.
+        Position of the horizon's program in the list of the nonlinear programs of all horizons.
     state : str
         Name of the state.
     fraction : float
@@ -414,8 +423,8 @@ class Union:
     def joined(self, parts: Sequence[FloatArray]) -> FloatArray:
         """Return the unknowns of the joint program from the unknowns of the separate programs.
 
-        `parts` has the unknowns of each program. A shared unknown takes the value from the first
-        program that has it.
+        `parts` has the unknowns of each program. A shared unknown (for example, a static variable
+        that appears in several programs) takes its value from the first program that contains it.
         """
         whole = np.zeros(self.unknowns)
         for places, part in reversed(list(zip(self.places, parts, strict=True))):

@@ -84,7 +84,7 @@ def definitions(
 def with_defined(
     program: Transcription, variables: FloatArray, data: FloatArray, given: list[Definition]
 ) -> FloatArray:
-    """Solve for the algebraic variables that equations define, at several points.
+    """Compute the algebraic variables that equations define, at several points.
 
     Definitions may depend on each other. If the dependencies are circular and the residuals do not
     decrease, the variables are returned unchanged.

@@ -57,7 +57,7 @@ def _with_slacks(
     rows : ndarray of int, shape (k,)
         The chosen constraints.
     sizes : ndarray, shape (k,)
-        Change of each constraint's value per unit of slack.
+        Amount by which one unit of slack changes the value of each constraint.
     prices : ndarray, shape (k,)
         Penalty per unit of slack.
     n : int
@@ -140,7 +140,7 @@ def elastic_point(
     Parameters
     ----------
     program, bounds, scaling
-        The nonlinear program on one mesh.
+        The nonlinear program on one mesh, with its bounds and its scaling.
     z : ndarray, shape (n_unknowns,)
         Initial point of the elastic program.
     options : SolverOptions

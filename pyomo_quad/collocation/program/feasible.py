@@ -58,7 +58,7 @@ def feasible_point(
     Parameters
     ----------
     program, bounds, scaling
-        The nonlinear program.
+        The nonlinear program, with its bounds and its scaling.
     z : ndarray, shape (n_unknowns,)
         Initial point. A small penalty on the distance from this point keeps the result near it.
     breach : float

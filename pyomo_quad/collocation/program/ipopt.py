@@ -90,8 +90,9 @@ _PUSHES = (
 class StartDistance(Enum):
     """Expected distance of a warm start from the point to which it converges on the central path.
 
-    The central path is the curve of optima for positive barrier parameters. `NONE`: the start is
-    practically at that point. `SHORT`: it is near the point. `FAR`: it is far from the point.
+    The central path is the curve of optima for positive barrier parameters. `NONE`: the start
+    practically coincides with the point to which the solve converges. `SHORT`: the start is near
+    that point. `FAR`: the start is far from that point.
     """
 
     NONE = "none"
@@ -191,10 +192,10 @@ class SolverOptions:
 
         The barrier leaves a gap in the objective: the barrier parameter times the number of
         inequality bounds. The initial barrier parameter is chosen so that this gap equals the
-        expected change, because a larger gap would first lead away from the warm start and then
-        back. If the chosen parameter is already about as small as the final value, Ipopt does not
-        reduce it, so that the remaining gap would differ from mesh to mesh. In that case the solve
-        begins with the final value.
+        expected change, because with a larger gap the iterates would first move away from the warm
+        start and then return. If the chosen parameter is already about as small as the final value,
+        Ipopt does not reduce it, so that the remaining gap would differ from mesh to mesh. In that
+        case the solve begins with the final value.
 
         A large change shifts the times at which limits become active. A warm start on its bounds
         would then shorten the steps of many iterations, so the start is moved well inside the
@@ -205,7 +206,7 @@ class SolverOptions:
         change : float
             Expected change of the scaled objective.
         sides : int
-            Number of inequality bounds.
+            Number of inequality bounds of the program (lower and upper bounds that are not equal).
         """
         tolerance, parameter = self.tolerance or _TOLERANCE, change / max(sides, 1)
         is_small = parameter < _ABOVE * tolerance
@@ -220,7 +221,7 @@ class SolverOptions:
 
         On a new mesh, a collocation point may lie on the other side of the time at which a limit
         becomes active. If the start lies on its bounds, these bounds then block Ipopt's first dozen
-        steps. If the start lies slightly inside the bounds, they do not.
+        steps. The settings therefore move the start slightly inside the bounds.
         """
         pushes = dict.fromkeys(_PUSHES, _INSIDE) | {"warm_start_mult_bound_push": _BEGUN}
         return replace(self, extra=(*pushes.items(), *self.extra))
@@ -395,7 +396,8 @@ class _Callbacks:
     sign : float
         -1 if the declared objective is maximised, else 1.
     floor : float
-        Objective below which the problem counts as unbounded.
+        Value of the objective below which an iteration counts as evidence that the problem is
+        unbounded.
     below : int
         Number of consecutive iterations with an objective below the floor.
     history : list of Iteration
@@ -752,7 +754,7 @@ def run_past_the_barrier(
 
 
 def _set_options(problem: Any, options: SolverOptions, *, is_warm: bool) -> None:
-    """Pass the default settings, the caller's options and settings for a warm start to Ipopt.
+    """Pass options to Ipopt: default settings, the caller's options, settings for a warm start.
 
     Raises
     ------
@@ -781,8 +783,8 @@ def _result(
     """Return the outcome of Ipopt as an `IpoptResult`.
 
     After a failed solve, the result holds the iterate with the least constraint violation. `z` and
-    `info` are the results of cyipopt, `wall` is the wall-clock time [s], and `stopped` tells
-    whether the user interrupted the solve.
+    `info` are the results of cyipopt, `wall` is the wall-clock time [s], and `stopped` is true if
+    the user interrupted the solve.
 
     Raises
     ------

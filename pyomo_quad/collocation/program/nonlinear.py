@@ -100,7 +100,7 @@ class Scaling:
 
     @property
     def none(self) -> Scaling:
-        """The identity scaling, with all factors 1."""
+        """Scaling of the same program in which all factors are 1."""
         return Scaling(
             objective=1.0, unknowns=np.ones_like(self.unknowns), rows=np.ones_like(self.rows)
         )

@@ -3,8 +3,8 @@
 A condition is a constraint at a declared time, such as an end condition. If a quantity is
 conserved, an end condition on this quantity follows from the initial conditions and the equations
 over time. On a mesh, the end condition follows only up to the discretisation error. A program that
-imposes the redundant end condition may have no solution. Or its solution is unique although the
-problem without the condition has many solutions, and its multipliers are unbounded.
+imposes the redundant end condition may have no solution. It may also have a unique solution with
+unbounded multipliers, although the problem without the condition has many solutions.
 """
 
 from __future__ import annotations
@@ -41,7 +41,10 @@ FORGIVEN = 1e-4
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """Condition at a declared time that may follow from other equations.
+    """Condition that may be redundant, because it follows from other equations.
+
+    A condition is a constraint at a declared time (a member of the continuous set), or a value
+    fixed at a declared time.
 
     Attributes
     ----------
@@ -98,8 +101,10 @@ def redundant_conditions(
 ) -> tuple[Candidate, ...]:
     """Return the conditions whose gradient depends linearly on the gradients of earlier equations.
 
-    A condition is a constraint at declared times. For this test, all equations over time come
-    first, and the conditions follow one by one.
+    These conditions are redundant.
+
+    A condition is a constraint at declared times, or a value fixed at a declared time. In the order
+    of this test, all equations over time come first, and the conditions follow one by one.
 
     Parameters
     ----------
@@ -163,7 +168,9 @@ def _slopes_of(
 def _orthogonal_parts(equations: coo_array, vectors: list[FloatArray]) -> list[FloatArray]:
     """Return the component of each vector orthogonal to the span of the equations' gradients.
 
-    `equations` is a sparse matrix with one gradient per row.
+    `equations` is a sparse matrix with one gradient per row. If `vectors` holds the gradients of
+    conditions, a small component shows that the condition follows from the equations (is
+    redundant).
     """
     m, n = equations.shape
     system = block_array(
@@ -174,9 +181,9 @@ def _orthogonal_parts(equations: coo_array, vectors: list[FloatArray]) -> list[F
 
 
 def without(instance: Instance, left_out: tuple[Candidate, ...]) -> Instance:
-    """Return the data of a solve that does not impose the given conditions.
+    """Return the data of a solve that does not impose the conditions in `left_out`.
 
-    The result is a copy of `instance`, the data of a solve, without these conditions.
+    The result is a copy of `instance`, the data of a solve that imposes them.
     """
     keys = {candidate.key for candidate in left_out}
     return replace(
@@ -199,7 +206,7 @@ def misses(
     Parameters
     ----------
     left_out : tuple of Candidate
-        The conditions left out.
+        The conditions (constraints or fixed values at declared times) left out.
     program : Transcription
         Program of the last mesh.
     bounds, fixed : Bounds, dict

@@ -63,7 +63,7 @@ class Layout:
 
     @property
     def n_statics(self) -> int:
-        """Number of static variables."""
+        """Number of static variables (variables without time)."""
         return len(self.declared.statics)
 
     @property
@@ -73,14 +73,19 @@ class Layout:
 
     @cached_property
     def state_columns(self) -> IndexArray:
-        """Positions of the states at the nodes, shape (n_points + 1, n_states)."""
+        """Positions of the states at the nodes among the program's unknowns.
+
+        The shape is (n_points + 1, n_states).
+        """
         if self.mesh is None:
             return np.zeros((0, 0), dtype=np.intp)
         starts = self.stride * np.arange(self.points + 1)
         return (starts[:, None] + np.arange(self.n_states)[None, :]).astype(np.intp)
 
     def state_column(self, name: str, fraction: float) -> int:
-        """Return a state's position at the node nearest to a fraction of the horizon.
+        """Return the position, among the unknowns, of a state at the node nearest to a given time.
+
+        `name` is the name of the state, and `fraction` the time as a fraction of the horizon.
 
         The result is -1 if no state has the name, or the model has no time.
         """
@@ -92,7 +97,10 @@ class Layout:
 
     @cached_property
     def algebraic_columns(self) -> IndexArray:
-        """Positions of the algebraic variables at the points, shape (n_points, n_algebraics)."""
+        """Positions of the algebraic variables at the points among the program's unknowns.
+
+        The shape is (n_points, n_algebraics).
+        """
         if self.mesh is None:
             return np.zeros((0, 0), dtype=np.intp)
         starts = self.n_states + self.stride * np.arange(self.points)
@@ -100,7 +108,7 @@ class Layout:
 
     @cached_property
     def static_columns(self) -> IndexArray:
-        """Positions of the static variables, shape (n_statics,)."""
+        """Positions of the variables without time among the unknowns, shape (n_statics,)."""
         first = self.unknowns - self.n_statics
         return np.arange(first, self.unknowns, dtype=np.intp)
 
@@ -137,9 +145,9 @@ class Layout:
     def path_variables(self) -> csr_matrix:
         """Matrix from the unknowns to rates, states, algebraic and static variables at the points.
 
-        The points are the collocation points, and rates are derivatives with respect to the
-        fraction of the horizon. The rows of the first point come first, then the rows of the second
-        point, and so on.
+        The points are the collocation points. Rates are derivatives with respect to the fraction of
+        the horizon; static variables do not depend on time. The rows of the first point come first,
+        then the rows of the second point, and so on.
         """
         slopes, n = self.slope_matrix, self.n_states
         rates = kron(slopes, np.eye(n)) @ _chosen(self.state_columns.ravel(), self.unknowns)
@@ -158,7 +166,8 @@ class Layout:
     def condition_variables(self) -> csr_matrix:
         """Matrix from the unknowns to the values at declared times and the static variables.
 
-        Conditions (constraints at declared times) and the objective contain these values.
+        Conditions (constraints at declared times, the members of the continuous set) and the
+        objective contain these values. Static variables do not depend on time.
         """
         statics = _chosen(self.static_columns, self.unknowns)
         return vstack([self.point_values, statics], format="csr")
@@ -166,6 +175,8 @@ class Layout:
     @cached_property
     def point_values(self) -> csr_matrix:
         """Matrix from the unknowns to the values at declared times in conditions and objective.
+
+        Declared times are members of the continuous set; conditions are constraints at these times.
 
         A value at a time between nodes is interpolated, so that its row has one weight per node of
         the element.
@@ -185,7 +196,7 @@ class Layout:
         """Return the positions and weights of the unknowns that give a value at a declared time.
 
         The value is the sum of the weights times the unknowns. `symbol` identifies the variable, or
-        its derivative, and the declared time.
+        its derivative, and the declared time (a member of the continuous set).
         """
         if self.mesh is None:
             return np.zeros(0, dtype=np.intp), np.zeros(0)
@@ -209,9 +220,10 @@ class Layout:
 
 
 def _nonzero(columns: IndexArray, weights: FloatArray) -> tuple[IndexArray, FloatArray]:
-    """Return the positions and weights whose interpolation weight is not zero.
+    """Remove the unknowns with weight zero from the terms of an interpolated value.
 
-    `columns` are positions of unknowns, `weights` their weights in an interpolated value.
+    The value is the sum of unknowns times weights. `columns` are the positions of these unknowns,
+    and `weights` their weights. The result has the positions and weights that remain.
     """
     kept = weights != 0.0
     return columns[kept], weights[kept]
@@ -393,9 +405,10 @@ class JacobianScatter:
     def objective_slopes(self, point_sources: FloatArray) -> FloatArray:
         """Return derivatives of the objective with respect to integrals that enter it directly.
 
-        An integral enters the objective directly if no static variable stands for it.
-        `point_sources` are the values that CasADi returned for the derivatives of conditions and
-        objective. The result has the shape (n_integrals,).
+        An integral enters the objective directly if no static variable (variable without time)
+        stands for it. `point_sources` are the values that CasADi returned for the derivatives of
+        conditions (constraints at declared times) and objective. The result has the shape
+        (n_integrals,).
         """
         slopes = np.zeros(self.n_integrals)
         slopes[self.slope_integrals] = point_sources[self.slope_sources]
@@ -419,8 +432,8 @@ def jacobian_scatter(compiled: CompiledModel, layout: Layout) -> JacobianScatter
 
     Their inputs (sources) are the values that CasADi returns at each evaluation: the nonzeros of
     the Jacobian of path equations and integrands, point by point, then the nonzeros of the Jacobian
-    of conditions and objective, and a final 1 (the derivative of a static variable in the
-    constraint that makes it equal to an integral).
+    of conditions (constraints at declared times) and objective, and a final 1 (the derivative of a
+    constraint that makes a static variable equal to an integral, with respect to that variable).
     """
     path, points = compiled.path, compiled.points
     n_path = layout.points * len(path.jacobian_rows)
@@ -473,7 +486,8 @@ def hessian_scatter(compiled: CompiledModel, layout: Layout) -> Scatter:
 
     The map gives the nonzeros of the lower triangle. Its inputs (sources) are the values that
     CasADi returns at each evaluation: the nonzeros of the Hessians of the path equations, point by
-    point, then the nonzeros of the Hessian of conditions and objective.
+    point, then the nonzeros of the Hessian of conditions (constraints at declared times) and
+    objective.
     """
     into, path, points = Contributions(), compiled.path, compiled.points
     n_path, count = layout.points * len(path.hessian_rows), len(path.hessian_rows)

@@ -1,4 +1,4 @@
-"""Nonlinear program of a compiled model on one mesh, and the names of its parts.
+"""Nonlinear program of a compiled model on one mesh, and places of its parts in the model.
 
 Compact form and quadrature: see docs/theory/transcription.md, eqs. (4) and (5).
 """
@@ -135,9 +135,10 @@ class Data:
 class Transcription:
     """Nonlinear program of a model on one mesh, with derivatives, in the form Ipopt requires.
 
-    Constraints ("rows") are ordered: path equations point by point, conditions, definitions of
-    static variables that equal integrals. Parts that depend on the mesh alone are built once and
-    shared by the programs that `with_data` returns.
+    Constraints ("rows") are ordered: path equations point by point, then conditions (constraints at
+    declared times, the members of the continuous set), then definitions of static variables that
+    equal integrals. Parts that depend on the mesh alone are built once and shared by the programs
+    that `with_data` returns.
 
     Parameters
     ----------
@@ -191,7 +192,7 @@ class Transcription:
         return self.first_integral_row + len(self.compiled.static_of_integral)
 
     def trajectory(self, z: FloatArray) -> Trajectory:
-        """Return the unknowns `z` as states, algebraic and static variables on the mesh."""
+        """Return the unknowns `z` as a trajectory: states, algebraic and static variables."""
         layout = self.layout
         return Trajectory(
             mesh=self.mesh or Mesh.uniform(1, 1),
@@ -217,14 +218,19 @@ class Transcription:
 
     @property
     def first_integral_row(self) -> int:
-        """Position of the first constraint that equates a static variable to an integral."""
+        """Position, among the constraints, of the first that equates a variable to an integral.
+
+        The variable is static (it does not depend on time), and stands for the integral in
+        conditions and objective.
+        """
         return self.first_condition_row + len(self.compiled.declared.conditions)
 
     @property
     def horizon(self) -> tuple[float, float] | None:
         """Start and end of the horizon as physical times, None if one of them is a variable.
 
-        The two times are parameters, unless a static variable replaces them.
+        Start and end are parameters, unless a static variable (a variable without time) replaces
+        them.
         """
         names = [p.name for p in self.compiled.declared.parameters]
         if not {"horizon.start", "horizon.end"} <= set(names):
@@ -241,7 +247,11 @@ class Transcription:
         return start + (end - start) * fraction
 
     def times(self, z: FloatArray) -> FloatArray:
-        """Return the physical times of start, free interior times and end, at the unknowns `z`."""
+        """Return the physical times that bound the phases of the horizon, at the unknowns `z`.
+
+        These are the start of the horizon, the free interior times (times that the solve
+        determines) and the end of the horizon, in this order.
+        """
         statics = z[self.layout.static_columns]
         return np.array(self.compiled.times(statics, self.data.parameters)).ravel()
 
@@ -278,15 +288,15 @@ class Transcription:
     def objective_density(self, z: FloatArray) -> FloatArray:
         """Return the integrand of the minimised objective at the points, shape (n_points,).
 
-        Integrals for which a static variable stands do not count. The integrand is per unit of the
-        fraction of the horizon.
+        An integral contributes only if no static variable (a variable without time) stands for it
+        in the objective. The integrand is per unit of the fraction of the horizon.
         """
         densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
         direct = densities[:, list(self.compiled.row_integrals)]
         return self._sign * direct @ self._objective_slopes(z)
 
     def objective_size(self, z: FloatArray) -> float:
-        """Return the magnitude of the objective, with integrands taken by absolute value.
+        """Return the magnitude of the objective, computed from absolute values of its integrands.
 
         Positive and negative parts of an integrand therefore do not cancel.
         """
@@ -296,7 +306,8 @@ class Transcription:
     def _objective_slopes(self, z: FloatArray) -> FloatArray:
         """Return derivatives of the objective with respect to integrals that enter it directly.
 
-        An integral enters the objective directly if no static variable stands for it.
+        An integral enters the objective directly if no static variable (a variable without time)
+        stands for it in the objective.
         """
         sources = self._point[1](self.point_variables(z), self._point_data)[0].ravel()
         return self._jacobian.objective_slopes(sources)
@@ -308,8 +319,9 @@ class Transcription:
     def point_variables(self, z: FloatArray) -> FloatArray:
         """Return the variables of conditions and objective as one row.
 
-        These variables are values at declared times, static variables, and the integrals that enter
-        the objective directly.
+        A condition is a constraint at declared times (members of the continuous set). The variables
+        are values at declared times, static variables, and the integrals that enter the objective
+        directly, without a static variable that equals them.
         """
         layout = self.layout
         direct = self.integrals(z)[list(self.compiled.row_integrals)]
@@ -317,7 +329,7 @@ class Transcription:
         return np.concatenate([values, z[layout.static_columns], direct])[None, :]
 
     def user_objective(self, z: FloatArray) -> float:
-        """Return the objective as declared, without a change of sign for a maximum."""
+        """Return the objective as the user declared it, not negated if it is maximised."""
         return float(self._point[0](self.point_variables(z), self._point_data)[0][0, -1])
 
     def objective(self, z: FloatArray) -> float:
@@ -388,7 +400,8 @@ class Transcription:
         Shape (n_points, n_equations + n_integrals). The multiplier of an integrand is its weight in
         the Lagrangian: the quadrature weight times the weight of its integral.
 
-        `factor` multiplies the declared objective; by default 1, or -1 if it is maximised.
+        `multipliers` are the multipliers of all constraints of the program. `factor` multiplies the
+        declared objective; by default 1, or -1 if it is maximised.
         """
         n, points = self.compiled.n_equations, self.layout.points
         on_integral = self.integral_weights(z, multipliers, factor)
@@ -401,7 +414,8 @@ class Transcription:
     ) -> FloatArray:
         """Return the weight of each integral in the Lagrangian, shape (n_integrals,).
 
-        `factor` multiplies the declared objective; by default 1, or -1 if it is maximised.
+        `multipliers` are the multipliers of all constraints of the program. `factor` multiplies the
+        declared objective; by default 1, or -1 if it is maximised.
         """
         factor = self._sign if factor is None else factor
         weights = np.zeros(len(self.compiled.declared.integrals))
@@ -480,7 +494,8 @@ class Transcription:
     def lagrangian_density(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
         """Return the integrands' contribution to the Lagrangian at the points, shape (n_points,).
 
-        The contribution is the sum of all integrands, weighted as `integral_weights` prescribes.
+        The contribution is the sum of all integrands, each multiplied by the weight of its integral
+        in the Lagrangian (`integral_weights`).
         """
         densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
         return np.asarray(densities @ self.integral_weights(z, multipliers))

@@ -41,8 +41,9 @@ LEAST_PHASE = 1e-6
 class PhaseTimes:
     """Phases of a horizon: the declared times that bound them, and physical time in CasADi symbols.
 
-    A declared time is a member of the continuous set. It is free if a static variable gives the
-    physical time to which it corresponds.
+    A declared time is a member of the continuous set. It is free if a static variable (a variable
+    without time) gives the physical time to which it corresponds. The free times inside the horizon
+    divide it into phases.
 
     Attributes
     ----------
@@ -71,11 +72,19 @@ class PhaseTimes:
 
     @property
     def fractions(self) -> tuple[float, ...]:
-        """Declared times that bound the phases, as fractions of the declared horizon."""
+        """Declared times that bound the phases, as fractions of the declared horizon.
+
+        A declared time is a member of the continuous set. The declared horizon extends from the
+        first to the last member.
+        """
         return tuple(self.fraction_of(time) for time in self.declared)
 
     def fraction_of(self, time: float) -> float:
-        """Return a declared time as a fraction of the declared horizon."""
+        """Return a declared time as a fraction of the declared horizon.
+
+        A declared time is a member of the continuous set. The declared horizon extends from the
+        first to the last member.
+        """
         return (time - self.declared[0]) / (self.declared[-1] - self.declared[0])
 
     @cached_property
@@ -102,7 +111,10 @@ class PhaseTimes:
 
     @cached_property
     def time(self) -> Any:
-        """Physical time as a CasADi expression of the fraction of the horizon and free times."""
+        """Physical time as a CasADi expression of the fraction of the horizon and free times.
+
+        A free time is a variable: a physical time that the solve determines.
+        """
         return sum(
             holds * (start + span * (self.fraction - first))
             for holds, start, span, first in zip(
@@ -113,31 +125,38 @@ class PhaseTimes:
     def span_at(self, time: float) -> Any:
         """Return d (physical time) / d (fraction of the horizon) just before a declared time.
 
-        The result is a CasADi expression of the free times and parameters.
+        A declared time is a member of the continuous set. The result is a CasADi expression of the
+        free times (times that the solve determines) and of parameters.
         """
         return self._spans[self.phase_of(time)]
 
     def time_at(self, time: float) -> Any:
-        """Return the physical time of a declared time, as a CasADi expression of the free times."""
+        """Return the physical time that corresponds to a declared time, as a CasADi expression.
+
+        A declared time is a member of the continuous set. The expression contains the free times,
+        which are variables that the solve determines, and parameters.
+        """
         k = self.phase_of(time)
         return self.times[k] + self._spans[k] * (self.fraction_of(time) - self.fractions[k])
 
     def phase_of(self, time: float) -> int:
         """Return the index of the phase that contains a declared time.
 
-        A time between two phases belongs to the phase that ends there.
+        A declared time is a member of the continuous set. A time between two phases belongs to the
+        phase that ends there.
         """
         return bisect_left(self.declared[1:-1], time)
 
     def label(self, position: int) -> str:
         """Return the name of one of the declared times for messages, as ``t[1]``.
 
-        `position` is the index of the time in `declared`.
+        A declared time is a member of the continuous set. `position` is the index of the time in
+        the attribute `declared`.
         """
         return f"{self.name}[{self.declared[position]:g}]"
 
     def orders(self) -> list[tuple[str, Any]]:
-        """Return the constraints that keep the times that bound the phases in order.
+        """Return the constraints by which the times that bound the phases increase.
 
         Each constraint is a pair: name, and CasADi expression that must not be negative. The list
         is empty for a single phase.
@@ -246,11 +265,11 @@ def _declared(time: Any, at: Any) -> float:
 
 
 def _refuse_unusable(time: Any, sets: tuple[Any, ...], given: dict[float, Any]) -> None:
-    """Raise an error for a replacement of a declared time that cannot be used.
+    """Raise an error if a variable that is to replace a declared time cannot be used.
 
-    Each replacement must be a static variable: a variable that none of the continuous sets `sets`
-    indexes. No variable may replace two declared times. `given` has the replacements for the
-    continuous set `time`, by declared time.
+    A declared time is a member of the continuous set `time`. `given` maps declared times to the
+    variables that replace them. Each of these variables must be a static variable: a variable that
+    none of the continuous sets `sets` indexes. No variable may replace two declared times.
     """
     taken: dict[str, float] = {}
     for at, variable in given.items():

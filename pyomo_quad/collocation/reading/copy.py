@@ -58,7 +58,7 @@ class WorkingCopy:
     declared_times : tuple of float
         The times that the user declared, in rising order.
     others : tuple of ContinuousSet
-        The other horizons of the model, whose declarations are read elsewhere.
+        Continuous sets of the other horizons of the model, whose declarations are read separately.
     """
 
     model: Any
@@ -77,16 +77,17 @@ class WorkingCopy:
     def takes(self, component: Any, data: Any) -> bool:
         """Return whether a constraint belongs to this working copy.
 
-        A working copy represents one horizon of the model, or the coupling of its horizons.
+        A working copy represents one horizon of the model, or the coupling of its horizons: the
+        constraints that do not belong to one horizon alone.
 
-        A constraint on values of one horizon only belongs to that horizon; every other constraint,
-        on values of several horizons or none, belongs to the coupling.
+        A constraint with values of exactly one horizon belongs to that horizon. A constraint with
+        values of several horizons, or with values of no horizon, belongs to the coupling.
 
         Parameters
         ----------
         component : Constraint
         data : ConstraintData
-            The member of the component in question.
+            Member of the constraint.
         """
         if not self.others:
             return True
@@ -254,7 +255,7 @@ def _refuse_unsupported(model: Any, times: tuple[Any, ...]) -> None:
 
 
 def _keep_parameters(copy: Any, time: Any) -> None:
-    """Make immutable parameters over time mutable.
+    """Make immutable parameters over time mutable, so that expressions contain their symbols.
 
     Pyomo writes the number of an immutable parameter into an expression, but the symbol of a
     mutable parameter, which can be translated to a function of time.
@@ -312,7 +313,7 @@ def copies_with_template_times(model: Any) -> tuple[WorkingCopy, ...]:
 
 
 def _culprit(error: Exception, copies: list[WorkingCopy]) -> str:
-    """Return the name of the component whose rule raised an error, for the message.
+    """Return the name of the component whose rule raised an error, for the error message.
 
     If the traceback does not show the component, the names of the continuous sets are returned.
     """

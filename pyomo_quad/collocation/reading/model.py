@@ -1,4 +1,7 @@
-"""Reading of a Pyomo.DAE model: equations over time, conditions, integrals and objective."""
+"""Reading of a Pyomo.DAE model: equations over time, conditions, integrals and objective.
+
+A condition is a constraint at a declared time (a member of the continuous set).
+"""
 
 from __future__ import annotations
 
@@ -106,7 +109,7 @@ class RelationReader:
         ----------
         component : Constraint
         index : tuple
-            Index without time, which the members share.
+            Index without the time (i for ``x[i, t]``), which the members share.
         instances : dict
             Active members by time, including the member at the template time (the added interior
             time at which equations are read).
@@ -142,8 +145,8 @@ class RelationReader:
     def _refuse_listed(self, component: Any) -> None:
         """Raise an error for a ConstraintList on an algebraic variable at every declared time.
 
-        The list is probably meant for all times, but the engine imposes it at the declared times
-        only.
+        A declared time is a member of the continuous set. The list is probably meant for all times,
+        but the engine imposes it at the declared times only.
         """
         members = [data for data in component.values() if data.active]
         if self.copy.time is None or len(members) != len(self.copy.declared_times):
@@ -174,12 +177,12 @@ class RelationReader:
         )
 
     def _condition(self, data: Any) -> PointCondition:
-        """Return a constraint's member at a declared time as a `PointCondition`."""
+        """Return a constraint's member at a single time as a `PointCondition`."""
         expression, lower, upper = self._relation(self._writer.at_instant(data), data.name)
         return PointCondition(name=data.name, expression=expression, lower=lower, upper=upper)
 
     def _imposed(self, condition: PointCondition) -> PointCondition:
-        """Return a condition unchanged, unless it contains a time-dependent parameter.
+        """Check a condition (a constraint at single times), and return it unchanged.
 
         Raises
         ------
@@ -199,12 +202,17 @@ class RelationReader:
     def _start_and_end(
         self, equation: PathEquation, instances: dict[Any, Any]
     ) -> list[PointCondition]:
-        """Return the conditions that a constraint's members at start and end add to its equation.
+        """Return the conditions that follow from a constraint's members at start and end.
 
-        The collocation points include the end but not the start. An equation among states only is
-        therefore imposed at the start by a condition; an equation with rates or algebraic variables
-        is not imposed at the start. A member at the end that differs from the path equation becomes
-        a separate condition. `instances` has the members at declared times.
+        The conditions supplement the equation over time, which is imposed at the collocation
+        points.
+
+        The collocation points include the end of the horizon but not its start. If the equation
+        contains states, but no rates or algebraic variables, a condition therefore imposes it at
+        the start; an equation with rates or algebraic variables is not imposed at the start. A
+        member at the end that differs from the path equation becomes a separate condition.
+        `equation` is the constraint as an equation over time, and `instances` has its members at
+        declared times, the members of the continuous set.
         """
         added = []
         first, last = self.copy.declared_times[0], self.copy.declared_times[-1]
@@ -220,10 +228,12 @@ class RelationReader:
     def _between(
         self, equation: PathEquation, template: Any, instances: dict[Any, Any]
     ) -> list[PointCondition]:
-        """Return the members at interior declared times that differ from the path equation.
+        """Return a constraint's members at interior declared times that differ from its equation.
 
-        Each returned member becomes a separate condition. `template` is the member at the template
-        time, `instances` has the members at declared times.
+        Each returned member becomes a separate condition (a constraint at a single time).
+        `equation` is the constraint as an equation over time. `template` is its member at the
+        template time (the added interior time at which equations are read), and `instances` has its
+        members at declared times, the members of the continuous set.
         """
         added = []
         for time in self.copy.declared_times[1:-1]:
@@ -274,10 +284,15 @@ class RelationReader:
     def _same_at(
         self, condition: PointCondition, equation: PathEquation, time: float, side: int = -1
     ) -> bool:
-        """Return whether a condition is the path equation evaluated at a declared time.
+        """Return whether a condition equals an equation over time, evaluated at a declared time.
 
-        A rule that branches on its time may return other numbers at exactly that time than just
-        before or after it. These numbers are ignored, because they hold for a single instant only.
+        A condition is a constraint at a declared time (a member of the continuous set). Condition
+        and equation come from the same constraint of the model. The condition need not be imposed
+        separately if it equals the equation.
+
+        A rule that branches on time may return other numbers exactly at the declared time than just
+        before or after it. A difference in numbers is ignored for these rules, because the numbers
+        hold for a single instant only.
 
         Parameters
         ----------
@@ -286,7 +301,8 @@ class RelationReader:
         time : float
             The declared time.
         side : int
-            Side of the time on which rules that branch on time are evaluated: -1 before, 1 after.
+            Side of the declared time on which rules that branch on time are evaluated: -1 just
+            before it, 1 just after it.
         """
         table = self.symbols
         clock = table.clock
@@ -320,8 +336,10 @@ class RelationReader:
     def values_at_points(self, conditions: list[PointCondition]) -> list[tuple[str, float]]:
         """Return the states that are fixed at declared times, as (name, fraction of the horizon).
 
-        Fixed algebraic variables, and bounds that exist at a declared time only, are added to
-        `conditions`.
+        A declared time is a member of the continuous set.
+
+        Values of fixed algebraic variables, and bounds that were assigned at single declared times,
+        become conditions (constraints at these times), and are added to the list `conditions`.
         """
         fixed = []
         table = self.symbols
@@ -380,10 +398,10 @@ class RelationReader:
                 )
 
     def _fixing_condition(self, data: Any) -> PointCondition:
-        """Return the condition that an algebraic variable equals the value fixed at a time.
+        """Return the constraint by which an algebraic variable equals its value fixed at one time.
 
-        `data` is the fixed member of the variable at that time. The value is a parameter of the
-        condition.
+        `data` is the fixed member of the variable at that time. The value is a parameter in the
+        constraint.
         """
         number = self.symbols.fixed_value(data)
         expression = casadi.SX(self._writer.write(data, data.name)) - number
@@ -538,8 +556,9 @@ class ModelReader:
     def _used_algebraics(self, points: tuple[PointSymbol, ...]) -> dict[str, Slot]:
         """Return the algebraic variables that the model uses, by name.
 
-        These are the variables in equations over time and integrands, and the variables whose
-        values at declared times appear in conditions or the objective (`points`).
+        These are the variables in equations over time and in integrands, and the variables whose
+        values at single times appear in conditions or the objective. `points` has the symbols of
+        these values.
         """
         parts = [part for e in self.equations for part in (e.expression, e.lower, e.upper)]
         parts += [i.integrand for i in self.writer.integrals.values()]
@@ -579,9 +598,9 @@ class ModelReader:
         """Return the names of the states that equations without time derivatives determine.
 
         Each equation determines at most one state. If the model has derivatives in space, the
-        discretisation in space has added an equation for each derivative in space. An added
-        equation determines its derivative, and no state. `read` has the names of the symbols in
-        each equation.
+        discretisation in space has added one equation for each derivative in space. An added
+        equation determines the derivative for which it was added, and therefore no state. `read`
+        has the names of the symbols in each equation.
         """
         rates = {s.rate.name() for s in self.symbols.states.values()}
         algebraic = [names for names in read if not names & rates]
@@ -608,7 +627,7 @@ class ModelReader:
         return f"derivative of {state.name}"
 
     def _bounds(self, slot: Slot) -> tuple[Any, Any]:
-        """Return lower and upper bound of a static variable as CasADi expressions."""
+        """Return lower and upper bound of a variable without time as CasADi expressions."""
         return (
             self.writer.bound(slot.lower, -casadi.inf, slot.name),
             self.writer.bound(slot.upper, casadi.inf, slot.name),

@@ -50,9 +50,9 @@ _AT_ANY_TIME = (
 
 
 def family_name(name: str) -> str:
-    """Return the name of the component that declares a constraint, bound or condition.
+    """Return the name of the component to which the name of a constraint or bound belongs.
 
-    Index and time are removed: ``omega[1] at time 2`` becomes ``omega``.
+    Index and time are removed from the name: ``omega[1] at time 2`` becomes ``omega``.
     """
     return name.split("[", 1)[0].split(" at time", 1)[0]
 
@@ -114,8 +114,8 @@ class LiveModel:
     time : ContinuousSet or None
         The model's continuous set.
     schedules : tuple of Schedule or Phases
-        Functions of time that return the data for rules that branch on time, and the current phase
-        of the horizon (`Declarations.scheduled`).
+        Functions of time that return the data of rules that branch on time, and the indicators of
+        the phases of the horizon. These data are the quantities `Declarations.scheduled`.
     """
 
     def __init__(self, model: Any, time: Any, schedules: tuple[Schedule | Phases, ...]) -> None:
@@ -131,7 +131,7 @@ class LiveModel:
 
     @property
     def times(self) -> tuple[float, ...]:
-        """The declared times, in rising order; empty for a model without time."""
+        """Members of the continuous set (declared times), in rising order; empty without a set."""
         return () if self._time is None else tuple(float(t) for t in sorted(self._time))
 
     def has(self, name: str) -> bool:
@@ -152,7 +152,10 @@ class LiveModel:
         return None if found is None else float(found)
 
     def _refuse_other_values(self, variable: Any, index: tuple[Any, ...]) -> None:
-        """Raise an error for a variable that is fixed to different values at the declared times."""
+        """Raise an error for a variable that is fixed to different values at the declared times.
+
+        The declared times are the members of the continuous set.
+        """
         held = {variable[self._addresses.join(variable, index, t)].value for t in self.times}
         if len(held) > 1:
             raise TranscriptionError(
@@ -162,7 +165,11 @@ class LiveModel:
             )
 
     def variable(self, slot: Slot, time: float | None = None) -> float | None:
-        """Return a variable's value at a declared time, None if unset or if it is not a Var."""
+        """Return a variable's value in the model, None if it is unset or the component is no Var.
+
+        `time` is a member of the continuous set (a declared time), None for a variable without
+        time.
+        """
         component = self.model.find_component(slot.component)
         if component.ctype is not Var:
             return None
@@ -224,7 +231,11 @@ class LiveModel:
         return said
 
     def _member(self, component: Any, slot: Slot, time: float | None = None) -> Any:
-        """Return the Pyomo data object of a variable or parameter, at a declared time if given."""
+        """Return the Pyomo data object of a variable or parameter.
+
+        `time` is the declared time (member of the continuous set) of the data object, None for a
+        variable or parameter without time.
+        """
         if time is not None:
             return component[self._addresses.join(component, slot.index, time)]
         if not slot.index:
@@ -268,7 +279,7 @@ class LiveModel:
         slot : Slot
             The variable.
         time : float or None
-            Declared time, None for a variable without time.
+            Member of the continuous set (declared time); None for a variable without time.
         number : float
             The value.
         """
@@ -281,8 +292,9 @@ class LiveModel:
     def load_rates(self, time: float, rate: Callable[..., float]) -> None:
         """Set the model's derivatives at a declared time to their solved values.
 
-        `rate(name, index=...)` returns the value of the derivative with this name and this index
-        without time.
+        `time` is the declared time, a member of the continuous set. `rate(name, index=...)` returns
+        the value of the derivative with the given name and the given index without the time (i for
+        ``x[i, t]``).
         """
         for derivative in self.model.component_objects(DerivativeVar, descend_into=True):
             for position in derivative:
@@ -310,15 +322,19 @@ class LiveModel:
     ) -> None:
         """Write sensitivities of constraints or variables into a Pyomo suffix.
 
+        A sensitivity is the derivative of the objective with respect to a constraint, bound or
+        state.
+
         Parameters
         ----------
         suffix : Suffix
         kind : type
             Constraint or Var.
         over_time : mapping
-            Sensitivities over time: name without time -> function of declared time.
+            Sensitivities over time: name without the time -> function of time, which is called with
+            members of the continuous set.
         once : mapping
-            Sensitivities at single times or without time: full name -> number.
+            Sensitivities at single times, and of components without time: full name -> number.
         """
         for component in self.model.component_objects(kind, active=True, descend_into=True):
             for index, data in component.items():
@@ -406,7 +422,7 @@ class ModelSnapshot:
     Attributes
     ----------
     times : tuple of float
-        Declared times.
+        Declared times, the members of the model's continuous set.
     names : frozenset of str
         Names of the model's components.
     units : dict
@@ -453,7 +469,11 @@ class ModelSnapshot:
         return self.parameters[slot.name]
 
     def variable(self, slot: Slot, time: float | None = None) -> float | None:
-        """Return a variable's value at a declared time, None if unset or if it was not a Var."""
+        """Return a variable's stored value, None if it was unset or the component was no Var.
+
+        `time` is a member of the continuous set (a declared time), None for a variable without
+        time.
+        """
         return self.variables[slot.name, time]
 
     def first_guess(self, slot: Slot) -> Interpolant | None:
@@ -472,7 +492,8 @@ class ModelSnapshot:
 def as_reading(signal: Callable[[float], float], time: float) -> Reading:
     """Return a function's value at a time as a `Reading`, which the function `jumps` requires.
 
-    A `Reading` consists of numbers and a key; a change of the key is a jump. This reading has the
-    value as its only number and no key, so that `jumps` finds the jumps of the function.
+    The function `jumps` finds the times at which the numbers or the key of a `Reading` jump. The
+    result has the function's value as its only number, and no key, so that `jumps` finds the times
+    at which the value jumps.
     """
     return Reading(None, (signal(time),))

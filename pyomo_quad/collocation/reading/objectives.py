@@ -1,4 +1,4 @@
-"""Reading of a model's objective, and refusal of sums over declared times in place of integrals."""
+"""Reading of a model's objective, and refusal of sums over time in place of integrals."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def objective_of(copy: WorkingCopy) -> Any:
     ------
     TranscriptionError
         If the model has several active objectives, or its objective sums a control over the
-        declared times.
+        declared times (the members of the continuous set).
     """
     objectives = list(copy.model.component_data_objects(Objective, active=True, descend_into=True))
     if len(objectives) > 1:
@@ -43,10 +43,11 @@ def objective_of(copy: WorkingCopy) -> Any:
 def _refuse_sum(objective: Any, time: Any, copy: WorkingCopy) -> None:
     """Raise an error for an objective that sums a function of a control over the declared times.
 
-    The sum is probably meant as an integral, because a control has no meaning at a single time. A
-    sum that is meant as an integral is recognised by terms that are equal at all declared times. A
-    sum over a state is accepted: the sum may be a fit to data, whose terms differ from time to
-    time, or a cost at start and end of the horizon.
+    The declared times are the members of the continuous set. The sum is probably meant as an
+    integral, because a control has no meaning at a single time. A sum that is meant as an integral
+    is recognised by terms that are the same function of the variables at all declared times. A sum
+    over a state is accepted: the sum may be a fit to data, whose terms differ from time to time, or
+    a cost at start and end of the horizon.
     """
     addresses = AddressBook(time)
     states = {d.get_state_var().name for d in copy.model.component_objects(DerivativeVar)}
@@ -84,15 +85,15 @@ def _refuse_sum(objective: Any, time: Any, copy: WorkingCopy) -> None:
 def _is_alike(cost: Any, key: Any, first: dict[Any, Any], other: dict[Any, Any]) -> bool:
     """Return whether the objective depends on a variable in the same way at two declared times.
 
-    The derivatives of the objective with respect to the variable at the first and at the second
-    time are compared.
+    The declared times are members of the continuous set. The derivatives of the objective with
+    respect to the variable at the first time and at the second time are compared.
 
     Parameters
     ----------
     cost : casadi.SX
         The objective.
     key : (str, tuple)
-        Component name and index without time of the variable.
+        The variable: name of its component, and its index without the time.
     first, other : dict
         Symbols of all variables at the first and at the second time, with keys in the form of
         `key`.

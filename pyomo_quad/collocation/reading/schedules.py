@@ -1,13 +1,13 @@
 """Rules that branch on time, as data over time for compiled equations.
 
 A rule that branches on its time, or looks up numbers by it, cannot be written as a formula of time.
-The engine calls the rule at many times and sorts the returned expressions into forms, expressions
-that differ in their numbers only. Each form is compiled once. The form that applies at a time, and
-the numbers that differ, are data of every collocation point. Bisection finds the times at which
-they jump.
+The engine calls the rule at many times and sorts the returned expressions into forms: expressions
+that differ in their numbers only have the same form. Each form is compiled once. The choice of the
+form that applies at a time, and the numbers that differ, are data of every collocation point.
+Bisection finds the times at which these data jump.
 
-For pickling, piecewise polynomials between these jumps replace the functions of time, so that they
-can be evaluated without their rules.
+For pickling, piecewise polynomials between these jumps replace the functions of time, so that the
+functions can be evaluated without the rules of the model.
 """
 
 from __future__ import annotations
@@ -51,9 +51,9 @@ T = TypeVar("T")
 
 
 def _remembered(known: OrderedDict[float, T], time: float, of: Callable[[float], T]) -> T:
-    """Return the value of the function `of` at a time, from a cache.
+    """Return the value of the function `of` at a time, from a cache if it was evaluated before.
 
-    `known` is the cache: time -> value. It keeps the values at the 100,000 times that were
+    `known` is the cache: time -> value. The cache keeps the values at the 100,000 times that were
     evaluated last.
     """
     if time not in known:
@@ -145,7 +145,8 @@ class Schedule:
     say : callable
         Time -> `Statement`, the result of the rule.
     times : sequence of float
-        Declared times; the rule is called between them and on both sides of each.
+        Declared times (members of the continuous set); the rule is called between them, and just
+        before and just after each of them.
     place : callable, optional
         Maps a time to the time with which the rule is called instead, for rules whose result is the
         same over an interval.
@@ -225,7 +226,8 @@ class Schedule:
         """Assign the result of a rule to its form, and register a new form.
 
         A form is an expression with its numbers as parameters. After compilation, an unknown form
-        raises an error.
+        raises an error. `found` has the form and the numbers of the result `statement` of the rule
+        at `time`.
 
         Raises
         ------
@@ -330,11 +332,15 @@ class Phases:
         self._clock = clock
 
     def reading(self, time: float) -> Reading:
-        """Return the phase at a declared time as a `Reading`: its key is the phase's position."""
+        """Return the phase at a time as a `Reading` for the function `jumps`.
+
+        The key of the reading is the position of the phase that contains `time`, a time in the
+        range of the continuous set. The function `jumps` finds the times at which the key changes.
+        """
         return Reading(self._clock.phase_of(time), ())
 
     def row(self, time: float) -> list[float]:
-        """Return a list of the phases' indicators at a declared time.
+        """Return a list of the phases' indicators at a time in the range of the continuous set.
 
         The indicator is 1 for the phase that contains the time, and 0 for every other phase.
         """
@@ -371,8 +377,9 @@ def _structure(part: Any, numbers: list[float]) -> Any:
 def probes(times: Sequence[float]) -> list[float]:
     """Return the times at which a rule is called to find its forms and jumps.
 
-    The result has 64 times spread over the horizon, and times just before and after each declared
-    time.
+    The result has 64 times spread over the horizon, and times just before and just after each of
+    the given `times` (the declared times, members of the continuous set). All lie inside the
+    horizon.
     """
     span = times[-1] - times[0]
     between = np.linspace(times[0], times[-1], _PROBES + 1)[:-1] + 0.618 * span / _PROBES
@@ -387,8 +394,8 @@ def jumps(reading: Callable[[float], Reading], times: Sequence[float]) -> Iterat
     Parameters
     ----------
     reading : callable
-        Time -> `Reading`: numbers, and a key. A change of the key is a jump, and so is a change of
-        a number that bisection does not reduce.
+        Time -> `Reading`: numbers, and a key. A change of the key is a jump. A change of a number
+        is a jump if halving the interval around it does not reduce the change.
     times : sequence of float
         Times in rising order between which jumps are searched by bisection.
     """
@@ -400,9 +407,10 @@ def jumps(reading: Callable[[float], Reading], times: Sequence[float]) -> Iterat
 def _jumps_between(
     reading: Callable[[float], Reading], start: float, end: float, resolution: float
 ) -> Iterator[float]:
-    """Yield the times between two times at which the form or a number of a rule's result jumps.
+    """Yield the times from `start` to `end` at which the key or a number of a `Reading` jumps.
 
-    `reading` is as in `jumps`. Bisection locates each jump to within `resolution`.
+    `reading` maps a time to a `Reading`, as in `jumps`. Bisection locates each jump to within
+    `resolution`.
     """
     while reading(start).key != reading(end).key:
         before, after = start, end
@@ -419,10 +427,10 @@ def _jumps_between(
 def _steps(
     reading: Callable[[float], Reading], start: float, end: float, resolution: float
 ) -> Iterator[float]:
-    """Yield the times between two times at which a number of a rule's result jumps.
+    """Yield the times from `start` to `end` at which a number of a `Reading` jumps.
 
     A number jumps if halving the interval around its change does not reduce the change. `reading`
-    is as in `jumps`; bisection locates each jump to within `resolution`.
+    maps a time to a `Reading`, as in `jumps`. Bisection locates each jump to within `resolution`.
     """
     for k, (first, last) in enumerate(
         zip(reading(start).numbers, reading(end).numbers, strict=True)
@@ -557,7 +565,7 @@ class Interpolant:
         return Reading(None, tuple(self.row(time)))
 
     def __call__(self, time: float) -> float:
-        """Return the value of the first function at a time."""
+        """Return the value, at a time, of the first of the interpolated functions."""
         return self.row(time)[0]
 
 
@@ -616,14 +624,16 @@ def interpolant(
 def _fitted(
     row: Callable[[float], Sequence[float]], first: float, last: float
 ) -> tuple[FloatArray, bool]:
-    """Fit a polynomial to functions of time between two times.
+    """Fit a polynomial to functions of time, between the times `first` and `last`.
+
+    `row` maps a time to the values of the functions.
 
     Returns
     -------
     ndarray, shape (degree + 1, n_functions)
         Chebyshev coefficients of the polynomial through the values at 13 Chebyshev nodes.
     bool
-        Whether it agrees with the functions between the nodes to 1e-13.
+        Whether the polynomial agrees with the functions between the nodes to 1e-13.
     """
     local = np.concatenate([_NODES, _COMPARED])
     times = 0.5 * (first + last) + 0.5 * (last - first) * local

@@ -1,4 +1,4 @@
-"""CasADi symbols of a Pyomo model's variables and parameters, and its declarations in them.
+"""CasADi symbols of a Pyomo model's components, and its declarations in terms of symbols.
 
 The engine reads equations over time at a single interior time, the template time, which is added to
 the continuous set of a clone of the model. The members of constraints at that time hold for all
@@ -43,7 +43,8 @@ class TimeSymbol:
     parameter : Param
         Parameter that stands for physical time in arithmetic.
     declared : tuple of float, optional
-        Times with which a rule may compare the symbol without reading its number.
+        Declared times (members of the continuous set). A rule may compare the symbol with these
+        times; such a comparison does not count as reading the symbol's number.
     number : float, optional
         Number used in comparisons; the template time by default.
 
@@ -76,8 +77,8 @@ class TimeSymbol:
     def _compare(self, relation: Callable[[Any, Any], Any], other: Any) -> bool:
         """Compare the symbol's number with another number, as a rule of the model requests.
 
-        A comparison with a number that is no declared time counts as reading the symbol's number,
-        which `is_read` records.
+        A comparison with a number that is no declared time (member of the continuous set) counts as
+        reading the symbol's number, and sets `is_read`.
 
         `relation` is the comparison, a function of two numbers.
         """
@@ -220,7 +221,8 @@ def integrand(integral: Any, index: Any, symbol: TimeSymbol | Instant) -> Any:
     integral : Integral
     index : index of the integral, or None
     symbol : TimeSymbol or Instant
-        The time: a symbol, or a number that selects the members at the template time.
+        The time: a symbol, or a number that selects the members at the template time (the added
+        interior time at which equations are read).
     """
     probe = _TrapezoidProbe(integral.parent_block(), integral.get_continuousset(), symbol)
     return integral._rule(probe, index)  # noqa: SLF001
@@ -310,7 +312,7 @@ class AddressBook:
         return self.split(component, data.index())
 
     def split(self, component: Any, index: Any) -> Address:
-        """Split a component's full index into index without time, and time, as an `Address`.
+        """Split a component's full index into the time and the remaining index, as an `Address`.
 
         `index` is an index of the component, which may contain a time.
         """
@@ -343,7 +345,7 @@ class Slot:
     component : str
         Full name of the Pyomo component.
     index : tuple
-        Index without time.
+        Index without the time, () if time is the only index or there is none.
     symbol : casadi.SX
     lower, upper : casadi.SX
         Bounds as expressions of the parameters, infinite unless given.
@@ -391,6 +393,8 @@ class PathEquation:
 class PointSymbol:
     """Value or derivative of a variable at a declared time, with its CasADi symbol.
 
+    A declared time is a member of the continuous set.
+
     Attributes
     ----------
     slot : str
@@ -424,7 +428,7 @@ class PointCondition:
 
 @dataclass(frozen=True, kw_only=True)
 class Integral:
-    """Integral over the horizon: its symbol in conditions and objective, and its integrand.
+    """Integral over the horizon: its symbol in constraints and objective, and its integrand.
 
     The integrand is a CasADi expression per unit of the fraction of the horizon.
     """
@@ -453,11 +457,12 @@ class Declarations:
         Other quantities that vary with time without a formula, such as numbers that a rule looks up
         by its time.
     clock : PhaseTimes
-        Declared times of the horizon in symbols.
+        Physical times of start and end of the horizon, and of the free times (times that the solve
+        determines), in CasADi symbols.
     equations : tuple of PathEquation
         Constraints over time.
     conditions : tuple of PointCondition
-        Constraints at declared times.
+        Constraints at declared times, the members of the continuous set.
     point_symbols : tuple of PointSymbol
         Values at declared times in conditions and objective.
     integrals : tuple of Integral
@@ -516,7 +521,7 @@ class Declarations:
 
     @property
     def path_data(self) -> tuple[Any, ...]:
-        """Symbols of the data of a collocation point, in order.
+        """Symbols of the data of a collocation point, in the order that compiled functions expect.
 
         They are the fraction of the horizon, parameters over time, data of rules that branch on
         time, and parameters without time.
@@ -539,7 +544,7 @@ class SymbolTable:
     addresses : AddressBook
         Splitter of indices into time and the other indices.
     free : mapping
-        Declared time -> static variable that replaces it.
+        Declared time (member of the continuous set) -> static variable that replaces it.
     statics : dict
         Static variables by name; several horizons share the dictionary.
     """
@@ -567,9 +572,10 @@ class SymbolTable:
         self.clock = self._clock(free)
 
     def _clock(self, free: Mapping[float, Any]) -> PhaseTimes:
-        """Return the declared times of the horizon in CasADi symbols, as `PhaseTimes`.
+        """Return start, end and free times of the horizon in CasADi symbols, as `PhaseTimes`.
 
-        The static variables in `free` replace some of these times.
+        `free` maps members of the continuous set (declared times) to the static variables,
+        variables without time, that replace them.
         """
         declared = self._copy.declared_times or (0.0, 1.0)
         ends = {declared[0]: "horizon.start", declared[-1]: "horizon.end"}
@@ -701,16 +707,17 @@ class SymbolTable:
         """Return physical time as a CasADi expression.
 
         At the template time (the added interior time at which equations are read), the result is an
-        expression that holds at any time. At a declared time, it is the physical time of this
-        declared time.
+        expression that holds at any time. At a declared time (a member of the continuous set), the
+        result is the physical time to which the declared time corresponds.
         """
         return self.clock.time if time == self._copy.template_time else self.clock.time_at(time)
 
     def _varying(self, data: Any, address: Any) -> Any:
         """Return the symbol of a variable over time or of its derivative with respect to time.
 
-        A variable that is fixed at all declared times becomes a parameter. `data` is the Pyomo data
-        object, `address` its component, index and time.
+        An algebraic variable that is fixed at all declared times (members of the continuous set)
+        becomes a parameter. `data` is the Pyomo data object, `address` its component, index and
+        time.
         """
         component = data.parent_component()
         is_rate = component.ctype is DerivativeVar
@@ -731,7 +738,11 @@ class SymbolTable:
         return symbol / self.clock.span_at(address.time) if is_rate else symbol
 
     def _slot(self, variable: Any, address: Any) -> Slot | None:
-        """Return the `Slot` of a variable over time; None if it is fixed at all declared times."""
+        """Return the `Slot` of a variable over time, made at first use.
+
+        The result is None for an algebraic variable that is fixed at all declared times (members of
+        the continuous set), because it becomes a parameter. `address` identifies the variable.
+        """
         name = indexed_name(variable.name, address.index)
         for table in (self.states, self.algebraics):
             if name in table:
@@ -754,7 +765,7 @@ class SymbolTable:
         return slot
 
     def _is_fixed_throughout(self, variable: Any, index: tuple[Any, ...]) -> bool:
-        """Return whether a variable over time is fixed at all declared times."""
+        """Return whether a variable over time is fixed at all members of the continuous set."""
         return all(
             variable[self._addresses.join(variable, index, t)].fixed
             for t in self._copy.declared_times

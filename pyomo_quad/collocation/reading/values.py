@@ -43,13 +43,15 @@ class Instance:
     horizon : (float, float)
         Start and end of the horizon, as physical times.
     fixed : dict
-        Values of variables fixed at declared times, by (name, fraction of the horizon).
+        Values of variables fixed at declared times (members of the continuous set), by (name,
+        fraction of the horizon).
     overrides : mapping
         Parameter values from the caller by full name; functions of time for parameters over time.
     jumps : tuple of float
         Fractions of the horizon at which a time-dependent parameter may jump.
     left_out : frozenset of str
-        Names of conditions that are not imposed because they follow from other equations.
+        Names of conditions (constraints at declared times) that are not imposed, because they
+        follow from other equations.
     """
 
     parameters: FloatArray
@@ -137,7 +139,7 @@ class ModelValues:
         ------
         TranscriptionError
             If a name is no component of the model, or a function of time is given although the
-            model has free times.
+            model has free times (times that the solve determines).
         """
         named = {
             key.name
@@ -198,8 +200,9 @@ class ModelValues:
     ) -> tuple[float, ...]:
         """Return the fractions of the horizon at which time-dependent parameters may jump.
 
-        These are the declared times, and the times at which the search finds a jump of a rule's
-        result or of a parameter. Parameters given as `Steps` are not searched.
+        These are the declared times (members of the continuous set), and the times at which
+        bisection finds a jump of a rule's result or of a parameter. Parameters given as `Steps` are
+        not searched.
         """
         if not self._declared.has_signals:
             return ()
@@ -216,11 +219,11 @@ class ModelValues:
         return tuple(f for k, f in enumerate(fractions) if k == 0 or f - fractions[k - 1] > BESIDE)
 
     def _rule_horizon(self, horizon: tuple[float, float]) -> tuple[float, float]:
-        """Return the start and end of the times with which rules are called.
+        """Return start and end of the range of times with which rules of the model are called.
 
-        If any time is free, this is the declared horizon, because a rule is written in declared
-        times. Otherwise it is the horizon of the solve. The widest horizon that was requested is
-        recorded, so that a pickle covers it.
+        If any time is free (determined by the solve), the range is the range of the continuous set,
+        because a rule refers to times of this set. Otherwise the range is the horizon of the solve,
+        `horizon`. The widest horizon that was requested is recorded, so that a pickle covers it.
         """
         found = self.declared_horizon if self._declared.clock.is_free else horizon
         self._widest = min(self._widest[0], found[0]), max(self._widest[1], found[1])
@@ -247,7 +250,7 @@ class ModelValues:
         return self._source.signal(slot)
 
     def fixed(self) -> dict[tuple[str, float], float]:
-        """Return the values of variables that a user fixed at declared times.
+        """Return the values of variables that a user fixed at members of the continuous set.
 
         The keys are (variable name, fraction of the horizon).
         """
@@ -262,7 +265,7 @@ class ModelValues:
     def _declared_time(self, first: float, last: float, fraction: float) -> float:
         """Return the member of the continuous set nearest to a fraction of the horizon.
 
-        `first` and `last` are the start and the end of the declared horizon.
+        `first` and `last` are the first and the last member of the set.
         """
         wanted = first + (last - first) * fraction
         return min(self._source.times, key=lambda t: abs(t - wanted))
@@ -270,7 +273,8 @@ class ModelValues:
     def initial_values(self, slot: Slot) -> list[tuple[float, float]]:
         """Return a variable's values in the model, as pairs (fraction of the horizon, value).
 
-        The pairs belong to the declared times at which the variable has a value.
+        The pairs belong to the members of the continuous set (declared times) at which the variable
+        has a value.
         """
         first, last = self.declared_horizon
         pairs = []
@@ -283,8 +287,9 @@ class ModelValues:
     def first_guesses(self, slot: Slot, fractions: FloatArray) -> FloatArray | None:
         """Return the values of a variable's `initialize` rule at fractions of the horizon.
 
-        The result is None if the variable has no rule or has other values than its rule, or if the
-        rule has values at the declared times only.
+        The result is None if the variable has no such rule, if its values in the model differ from
+        the values of the rule, or if the rule fails or is not finite at one of the fractions (for
+        example, because it looks up values at members of the continuous set).
         """
         first, last = self.declared_horizon
         guess = self._source.first_guess(slot)
@@ -297,18 +302,19 @@ class ModelValues:
         return found if np.all(np.isfinite(found)) else None
 
     def static_value(self, slot: Slot) -> float | None:
-        """Return the value of a static variable in the model, None if it has none."""
+        """Return the value in the model of a variable without time, None if it has none."""
         return self._source.variable(slot)
 
     def declared_fractions(self) -> list[float]:
-        """Return the declared times as fractions of the horizon."""
+        """Return the members of the continuous set (declared times) as fractions of the horizon."""
         first, last = self.declared_horizon
         return [(t - first) / (last - first) for t in self._source.times]
 
     def load(self, slot: Slot, fraction: float | None, number: float) -> None:
         """Set the model's variable to a solved value, unless a user fixed the variable there.
 
-        `fraction` is a declared time as a fraction of the horizon, None for a static variable.
+        `fraction` is a declared time (member of the continuous set) as a fraction of the horizon,
+        None for a static variable (a variable without time).
         """
         time = None
         if fraction is not None:
@@ -318,8 +324,9 @@ class ModelValues:
     def load_rates(self, fraction: float, rate: Callable[..., float]) -> None:
         """Set the model's derivatives at a declared time to their solved values.
 
-        `fraction` is the declared time as a fraction of the horizon. `rate(name, index=...)`
-        returns the value of the derivative with this name and this index without time.
+        `fraction` is the declared time, a member of the continuous set, as a fraction of the
+        horizon. `rate(name, index=...)` returns the value of the derivative with the given name and
+        the given index without the time (i for ``x[i, t]``).
         """
         self._source.load_rates(self._declared_time(*self.declared_horizon, fraction), rate)
 

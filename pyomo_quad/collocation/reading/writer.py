@@ -1,7 +1,8 @@
 """Translation of Pyomo expressions to CasADi expressions.
 
-Equations over time are translated at a single time, the template time, in symbols that stand for
-functions of time. The resulting expressions hold at all times.
+Equations over time are translated at a single time, the template time, which is added to the
+continuous set. The symbols in the translation stand for functions of time. The resulting
+expressions hold at all times.
 """
 
 from __future__ import annotations
@@ -246,7 +247,7 @@ class TemplateWriter:
     ----------
     copy : WorkingCopy
     free : mapping
-        Declared time -> static variable that replaces it.
+        Declared time (member of the continuous set) -> static variable that replaces it.
     statics : dict, optional
         Static variables by name, shared by several horizons.
 
@@ -288,7 +289,7 @@ class TemplateWriter:
             Name of the component that contains the expression, for messages.
         over_time : bool, default False
             Whether the expression belongs to an equation over time, in which the value of a
-            variable at a single declared time is an error.
+            variable at a single time (member of the continuous set) is an error.
         """
         before, self._in_path = self._in_path, over_time
         try:
@@ -315,9 +316,10 @@ class TemplateWriter:
         ----------
         component : Constraint
         index : tuple
-            Index without time.
+            Index without the time (i for ``x[i, t]``).
         instance : ConstraintData or None
-            The constraint's member at the template time.
+            The constraint's member at the template time (the added interior time at which equations
+            are read).
         """
         rule, name = rule_of(component), indexed_name(component.name, index)
         if rule is None and instance is None:
@@ -363,23 +365,24 @@ class TemplateWriter:
     def changed_bounds(self, slot: Slot) -> tuple[Any, Any] | None:
         """Return the bounds for all times that a user assigned after a variable's declaration.
 
-        A user may assign bounds to a variable's members at the declared times. If the assigned
-        bounds are equal at every declared time, they apply at all times, and are returned. States
-        without fixed values are treated differently, as described below.
+        A user may assign bounds to a variable's members at the declared times, the members of the
+        continuous set. Bounds that were changed at every declared time are treated as follows:
+
+        - algebraic variable, or state with a fixed member: equal bounds apply at all times, and are
+          returned; bounds that differ from time to time are refused;
+        - other state: bounds that differ from time to time apply at the declared times only; equal
+          bounds are refused, because it is unclear whether they apply between these times.
 
         Returns
         -------
         (lower, upper) or None
-            None if the bounds are as declared at one or more declared times. Also None for a state
-            without fixed values whose bounds differ between the declared times: they apply at these
-            times only.
+            None if the bounds are as declared at one or more declared times, or apply at the
+            declared times only.
 
         Raises
         ------
         TranscriptionError
-            If the bounds were changed at every declared time, and it is unclear whether they apply
-            between these times: equal bounds of a state without fixed values, or different bounds
-            of any other variable.
+            If the bounds were changed at every declared time, and are refused as described above.
         """
         members = [self._member(slot, time) for time in self.copy.declared_times]
         if any(m.bounds == self.declared_bounds(m) for m in members):
@@ -471,11 +474,13 @@ class TemplateWriter:
         return statement
 
     def at_instant(self, data: Any) -> Any:
-        """Return a constraint's member at a declared time, with free times instead of numbers.
+        """Return a constraint's member at a declared time, with free times in place of numbers.
 
-        A rule such as ``m.x[t] == t`` then contains the physical time to which the declared time is
-        mapped. A free time is a static variable that gives the physical time of a declared time.
-        Members that depend on no free time are returned unchanged.
+        A declared time is a member of the continuous set. A free time is a static variable (a
+        variable without time) that gives the physical time to which a declared time corresponds. If
+        the rule of a constraint is ``m.x[t] == t``, the time on its right-hand side becomes this
+        physical time, an expression of free times, instead of the number of the declared time.
+        Members whose physical time depends on no free time are returned unchanged.
         """
         component, address = data.parent_component(), self.addresses.of(data)
         rule, clock = rule_of(component), self.symbols.clock
@@ -499,11 +504,12 @@ class TemplateWriter:
         return any(s.name == name for s in self.schedules)
 
     def scheduled_beside(self, time: float, side: int = -1) -> dict[str, tuple[Any, float]]:
-        """Return symbols and values, beside a time, of quantities without a formula in time.
+        """Return symbols, and values just before or after a time, of quantities without a formula.
 
-        Such a quantity belongs to a rule that branches on time, or to a phase of the horizon.
-        `side` is -1 for just before the time, 1 for just after. The result maps names to (symbol,
-        value).
+        The quantities are the data of rules that branch on time, and the indicators of the phases
+        of the horizon: their values over time are given by functions, not by expressions of time.
+        `side` is -1 for values just before `time`, 1 for values just after it. The result maps
+        names to (symbol, value).
         """
         first, last = self.copy.declared_times[0], self.copy.declared_times[-1]
         near = BESIDE * (last - first)
@@ -517,8 +523,9 @@ class TemplateWriter:
     def _within(self, time: float) -> float:
         """Return the midpoint of the interval between two declared times that contains a time.
 
-        If times are free, a rule is called with this midpoint, because its result may change at
-        declared times only.
+        Declared times are members of the continuous set. If times are free (determined by the
+        solve), a rule is called with the midpoint instead of the time itself, because its result
+        may change at declared times only.
         """
         declared = self.copy.declared_times
         after = min(max(bisect_left(declared, time), 1), len(declared) - 1)
@@ -548,7 +555,7 @@ class TemplateWriter:
         """Return a component as a CasADi expression that holds at any time, by full name.
 
         The result is None if the model has no component over time of this name. `index` is the
-        index without time.
+        index without the time: (i,) for ``x[i, t]``.
 
         Raises
         ------
@@ -561,7 +568,10 @@ class TemplateWriter:
         return self.write_at_template(found, index)
 
     def components_over_time(self) -> Iterator[tuple[str, tuple[Any, ...]]]:
-        """Yield the components that `over_time` can translate, as (name, index without time)."""
+        """Yield the components that `over_time` can translate, as (name, index without time).
+
+        The index without time is (i,) for ``x[i, t]``.
+        """
         kinds = (Var, DerivativeVar, Param, Expression)
         for component in self.copy.model.component_objects(kinds, descend_into=True):
             if self.addresses.time_position(component) is not None:
@@ -573,7 +583,8 @@ class TemplateWriter:
     def write_at_template(self, component: Any, index: tuple[Any, ...]) -> Any:
         """Return a variable or expression over time as a CasADi expression that holds at any time.
 
-        `index` is the index without time.
+        `index` is the index without the time: (i,) for ``x[i, t]``. The expression is read at the
+        template time, the interior time that was added for this purpose.
         """
         position = self.addresses.join(component, index, self.copy.template_time)
         return casadi.SX(self.write(component[position], component.name, over_time=True))
@@ -616,7 +627,8 @@ class TemplateWriter:
     def _expression(self, component: Any, index: tuple[Any, ...], rule: Any) -> Any:
         """Return the CasADi expression of a named Pyomo expression over time, from its rule.
 
-        The rule is called when the expression is needed first. The result is cached by name.
+        The rule is called when the expression is needed for the first time. The result is cached by
+        name.
         """
         name, block = indexed_name(component.name, index), component.parent_block()
         if name in self._by_rule:
@@ -631,8 +643,8 @@ class TemplateWriter:
     def _parameter_over_time(self, data: Any, address: Address) -> Any:
         """Return a parameter over time as a differentiable CasADi expression of time.
 
-        If times are free, the value of the parameter depends on them, so that its derivative with
-        respect to time is required.
+        If times are free (determined by the solve), the value of the parameter depends on the free
+        times, and its derivative with respect to time is required.
         """
         component = data.parent_component()
         rule = rule_of(component)

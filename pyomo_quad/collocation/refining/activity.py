@@ -83,8 +83,8 @@ def known_boundaries(solution: Solution) -> NDArray[np.bool_]:
     """Return for each breakpoint of the mesh whether the problem requires it.
 
     The result has shape (n_elements + 1,). Breakpoints are required at start and end of the
-    horizon, at times at which a condition is imposed or a variable is fixed, and where a parameter
-    jumps.
+    horizon, at times at which a constraint at a single time is imposed or a variable is fixed, and
+    where a parameter jumps.
     """
     required = solution.problem.required_breakpoints(solution.instance)
     starts = np.asarray(solution.mesh.breakpoints)

@@ -45,8 +45,10 @@ class Damping:
     prices : ndarray, shape (n_controls,)
         Penalty per unit of mean square distance over the horizon, for each control.
     gap : float
-        Complementarity gap of the solution, in the unit of the objective: Ipopt does not reduce its
-        barrier parameter further. Zero for the smallest gap that Ipopt reaches.
+        Complementarity gap (the sum over all limits of multiplier times distance to the limit) that
+        the solve on the next mesh leaves, in the unit of the objective. If it is positive, Ipopt
+        stops reducing its barrier parameter when the gap has this size. If it is zero, Ipopt's
+        usual final barrier parameter applies.
     is_still : bool
         Whether the objective hardly changes from mesh to mesh any more. The controls are then
         damped towards the previous controls smoothed within each element, instead of towards the
@@ -63,7 +65,7 @@ class Damping:
     def start_distance(self) -> StartDistance:
         """Expected distance between warm start and solution in the solve on the next mesh.
 
-        Ipopt's initial barrier parameter depends on it.
+        Ipopt's initial barrier parameter is chosen according to this distance.
         """
         if self.is_still:
             return StartDistance.NONE
@@ -73,7 +75,8 @@ class Damping:
         """Return a stronger damping, with penalties multiplied by `factor`.
 
         The new damping is towards the previous controls smoothed within each element (`is_still`).
-        Its complementarity gap is at least `gap` times the objective's reference magnitude.
+        The complementarity gap (the sum over all limits of multiplier times distance to the limit)
+        that the next solve leaves is at least `gap` times the reference magnitude of the objective.
         """
         gap = max(gap * self.solution.nominal_objective, self.gap)
         return replace(self, prices=factor * self.prices, gap=gap, is_still=True)
@@ -151,10 +154,11 @@ def damping_of(
 ) -> Damping | None:
     """Return the damping of a solution's controls for the solve on the next mesh.
 
-    Damping is a penalty on the distance from the controls of the solution. A control is damped if
-    it is bounded and enters nearly linearly, that is if the Lagrangian's second derivative with
-    respect to the control is small. A control next to a corner of the cost chatters in the same
-    way, and is damped too: the cost has curvature at the corner only, and is linear beside it.
+    Damping is a penalty on the distance from the smoothed controls of the solution. A control is
+    damped if it is bounded and enters nearly linearly, that is if the Lagrangian's second
+    derivative with respect to the control is small. A control next to a corner of the cost chatters
+    in the same way, and is damped too: the cost has curvature at the corner only, and is linear
+    beside it.
 
     Parameters
     ----------
@@ -164,7 +168,8 @@ def damping_of(
         Penalty, as a fraction of the objective, on a control that differs by its whole range from
         the value towards which it is damped.
     gap : float, optional
-        Complementarity gap that the solve on the next mesh leaves, as a fraction of the objective.
+        Complementarity gap (the sum over all limits of multiplier times distance to the limit) that
+        the solve on the next mesh leaves, as a fraction of the objective.
     is_still : bool, optional
         Whether the objective hardly changes from mesh to mesh any more. The controls are then
         damped towards the previous controls smoothed within each element, instead of towards the

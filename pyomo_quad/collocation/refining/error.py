@@ -294,9 +294,8 @@ _LEAST_UNIT = 1e-4
 def _unit(solution: Solution) -> float:
     """Return the reference magnitude for relative errors of the objective, in its unit.
 
-    The result is the objective's magnitude. For an objective near zero, the result is 1, or the
-    inverse of the objective's scaling factor if the inverse is smaller than 1; but at least 1e-4 of
-    this inverse.
+    The result is the largest of three numbers: the magnitude of the objective; min(1, s), for an
+    objective near zero; and 1e-4 s. Here s is the inverse of the objective's scaling factor.
     """
     scaled = 1.0 / solution.scaling.objective
     return max(abs(solution.objective), min(1.0, scaled), _LEAST_UNIT * scaled)
@@ -388,13 +387,14 @@ def _panelled_places(degree: int) -> FloatArray:
 
 
 def state_errors_as_interpolated(solution: Solution) -> FloatArray:
-    """Return the errors of the states if every algebraic variable follows its polynomial.
+    """Return the state errors if algebraic variables between the points follow their polynomials.
 
     Between the collocation points, an algebraic variable that an equation defines has two values:
-    the value of its polynomial, and the value from the equation. An example is r in ``x' = r``, ``f
-    = r + r^3``. `estimate_error` takes the value from the equation. The equations may then be
-    satisfied everywhere although the polynomial differs from the optimum. This function takes the
-    value of the polynomial instead.
+    the value of its polynomial, and the value from the equation. An example is r, which the second
+    of the equations ``x' = r`` and ``f = r + r^3`` defines. `estimate_error` takes the value from
+    the equation; its estimate may then be small although the polynomial is inaccurate. This
+    function takes the value of the polynomial, so that its result also shows the inaccuracy of the
+    polynomial.
 
     Returns
     -------
@@ -570,8 +570,9 @@ def _of_all(shares: FloatArray) -> FloatArray:
     """Extrapolate the error of each element to the whole horizon, for errors that add up.
 
     The result for an element is its error times the number of elements, but at most the sum of the
-    errors of all elements. It can be compared with the tolerance for the whole horizon. `shares`
-    are the errors; they and the result have one entry per element along the first axis.
+    errors of all elements. The result can be compared with the tolerance for the whole horizon.
+    `shares` are the errors of the elements. `shares` and the result have one entry per element
+    along the first axis.
     """
     return np.asarray(np.minimum(len(shares) * shares, shares.sum(axis=0)))
 
@@ -620,7 +621,9 @@ def _integrands(program: Transcription, samples: _Samples) -> FloatArray:
 
 
 def _missed(solution: Solution, moved: list[FloatArray], weight: float) -> FloatArray:
-    """Assign the error of the final states to the elements, shape (n_elements,).
+    """Assign the error of the final states to the elements, for the choice of the next mesh.
+
+    The result has shape (n_elements,).
 
     Only the final state with the largest error counts. The element that contributes most to this
     error is assigned the whole error. Every other element is assigned a part of the error, in

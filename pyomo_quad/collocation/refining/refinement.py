@@ -86,7 +86,8 @@ def refine(
     start : Start
         Guess or warm start of the first solve.
     past_the_barrier : callable, optional
-        (dampings, solution) -> a solution on the same meshes with a smaller complementarity gap.
+        (dampings, solution) -> a solution on the same meshes with a smaller complementarity gap
+        (the error that Ipopt's barrier leaves in the objective).
 
     Returns
     -------
@@ -287,9 +288,9 @@ class _Refinement(Generic[S]):
         """Return a solution and its estimated errors, with a smaller complementarity gap if needed.
 
         The gap is the error that Ipopt's barrier leaves in the objective. If the gap is the largest
-        error, the solve is continued until the gap is smaller. A solve with damping leaves a gap on
-        purpose, and the solve on the next mesh leaves a smaller gap. On the present mesh this gap
-        is therefore reduced only if all other errors meet the tolerance.
+        error, the solve is continued until the gap is smaller. A solve with damping may leave a gap
+        on purpose, which solves on later meshes reduce. Such a gap is therefore reduced on the
+        present mesh only if all other errors meet the tolerance.
         """
         errors = self._errors(solved)
         is_left = any(d is not None and d.gap > 0.0 for d in self.dampings)
@@ -302,8 +303,9 @@ class _Refinement(Generic[S]):
     def _errors(self, solution: Outcome) -> tuple[ErrorEstimate, ...]:
         """Return the error estimate of a solution on each horizon.
 
-        With several horizons, the complementarity gap is set to 0 in each estimate, because the gap
-        is a property of all horizons together.
+        With several horizons, the complementarity gap (the error that Ipopt's barrier leaves in the
+        objective) is set to 0 in each estimate, because the gap is a property of all horizons
+        together.
         """
         how: dict[str, Any] = {"tolerance": self.tolerance, "allowance": self.options.allowance}
         errors = tuple(estimate_error(part, **how) for part in solution.parts)
@@ -405,7 +407,9 @@ class _Refinement(Generic[S]):
     def _gap_to_leave(self, solution: Outcome, errors: tuple[ErrorEstimate, ...]) -> float:
         """Return the relative complementarity gap at which the next solve may stop.
 
-        The gap is a fraction of the present error of objective and integrals, because more
+        The gap is the error that Ipopt's barrier leaves in the objective.
+
+        The result is a fraction of the present error of objective and integrals, because more
         precision is not useful while the times at which limits become active change from mesh to
         mesh.
         """
@@ -445,7 +449,8 @@ class _MeshSolve(Search[S], Generic[S]):
     change : float or None
         Expected change of the objective.
     gap : float
-        Complementarity gap, relative to the objective, that a solve with stronger damping leaves.
+        Complementarity gap (error that Ipopt's barrier leaves in the objective), relative to the
+        objective, of a solve with stronger damping.
     """
 
     solve: Callable[..., S]
@@ -470,7 +475,7 @@ class _MeshSolve(Search[S], Generic[S]):
         }[fact]
 
     def attempt(self, strategy: Strategy) -> S:
-        """Solve on the next meshes with a strategy of the table, and return the result.
+        """Solve on the next meshes with a given solution strategy, and return the result.
 
         The strategy determines the starting point, whether the damping of the controls is
         increased, and the limit of iterations.
@@ -486,6 +491,9 @@ class _MeshSolve(Search[S], Generic[S]):
 
 def _sharper(dampings: tuple[Damping | None, ...], tolerance: float) -> tuple[Damping | None, ...]:
     """Return the dampings with a complementarity gap of at most a fraction of the tolerance.
+
+    A damping is a penalty on changes of the controls from the previous mesh. It also holds the
+    complementarity gap (the error that Ipopt's barrier leaves in the objective) of the solve.
 
     `dampings` and the result have one item for each horizon, None for a horizon without damping.
     """
@@ -509,8 +517,9 @@ def _is_limited_by_the_barrier(
     """Return whether Ipopt's barrier, not the mesh, limits the accuracy of a solution.
 
     Two conditions must hold. The error of every element is at most `fine`; the costs of control
-    switches are not counted. And either the complementarity gap exceeds the tolerance, or the
-    scaled objective is so small that it has no influence on Ipopt's convergence test.
+    switches are not counted. And either the complementarity gap (the error that Ipopt's barrier
+    leaves in the objective) exceeds the tolerance, or the scaled objective is so small that it has
+    no influence on Ipopt's convergence test.
     """
     (part,), (error,) = solution.parts, errors
     counted = replace(error, switches=0.0 * error.switches, costs=0.0 * error.costs)
@@ -533,8 +542,8 @@ class _Reached(Generic[S]):
         The solution before the restart.
     shown : float, optional
         Lower bound on the improvement of the objective by the restart, relative to the objective:
-        the largest value of improvement minus estimated error over the solutions found since the
-        restart. None before the first of these solutions.
+        the largest difference between improvement and estimated error of the solutions found since
+        the restart. None before the first of these solutions.
     earned : float
         Improvement of `solution` over the solution before the previous restart, relative to the
         objective; 0 if there was none.
@@ -586,8 +595,9 @@ def _result_above_tolerance(ended: S, reached: _Reached[S] | None, tolerance: fl
 def _cut_off(reached: _Reached[S]) -> S:
     """Return the solution before a restart that used up the allowed number of meshes.
 
-    Its status and message state that better controls exist. The solution itself is the result of
-    an earlier restart, and its error is at least the gain of that earlier restart.
+    A restart begins the refinement again from better controls. Status and message of the returned
+    solution state that better controls exist. If the solution is itself the result of an earlier
+    restart, its estimated error is at least the improvement of the objective by that restart.
     """
     own = reached.solution.parts[0].error_estimate
     return _doubted(reached.solution.updated(error_estimate=max(own, reached.earned)))
@@ -596,8 +606,8 @@ def _cut_off(reached: _Reached[S]) -> S:
 def _doubted(solution: S) -> S:
     """Return a solution whose status and message state that better controls exist.
 
-    By Pontryagin's principle other controls improve the objective, but no optimum was found from
-    them.
+    By Pontryagin's principle, other controls improve the objective, but the refinement has not
+    found an optimum with them.
     """
     return solution.updated(
         status=Status.TOLERANCE_NOT_MET,
@@ -617,8 +627,9 @@ def _meshes(solution: Outcome) -> tuple[Mesh, ...]:
 def _objective_change(solution: Solution, tolerance: float) -> float:
     """Return the relative change of the objective since the previous mesh, infinite on the first.
 
-    If the change since an earlier mesh that met the tolerance is smaller, that change is returned:
-    an intermediate mesh that did not meet the tolerance may have another objective.
+    If the change since an earlier mesh that met the tolerance is smaller, that smaller change is
+    returned, because the objective on a mesh in between that did not meet the tolerance may be
+    inaccurate.
     """
     *before, now = solution.history
     accepted = [record for record in before[:-1] if record.error <= tolerance]

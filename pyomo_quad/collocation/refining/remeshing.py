@@ -52,8 +52,9 @@ class RefinementOptions:
     limits_move : bool
         Whether many limits become active and inactive along the trajectory. Most of these changes
         (junctions) hardly affect the objective. If true, elements are split at junctions only after
-        all errors meet the tolerance, and each solve reduces the complementarity gap only to a
-        fraction of the error on the previous mesh.
+        all errors meet the tolerance, and each solve reduces the complementarity gap (the error
+        that Ipopt's barrier leaves in the objective) only to a fraction of the error on the
+        previous mesh.
     on_mesh : callable, optional
         Called with the solution on each finished mesh, its error estimate and history included. If
         it returns False, the refinement ends with the status interrupted, and with the solution on
@@ -365,7 +366,7 @@ def _finer(
 def _parts(mesh: Mesh, e: int, count: int, degree: int, size: float) -> list[_Piece]:
     """Split an element into `count` equally wide elements of the given degree.
 
-    `e` is the index of the element, `size` its error, which the parts keep.
+    `e` is the index of the element, and `size` its error, which is recorded for each part.
     """
     edges = np.linspace(mesh.breakpoints[e], mesh.breakpoints[e + 1], count + 1)
     ends = [*(float(b) for b in edges[1:-1]), mesh.breakpoints[e + 1]]
@@ -375,8 +376,9 @@ def _parts(mesh: Mesh, e: int, count: int, degree: int, size: float) -> list[_Pi
 def _merged(pieces: list[_Piece], solution: Solution, tolerance: float) -> list[_Piece]:
     """Merge neighbouring elements of the next mesh if the merged element is accurate enough.
 
-    Its predicted error must be far below the tolerance. Elements that were refined for the next
-    mesh are not merged. A boundary between elements is kept if the problem requires it.
+    The predicted error of the merged element must be far below the tolerance. Elements that were
+    refined for the next mesh are not merged. A boundary between elements is kept if the problem
+    requires it.
     """
     required = solution.problem.required_breakpoints(solution.instance)
     merged: list[_Piece] = []
@@ -447,7 +449,8 @@ def _jump(solution: Solution, e: int) -> float | None:
     """Return the time at which a bounded control jumps in an element, as a fraction of the horizon.
 
     `e` is the index of the element. The result is None if no control jumps. It is also None if the
-    problem requires a boundary of the element, because the jump is then at that boundary.
+    problem requires one of the element's two boundaries (for example, where a parameter jumps),
+    because the jump is then at that boundary.
     """
     mesh = solution.mesh
     if known_boundaries(solution)[e : e + 2].any():

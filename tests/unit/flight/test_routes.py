@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
 
 from pyomo_quad.cli import main
 from pyomo_quad.cli.endings import ExitCode
@@ -84,6 +86,61 @@ def test_no_route_cuts_into_a_zone(shape):
         assert np.max(told.keep_out[0].depth(places)) < -0.3 + 1e-9
     lengths = [route.length for route in routes]
     assert lengths == sorted(lengths)
+
+
+def flooded(told, high):
+    """Return the shortest way over free squares of half a metre from (0, 0) to (20, 0) [m]."""
+    step = 0.5
+    x, y = np.meshgrid(np.arange(-12.0, 32.1, step), np.arange(-12.0, 12.1, step), indexing="ij")
+    places = np.stack([x, y, 0.0 * x + high], axis=-1)
+    is_free = np.all([zone.depth(places) < -told.clearance for zone in told.keep_out], axis=0)
+    number = np.arange(x.size).reshape(x.shape)
+    lines = []
+    for (dx, dy), length in (((1, 0), 1), ((0, 1), 1), ((1, 1), sqrt(2)), ((1, -1), sqrt(2))):
+        along, down, up = slice(dx, None), slice(max(dy, 0), None), slice(max(-dy, 0), None)
+        first = number[: x.shape[0] - dx, up][:, : x.shape[1] - abs(dy)].ravel()
+        last = number[along, down][:, : x.shape[1] - abs(dy)].ravel()
+        is_open = is_free.ravel()[first] & is_free.ravel()[last]
+        lines += [(length * step, a, b) for a, b in zip(first[is_open], last[is_open], strict=True)]
+    lengths, first, last = zip(*lines, strict=True)
+    graph = csr_array((lengths, (first, last)), shape=(x.size,) * 2)
+    ends = [int(number[np.argmin(np.abs(x[:, 0] - a)), np.argmin(np.abs(y[0]))]) for a in (0, 20)]
+    return float(dijkstra(graph, directed=False, indices=ends[0])[ends[1]])
+
+
+def test_a_hidden_corner_of_a_zone_does_not_close_the_way_round_its_neighbours():
+    # The straight line hits the middle wall alone, whose corners lie within the other two.
+    walls = [
+        wall("middle", [9, -4, -1], [10, 4, 30]),
+        wall("north", [8, 3, -1], [11, 7, 30]),
+        wall("south", [8, -8, -1], [11, -3, 30]),
+    ]
+    told = airspace(*walls, floor=1.0, ceiling=9.0, clearance=0.5)
+    shortest = find_routes(told, START, GOAL)[0]
+    # Two tangents to the corners of "north" and the way along it.
+    reach = 0.5 + MARGIN_M
+    corner = np.hypot(8 - reach, 7 + reach), np.hypot(20 - 11 - reach, 7 + reach)
+    assert shortest.length == pytest.approx(sum(corner) + 3 + 2 * reach)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.lists(
+        st.tuples(st.floats(3, 15), st.floats(-8, 6), st.floats(0.5, 4), st.floats(0.5, 6)),
+        min_size=2,
+        max_size=6,
+    )
+)
+def test_the_shortest_route_is_no_longer_than_a_way_over_free_squares(boxes):
+    walls = [
+        wall(f"w{k}", [x, y, -1], [min(x + dx, 18.5), y + dy, 30])
+        for k, (x, y, dx, dy) in enumerate(boxes)
+    ]
+    told = airspace(*walls, floor=1.0, ceiling=9.0, clearance=0.5)
+    # Squares of half a metre that a clearance of 0.5 m and MARGIN_M leaves free.
+    way = flooded(told.model_copy(update={"clearance": 0.5 + MARGIN_M}), START[2])
+    routes = find_routes(told, START, GOAL)
+    assert not np.isfinite(way) or routes[0].length <= way + 1e-6
 
 
 def test_a_mirror_image_has_the_mirror_image_of_every_route():

@@ -133,6 +133,19 @@ def test_wind_file_is_read_beside_the_scenario(tmp_path):
     assert scenario.provenance["wind.series.times"] == "file wind.csv"
 
 
+def test_a_record_keeps_the_wind_of_a_file_that_is_no_longer_there(tmp_path):
+    write_wind(tmp_path, [0, 1, 2, 3, 4, 5], [0, 1, 2, 3, 4, 5])
+    scenario = load_scenario(write_scenario(tmp_path, 'wind.file = "wind.csv"'))
+    (tmp_path / "wind.csv").unlink()
+    record = Scenario.model_validate(scenario.model_dump(mode="json"))
+    assert record.with_values({"mission.duration": 4.0}).wind == scenario.wind
+    with pytest.raises(ScenarioError, match="does not cover the mission from 0 to 6 s"):
+        record.with_values({"mission.duration": 6.0})
+    for told in ({"wind.file": "other.csv"}, {"wind": {"use": "calm", "file": "other.csv"}}):
+        with pytest.raises(ScenarioError, match=r"other\.csv"):
+            record.with_values(told)
+
+
 def test_wind_time_offset_moves_the_mission_along_the_file(tmp_path):
     write_wind(tmp_path, list(range(10, 17)))
     lines = ('wind.file = "wind.csv"', "wind.time_offset = 11.0")

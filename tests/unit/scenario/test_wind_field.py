@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pyomo_quad.scenario import ScenarioError, load_scenario, scenario_from_mapping
+from pyomo_quad.scenario.description import shipped_scenarios
 from pyomo_quad.scenario.wind import WindGrid
 from pyomo_quad.scenario.wind_field import read_wind_field
 
@@ -83,6 +84,16 @@ def test_a_record_of_a_scenario_holds_the_field(tmp_path):
         .model_validate(load_scenario({"name": "w", "mission": _MISSION}).model_dump(mode="json"))
         .model_dump()["wind"]
     )
+
+
+@pytest.mark.parametrize("name", ["ridge", "street"])
+def test_a_record_is_changed_from_any_folder(name, tmp_path, monkeypatch):
+    scenario = load_scenario(shipped_scenarios()[name])
+    monkeypatch.chdir(tmp_path)
+    record = type(scenario).model_validate(scenario.model_dump(mode="json"))
+    changed = record.with_values({"solver.accuracy": "proof"})
+    assert changed.wind == scenario.wind
+    assert changed.airspace == scenario.airspace
 
 
 @settings(max_examples=15, deadline=None)

@@ -1,0 +1,445 @@
+"""Lower bound on flights in a wind field that counts where the wind blows, by a potential.
+
+A potential is a function of the horizontal place whose slope is at most the least cost per metre of
+any motion there.  Its rise from the start to the goal bounds the energy of every flight from below,
+whichever way it takes.  Derivation: see docs/theory/bound.md, eqs. (23) to (27).
+
+symbol | meaning
+phi(x, y) | potential: linear in each of two triangles of a cell of the field's grid [J]
+q | its gradient, the local price of displacement [N]
+o, eta | price of momentum per mass in still air, and of kinetic energy, the same everywhere
+W | wind
+G(a, q) | least of P - a . (u + f - s) - q . v - eta v . (u + f - s) over all pairs u, v
+h | power that every motion spends beyond its prices [W]
+
+A gradient q is allowed in the wind W if G(o + eta W, q) >= h + q . W.  G is concave in both
+arguments together, so that the values proven at a few points bound it between them, and the allowed
+gradients of a wind are a convex set, held as a polygon of directions from the momentum price.  The
+condition is concave in W too: a gradient allowed at all corners of the winds of a cell is allowed
+in the whole cell.  The largest rise of a potential with allowed gradients is a linear program.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import inf
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.optimize import linprog, minimize_scalar
+from scipy.sparse import coo_array
+
+from pyomo_quad.study.pairs import POWER_TOLERANCE, MotionPrices, Pairs, prices_of_pairs
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from pyomo_quad.arrays import FloatArray
+    from pyomo_quad.model.wind_field import ColumnWinds
+    from pyomo_quad.study.legs import Leg
+
+# Directions of a gradient in a half turn from the price of momentum, both ends included.
+_DIRECTIONS = 9
+# Quantiles of the sizes of the price of momentum at which G is proven, and number of lengths of a
+# gradient in each direction.
+_SIZES, _LENGTHS = (0.0, 0.25, 0.7, 0.97, 1.0), 4
+# The same lengths where G is sampled, and the longest, relative to the power of hover [s/m].
+_SAMPLED_LENGTHS, _LONGEST = 16, 0.4
+# Extents of the winds, relative to those of the whole field, for which prices are tried in turn:
+# prices for all winds at once suit the few extreme winds.
+_SPREADS = (0.2, 0.6)
+# Steps of the search for the power of flights of fixed duration.
+_POWERS = 8
+# Length of an edge that is rounding error, relative to the longest gradient, and factor on the
+# allowed gradients for the rounding of their polygons.
+_SLIVER, _SHRUNK = 1e-9, 1.0 - 1e-7
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlacePrices:
+    """Multipliers (prices) of a flight's motion that are equal at all places.
+
+    Attributes
+    ----------
+    offset : ndarray, shape (3,)
+        Price of momentum per mass in still air, W/N.
+    motion : float
+        Price of kinetic energy, dimensionless.
+    climb : float
+        Price of vertical displacement, N.
+    power : float
+        Power that every motion spends beyond its prices, W.
+    """
+
+    offset: FloatArray
+    motion: float
+    climb: float
+    power: float = 0.0
+
+    @classmethod
+    def of(cls, prices: MotionPrices, middle: FloatArray) -> PlacePrices:
+        """Return the place prices of prices in winds with a given middle [m/s], shape (3,)."""
+        return cls(
+            offset=prices.momentum - prices.motion * middle,
+            motion=prices.motion,
+            climb=float(prices.displacement[2]),
+        )
+
+    def table(
+        self,
+        least: Callable[[Sequence[MotionPrices]], FloatArray],
+        sizes: FloatArray,
+        lengths: FloatArray,
+    ) -> GradientTable:
+        """Return G at sizes of the momentum price, and gradients in each direction from it.
+
+        Parameters
+        ----------
+        least : callable
+            Takes n prices of motions through the air and returns G, or lower bounds on it,
+            shape (n,), W.
+        sizes : ndarray, shape (n_sizes,)
+            Horizontal prices of momentum per mass [W/N].
+        lengths : ndarray, shape (_DIRECTIONS, n_lengths)
+            Horizontal lengths of the gradient in each direction [N]; the first is zero.
+        """
+        angles = np.pi * np.arange(_DIRECTIONS) / (_DIRECTIONS - 1)
+        aside = lengths[..., None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)[:, None]
+        own = [
+            MotionPrices(
+                momentum=np.array([size, 0.0, self.offset[2]]),
+                displacement=np.array([*gradient, self.climb]),
+                motion=self.motion,
+            )
+            for size in sizes
+            # The gradient zero is the same in all directions.
+            for gradient in (np.zeros(2), *aside[:, 1:].reshape(-1, 2))
+        ]
+        found = least(own).reshape(len(sizes), -1)
+        at_zero = np.repeat(found[:, None, :1], _DIRECTIONS, axis=1)
+        others = found[:, 1:].reshape(len(sizes), _DIRECTIONS, -1)
+        values = np.concatenate([at_zero, others], axis=2)
+        return GradientTable(sizes=sizes, lengths=lengths, values=values)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GradientTable:
+    """Values of the concave function G at sizes of the momentum price, directions and lengths.
+
+    Attributes
+    ----------
+    sizes : ndarray, shape (n_sizes,)
+        Horizontal price of momentum per mass [W/N], rising.
+    lengths : ndarray, shape (_DIRECTIONS, n_lengths)
+        Lengths of the gradient [N], rising from zero, in equally spaced directions over half a turn
+        from the price of momentum. The other half is its mirror image.
+    values : ndarray, shape (n_sizes, _DIRECTIONS, n_lengths)
+        Lower bounds on G [W].
+    """
+
+    sizes: FloatArray
+    lengths: FloatArray
+    values: FloatArray
+
+    def gradients(self, prices: PlacePrices, winds: FloatArray) -> FloatArray | None:
+        """Return allowed gradients in each of n winds, as corners of polygons.
+
+        Implements docs/theory/bound.md, eq. (26).
+
+        Parameters
+        ----------
+        prices : PlacePrices
+            Prices for which the table holds.
+        winds : ndarray, shape (n, 2)
+            Horizontal winds [m/s].
+
+        Returns
+        -------
+        ndarray or None, shape (n, 2 * (_DIRECTIONS - 1), 2)
+            Counter-clockwise corners [N]; None if a wind does not allow the gradient zero.
+        """
+        momentum = prices.offset[:2] + prices.motion * winds
+        size, turned = np.linalg.norm(momentum, axis=1), np.arctan2(*momentum.T[::-1])
+        above = np.clip(np.searchsorted(self.sizes, size), 1, len(self.sizes) - 1)
+        share = (size - self.sizes[above - 1]) / (self.sizes[above] - self.sizes[above - 1])
+        share = share[:, None, None]
+        between = (1 - share) * self.values[above - 1] + share * self.values[above]
+        round_about = np.arange(2 * (_DIRECTIONS - 1))
+        number = np.minimum(round_about, 2 * (_DIRECTIONS - 1) - round_about)
+        angles = turned[:, None] + np.pi * round_about / (_DIRECTIONS - 1)
+        ways = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+        lengths = self.lengths[number]
+        tail = np.sum(ways * winds[:, None], axis=2)
+        spare = between[:, number] - prices.power - lengths * tail[..., None]
+        if np.any(spare[..., 0] <= 0.0):
+            return None
+        return _last_positive(lengths, spare)[..., None] * ways
+
+
+def _last_positive(at: FloatArray, values: FloatArray) -> FloatArray:
+    """Return where concave functions, positive at first, fall to zero between their samples.
+
+    The result is the last sample where a function is positive throughout. `at` has shape (m, k),
+    `values` shape (n, m, k), and the result shape (n, m).
+    """
+    last = np.sum(np.cumprod(values > 0.0, axis=-1), axis=-1, dtype=int) - 1
+    after = np.minimum(last + 1, at.shape[1] - 1)
+    before, beyond = (np.take_along_axis(values, k[..., None], -1)[..., 0] for k in (last, after))
+    here, there = (np.take_along_axis(at[None], k[..., None], -1)[..., 0] for k in (last, after))
+    fall = np.where(after > last, before - beyond, 1.0)
+    return np.asarray(here + (there - here) * before / fall)
+
+
+class Sampled:
+    """G over sampled pairs of thrust and airspeed, slightly above the least over all pairs.
+
+    Parameters
+    ----------
+    pairs : Pairs
+        The pairs.
+    """
+
+    def __init__(self, pairs: Pairs) -> None:
+        self._pairs, self._samples = pairs, pairs.samples()
+
+    def __call__(self, prices: Sequence[MotionPrices]) -> FloatArray:
+        """Return G for n prices of motions through the air, shape (n,) [W]."""
+        thrust, lift, aside, power, along, across = self._samples
+        drag = -(aside * across + lift * along)
+        found = np.empty(len(prices))
+        for k, own in enumerate(prices):
+            size, level, rising, motion = self._pairs.numbers(own, 1.0)
+            one = size * aside + level * across - rising * along
+            other = size * (thrust + lift) + level * along + rising * across
+            worth = power + motion * (drag - thrust * along) - np.sqrt(one**2 + other**2)
+            found[k] = worth.min() + own.momentum @ self._pairs.standing
+        return found
+
+
+class Places:
+    """Places of a mission in a wind field, between which potentials rise.
+
+    Parameters
+    ----------
+    columns : ColumnWinds
+        Winds over the cells of the field's grid.
+    ends : ndarray, shape (2, 3)
+        Start and goal [m].
+    """
+
+    def __init__(self, columns: ColumnWinds, ends: FloatArray) -> None:
+        self._columns = columns
+        #: Height of the goal above the start [m].
+        self.climb = float(ends[1, 2] - ends[0, 2])
+        low, high = columns.low[:, columns.is_open], columns.high[:, columns.is_open]
+        #: Corners of the winds of each open cell, shape (n_cells, 4, 2), m/s.
+        self.corners = np.stack(
+            [np.stack([x, y], axis=-1) for x in (low[0], high[0]) for y in (low[1], high[1])],
+            axis=1,
+        )
+        self._count = len(columns.x) * len(columns.y)
+        self._numbers = np.arange(self._count).reshape(len(columns.x), len(columns.y))
+        self._gain = np.zeros(self._count)
+        for sign, end in zip((-1.0, 1.0), ends, strict=True):
+            for node, share in self._shares(end):
+                self._gain[node] += sign * share
+
+    def _shares(self, place: FloatArray) -> list[tuple[int, float]]:
+        """Return the nodes of the triangle round a place, with the barycentric coordinates."""
+        cell, shares = [], []
+        for axis, at in zip((self._columns.x, self._columns.y), place, strict=False):
+            number = int(np.clip(np.searchsorted(axis, at) - 1, 0, len(axis) - 2))
+            cell.append(number)
+            shares.append(float((at - axis[number]) / (axis[number + 1] - axis[number])))
+        (i, j), (u, v), node = cell, shares, self._numbers
+        aside = [(int(node[i + 1, j]), u), (int(node[i, j + 1]), v)]
+        if u + v <= 1.0:
+            return [(int(node[i, j]), 1.0 - u - v), *aside]
+        aside = [(int(node[i, j + 1]), 1.0 - u), (int(node[i + 1, j]), 1.0 - v)]
+        return [(int(node[i + 1, j + 1]), u + v - 1.0), *aside]
+
+    def rise(self, gradients: FloatArray) -> float:
+        """Return a rise of a potential from start to goal, nearly the largest [J].
+
+        Implements docs/theory/bound.md, eq. (27).
+
+        Parameters
+        ----------
+        gradients : ndarray, shape (4 * n_cells, n, 2)
+            Allowed gradients at each corner of the winds of each open cell, as polygons [N].
+        """
+        cell, normals, most = _common_edges(gradients.reshape(*self.corners.shape[:2], -1, 2))
+        i, j = (part[cell] for part in np.nonzero(self._columns.is_open))
+        node, entries, rows = self._numbers, [], np.arange(len(cell))
+        steps = np.diff(self._columns.x)[i], np.diff(self._columns.y)[j]
+        for upper in (0, 1):
+            here = node[i + upper, j + upper]
+            for axis, there in enumerate((node[i + 1 - upper, j + upper],
+                                          node[i + upper, j + 1 - upper])):  # fmt: skip
+                value = normals[:, axis] / steps[axis] * (-1.0 if upper else 1.0) / most
+                entries += [(rows, there, value), (rows, here, -value)]
+            rows = rows + len(cell)
+        row, column, value = (np.concatenate(part) for part in zip(*entries, strict=True))
+        matrix = coo_array((value, (row, column)), shape=(2 * len(cell), self._count)).tocsr()
+        bounds = [(0.0, 0.0), *[(None, None)] * (self._count - 1)]
+        found = linprog(
+            -self._gain, A_ub=matrix, b_ub=np.ones(2 * len(cell)), bounds=bounds,
+            method="highs-ipm",
+        )  # fmt: skip
+        if found.x is None:
+            return 0.0
+        # The solver allows small errors of the limits, by which its potential is too steep.
+        return float(self._gain @ found.x / max(1.0, float(np.max(matrix @ found.x))))
+
+
+def _common_edges(polygons: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the edges of the polygon in which the polygons of each cell overlap.
+
+    Parameters
+    ----------
+    polygons : ndarray, shape (n_cells, n_winds, n, 2)
+        Corners; all polygons contain the origin.
+
+    Returns
+    -------
+    cell : ndarray of int, shape (n_edges,)
+        The cell of each edge.
+    normals : ndarray, shape (n_edges, 2)
+        Outward normals, not of unit length.
+    most : ndarray, shape (n_edges,)
+        Product of the normal with the places of the edge, positive.
+    """
+    import shapely  # noqa: PLC0415  for fields alone
+
+    common = shapely.polygons(polygons[:, 0])
+    for k in range(1, polygons.shape[1]):
+        common = shapely.intersection(common, shapely.polygons(polygons[:, k]))
+    places, cell = shapely.get_coordinates(common, return_index=True)
+    steps = np.diff(places, axis=0)
+    is_edge = (np.diff(cell) == 0) & (np.abs(steps).max(axis=1) > _SLIVER * np.abs(places).max())
+    steps, first = steps[is_edge], places[:-1][is_edge]
+    normals = np.stack([steps[:, 1], -steps[:, 0]], axis=1)
+    most = np.sum(normals * first, axis=1)
+    return cell[:-1][is_edge], normals * np.sign(most)[:, None], np.abs(most) * _SHRUNK
+
+
+class _Search:
+    """Bounds that sampled and proven values of G give by a potential.
+
+    Parameters
+    ----------
+    pairs : Pairs
+        Pairs of thrust and airspeed of the vehicle.
+    places : Places
+        Places of the mission.
+    durations : tuple of float
+        Least and greatest duration [s].
+    power : float
+        Power of hover, the scale of powers [W].
+    """
+
+    def __init__(
+        self, pairs: Pairs, places: Places, durations: tuple[float, float], power: float
+    ) -> None:
+        self._pairs, self._places, self._durations = pairs, places, durations
+        self._tolerance = POWER_TOLERANCE * power
+        self._winds = places.corners.reshape(-1, 2)
+        self._sampled = Sampled(pairs)
+        shares = np.linspace(0.0, 1.0, _SAMPLED_LENGTHS) ** 2
+        self._lengths = np.tile(_LONGEST * power * shares, (_DIRECTIONS, 1))
+
+    def _sizes(self, prices: PlacePrices) -> FloatArray:
+        size = np.linalg.norm(prices.offset[:2] + prices.motion * self._winds, axis=1)
+        # G bends most between distant sizes; most winds lie far from the extreme ones.
+        found = np.quantile(size, _SIZES)
+        return found + self._tolerance * np.arange(len(found)) / len(found)
+
+    def _bound(self, prices: PlacePrices, table: GradientTable) -> float:
+        """Return the bound of a table [J]; minus infinity if a wind allows no gradients."""
+        gradients = table.gradients(prices, self._winds)
+        if gradients is None:
+            return -inf
+        spent = min(time * prices.power for time in self._durations)
+        return self._places.rise(gradients) + prices.climb * self._places.climb + spent
+
+    def with_power(self, prices: PlacePrices) -> PlacePrices | None:
+        """Return prices with the best power; None if they give no bound.
+
+        It is zero if flights may be short. The bound is concave in the power.
+        """
+        table = prices.table(self._sampled, self._sizes(prices), self._lengths)
+        most = float(table.values[:, 0, 0].min())
+        if most <= 0.0:
+            return None
+        if self._durations[0] < self._durations[1] / 2:
+            return prices
+        found = minimize_scalar(
+            lambda power: -max(self._bound(replace(prices, power=power), table), -1e12),
+            bounds=(0.0, most),
+            method="bounded",
+            options={"maxiter": _POWERS},
+        )
+        return replace(prices, power=float(found.x))
+
+    def proven(self, prices: PlacePrices) -> float:
+        """Return the proven bound [J]; minus infinity if a wind allows no gradients."""
+        table = prices.table(self._sampled, self._sizes(prices), self._lengths)
+        gradients = table.gradients(prices, self._winds)
+        if gradients is None:
+            return -inf
+        length = np.linalg.norm(gradients, axis=2)
+        mirrored = np.roll(length[:, ::-1], 1, axis=1)
+        both = np.concatenate([length, mirrored])[:, :_DIRECTIONS]
+        reached = np.quantile(both, np.linspace(0.0, 1.0, _LENGTHS), axis=0)
+        reached += self._tolerance * np.arange(_LENGTHS)[:, None]
+        lengths = np.vstack([np.zeros(_DIRECTIONS), reached]).T
+
+        def least(own: Sequence[MotionPrices]) -> FloatArray:
+            return self._pairs.least_through_air(own, self._sampled(own), self._tolerance)
+
+        return self._bound(prices, prices.table(least, self._sizes(prices), lengths))
+
+
+def bound_by_places(
+    pairs_in: Callable[[FloatArray], Pairs],
+    winds: FloatArray,
+    places: Places,
+    leg: Leg,
+    durations: tuple[float, float],
+    power: float,
+) -> float:
+    """Return a lower bound on the energy that counts where the wind of a field blows [J].
+
+    Implements docs/theory/bound.md, eq. (25).
+
+    Parameters
+    ----------
+    pairs_in : callable
+        Takes corners of a polyhedron of winds, shape (n, 3), and returns the pairs of thrust and
+        airspeed in them.
+    winds : ndarray, shape (n_winds, 3)
+        Corners of the polyhedron of all winds of the field, all horizontal [m/s].
+    places : Places
+        Places of the mission.
+    leg : Leg
+        The flight from start to goal.
+    durations : tuple of float
+        Least and greatest duration [s].
+    power : float
+        Power of hover [W].
+
+    Returns
+    -------
+    float
+        Minus infinity if no bound of this kind was found.
+    """
+    search = _Search(pairs_in(winds), places, durations, power)
+    mean = np.array([*places.corners.mean(axis=(0, 1)), 0.0])
+    for spread in _SPREADS:
+        near = mean + spread * (winds - mean)
+        (found,), _ = prices_of_pairs(pairs_in(near), [leg], [durations], power)
+        middle = (near.min(axis=0) + near.max(axis=0)) / 2
+        prices = search.with_power(PlacePrices.of(found, middle))
+        if prices is not None:
+            return search.proven(prices)
+    return -inf
