@@ -38,7 +38,7 @@ from pyomo_quad.collocation.reading.clock import FreeTimes
 from pyomo_quad.collocation.reading.schedules import Steps
 from pyomo_quad.collocation.reading.tables import Table
 from pyomo_quad.collocation.refining.error import Allowance
-from pyomo_quad.collocation.refining.remeshing import RefinementOptions, mesh_for_states
+from pyomo_quad.collocation.refining.remeshing import RefinementOptions
 from pyomo_quad.collocation.solution import MeshRecord, Solution
 from pyomo_quad.collocation.starts import WarmStart
 from pyomo_quad.collocation.stepping import SteppedFlights, SteppedLoops
@@ -90,7 +90,6 @@ __all__ = [
     "diagnose",
     "interpolate",
     "interpolate_rates",
-    "mesh_for_states",
     "real_array",
     "solve",
     "split_algebraics",

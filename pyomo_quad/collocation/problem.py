@@ -24,7 +24,6 @@ from pyomo_quad.collocation.program.bounds import (
     without_settled_rows,
 )
 from pyomo_quad.collocation.program.elastic import elastic_point
-from pyomo_quad.collocation.program.feasible import feasible_point
 from pyomo_quad.collocation.program.ipopt import (
     Status,
     barrier_gap,
@@ -406,60 +405,6 @@ class Problem(Summarised, Formulation):
             return found
         gap = barrier_gap(changed, kept, result.z, result.multipliers)
         return replace(found, restraint=within.restraint(result, gap, found.mesh.elements))
-
-    def flyable(
-        self,
-        near: Solution,
-        mesh: Mesh,
-        *,
-        parameters: Overrides | None = None,
-        horizon: tuple[float, float] | None = None,
-        breach: float = 0.0,
-        feasibility_tolerance: float = 1e-7,
-        progress: Progress | None = None,
-    ) -> Solution:
-        """Find a trajectory near a solution that satisfies all equations on another mesh.
-
-        The trajectory can be flown, but is not optimal. The search takes few iterations, because it
-        stops at the first iterate that satisfies the equations; see `program.feasible`.
-
-        Parameters
-        ----------
-        near : Solution
-            Solution on any mesh, from which the search starts.
-        mesh : Mesh
-            Mesh of the trajectory, usually finer than the mesh of `near`.
-        parameters, horizon
-            As in `solve`.
-        breach : float, default 0
-            Allowed violation of bounds, relative to max(1, abs(bound)).
-        feasibility_tolerance : float, default 1e-7
-            Largest violation of the scaled equations that is accepted.
-        progress : callable, optional
-            Called at each iteration; returning False stops the search.
-
-        Returns
-        -------
-        Solution
-            Converged if the equations are satisfied, whatever its objective.
-        """
-        instance = self.instance(parameters, horizon)
-        program = self.program(mesh.with_breakpoints(self.required_breakpoints(instance)), instance)
-        at_start = self.data_at_starts(instance)
-        bounds = bounds_of(program, at_start, instance.fixed, instance.left_out)
-        z = initial_point(program, bounds, self.values, near.trajectory)
-        bounds = without_settled_rows(program, bounds, z)
-        scaling = scaling_of(program, bounds, z)
-        found = feasible_point(
-            program,
-            bounds,
-            scaling,
-            z,
-            breach=breach,
-            feasibility_tolerance=feasibility_tolerance,
-            progress=progress,
-        )
-        return solution_from(self, program, instance, found, bounds=bounds, scaling=scaling)
 
     def dynamics(
         self,

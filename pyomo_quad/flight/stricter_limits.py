@@ -9,7 +9,6 @@ the original limits is the optimum of a problem that allows more. See docs/theor
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import replace
 from itertools import pairwise
 from math import ceil
@@ -97,8 +96,7 @@ def within_limits(
         is broken by a large amount or has no parameter, or if no limit is broken.
     """
     numbers = dict(mission.arguments["parameters"] or {})
-    margins: Counter[str] = Counter()
-    cuts: Counter[str] = Counter()
+    margins, cuts = dict[str, float](), dict[str, float]()
     last = relaxed
     while True:
         strict = _changed(numbers, margins)
@@ -108,7 +106,7 @@ def within_limits(
         if broken:
             for name, (violation, change) in _by_parameter(plan, broken, numbers).items():
                 cuts.setdefault(name, violation)
-                margins[name] += change
+                margins[name] = margins.get(name, 0.0) + change
         elif margins and plan.error_estimate > FIGURES[accuracy].energy:
             denser = _DENSEST
             for name in margins:

@@ -5,7 +5,7 @@ Flown in open loop, its controls therefore miss the goal: an error of a rotor's 
 error of position with the fourth power of time. Here the equations are simulated while feedback
 keeps the vehicle near the solution. The resulting states and controls satisfy the equations to the
 tolerance of the integrator, and spend nearly the energy of the solution. Derivation and sources:
-docs/theory/tracking.md, eqs. (1) to (5).
+docs/theory/tracking.md, eqs. (1) to (4).
 """
 
 from __future__ import annotations

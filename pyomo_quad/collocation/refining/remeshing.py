@@ -6,7 +6,7 @@ Rules and sources: see docs/theory/refinement.md, eqs. (4) to (6) and (8).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.polynomial import legendre
 
 from pyomo_quad.collocation.mesh import FloatArray, Mesh, radau_rule
 from pyomo_quad.collocation.refining.activity import JUMP_SHARE, SAME, kinks, known_boundaries
-from pyomo_quad.collocation.refining.error import Allowance, estimate_error, state_sizes
+from pyomo_quad.collocation.refining.error import Allowance, state_sizes
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -161,46 +161,6 @@ class Marks:
     coarse: frozenset[int]
     kept: frozenset[int]
     are_kinked: bool = False
-
-
-def mesh_for_states(
-    solution: Solution, tolerance: float, options: RefinementOptions, *, least_degree: int
-) -> tuple[Mesh, float]:
-    """Return the next mesh for a solution, refined by the errors of its states alone.
-
-    Parameters
-    ----------
-    solution : Solution
-    tolerance : float
-        Required relative error of the states.
-    options : RefinementOptions
-    least_degree : int
-        Lowest degree of an element of the result.
-
-    Returns
-    -------
-    Mesh
-        The next mesh, finer where the error exceeds the tolerance.
-    float
-        Largest estimated relative error of the states on the present mesh.
-
-    Examples
-    --------
-    >>> from pyomo_quad.collocation import RefinementOptions
-    >>> mesh, error = mesh_for_states(solution, 1e-6, RefinementOptions(), least_degree=3)
-    >>> error < 1e-6, min(mesh.degrees) >= 3
-    (True, True)
-    """
-    error = estimate_error(solution)
-    states, none = error.states.max(axis=1, initial=0.0), np.zeros(solution.mesh.elements)
-    uncounted = ("violation", "objective", "switches", "costs", "restraint", "integrals", "miss")
-    nothing: dict[str, Any] = dict.fromkeys(uncounted, none)
-    error = replace(error, **nothing)
-    coarse = frozenset(np.flatnonzero(states > tolerance).tolist())
-    marks = Marks(coarse=coarse, kept=frozenset())
-    mesh = refined_mesh(solution, error, marks, tolerance, options)
-    degrees = tuple(max(degree, least_degree) for degree in mesh.degrees)
-    return replace(mesh, degrees=degrees), float(states.max(initial=0.0))
 
 
 def refined_mesh(

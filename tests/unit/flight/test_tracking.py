@@ -1,0 +1,147 @@
+"""Flyable trajectories by feedback along a coarse solution, and limits that become stricter."""
+
+import numpy as np
+import pytest
+
+from pyomo_quad.collocation import Mesh
+from pyomo_quad.flight import Planner, tracking
+from pyomo_quad.flight.integration import discrete
+from pyomo_quad.flight.mission_problem import MissionProblem
+from pyomo_quad.flight.stricter_limits import _least_energy, broken_limits, within_limits
+from pyomo_quad.flight.verdict import energy_of, plan_of, verified
+from pyomo_quad.scenario import load_scenario
+from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
+from tests.command import PAPER_CALM
+
+PROVEN_J = 709.65279
+SLOW = ["mission.goal.position=[4.0, 0.0, 1.0]", "mission.duration=6.0"]
+
+
+@pytest.fixture(scope="module")
+def planner():
+    return Planner()
+
+
+@pytest.fixture(scope="module")
+def coarse(planner):
+    """Scenario, solution on four elements, and its plan."""
+    told = load_scenario(PAPER_CALM)
+    solution = MissionProblem(planner, told).solve(mesh=Mesh.uniform(4, 4), tolerance=None)
+    return told, solution, plan_of(told, solution, {}, 0.0)
+
+
+def numerical_slopes(dynamics, t, x, u):
+    """Derivatives of the rates by states and controls, by central differences."""
+    joint, columns = np.append(x, u), []
+    for k in range(joint.size):
+        step = 1e-5 * max(1.0, abs(joint[k]))
+        ends = []
+        for side in (1.0, -1.0):
+            moved = joint.copy()
+            moved[k] += side * step
+            ends.append(dynamics.rates(t, moved[: x.size], moved[x.size :]))
+        columns.append((ends[0] - ends[1]) / (2.0 * step))
+    found = np.array(columns).T
+    return found[:, : x.size], found[:, x.size :]
+
+
+def test_the_regulator_is_the_least_squares_solution_of_all_corrections_at_once(coarse):
+    _, _, plan = coarse
+    dynamics, path = plan.dynamics, plan.trajectories
+    borders = np.linspace(*path.horizon, 9)
+    gains = tracking._gains(dynamics, path, borders)
+    middle, steps = 0.5 * (borders[1:] + borders[:-1]), np.diff(borders)
+    states, controls = path.states_at(middle), path.controls_at(middle)
+    pairs = zip(middle, states, controls, strict=True)
+    A, B = map(np.array, zip(*(numerical_slopes(dynamics, *at) for at in pairs), strict=True))
+    transitions, driven = discrete(A, B, steps)
+    n_x, n_u, n = A.shape[1], B.shape[2], len(steps)
+    weight = np.sqrt([tracking._weight(name) for name in dynamics.state_names])
+    start = np.where(weight > 0.0, 0.3 / np.maximum(weight, 1e-12), 0.0)
+    # All deviations are linear in the start and in the stacked corrections.
+    free, forced = [start], [np.zeros((n_x, n * n_u))]
+    for k, (F, G) in enumerate(zip(transitions, driven, strict=True)):
+        free.append(F @ free[-1])
+        moved = F @ forced[-1]
+        moved[:, k * n_u : (k + 1) * n_u] += G
+        forced.append(moved)
+    shares = np.sqrt(np.append(steps, tracking._AT_THE_END))
+    rows = [s * weight[:, None] * m for s, m in zip(shares, forced, strict=True)]
+    wanted = [-s * weight * f for s, f in zip(shares, free, strict=True)]
+    price = np.repeat(np.sqrt(steps), n_u) / tracking._CORRECTION
+    best, *_ = np.linalg.lstsq(
+        np.vstack([*rows, np.diag(price)]), np.append(np.concatenate(wanted), np.zeros(n * n_u))
+    )
+    deviation = start
+    for k, (F, G) in enumerate(zip(transitions, driven, strict=True)):
+        correction = -gains[k] @ deviation
+        expected = best[k * n_u : (k + 1) * n_u]
+        assert correction == pytest.approx(expected, rel=1e-4, abs=1e-4 * np.abs(best).max())
+        deviation = F @ deviation + G @ correction
+
+
+def test_a_coarse_solution_can_be_flown_once_feedback_corrects_it(coarse):
+    _, solution, plan = coarse
+    raw = verified(plan, solution, Accuracy.PROOF).verification
+    asked = Accuracy.QUICK
+    corrected = verified(plan, solution, asked)
+    assert raw.reached is None
+    assert corrected.verification.reached is asked
+    # Flown by SciPy without feedback it arrives, and no flight that arrives spends less than the
+    # optimum.
+    assert corrected.verification.terminal_miss_m <= FIGURES[asked].miss
+    assert corrected.verification.flown_energy_J >= PROVEN_J * (1.0 - FIGURES[asked].energy)
+    assert corrected.energy == pytest.approx(corrected.verification.flown_energy_J, rel=1e-6)
+
+
+def test_the_corrected_flight_starts_as_planned_and_keeps_the_limits_of_controls(coarse):
+    _, _, plan = coarse
+    flown = tracking.tracked(plan.dynamics, plan.trajectories)
+    assert flown.states[0] == pytest.approx(plan.trajectories.states[0])
+    assert set(plan.mesh.breakpoints) <= set(flown.mesh.breakpoints)
+    low, high = plan.dynamics.control_limits()
+    assert np.all((flown.controls >= low) & (flown.controls <= high))
+    assert np.all(np.diff(flown.energy) > 0.0)
+
+
+def test_a_flight_that_breaks_a_limit_slightly_is_solved_again_within_a_stricter_one(planner):
+    asked = Accuracy.QUICK
+    wide, told = (
+        load_scenario(PAPER_CALM, [*SLOW, f"limits.speed_max={speed}"]) for speed in (1.06, 1.0)
+    )
+    mission = MissionProblem(planner, told)
+    relaxed = MissionProblem(planner, wide).solve(mesh=Mesh.uniform(8, 4), tolerance=None)
+    own = mission.unsolved(mesh=relaxed.mesh, guess=relaxed.trajectory)
+
+    def fly(solution, least=None):
+        return verified(plan_of(told, solution, {}, 0.0), solution, asked, least)
+
+    before = fly(own)
+    (breach,) = broken_limits(before, asked)
+    assert breach.name.startswith("limits.speed_limit")
+    after = next(within_limits(mission, own, before, asked, fly))
+    assert not broken_limits(after, asked)
+    assert after.verification.is_usable
+
+
+def test_the_least_energy_is_between_a_relaxed_and_a_stricter_optimum(planner):
+    solved = {}
+    for speed in (1.02, 1.0, 0.985):
+        told = load_scenario(PAPER_CALM, [*SLOW, f"limits.speed_max={speed}"])
+        mission = MissionProblem(planner, told)
+        solved[speed] = mission.solve(mesh=Mesh.uniform(12, 5), tolerance=None)
+    low, exact, high = (energy_of(told, solved[s]) for s in (1.02, 1.0, 0.985))
+    name = "limits.speed_max"
+    found = _least_energy(mission, solved[1.02], solved[0.985], {name: -0.015}, {name: 0.02})
+    assert low < exact < high
+    # Linear to first order: the error is a small part of the difference.
+    assert found == pytest.approx(exact, abs=0.1 * (high - low))
+
+
+def test_a_plan_asked_for_standard_is_the_flight_of_its_corrected_controls(planner):
+    told = load_scenario(PAPER_CALM, ["solver.accuracy=standard"])
+    plan = planner.solve(told)
+    assert plan.is_verified
+    assert plan.energy == pytest.approx(PROVEN_J, rel=FIGURES[Accuracy.STANDARD].energy)
+    assert plan.verification.terminal_miss_m <= FIGURES[Accuracy.STANDARD].miss
+    assert plan.verification.flown_energy_J == pytest.approx(plan.energy, rel=1e-6)
