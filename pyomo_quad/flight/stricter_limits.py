@@ -37,9 +37,11 @@ _STRICTER = {
     "airspace.keep_out": ("airspace.radius[{},", 1.0),
     "limits.pitch_limit": ("limits.pitch_max", -1.0),
     "limits.roll_limit": ("limits.roll_max", -1.0),
+    "limits.rotor_speed_limit": ("limits.rotor_speed_max", -1.0),
     "limits.speed_limit": ("limits.speed_max", -1.0),
     "limits.thrust_limit": ("limits.thrust_max", -1.0),
-    "mission.hold_distance": ("mission.passing_radius[{}]", -1.0),
+    "mission.hold_distance": ("mission.hovering_distance_max", -1.0),
+    "mission.hold_speed": ("mission.hovering_speed_max", -1.0),
     "mission.passing_near": ("mission.passing_radius[{}]", -1.0),
     "mission.passing_speed": ("mission.passing_speed_max[{}]", -1.0),
 }
@@ -48,13 +50,15 @@ _ENDS = ("mission.start_z", "mission.goal_z")
 # Violation of a limit, relative to the larger of 1 and the limit, above which a stricter limit is
 # not tried.
 _SLIGHT = 0.5
-# Change of a limit relative to its violation, somewhat more because the violation between the
-# points of another mesh may be larger; and the factor on all changes if they cost more energy than
-# the accuracy allows.
-_MORE, _LESS = 1.2, 0.25
+# Part of the tolerance on a limit that violations may use up; change of a limit relative to the
+# rest of its violation, somewhat more because the violation between the points of another mesh may
+# be larger; and the factor on all changes if they cost more energy than the accuracy allows.
+_ALLOWED, _MORE, _LESS = 0.5, 1.2, 0.5
 # Factors by which points lie closer together in windows around zones that a path cuts, and around
 # zones whose larger clearance costs too much.
 _DENSER, _DENSEST = 3, 8
+# The limit that has a lower bound as well, which its parameter does not change.
+_ROTOR_SPEED = "limits.rotor_speed_limit"
 # Limits whose corners paths cut.
 _CORNERS = "airspace.keep_out"
 # Shortest element of a window [s].
@@ -104,7 +108,8 @@ def within_limits(
         broken = broken_limits(plan, accuracy)
         denser = _DENSER
         if broken:
-            for name, (violation, change) in _by_parameter(plan, broken, numbers).items():
+            found_now = _by_parameter(plan, broken, numbers, accuracy)
+            for name, (violation, change) in found_now.items():
                 cuts.setdefault(name, violation)
                 margins[name] = margins.get(name, 0.0) + change
         elif margins and plan.error_estimate > FIGURES[accuracy].energy:
@@ -165,11 +170,13 @@ def broken_limits(plan: Plan, accuracy: Accuracy) -> tuple[Violation, ...]:
 
 def _helps(breach: Violation) -> bool:
     """Return whether a stricter limit helps against a violation, and not only a finer mesh."""
-    return breach.name.partition("[")[0] in _STRICTER and breach.relative <= _SLIGHT
+    is_known = breach.name.partition("[")[0] in _STRICTER
+    is_of_other_side = breach.name.startswith(_ROTOR_SPEED) and not breach.is_above
+    return is_known and breach.relative <= _SLIGHT and not is_of_other_side
 
 
 def _by_parameter(
-    plan: Plan, broken: Iterable[Violation], numbers: Mapping[str, float]
+    plan: Plan, broken: Iterable[Violation], numbers: Mapping[str, float], accuracy: Accuracy
 ) -> dict[str, tuple[float, float]]:
     """Return, by full name of a parameter, how far its limit is broken, and the change against it.
 
@@ -180,6 +187,8 @@ def _by_parameter(
         The broken limits.
     numbers : mapping
         Full name of a parameter -> value, for the mission.
+    accuracy : Accuracy
+        Sets the tolerated violation.
     """
     found = dict[str, tuple[float, float]]()
     for breach in broken:
@@ -187,9 +196,10 @@ def _by_parameter(
         parameter, sign = _STRICTER.get(limit, ("", 0.0))
         name = parameter.format(index.removesuffix("]"))
         size = excess(breach, plan.dynamics.unit(breach.name))[0]
+        rest = 1.0 - _ALLOWED * FIGURES[accuracy].breach / breach.relative
         for own in numbers:
             if name and (own == name or (name.endswith(",") and own.startswith(name))):
-                found[own] = max(found.get(own, (0.0, 0.0)), (size, sign * _MORE * size))
+                found[own] = max(found.get(own, (0.0, 0.0)), (size, sign * _MORE * rest * size))
     return found
 
 

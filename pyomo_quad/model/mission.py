@@ -79,6 +79,24 @@ _TURNING = Parameter(
 )
 
 
+# Largest distance from a waypoint, and largest speed, during a hover at the waypoint.
+HOVERING_M, HOVERING_M_PER_S = 0.05, 0.1
+_HOVERING = (
+    Parameter(
+        name="hovering_distance_max",
+        units=units.m,
+        value=lambda _: HOVERING_M,
+        doc="largest distance from a waypoint during a hover",
+    ),
+    Parameter(
+        name="hovering_speed_max",
+        units=units.m / units.s,
+        value=lambda _: HOVERING_M_PER_S,
+        doc="largest speed during a hover",
+    ),
+)
+
+
 def _passed(field: str, scenario: Scenario) -> dict[int, float]:
     """Return the values of one field of the waypoints, by waypoint number.
 
@@ -100,11 +118,9 @@ _PASSAGES = tuple(
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters of block `mission`: start, goal, duration and waypoints."""
     duration = _DURATION if scenario.mission.is_free else ()
-    return (*_ENDS, *duration, *((_TURNING,) if scenario.keeps_yaw else ()), *_PASSAGES)
-
-
-# Largest distance from a waypoint, and largest speed, during a hover at the waypoint.
-HOVERING_M, HOVERING_M_PER_S = 0.05, 0.1
+    hovering = _HOVERING if any(w.hold for w in scenario.mission.waypoints) else ()
+    turning_max = (_TURNING,) if scenario.keeps_yaw else ()
+    return (*_ENDS, *duration, *turning_max, *hovering, *_PASSAGES)
 
 
 def declare_mission(m: ConcreteModel, scenario: Scenario) -> None:
@@ -232,14 +248,14 @@ def _declare_holds(
     def hold_distance(b: Block, k: int, t: float) -> Any:
         if not reached[k] < t <= left[k]:
             return Constraint.Skip
-        return _distance_squared(b, k, t) <= (HOVERING_M * units.m) ** 2
+        return _distance_squared(b, k, t) <= b.hovering_distance_max**2
 
     @b.Constraint(held, m.time, doc="hovering at a waypoint: speed [m^2/s^2]")
     def hold_speed(b: Block, k: int, t: float) -> Any:
         if not reached[k] < t <= left[k]:
             return Constraint.Skip
         speed = _speed_squared(b.parent_block().rigid_body, t)
-        return speed <= (HOVERING_M_PER_S * units.m / units.s) ** 2
+        return speed <= b.hovering_speed_max**2
 
 
 def _distance_squared(b: Block, k: int, t: float) -> NumericExpression:
