@@ -27,7 +27,7 @@ from pyomo_quad.flight.breaching import (
 from pyomo_quad.flight.candidate import Candidate
 from pyomo_quad.flight.covariance import Spread, spread_along
 from pyomo_quad.flight.deadline import Deadline
-from pyomo_quad.flight.ensemble import NOT_AT_REST, NOT_THERE, EnsembleSimulation
+from pyomo_quad.flight.ensemble import EnsembleSimulation
 from pyomo_quad.flight.flight import HELD_BREACH, POSITION_STATES
 from pyomo_quad.flight.limit_words import limit_words
 from pyomo_quad.flight.margins import (
@@ -334,7 +334,8 @@ class _Search:
         tried = self._settled(self._followed(self._tried(self._paper, {})))
         found: list[_Tested] = []
         # If flights miss the goal with any reserve, further margins do not help.
-        for _ in range(_CALIBRATIONS + 1 if self._is_followed(tried) else 1):
+        is_hopeless = self._hovering > self._risk or not self._is_followed(tried)
+        for _ in range(1 if is_hopeless else _CALIBRATIONS + 1):
             tested = self._examined(tried)
             found.append(tested)
             if self._has_passed(tested) or self._is_stopped():
@@ -348,7 +349,7 @@ class _Search:
         if self._has_passed(best):
             best = self._reduced(best, found[:-1])
         elif not best.tried.is_refined:
-            best = self._tested(self._verified(best.tried), self._next_seed())
+            best = self._tested(self._verified(best.tried), self._next_seed(), is_whole=True)
         if best.flown < _FLIGHTS:
             best = self._tested(best.tried, best.seed, is_whole=True)
         return self._stated(best.tried, best.counts, best.failed)
@@ -442,6 +443,7 @@ class _Search:
             margins=dict(tried.margins),
             paper_energy_J=self._paper.energy,
             limiting=limiting,
+            least=self._hovering,
             advice="" if is_satisfied else self._advice(tried, limiting),
             stopped=_STOPPED if self._is_stopped() and not is_satisfied else "",
         )
@@ -546,9 +548,7 @@ class _Search:
             update={"position": mission.goal.position, "yaw": mission.goal.yaw}
         )
         told = {"start": there, "waypoints": (), "duration": _HOVER_S}
-        hover = self._in_turbulence.model_copy(
-            update={"mission": mission.model_copy(update=told)}
-        )
+        hover = self._in_turbulence.model_copy(update={"mission": mission.model_copy(update=told)})
         expected = as_expected(hover)
         place = (*mission.goal.position, mission.goal.yaw or 0.0)
         point = Setpoint(place=place, rate=(0.0,) * 4, acceleration=(0.0,) * 4)
@@ -556,8 +556,10 @@ class _Search:
         simulation = EnsembleSimulation(
             expected, dynamics, lambda _: point, (*draws.noise, *draws.numbers)
         )
-        endings = simulation.fly(draws).endings
-        return sum(NOT_THERE in e.broken or NOT_AT_REST in e.broken for e in endings) / _FLIGHTS
+        endings = simulation.fly(draws.part(slice(0, _FIRST_FLIGHTS))).endings
+        if not all(ending.has_arrived for ending in endings):
+            endings = simulation.fly(draws).endings
+        return sum(not ending.has_arrived for ending in endings) / len(endings)
 
     def _reserve(self, share: float) -> dict[str, float]:
         """Return the margins that leave a fraction of rotor speed, thrust and tilt unused.
