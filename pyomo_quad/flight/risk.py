@@ -97,7 +97,7 @@ _RESERVE_PER_MISS, _LEAST_STEP, _LARGEST_STEP, _LARGEST_FREE = 0.5, 0.1, 0.2, 1.
 # total [s].
 _EARLIER_S, _EARLIEST_S = 0.3, 1.5
 # Fields of limits that no flight under feedback breaks, because the controller keeps its commands
-# within them. Their reserve serves to follow the plan, not to keep the limit.
+# within them. Their margins serve to follow the plan, not to keep the limit.
 _KEPT_BY_CONTROLLER = {"limits.rotor_speed_max", "limits.thrust_max"}
 # Duration of a simulated hover at the goal [s], by the end of which the controller has adapted to
 # the wind.
@@ -621,7 +621,9 @@ class _Search:
         # A limit that takes a hundredth of the risk needs no margin.
         least = 0.01 * self._risk
         pressed = [a for a, probability in alone.items() if probability > least]
-        pressed = [a for a in pressed if a.field not in _KEPT_BY_CONTROLLER]
+        # Thrust at its limit would make the covariance wrong; a reserve of thrust already avoids that.
+        reserved = _KEPT_BY_CONTROLLER & set(self._least)
+        pressed = [a for a in pressed if a.field not in reserved]
         missed = [m for m in tried.missed if m.field and (m.field in held or m.probability > least)]
         taken = tried.missing_places
         taken += sum(

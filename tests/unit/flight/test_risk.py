@@ -362,7 +362,7 @@ def distance(name, field, deviation=0.02):
     )
 
 
-def test_tilt_gets_the_margin_of_its_covariance_beside_a_reserve_and_thrust_none():
+def test_tilt_gets_the_margin_of_its_covariance_beside_a_reserve_and_thrust_the_reserve():
     """Feedback cannot exceed the limits of thrust and rotor speed: it commands within them."""
     told = mission(risk=0.01)
     search = risk._Search(SimpleNamespace(scenario=told), PLANNER)
