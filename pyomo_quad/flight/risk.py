@@ -102,6 +102,10 @@ _KEPT_BY_CONTROLLER = {"limits.rotor_speed_max", "limits.thrust_max"}
 # Duration of a simulated hover at the goal [s], by the end of which the controller has adapted to
 # the wind.
 _HOVER_S = 8.0
+# The risk is out of reach if gusts carry off more hovering vehicles than `_TOO_MANY` times the risk;
+# fewer may be an accident of the winds drawn. A plan is followed if its flights miss the goal at
+# most `_LIKE_A_HOVER` times as often as hovering vehicles.
+_TOO_MANY, _LIKE_A_HOVER = 2.0, 1.2
 # Reasons for which a search for margins ends early.
 _STOPPED = "the search was stopped"
 _OWN_MODEL = "margins are computed for the built-in model only, not for a user's own model"
@@ -334,11 +338,12 @@ class _Search:
         tried = self._settled(self._followed(self._tried(self._paper, {})))
         found: list[_Tested] = []
         # If flights miss the goal with any reserve, further margins do not help.
-        is_hopeless = self._hovering > self._risk or not self._is_followed(tried)
-        for _ in range(1 if is_hopeless else _CALIBRATIONS + 1):
+        is_hopeless = self._hovering > _TOO_MANY * self._risk or not self._is_followed(tried)
+        last = 0 if is_hopeless else _CALIBRATIONS
+        for k in range(last + 1):
             tested = self._examined(tried)
             found.append(tested)
-            if self._has_passed(tested) or self._is_stopped():
+            if k == last or self._has_passed(tested) or self._is_stopped():
                 break
             grown = self._grown(tested)
             other = None if grown == tried.margins else self._planned(tested.tried, grown)
@@ -533,7 +538,7 @@ class _Search:
         return best
 
     def _is_followed(self, tried: _Tried) -> bool:
-        allowed = max(_SHARE_OF_GOAL * self._risk, 1.2 * self._hovering)
+        allowed = max(_SHARE_OF_GOAL * self._risk, _LIKE_A_HOVER * self._hovering)
         return tried.missing_places <= allowed and tried.astray <= _ASTRAY_M
 
     def _missed_by_hover(self) -> float:
