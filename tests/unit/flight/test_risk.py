@@ -400,11 +400,17 @@ def test_the_reserve_found_is_the_least_with_which_flights_follow_the_plan(neede
     assert search._reserved == best.margins["share"]
 
 
-@pytest.mark.parametrize(("failing", "is_verified"), [(0, True), (9, False)])
-def test_a_plan_is_verified_only_if_it_passes_its_test(monkeypatch, failing, is_verified):
+@pytest.mark.parametrize(
+    ("failing", "word", "is_verified"),
+    [(0, "", True), (9, "speed at the end", False), (50, "keep-out church", True)],
+)
+def test_a_plan_is_verified_only_if_its_flights_meet_the_goal(
+    monkeypatch, failing, word, is_verified
+):
+    """A coarse mesh lets a path cut the corner of a zone, but hardly changes how flights end."""
     monkeypatch.setattr(risk, "_FLIGHTS", 200)
     search = risk._Search(SimpleNamespace(scenario=mission(risk=0.01)), PLANNER)
-    broken = [("floor",)] * failing + [()] * (200 - failing)
+    broken = [(word,)] * failing + [()] * (200 - failing)
     monkeypatch.setattr(search, "_flown", lambda _tried, _seed, chosen: broken[chosen])
     monkeypatch.setattr(search, "_verified", lambda _: SimpleNamespace(is_refined=True))
     found = search._examined(SimpleNamespace(is_refined=False))
