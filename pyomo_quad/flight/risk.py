@@ -102,9 +102,9 @@ _KEPT_BY_CONTROLLER = {"limits.rotor_speed_max", "limits.thrust_max"}
 # Duration of a simulated hover at the goal [s], by the end of which the controller has adapted to
 # the wind.
 _HOVER_S = 8.0
-# The risk is out of reach if gusts carry off more hovering vehicles than `_TOO_MANY` times the risk;
-# fewer may be an accident of the winds drawn. A plan is followed if its flights miss the goal at
-# most `_LIKE_A_HOVER` times as often as hovering vehicles.
+# The risk is out of reach if gusts carry off more than `_TOO_MANY` times as many hovering vehicles
+# as the risk allows; fewer may be an accident of the winds drawn. A plan is followed if its flights
+# miss the goal at most `_LIKE_A_HOVER` times as often as hovering vehicles.
 _TOO_MANY, _LIKE_A_HOVER = 2.0, 1.2
 # Reasons for which a search for margins ends early.
 _STOPPED = "the search was stopped"
