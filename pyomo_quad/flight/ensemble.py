@@ -133,6 +133,11 @@ class Ending:
         """Whether the simulated flight reached its goal and broke no limit of the mission."""
         return not self.broken
 
+    @property
+    def has_arrived(self) -> bool:
+        """Whether the simulated flight ended at its goal and at rest."""
+        return NOT_THERE not in self.broken and NOT_AT_REST not in self.broken
+
 
 @dataclass(frozen=True, kw_only=True)
 class FlownOften:

@@ -1,4 +1,7 @@
-"""Integration of ordinary differential equations by SciPy, and of linear ones by exponentials."""
+"""Integration of ordinary differential equations by SciPy, and of linear ones by exponentials.
+
+For linear equations see docs/theory/risk.md, eq. (5), and docs/theory/tracking.md, eq. (2).
+"""
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise

@@ -84,7 +84,10 @@ class RiskTaken:
     paper_energy_J : float
         Energy of the plan without margins [J].
     limiting : tuple of str
-        The limits that test flights broke most often, in words, the most frequent first.
+        The limits that flights break most, in words, the most frequent first.
+    least : float
+        Share of vehicles hovering at the goal that gusts carry farther off, or faster, than a
+        flight may arrive; no plan has a smaller risk. Zero where it was not computed.
     advice : str
         Possible remedies for the user if the risk cannot be reached.
     stopped : str
@@ -99,6 +102,7 @@ class RiskTaken:
     margins: Mapping[str, float] = field(default_factory=dict)
     paper_energy_J: float
     limiting: tuple[str, ...] = ()
+    least: float = 0.0
     advice: str = ""
     stopped: str = ""
 
@@ -131,8 +135,16 @@ class RiskTaken:
             return (
                 f"A risk of {self.asked:g} is not reached: {self.stopped}; {seen}{most}; {price}."
             )
+        hovering, plan = "", "the plan of least risk"
+        if self.least > self.asked:
+            hovering = (
+                f"gusts carry {100.0 * self.least:.0f} % of vehicles that only hover at the goal "
+                "farther off, or faster, than allowed on arrival, whatever the plan; "
+            )
+            plan = "this plan"
         return (
-            f"A risk of {self.asked:g} cannot be reached: with the plan of least risk, {seen}{most}"
+            f"A risk of {self.asked:g} cannot be reached: {hovering}"
+            f"with {plan}, {seen}{most}"
             f"; possible remedies: {self.advice}; {price}."
         )
 

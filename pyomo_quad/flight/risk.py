@@ -29,7 +29,7 @@ from pyomo_quad.flight.breaching import (
 from pyomo_quad.flight.candidate import Candidate
 from pyomo_quad.flight.covariance import Spread, spread_along
 from pyomo_quad.flight.deadline import Deadline
-from pyomo_quad.flight.ensemble import EnsembleSimulation
+from pyomo_quad.flight.ensemble import NOT_AT_REST, NOT_THERE, EnsembleSimulation
 from pyomo_quad.flight.flight import HELD_BREACH, POSITION_STATES
 from pyomo_quad.flight.limit_words import limit_words
 from pyomo_quad.flight.margins import (
@@ -44,6 +44,7 @@ from pyomo_quad.flight.margins import (
 from pyomo_quad.flight.mission_problem import MissionProblem
 from pyomo_quad.flight.plan import Plan
 from pyomo_quad.flight.planning import Planner
+from pyomo_quad.flight.references import Setpoint
 from pyomo_quad.flight.search import Search
 from pyomo_quad.flight.strategies import FIRST, PROOF, carry_out
 from pyomo_quad.flight.verdict import plan_of
@@ -64,9 +65,10 @@ _FLIGHTS, _SEED = 200, 20_260_515
 # Number of test flights after which a plan has failed its test if more of them have broken a limit
 # than is allowed for all test flights together.
 _FIRST_FLIGHTS = 50
-# Largest number of plans until the margins agree with the covariance, and of plans after that with
-# margins increased because of the test flights.
-_PLANS, _CALIBRATIONS = 3, 2
+# Largest number of plans until the margins agree with the covariance, of plans after that with
+# margins increased because of the test flights, and of plans with smaller margins after a plan that
+# passed its test at a price above `_FAIR_PRICE` (share of the energy without margins).
+_PLANS, _CALIBRATIONS, _REDUCTIONS, _FAIR_PRICE = 3, 6, 1, 0.02
 # Relative difference below which two margins agree, relative to the margin and to the limit.
 _AGREED, _AGREED_OF_LIMIT = 0.1, 2e-3
 # Distance from the goal [m] at the end of the flight without gusts above which the rotors were too
@@ -78,17 +80,34 @@ _SHARE_OF_GOAL = 0.3
 # Options of a re-solve with other margins, whose warm start is close.
 _ROUGHLY = SolverOptions(tolerance=1e-6, extra=(("mu_init", 1e-4),))
 # Fractions of the range from hover to the limits of rotors and tilt that a plan leaves as a
-# reserve, tried by bisection.
-_RESERVES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.58, 0.65, 0.72, 0.8)
+# reserve. The search begins with the second and doubles its steps until flights can follow the
+# plan, then bisects: most missions need a small reserve.
+_RESERVES = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.58, 0.65, 0.72, 0.8)
+_FIRST_RESERVE = 1
+# Largest reserve of thrust and tilt in a plan of free duration; a larger reserve only makes its
+# duration longer, since a plan with little thrust of its own cannot slow down in time.
+_LARGEST_OF_FREE = 0.65
 # Relative increase of a free duration per unit of this reserve: weaker braking alone is not enough
 # where the rotors can lift many times the weight.
 _LONGER = 0.75
-# Factors by which margins grow after test flights; a reserve, and the free duration that belongs to
-# it, grow less, because they cost more.
-_GROWTH, _GROWTH_OF_RESERVE = 1.5, 1.1
+# Factor by which margins grow after test flights.
+_GROWTH = 1.5
+# Increase of the reserve per share of test flights that miss the goal, its least and largest value,
+# and the largest reserve with a free duration.
+_RESERVE_PER_MISS, _LEAST_STEP, _LARGEST_STEP, _LARGEST_FREE = 0.5, 0.1, 0.2, 1.4
 # Time by which each new plan starts a hover at a waypoint earlier than the last plan, and largest
 # total [s].
 _EARLIER_S, _EARLIEST_S = 0.3, 1.5
+# Fields of limits that no flight under feedback breaks, because the controller keeps its commands
+# within them. Their margins serve to follow the plan, not to keep the limit.
+_KEPT_BY_CONTROLLER = {"limits.rotor_speed_max", "limits.thrust_max"}
+# Duration of a simulated hover at the goal [s], by the end of which the controller has adapted to
+# the wind.
+_HOVER_S = 8.0
+# The risk is out of reach if gusts carry off more than `_TOO_MANY` times as many hovering vehicles
+# as the risk allows; fewer may be an accident of the winds drawn. A plan is followed if its flights
+# miss the goal at most `_LIKE_A_HOVER` times as often as hovering vehicles.
+_TOO_MANY, _LIKE_A_HOVER = 2.0, 1.2
 # Reasons for which a search for margins ends early.
 _STOPPED = "the search was stopped"
 _OWN_MODEL = "margins are computed for the built-in model only, not for a user's own model"
@@ -207,7 +226,10 @@ class _Tried:
     near : tuple of LimitDistance
         Statistics of the distance of flights from each limit over time.
     missed : tuple of Miss
-        Samples of the distance of flights from goal and waypoints, and of the speed there.
+        Distance of flights from goal and waypoints.
+    is_refined : bool
+        Whether the plan was refined and verified; a plan that was not stands on the mesh of the
+        plan without margins.
     """
 
     plan: Plan
@@ -215,14 +237,16 @@ class _Tried:
     spread: Spread
     near: tuple[LimitDistance, ...]
     missed: tuple[Miss, ...]
+    is_refined: bool = True
 
     @property
     def predicted(self) -> float:
-        """Upper bound on the probability that a flight breaks any limit.
-
-        It is the sum of the probabilities for the single limits (Boole's inequality), at most 1.
-        """
-        by_limits = sum(limit.present_probability for limit in self.near)
+        """Upper bound on the probability that a flight breaks any limit (Boole's inequality)."""
+        by_limits = sum(
+            limit.present_probability
+            for limit in self.near
+            if limit.field not in _KEPT_BY_CONTROLLER
+        )
         return float(min(by_limits + sum(miss.probability for miss in self.missed), 1.0))
 
     @property
@@ -265,6 +289,11 @@ class _Tested:
     failed: int
     flown: int
 
+    @property
+    def share(self) -> float:
+        """Share of the test flights that broke a limit."""
+        return self.failed / self.flown
+
 
 class _Search:
     """Iterative search for the margins of one scenario, starting from its plan without margins.
@@ -296,12 +325,14 @@ class _Search:
         self._progress, self._is_stopped = progress, is_stopped
         self._risk = risk_asked(paper.scenario)
         self._least: Mapping[str, float] = {}
+        self._reserved, self._hovering = 0.0, 0.0
         # The last flyable plan, and its margins.
         self._last: tuple[Plan, Mapping[str, float]] = (paper, {})
         self._in_turbulence = paper.scenario
         if self._in_turbulence.wind.turbulence is None:
             wind = self._in_turbulence.wind.model_copy(update={"turbulence": _USUAL_TURBULENCE})
             self._in_turbulence = self._in_turbulence.model_copy(update={"wind": wind})
+        self._seed = _SEED - 1
 
     def best(self) -> Plan:
         """Return a plan with margins that keeps the allowed risk, or else the plan of least risk.
@@ -309,23 +340,77 @@ class _Search:
         The risk is the probability that a flight in turbulence breaks any limit. Margins are the
         amounts by which limits are tightened for the plan.
         """
-        tried = self._verified(self._settled(self._followed(self._tried(self._paper, {}))))
+        tried = self._settled(self._followed(self._tried(self._paper, {})))
         found: list[_Tested] = []
         # If flights miss the goal with any reserve, further margins do not help.
-        for k in range(_CALIBRATIONS + 1 if self._is_followed(tried) else 1):
-            tested = self._tested(tried, _SEED + k)
+        is_hopeless = self._hovering > _TOO_MANY * self._risk or not self._is_followed(tried)
+        last = 0 if is_hopeless else _CALIBRATIONS
+        for k in range(last + 1):
+            tested = self._examined(tried)
             found.append(tested)
-            if tested.failed <= self._risk * _FLIGHTS or self._is_stopped():
+            if k == last or self._has_passed(tested) or self._is_stopped():
                 break
-            grown = self._grown(tried, tested.counts, tested.flown)
-            other = None if grown == tried.margins else self._planned(tried, grown)
+            grown = self._grown(tested)
+            other = None if grown == tried.margins else self._planned(tested.tried, grown)
             if other is None:
                 break
-            tried = self._verified(other)
-        best = min(found, key=lambda one: (one.failed / one.flown, one.tried.plan.energy))
+            tried = other
+        best = min(found, key=lambda one: (one.share, one.tried.plan.energy))
+        if self._has_passed(best):
+            best = self._reduced(best, found[:-1])
+        elif not best.tried.is_refined:
+            best = self._tested(self._verified(best.tried), self._next_seed(), is_whole=True)
         if best.flown < _FLIGHTS:
             best = self._tested(best.tried, best.seed, is_whole=True)
         return self._stated(best.tried, best.counts, best.failed)
+
+    def _examined(self, tried: _Tried) -> _Tested:
+        """Test a plan by flights; verify it unless they miss the goal, and test the verified plan.
+
+        A test costs less than a verification, so a plan whose flights miss the goal is not
+        verified. Limits on the path may be broken only because the mesh is too coarse for them.
+        """
+        tested = self._tested(tried, self._next_seed())
+        missed = max(tested.counts[words] for words in (NOT_THERE, NOT_AT_REST))
+        if tried.is_refined or missed > self._risk * _FLIGHTS:
+            return tested
+        return self._tested(self._verified(tried), self._next_seed())
+
+    def _has_passed(self, tested: _Tested) -> bool:
+        return tested.flown == _FLIGHTS and tested.failed <= self._risk * _FLIGHTS
+
+    def _next_seed(self) -> int:
+        self._seed += 1
+        return self._seed
+
+    def _reduced(self, best: _Tested, failed: list[_Tested]) -> _Tested:
+        """Return a plan with smaller margins that passes its test too, if margins cost much.
+
+        The margins tried lie halfway between those of a plan that passed and those of the last plan
+        that failed its test (none, if none failed). The flights that chose among several plans
+        favour the chosen plan; a plan with smaller margins may therefore break limits in half as
+        many flights as the risk allows.
+        """
+        low: Mapping[str, float] = failed[-1].tried.margins if failed else {}
+        for _ in range(_REDUCTIONS):
+            price = best.tried.plan.energy / self._paper.energy - 1.0
+            is_wide = best.failed <= self._risk * _FLIGHTS / 2
+            if price <= _FAIR_PRICE or not is_wide or self._is_stopped():
+                break
+            high = best.tried.margins
+            middle = {name: (low.get(name, 0.0) + more) / 2 for name, more in high.items()}
+            other = self._planned(best.tried, middle)
+            tested = None if other is None else self._examined(other)
+            if tested is None:
+                break
+            is_better = (
+                self._has_passed(tested)
+                and tested.failed <= self._risk * _FLIGHTS / 2
+                and tested.tried.plan.is_flyable
+                and tested.tried.plan.energy < best.tried.plan.energy
+            )
+            low, best = (low, tested) if is_better else (middle, best)
+        return best
 
     def unfinished(self, why: str) -> Plan:
         """Return the last flyable plan of a search that ended early, with the reason ``why``.
@@ -370,6 +455,7 @@ class _Search:
             margins=dict(tried.margins),
             paper_energy_J=self._paper.energy,
             limiting=limiting,
+            least=self._hovering,
             advice="" if is_satisfied else self._advice(tried, limiting),
             stopped=_STOPPED if self._is_stopped() and not is_satisfied else "",
         )
@@ -381,7 +467,7 @@ class _Search:
         Margins are the amounts by which limits are tightened for the plan. A plan without margins
         is returned unchanged.
         """
-        if not tried.margins:
+        if tried.is_refined:
             return tried
         held = tightened(self._scenario, tried.margins)
         plan = _again(self._planner, tried.plan, held, self._progress, is_rough=False)
@@ -426,7 +512,8 @@ class _Search:
             plan = _again(self._planner, last.plan, held, self._progress, is_rough=True)
         if plan.solution is None or not plan.solution.status.is_solved:
             return None
-        return self._tried(self._for_original_scenario(plan, margins), margins)
+        own = self._tried(self._for_original_scenario(plan, margins), margins)
+        return replace(own, is_refined=self._scenario.mission.aim is Aim.TIME)
 
     def _followed(self, tried: _Tried) -> _Tried:
         """Return a plan that leaves the controller enough thrust and tilt to follow it to the goal.
@@ -438,24 +525,57 @@ class _Search:
         """
         if self._is_followed(tried):
             return tried
-        found, low, high = [tried], 0, len(_RESERVES) - 1
-        while low <= high and not self._is_stopped():
-            middle = (low + high) // 2
-            other = self._planned(found[-1], self._reserve(_RESERVES[middle]))
-            if other is None:
-                high = middle - 1
-                continue
-            found.append(other)
-            low, high = (low, middle - 1) if self._is_followed(other) else (middle + 1, high)
-        followed = [one for one in found if self._is_followed(one)]
+        self._hovering = self._missed_by_hover()
+        found, failed, held = [(tried, 0.0)], -1, len(_RESERVES)
+        chosen, step = _FIRST_RESERVE, 1
+        while held - failed > 1 and not self._is_stopped():
+            share = _RESERVES[chosen]
+            other = self._planned(found[-1][0], self._reserve(share))
+            if other is not None:
+                found.append((other, share))
+            if other is None or self._is_followed(other):
+                held = chosen
+            else:
+                failed = chosen
+            is_bracketed = held < len(_RESERVES)
+            step *= 2
+            ahead = min(failed + step, len(_RESERVES) - 1)
+            chosen = (failed + held) // 2 if is_bracketed else ahead
+        followed = [pair for pair in found if self._is_followed(pair[0])]
+        key = _cost if followed else _missed_least
         # Later margins are never smaller than those with which the vehicle can follow its plan.
-        best = min(followed or found, key=_cost if followed else _missed_least)
+        best, self._reserved = min(followed or found, key=lambda pair: key(pair[0]))
         self._least = best.margins
         return best
 
     def _is_followed(self, tried: _Tried) -> bool:
-        is_there = tried.missing_places <= _SHARE_OF_GOAL * self._risk
-        return is_there and tried.astray <= _ASTRAY_M
+        allowed = max(_SHARE_OF_GOAL * self._risk, _LIKE_A_HOVER * self._hovering)
+        return tried.missing_places <= allowed and tried.astray <= _ASTRAY_M
+
+    def _missed_by_hover(self) -> float:
+        """Return the share of vehicles that gusts carry away from the goal where they hover.
+
+        A vehicle that hovers at the goal for `_HOVER_S` seconds is there or at rest at the end no
+        more seldom than a flight that arrives: no margin makes the share of flights that miss the
+        goal smaller.
+        """
+        mission = self._in_turbulence.mission
+        there = mission.start.model_copy(
+            update={"position": mission.goal.position, "yaw": mission.goal.yaw}
+        )
+        told = {"start": there, "waypoints": (), "duration": _HOVER_S}
+        hover = self._in_turbulence.model_copy(update={"mission": mission.model_copy(update=told)})
+        expected = as_expected(hover)
+        place = (*mission.goal.position, mission.goal.yaw or 0.0)
+        point = Setpoint(place=place, rate=(0.0,) * 4, acceleration=(0.0,) * 4)
+        dynamics, draws = draw(self._planner, expected, _FLIGHTS, _SEED)
+        simulation = EnsembleSimulation(
+            expected, dynamics, lambda _: point, (*draws.noise, *draws.numbers)
+        )
+        endings = simulation.fly(draws.part(slice(0, _FIRST_FLIGHTS))).endings
+        if not all(ending.has_arrived for ending in endings):
+            endings = simulation.fly(draws).endings
+        return sum(not ending.has_arrived for ending in endings) / len(endings)
 
     def _reserve(self, share: float) -> dict[str, float]:
         """Return margins with which a plan leaves a reserve of rotor speed, thrust and tilt.
@@ -464,10 +584,11 @@ class _Search:
         ``share`` of the largest margin with which the mission may be feasible. If the duration is
         free, its lower limit is raised too.
         """
-        margins = {name: share * greatest_margin(self._scenario, name) for name in AUTHORITY}
+        mission = self._scenario.mission
+        part = min(share, _LARGEST_OF_FREE) if mission.is_free else share
+        margins = {name: part * greatest_margin(self._scenario, name) for name in AUTHORITY}
         for name, more in self._steeper_than_the_controller().items():
             margins[name] = max(margins[name], more)
-        mission = self._scenario.mission
         if mission.is_free:
             least, greatest = mission.duration_limits
             longer = (1 + _LONGER * share) * self._paper.duration_s
@@ -518,11 +639,14 @@ class _Search:
         # A limit that takes a hundredth of the risk needs no margin.
         least = 0.01 * self._risk
         pressed = [a for a, probability in alone.items() if probability > least]
-        # Limits from which the reserve is taken need no further margin here: flights test it.
-        pressed = [a for a in pressed if a.field not in self._least]
+        # Thrust at its limit would make the covariance wrong; a reserve already avoids that.
+        reserved = _KEPT_BY_CONTROLLER & set(self._least)
+        pressed = [a for a in pressed if a.field not in reserved]
         missed = [m for m in tried.missed if m.field and (m.field in held or m.probability > least)]
         taken = tried.missing_places
-        taken += sum(p for a, p in alone.items() if p <= least)
+        taken += sum(
+            p for a, p in alone.items() if p <= least and a.field not in _KEPT_BY_CONTROLLER
+        )
         share = max(self._risk - taken, 0.1 * self._risk) / max(len(pressed) + len(missed), 1)
         margins = dict(self._least)
         for limit in pressed:
@@ -599,47 +723,42 @@ class _Search:
         simulation = EnsembleSimulation(expected, dynamics, path, (*draws.noise, *draws.numbers))
         return [tuple(ending.broken) for ending in simulation.fly(draws.part(chosen)).endings]
 
-    def _grown(self, tried: _Tried, counts: Mapping[str, int], flown: int) -> dict[str, float]:
+    def _grown(self, tested: _Tested) -> dict[str, float]:
         """Return larger margins for the limits that test flights break too often.
 
-        Margins are the amounts by which limits are tightened for the plan. `counts` maps the name
-        of a limit in words to the number of test flights that broke it; `flown` is the number of
-        test flights. A flight that misses the goal had too little thrust to correct the effect of a
-        gust. If too many flights miss the goal, the margins on thrust and tilt therefore become
-        larger, and so does a free duration that was lengthened for the reserve of thrust.
+        Margins are the amounts by which the plan stays inside its limits. A flight that misses the
+        goal had too little thrust or time to correct the effect of a gust; therefore the reserve
+        grows, with the share of the flights that missed.
         """
-        allowed = self._risk * flown / max(len(counts), 1)
+        tried, counts = tested.tried, tested.counts
+        allowed = self._risk * tested.flown / max(len(counts), 1)
         fields: set[str] = set()
-        is_goal_missed = False
+        missed = 0
         for word, count in counts.items():
             if count > allowed:
                 own = {a.field for a in tried.near if limit_words(a.name) == word}
                 own |= {miss.field for miss in tried.missed if miss.words == word and miss.field}
                 fields |= own
-                is_goal_missed |= not own
+                missed = max(missed, 0 if own else count)
         margins = dict(tried.margins)
-        if is_goal_missed and DURATION in margins:
-            least, greatest = self._scenario.mission.duration_limits
-            longer = _GROWTH_OF_RESERVE * (least + margins[DURATION])
-            margins[DURATION] = min(longer, greatest) - least
         if HOLD in fields:
             margins[HOLD] = min(margins.get(HOLD, 0.0) + _EARLIER_S, _EARLIEST_S)
             fields.remove(HOLD)
-        for name in fields | set(AUTHORITY if is_goal_missed else ()):
-            deviation = max(
-                (
-                    float(a.deviation.max())
-                    for a in tried.near
-                    if a.field == name and name in fields
-                ),
-                default=0.0,
-            )
+        for name in fields:
+            spreads = [float(a.deviation.max()) for a in tried.near if a.field == name]
             held = margins.get(name, 0.0)
-            factor = _GROWTH_OF_RESERVE if name in self._least else _GROWTH
-            grown = max(factor * held, held + deviation / 2)
+            grown = max(_GROWTH * held, held + max(spreads, default=0.0) / 2)
             is_at_places = name in {miss.field for miss in tried.missed}
             most = grown if is_at_places else greatest_margin(self._scenario, name)
             margins[name] = min(grown, most)
+        if missed:
+            by_share = _RESERVE_PER_MISS * missed / tested.flown
+            step = min(max(by_share, _LEAST_STEP), _LARGEST_STEP)
+            largest = _LARGEST_FREE if self._scenario.mission.is_free else _RESERVES[-1]
+            self._reserved = min(self._reserved + step, largest)
+            self._least = self._reserve(self._reserved)
+            for name, margin in self._least.items():
+                margins[name] = max(margins.get(name, 0.0), margin)
         return margins
 
     def _advice(self, tried: _Tried, limiting: tuple[str, ...]) -> str:

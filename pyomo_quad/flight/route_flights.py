@@ -64,6 +64,8 @@ class RouteFlights:
 
     _near_on_first = _NEAR_ON_FIRST
     _tolerance = 0.0
+    # Whether routes that a solved route dominates are left out.
+    _is_pruned = False
 
     def __init__(self, mission: MissionProblem, known: Solution | None = None) -> None:
         self._mission, self._scenario, self._known = mission, mission.told, known
@@ -72,6 +74,7 @@ class RouteFlights:
         self._is_plain, self._tolerance = False, solver.tolerance
         if self._scenario.solver.accuracy is not Accuracy.PROOF:
             self._near_on_first *= _ALIKE
+            self._is_pruned = True
 
     def best(self, most: int | None = None) -> tuple[Solution, tuple[TriedRoute, ...]]:
         """Solve the mission along its candidate routes; return the best solution and all results.
@@ -111,13 +114,12 @@ class RouteFlights:
             Result of the solve along each journey.
         """
         flown: list[tuple[Journey, Solution]] = []
-        is_pruned = self._scenario.solver.accuracy is not Accuracy.PROOF
         dominant: list[_SidesTouched] = []
         for journey in journeys:
-            if is_pruned and any(_is_dominated(journey, sides) for sides in dominant):
+            if self._is_pruned and any(_is_dominated(journey, sides) for sides in dominant):
                 continue
             solution = self.fly(journey)
-            if solution.status.is_solved:
+            if self._is_pruned and solution.status.is_solved:
                 dominant.append(sides_touched(self._scenario, journey, solution))
             if not any(_is_same(solution, other) for _, other in flown):
                 flown.append((journey, solution))

@@ -101,17 +101,17 @@ RETRIES = (
     Strategy("guess from the shortest flight", COARSE, _C.has_shorter, _C.from_shortest),
     Strategy("diagnosis", COARSE, _C.has_failed, _C.judge),
 )
+_FINER_AFTER_FLIGHT = "smaller tolerance after a failed simulation"
 #: Verification of a solution by simulation of its controls.
 PROOF = (
     Strategy("flight", REFINING, _C.is_solved, _C.fly),
     *(
-        (
-            Strategy("stricter limits", REFINING, _C.breaks_limits, _C.keep_limits),
-            Strategy(
-                "smaller tolerance after a failed simulation", REFINING, _C.is_astray, _C.tighten
-            ),
+        strategy
+        for again in ("", ", again", ", a third time")
+        for strategy in (
+            Strategy(f"stricter limits{again}", REFINING, _C.breaks_limits, _C.keep_limits),
+            Strategy(f"{_FINER_AFTER_FLIGHT}{again}", REFINING, _C.is_astray, _C.tighten),
         )
-        * 3
     ),
 )
 _WITHIN_PACK = f"power limited to {100.0 * GIVEN_SHARE:.0f} % of the pack's greatest"

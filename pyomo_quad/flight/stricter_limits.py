@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import pairwise
 from math import ceil
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
 
     from pyomo_quad.collocation import Mesh, Solution, Violation
-    from pyomo_quad.flight.mission_problem import MissionProblem
     from pyomo_quad.flight.plan import Plan
+    from pyomo_quad.scenario import Scenario
 
 # Parameters of limits, and the sign of the change that makes the limit stricter, by the name of the
 # limit without its index. A parameter with braces has the index of the limit; one that ends with a
@@ -67,8 +67,21 @@ _SHORTEST_S = 1e-3
 _MOST = 0.5
 
 
+class Mission(Protocol):
+    """Solver of one mission; `flight.mission_problem` has the class."""
+
+    told: Scenario
+
+    @property
+    def arguments(self) -> dict[str, Any]:
+        """Arguments of `Problem.solve` for the mission, by name."""
+
+    def solve(self, numbers: dict[str, float], **chosen: Any) -> Solution:
+        """Solve the mission with other parameter values and arguments."""
+
+
 def within_limits(
-    mission: MissionProblem,
+    mission: Mission,
     relaxed: Solution,
     plan: Plan,
     accuracy: Accuracy,
@@ -82,7 +95,7 @@ def within_limits(
 
     Parameters
     ----------
-    mission : MissionProblem
+    mission : Mission
     relaxed : Solution
         Solution of the plan.
     plan : Plan
@@ -142,7 +155,7 @@ def within_limits(
 
 
 def _least_energy(
-    mission: MissionProblem,
+    mission: Mission,
     relaxed: Solution,
     strict: Solution,
     margins: Mapping[str, float],

@@ -193,7 +193,8 @@ def _followed(plan: Plan, accuracy: Accuracy, least_energy: float) -> Plan:
     """Return a plan whose controls are corrected by feedback, for accuracies below `proof`.
 
     The energy of the plan is then that of the corrected flight. Its excess over the energy of the
-    optimum counts as error. A plan that feedback does not help is returned unchanged.
+    optimum counts as error; see docs/theory/tracking.md, eq. (5). A plan that feedback does not
+    help is returned unchanged.
     """
     if accuracy is Accuracy.PROOF or not can_be_tracked(plan.dynamics):
         return plan

@@ -80,7 +80,7 @@ class Gains(Part):
     thrust_share: Number = quantity(
         "1",
         "share of the thrust in excess of the weight that the position loop may use",
-        0.7,
+        0.9,
         le=1,
         sound=positive(1e-3, 1, "a smaller share of thrust cannot steer the vehicle"),
     )

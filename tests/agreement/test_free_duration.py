@@ -10,7 +10,8 @@ from tests.agreement.missions_by_hand import solve_legs
 from tests.declared_model import scenario
 from tests.flights import PLANNER
 
-ON_ONE_MESH = {"elements": 12, "degree": 4, "max_refinements": 0}
+PROOF = {"accuracy": "proof"}
+ON_ONE_MESH = PROOF | {"elements": 12, "degree": 4, "max_refinements": 0}
 ORIGIN = (0.0, 0.0, 0.0)
 
 
@@ -47,7 +48,7 @@ def test_same_optimum_on_the_same_mesh(goal, wind, price):
 @pytest.mark.slow
 @pytest.mark.parametrize("wind", ["calm", "paper_table_2"])
 def test_the_paper_s_mission_agrees_with_a_fine_mesh(wind):
-    plan = PLANNER.solve(free(wind=wind, solver={}))
+    plan = PLANNER.solve(free(wind=wind, solver=PROOF))
     by_hand = solve_legs(
         [ORIGIN, (6.0, 7.0, 8.0)],
         elements=60,
