@@ -466,16 +466,20 @@ def _position_columns(solution: Solution) -> list[int]:
     return [names.index(name) for name in POSITION_STATES]
 
 
-# Relative difference of states below which two solutions count as the same flight.
-_SAME = 1e-3
+# Relative difference of costs, and distance between paths [m], below which two solutions count as
+# the same flight: what hardly costs anything, such as the rotors' shares, may differ.
+_SAME_COST, _SAME_PLACE_M = 1e-6, 0.05
 
 
 def _is_same(one: Solution, other: Solution) -> bool:
+    """Return whether two solutions are the same flight, within the accuracy of a first mesh."""
     if not (one.status.is_solved and other.status.is_solved):
         return False
-    states = one.trajectory.states
-    others = other.trajectory.states_at(np.append(0.0, one.mesh.point_fractions))
-    return bool(np.all(np.abs(states - others) <= _SAME * (1.0 + np.abs(states))))
+    fractions = np.append(0.0, one.mesh.point_fractions)
+    paths = (s.trajectory.states_at(fractions)[:, _position_columns(s)] for s in (one, other))
+    apart = float(np.abs(np.subtract(*paths)).max())
+    difference = abs(one.objective - other.objective)
+    return difference <= _SAME_COST * abs(one.objective) and apart <= _SAME_PLACE_M
 
 
 def _nearest(known: Mapping[int, Solution], share: float, most: int) -> list[int]:

@@ -59,6 +59,7 @@ class Outcome:
     attempts: tuple[str, ...]
     processor_s: float
     wall_s: float
+    usable_s: float | None = None
 
 
 def missions(count, seed):
@@ -91,7 +92,14 @@ def fly(mission, doubt=lambda _plan: "", base=BASE):
     seed, number, settings = mission
     planner = _PLANNERS.setdefault(None, Planner())
     started, processor = perf_counter(), process_time()
-    verdict, detail, attempts = _verdict(planner, base, settings, doubt)
+    usable = []
+
+    def show(state):
+        if state.has_usable and not usable:
+            usable.append(process_time() - processor)
+
+    verdict, detail, attempts = _verdict(planner, base, settings, doubt, show)
+    spent = process_time() - processor
     return Outcome(
         seed=seed,
         number=number,
@@ -99,14 +107,15 @@ def fly(mission, doubt=lambda _plan: "", base=BASE):
         verdict=verdict,
         detail=detail,
         attempts=attempts,
-        processor_s=process_time() - processor,
+        processor_s=spent,
         wall_s=perf_counter() - started,
+        usable_s=(usable or [spent])[0] if verdict in (VERIFIED, USABLE) else None,
     )
 
 
-def _verdict(planner, base, settings, doubt):
+def _verdict(planner, base, settings, doubt, show):
     try:
-        plan = planner.solve(load_scenario(base, settings))
+        plan = planner.solve(load_scenario(base, settings), show=show)
     except FeasibilityError as error:
         return INFEASIBLE, str(error), ()
     except PyomoQuadError as error:

@@ -27,7 +27,9 @@ ABOUT = (
     "vehicle can do. Everything else but the time limit is left at its default, and no mission "
     "gets a guess. The first missions of the seed are flown, as many as the table counts. A plan "
     "counts as verified or usable only where its flight by SciPy is outside of every zone too, by "
-    "formulas of the benchmark's own. Processor seconds of one core, building and flight included."
+    "formulas of the benchmark's own. A mission is stopped after 40 s; its first usable plan is "
+    "the one that is left to a user who stops earlier. Processor seconds of one core, building and "
+    "flight included."
 )
 SEEDS = (2029,)
 MISSIONS = 200
@@ -59,9 +61,9 @@ VEHICLES = (
     ),
     (OWN, (), 0.3, 0.15),
 )
-# Processor seconds after which the best plan of a mission is taken: half more than 95 % of the
-# missions are to take.
-LONGEST_S = 60.0
+# Processor seconds after which the best plan of a mission is taken, which 95 % of the missions are
+# to take at most.
+LONGEST_S = 40.0
 WORST = 10
 
 
@@ -210,22 +212,25 @@ def measure(arguments):
 def tables(outcomes):
     """Return what outcomes hold as tables."""
     times = np.array([o.processor_s for o in outcomes])
+    usable = np.array([np.inf if o.usable_s is None else o.usable_s for o in outcomes])
     lost = [o for o in outcomes if o.verdict == LOST]
     proven = sum(o.verdict == INFEASIBLE for o in outcomes)
     told = [
         len(outcomes),
         len(lost),
         proven,
-        *(f"{time:.1f}" for time in np.percentile(times, (50, 95, 100))),
+        *(f"{time:.1f}" for time in np.percentile(usable, (50, 95), method="lower")),
+        *(f"{time:.1f}" for time in np.percentile(times, (50, 95))),
     ]
-    header = ["missions", "without a usable plan", "proven infeasible", "median s", "95 % s"]
+    header = ["missions", "without a usable plan", "proven infeasible"]
+    header += ["usable plan: median s", "95 % s", "end of the solve: median s", "95 % within s"]
     dearest = sorted(outcomes, key=lambda o: -o.processor_s)[:WORST]
     rows = [
         [o.verdict, o.number, f"{o.processor_s:.1f}", ", ".join(o.settings[1:]), o.detail]
         for o in (*lost, *(o for o in dearest if o not in lost))
     ]
     return [
-        Table(name="strangers", title="All", header=[*header, "longest s"], rows=[told]),
+        Table(name="strangers", title="All", header=header, rows=[told]),
         Table(
             name="strangers_outcomes",
             title="Outcomes",

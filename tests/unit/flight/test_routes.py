@@ -13,7 +13,14 @@ from scipy.sparse.csgraph import dijkstra
 from pyomo_quad.cli import main
 from pyomo_quad.cli.endings import ExitCode
 from pyomo_quad.collocation import Mesh, Status, Trajectory
-from pyomo_quad.flight.route_flights import RouteFlights, guess_along
+from pyomo_quad.flight.flight import POSITION_STATES
+from pyomo_quad.flight.mission_problem import MissionProblem
+from pyomo_quad.flight.route_flights import (
+    RouteFlights,
+    _is_dominated,
+    guess_along,
+    sides_touched,
+)
 from pyomo_quad.flight.routes import (
     find_journeys,
     find_routes,
@@ -21,6 +28,7 @@ from pyomo_quad.flight.routes import (
     no_way,
 )
 from pyomo_quad.flight.zones import MARGIN_M
+from pyomo_quad.scenario import load_scenario
 from pyomo_quad.scenario.airspace import Airspace
 from tests.command import PAPER_CALM
 from tests.declared_model import scenario
@@ -310,11 +318,19 @@ def test_a_journey_goes_from_stop_to_stop_and_its_guess_is_there_in_time():
 
 
 def flown(height, objective, mesh):
-    states = np.full((mesh.points + 1, 1), height)
+    states = np.full((mesh.points + 1, len(POSITION_STATES)), height)
     held = Trajectory(
         mesh=mesh, states=states, algebraics=np.zeros((mesh.points, 0)), statics=np.zeros(0)
     )
-    return SimpleNamespace(status=Status.CONVERGED, objective=objective, trajectory=held, mesh=mesh)
+    slots = [SimpleNamespace(name=name) for name in POSITION_STATES]
+    declared = SimpleNamespace(states=slots)
+    return SimpleNamespace(
+        status=Status.CONVERGED,
+        objective=objective,
+        trajectory=held,
+        mesh=mesh,
+        problem=SimpleNamespace(compiled=SimpleNamespace(declared=declared)),
+    )
 
 
 def test_ways_that_become_one_flight_on_the_second_mesh_are_refined_once():
@@ -346,3 +362,40 @@ def test_ways_that_become_one_flight_on_the_second_mesh_are_refined_once():
     best, tried = Flights().compared(journeys)
     assert refined == [best]
     assert [(way.name, way.is_kept) for way in tried] == [("right of mast", True)]
+
+
+def test_a_journey_on_the_sides_of_the_zones_that_an_optimum_touches_is_dominated():
+    east = MAST | {"name": "east", "centre": [14.0, 0.0]}
+    journeys = find_journeys(airspace(MAST, east, floor=0.0, ceiling=9.0), [START, GOAL])
+    sides = [dict(journey[0].sides) for journey in journeys]
+    first = sides[0]
+    touched = (frozenset({("mast", first["mast"])}),)
+    dominated = [_is_dominated(journey, touched) for journey in journeys]
+    assert dominated == [own["mast"] is first["mast"] for own in sides]
+    assert len(set(dominated)) == 2
+    # An optimum that touches nothing is the optimum of the mission without zones.
+    assert all(_is_dominated(journey, (frozenset(),)) for journey in journeys)
+
+
+def test_only_zones_on_the_way_of_the_optimum_are_touched():
+    far = {"name": "far", "shape": "cylinder", "centre": [3.0, -1.2], "radius": 0.3}
+    near = {"name": "near", "shape": "cylinder", "centre": [2.0, 0.05], "radius": 0.3}
+    told = load_scenario(
+        PAPER_CALM,
+        [
+            "mission.goal.position=[4.0, 0.0, 1.0]",
+            "mission.duration=5.0",
+            "airspace.keep_out=["
+            + ", ".join(
+                f"{{name='{z['name']}', shape='cylinder', centre={z['centre']}, "
+                f"radius={z['radius']}, bottom=-9.0, top=9.0}}"
+                for z in (near, far)
+            )
+            + "]",
+        ],
+    )
+    mission = MissionProblem(PLANNER, told)
+    journey = find_journeys(told.airspace, told.mission.positions)[0]
+    solution = RouteFlights(mission).fly(journey)
+    (touched,) = sides_touched(told, journey, solution)
+    assert {name for name, _ in touched} == {"near"}
