@@ -47,6 +47,8 @@ _MOST_REMEDIES = 3
 _LIMITS = "limits."
 # Factor by which the tolerance is tightened if a simulated flight does not confirm the solution.
 _TIGHTER = 0.1
+# Factor on the tolerances for flying the controls of a solution, with each such simulation.
+_FINER = 0.25
 # Largest number of solves with limits that become stricter and stricter.
 _MOST_STRICTER = 4
 
@@ -572,7 +574,7 @@ class Candidate:
         """
         found, asked = self.found, self.scenario.solver.accuracy
         plan, allowed = self.plan, FIGURES[asked].energy
-        self._share *= _TIGHTER
+        self._share *= _FINER
         # With corrected controls, a coarse mesh costs no more energy than estimated.
         if asked is Accuracy.PROOF or plan.error_estimate > allowed:
             self.tolerance *= _TIGHTER

@@ -29,7 +29,7 @@ USABLE_ENERGY = 0.1
 # usable plans, about two seconds of a processor; and the largest fractions of its work that it
 # spends on simulating the controls of finished meshes: before it has a usable plan, and afterwards,
 # to find a better usable plan.
-_PATIENCE, _SHARE, _SHARE_FOR_BETTER = 9e3, 0.3, 0.05
+_PATIENCE, _SHARE, _SHARE_FOR_BETTER = 1.2e4, 0.2, 0.05
 # Simulating the controls of a mesh counts as the work of this number of iterations on the mesh.
 _ITERATIONS_OF_FLIGHT = 10
 # Fewest meshes of a refinement after which its solution may be flyable.
