@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from math import isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -146,11 +147,23 @@ def verified(
     return replace(
         plan,
         status=PlanStatus.VERIFIED if is_proven and is_optimal else PlanStatus.SOLVED,
-        message=verification.shortfall or lost or plan.message,
+        message=verification.shortfall or lost or _why_not(plan, verification, asked),
         verification=verification,
         flown=flown,
         timings=timings,
     )
+
+
+def _why_not(plan: Plan, found: Verification, accuracy: Accuracy) -> str:
+    """Return why a plan does not reach an accuracy below `proof`; else the message of its solve."""
+    excess = plan.error_estimate
+    if accuracy is Accuracy.PROOF or (found.is_verified and excess <= FIGURES[accuracy].energy):
+        return plan.message
+    if found.broken_limits:
+        return f"its simulated flight exceeds a limit: {found.broken_limits[0]}"
+    if isfinite(excess) and excess > FIGURES[accuracy].energy:
+        return f"it may spend up to {100.0 * excess:.1g} % more than the optimum"
+    return plan.message
 
 
 def _flown(plan: Plan, accuracy: Accuracy, wanted: FloatArray) -> tuple[Verification, Flown]:
