@@ -200,8 +200,8 @@ def _products(
     Returns
     -------
     ndarray, ndarray
-        Gradient with respect to the rates of the states, and gradient with respect to the states,
-        each of shape (n_points, n_states).
+        Gradient with respect to the derivatives of the states by the fraction of the horizon, and
+        gradient with respect to the states, each of shape (n_points, n_states).
     """
     n, rows = program.layout.n_states, np.arange(weights.shape[1])
     slopes = program.path_slopes(

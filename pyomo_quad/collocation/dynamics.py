@@ -46,7 +46,8 @@ class Instants:
     Attributes
     ----------
     inputs : list of ndarray, each with n rows
-        Rates, states, algebraic variables, static variables and data (fraction of the horizon and
+        Rates (derivatives of the states with respect to the fraction of the horizon), states,
+        algebraic variables, static variables (without time), and data (fraction of the horizon and
         parameters).
     read : callable
         ``(keys, *inputs)`` -> values of the components that `keys` names, shape (n, n_keys); an
@@ -72,8 +73,8 @@ class Instants:
             For each component: its full name, and its index without the time (i for ``x[i, t]``,
             None for ``x[t]``).
         changed : mapping, optional
-            New values of parameters by full name; they must affect neither rates nor algebraic
-            variables.
+            New values of parameters by full name; they must affect neither the time derivatives of
+            states nor algebraic variables.
 
         Returns
         -------
@@ -123,10 +124,10 @@ class Dynamics:
         """Return the CasADi function of the right-hand side.
 
         Its inputs are states, controls, static variables and data (fraction of the horizon and
-        parameters). Its first output holds the rates and the algebraic variables that equations
-        determine. Its second output holds the objective's integrand and the span, the derivative of
-        time with respect to the fraction of the horizon. Rates and integrand are per unit of the
-        fraction; dividing by the span makes them per unit of time.
+        parameters). Its first output holds the rates (derivatives of the states) and the algebraic
+        variables that equations determine. Its second output holds the objective's integrand and
+        the span, the derivative of time with respect to the fraction of the horizon. Rates and
+        integrand are per unit of the fraction; dividing by the span makes them per unit of time.
         """
         declared = self._formulation.compiled.declared
         equations = [e for e in declared.equations if e.is_equality]
@@ -349,14 +350,16 @@ class Dynamics:
         return self._data
 
     def _solve(self, t: float, x: FloatArray, u: FloatArray) -> list[FloatArray]:
-        """Evaluate the right-hand side at one time.
+        """Evaluate the right-hand side at one physical time, for states x and controls u.
 
         Returns
         -------
-        list of two ndarray, one row each
-            Rates followed by the algebraic variables that equations determine, per unit of the
-            fraction of the horizon; and the objective's integrand with the derivative of time with
-            respect to that fraction.
+        ndarray
+            One row: the derivatives of the states with respect to the fraction of the horizon, then
+            the algebraic variables that equations determine.
+        ndarray
+            One row: the objective's integrand per unit of the fraction of the horizon, then the
+            derivative of physical time with respect to this fraction.
         """
         row = self._row(t)
         return self._at_one(x[None, :], u[None, :], self._statics[None, :], row[None, :])
@@ -415,6 +418,8 @@ class Dynamics:
         numbers: Mapping[str, ArrayLike] | None = None,
     ) -> Instants:
         """Return states and controls at n times with the resulting rates and algebraic variables.
+
+        Rates are the derivatives of the states with respect to the fraction of the horizon.
 
         Parameters
         ----------
@@ -578,7 +583,8 @@ class Dynamics:
     ) -> tuple[Violation, ...]:
         """Return the worst violation of every limit over time along a trajectory, the worst first.
 
-        Limits are path inequalities and bounds. The violation of a satisfied limit is 0.
+        Limits are path inequalities and bounds. The violation of a satisfied limit is 0. The limits
+        are ordered by their violations relative to max(1, abs(bound)).
 
         Parameters
         ----------
@@ -603,7 +609,8 @@ class Dynamics:
         Returns
         -------
         list of tuple of Violation
-            For each flight, the result of `violations`: the worst violation comes first.
+            For each flight, the worst violation of each limit, the worst limit first, as in
+            `violations`.
         """
         limits = self.limits_of(instants)
         flights = (slice(k, k + len(t)) for k in range(0, len(instants.inputs[0]), len(t)))
@@ -654,7 +661,7 @@ class Dynamics:
 def split_algebraics(formulation: Formulation) -> tuple[tuple[Slot, ...], tuple[Slot, ...]]:
     """Split the algebraic variables into controls and variables that equations determine.
 
-    Each equality equation without rates determines one algebraic variable, if possible. A maximum
+    Each equality without time derivatives determines one algebraic variable, if possible. A maximum
     matching assigns variables to equations. If several variables are possible for an equation, the
     variable that is declared later is assigned. The remaining algebraic variables are the controls.
 
@@ -782,6 +789,7 @@ class _Core:
     def of(cls, rows: Any, unknowns: Any, inputs: list[Any], rest: Any) -> _Core:
         """Split equations that are nonlinear in the rates or algebraic variables.
 
+        Rates are the derivatives of the states with respect to the fraction of the horizon.
         Newton's method solves only for the unknowns that enter nonlinearly. The remaining equations
         are linear in the remaining unknowns, and are solved symbolically.
 
@@ -840,6 +848,9 @@ class _WithoutIterations(Dynamics):
 
 def _nonlinear_core(rows: Any, unknowns: Any) -> tuple[tuple[list[int], list[int]], ...]:
     """Split implicit equations into a nonlinear part for Newton's method and a linear rest.
+
+    The equations are to be solved for the rates (derivatives of the states) and for the algebraic
+    variables that equations determine.
 
     The nonlinear part consists of the unknowns that enter nonlinearly, and of the equations that
     contain no other unknowns. If its numbers of equations and of unknowns differ, Newton's method
@@ -1058,8 +1069,9 @@ class ClosedLoop:
     dynamics : Dynamics
         Right-hand side of the vehicle's equations.
     law : callable
-        (command, x, own) -> (controls, rates of own), sequences of numbers; see `Law`. The
-        constructor calls the law once, with symbols.
+        (command, x, own) -> (controls, time derivatives of own), sequences of numbers; see `Law`.
+        Here x are the vehicle's states, and own are the law's own states. The constructor calls the
+        law once, with symbols.
     n_command, n_own : int
         Number of components of the command that the law follows, and number of its own states.
 
@@ -1067,7 +1079,7 @@ class ClosedLoop:
     ------
     TranscriptionError
         If the law branches on a state, calls a function that cannot be compiled, or returns a wrong
-        number of controls or of rates of its own states.
+        number of controls or of time derivatives of its own states.
     """
 
     def __init__(self, dynamics: Dynamics, law: Law, *, n_command: int, n_own: int) -> None:
@@ -1103,7 +1115,7 @@ class ClosedLoop:
     def rates(
         self, t: float, joint: FloatArray, command: Sequence[float] | FloatArray
     ) -> FloatArray:
-        """Return the time derivative of the joint state, shape (n_joint,).
+        """Return the time derivative of the closed loop's joint state, shape (n_joint,).
 
         Parameters
         ----------
@@ -1123,9 +1135,11 @@ class ClosedLoop:
     def slopes(
         self, t: FloatArray, joint: FloatArray, command: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return partial derivatives of the joint state's rates at n times.
+        """Return partial derivatives of the joint state's time derivative at n times.
 
-        At a corner of the law, for example where `fmin` switches, they are one-sided derivatives.
+        The joint state consists of the states of vehicle and law, and the integral of the
+        objective's integrand; `rates` returns its time derivative. At a corner of the law, for
+        example where `fmin` switches, the partial derivatives are one-sided.
 
         Parameters
         ----------

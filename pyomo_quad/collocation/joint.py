@@ -77,7 +77,7 @@ class JointSolution(Outcome):
 
     @property
     def summary(self) -> dict[str, str]:
-        """Status, objective, error, sizes of the meshes and message, as text by label."""
+        """Status, objective, error estimate, mesh sizes and message, as text by label."""
         sizes = {name: part.mesh.summary for name, part in self.horizons.items()}
         return {
             "status": self.status.value,
@@ -584,9 +584,19 @@ class JointProblem(Summarised):
 
         The coupling consists of the objective and of the constraints on several horizons. It
         contains a static variable (a variable without time) instead of, for example, the derivative
-        of a state at the end of a horizon. The array `z` holds the unknowns of the joint program.
-        The entry of each static variable in `z` is set to the value for which it stands. That value
-        is computed from the horizon's own unknowns, the entries `places` of `z`.
+        of a state at the end of a horizon. The entry of each static variable in `z` is set to the
+        value for which it stands, computed from the horizon's own unknowns.
+
+        Parameters
+        ----------
+        union : Union
+            Positions of the static variables in the joint program.
+        program : Transcription
+            Nonlinear program of the horizon.
+        z : ndarray
+            Unknowns of the joint program, changed in place.
+        places : ndarray of int
+            Positions of the horizon's unknowns in `z`.
         """
         if program.mesh is None:
             return

@@ -184,7 +184,8 @@ def bounded(
 
     Bounds on the coefficients keep the trajectory within the variables' bounds between the
     collocation points too. An element is near a bound if one of its coefficients, for the given
-    trajectory, is near the bound or violates it.
+    trajectory, violates the bound, or is closer to it than 0.45 times the distance between the
+    variable's lower and upper bound (0.45 max(1, abs(bound)) if only one of them is finite).
 
     Parameters
     ----------
@@ -196,7 +197,8 @@ def bounded(
     z : ndarray, shape (n_unknowns,)
         The trajectory, interpolated from another mesh.
     breach : float
-        Amount by which a coefficient may exceed a bound, relative to max(1, abs(bound)).
+        Amount by which the bounds on the coefficients are wider than the bounds of the variables,
+        relative to max(1, abs(bound)).
 
     Returns
     -------

@@ -366,6 +366,9 @@ def _magnitude(slot: Slot, bounds: Bounds, z: FloatArray, columns: Any) -> float
 def refuse_unsolvable(program: Transcription, bounds: Bounds, z: FloatArray) -> None:
     """Raise an error if a program is not finite at the initial point `z`, or over-determined.
 
+    A program is over-determined if it has more equations than free unknowns (unknowns with unequal
+    bounds), and if these equations are linear and contradict each other.
+
     Raises
     ------
     TranscriptionError
@@ -379,7 +382,10 @@ def refuse_unsolvable(program: Transcription, bounds: Bounds, z: FloatArray) -> 
 
 
 def counted(bounds: Bounds) -> str:
-    """Return a phrase with the numbers of equations and of free unknowns, for messages."""
+    """Return a phrase with the numbers of equations and of free unknowns, for error messages.
+
+    Unknowns with unequal bounds are free; constraints with equal bounds are equations.
+    """
     free = int(np.sum(bounds.lower < bounds.upper))
     return f"{bounds.surplus + free} equations for {free} free unknowns"
 
@@ -446,11 +452,12 @@ _ROUNDING = 1e-9
 
 
 def without_settled_rows(program: NonlinearProgram, bounds: Bounds, z: FloatArray) -> Bounds:
-    """Remove the bounds of constraints that involve only fixed unknowns and are satisfied.
+    """Return bounds without those of satisfied constraints that involve fixed unknowns only.
 
-    A path equality at a point where all states in the equality are fixed is redundant. The equality
-    has no derivatives with respect to free unknowns, which would make the equations appear linearly
-    dependent. The constraints are evaluated at the point `z`.
+    The bounds of such a constraint are infinite in the result, because the constraint is redundant.
+    An example is a path equality at a point where all states in the equality are fixed. The
+    equality has no derivatives with respect to free unknowns, which would make the equations appear
+    linearly dependent. The constraints are evaluated at the point `z`.
     """
     rows, columns = program.jacobianstructure()
     is_free = bounds.lower < bounds.upper

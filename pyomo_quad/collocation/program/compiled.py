@@ -95,12 +95,16 @@ class MappedFunction:
 
 
 def set_outputs_aside(declared: Declarations) -> Declarations:
-    """Move output states and their equations out of the nonlinear program.
+    """Return a copy of the declarations, with output states and their equations set aside.
 
     An output state affects neither the objective nor other equations, for example an energy that is
-    only reported. A state is an output state if its symbol and its rate appear in a single
-    equality, it has no bounds, and it is fixed at the start and nowhere else. The search is
-    repeated, so that it also finds output states on which only other output states depend.
+    only reported. In the copy, these states with their equations and initial conditions are moved
+    to attributes of their own (`Declarations.outputs` and others). They are then left out of the
+    nonlinear program, and are computed from its solution.
+
+    A state is an output state if the state and its time derivative appear in a single equality, it
+    has no bounds, and it is fixed at the start and nowhere else. The search is repeated, so that it
+    also finds output states on which only other output states depend.
     """
     while True:
         found = _one_output(declared)
@@ -205,8 +209,8 @@ class SimpleBound:
     slope : float
         Coefficient of the variable in the constraint; 1 for bounds that the variable declares.
     lower, upper : casadi.SX
-        Bounds of the variable, as expressions of parameters and, over time, of the fraction of the
-        horizon.
+        Bounds of the variable itself, already divided by `slope`, as expressions of parameters and,
+        over time, of the fraction of the horizon.
     """
 
     name: str
@@ -238,7 +242,7 @@ def split_simple_bounds(
         Every variable symbol by name; any other symbol in a constraint is a parameter.
     candidates : frozenset of str
         Names of the variables that are unknowns of the nonlinear program. Only these variables can
-        have bounds; a rate, for example, cannot.
+        have bounds; the time derivative of a state, for example, cannot.
 
     Returns
     -------
@@ -261,7 +265,8 @@ def _as_simple_bound(
     """Return a constraint on a single variable as a `SimpleBound`, else None.
 
     The result is None if the constraint contains several variables, is nonlinear in its variable,
-    or is an equality over time. `variables` and `candidates` are as in `split_simple_bounds`.
+    or is an equality over time, or if the variable is no unknown of the nonlinear program (is not
+    in `candidates`). `variables` and `candidates` are as in `split_simple_bounds`.
     """
     if isinstance(relation, PathEquation) and relation.is_equality:
         return None
@@ -348,8 +353,9 @@ class CompiledModel:
     declared : Declarations
         Variables, equations, conditions and objective in CasADi symbols.
     path : DerivedFunctions
-        Path equations, then integrands, as functions of the rates, states, algebraic and static
-        variables of a point, and of the point's data.
+        Path equations, then integrands, as functions of the rates (derivatives of the states with
+        respect to the fraction of the horizon), states, algebraic and static variables of a point,
+        and of the point's data.
     points : DerivedFunctions
         Conditions, then the objective, as functions of values at declared times, static variables
         and integrals, and of the parameters.
@@ -708,7 +714,8 @@ def _symbols(slots: tuple[Slot, ...]) -> Any:
 def _path_symbols(declared: Declarations) -> dict[str, Any]:
     """Return the symbols of the variables at a collocation point, by name and in fixed order.
 
-    The order is: rates, states, algebraic variables, static variables.
+    The order is: rates (derivatives of the states with respect to the fraction of the horizon),
+    states, algebraic variables, static variables (variables without time).
     """
     symbols = {s.rate.name(): s.rate for s in declared.states}
     for slots in (declared.states, declared.algebraics, declared.statics):

@@ -102,8 +102,9 @@ class CouplingWriter(TemplateWriter):
     def write_objective(self, objective: Any) -> Any:
         """Return the objective as a CasADi expression.
 
-        A constraint on several horizons may contain values at the start and the end of a horizon
-        only. The objective may contain values at any declared time (member of a continuous set).
+        Unlike constraints on several horizons, which may contain values at the start and the end of
+        a horizon only, the objective may contain values at any declared time (member of a
+        continuous set). `objective` is the Pyomo objective.
         """
         self._in_objective = True
         return casadi.SX(self.write(objective.expr, objective.name))

@@ -93,7 +93,8 @@ def with_defined(
     ----------
     program : Transcription
     variables : ndarray, shape (n_points, n_variables)
-        Rates, states, algebraic and static variables, one row per point.
+        Rates (derivatives of the states with respect to the fraction of the horizon), states,
+        algebraic and static variables, one row per point.
     data : ndarray, shape (n_points, n_data)
         Fraction of the horizon and parameters, one row per point.
     given : list of Definition

@@ -150,7 +150,7 @@ class SolverOptions:
         return replace(self, max_iterations=int(min(self.max_iterations, iterations)))
 
     def for_phases(self) -> SolverOptions:
-        """Return the settings for equations that hold a variable at its bound for some time.
+        """Return the settings for models whose equations hold a variable at a bound for some time.
 
         Examples are an engine at full thrust, or an empty tank. The equation and the bound together
         leave the feasible set without an interior, so the multipliers diverge. A warm start from

@@ -51,7 +51,8 @@ class Candidate:
     name : str
         Name of the condition, or of the fixed variable and its time.
     key : str or (str, float)
-        The condition's name, or the key of the fixed value in `Instance.fixed`.
+        Identifies the condition when it is left out of a solve: the name of a constraint, or, for a
+        fixed value, the pair (variable name, fraction of the horizon).
     row, column : int
         For a condition that is a constraint, `row` is the index of the constraint in the program
         and `column` is -1. For a condition that fixes an unknown, `row` is -1 and `column` is the

@@ -310,10 +310,12 @@ class Contributions:
 
         Notes
         -----
-        Only the lower triangle of the Hessian is assembled. For two equal variables, the product of
-        the linear combinations lists each pair of different unknowns twice, and one of the two
-        entries is dropped. For two different variables, both orders of the pair contribute, so that
-        an entry on the diagonal counts twice.
+        A second derivative with respect to variables i and j is multiplied by the product of the
+        rows i and j of the matrix `variables`, which has an entry for each pair of unknowns (a, b).
+        Only the lower triangle of the Hessian with respect to the unknowns is assembled. If i
+        equals j, the product has equal entries for (a, b) and (b, a), of which one is dropped. If i
+        and j differ, the second derivative is given for (i, j) but not for (j, i). Both entries are
+        then added in the lower triangle, and an entry on the diagonal is doubled.
         """
         one = variables[first].tocoo()
         other = variables[second[one.row]].tocoo()

@@ -35,7 +35,8 @@ class Place:
     name : str
         Full name of the equation or variable.
     time : float, optional
-        Time, as `Transcription.time_of` returns it; None for a component without time.
+        Physical time; the fraction of the horizon if start or end of the horizon is a variable;
+        None for a component without time.
     element, point : int, optional
         Index of the element, from 0, and number of the collocation point in it, from 1.
     """
@@ -471,7 +472,8 @@ class Transcription:
         Parameters
         ----------
         variables : ndarray, shape (n, n_variables)
-            Rates, states, algebraic and static variables at n points.
+            Rates (derivatives of the states with respect to the fraction of the horizon), states,
+            algebraic and static variables at n points.
         data : ndarray, shape (n, n_data)
             Fraction of the horizon and parameters.
         rows, columns : ndarray of int
@@ -505,6 +507,8 @@ class Transcription:
 class Linearised:
     """Partial derivatives of the differential equations with respect to rates and states.
 
+    Rates are the derivatives of the states with respect to the fraction of the horizon.
+
     Attributes
     ----------
     rows : ndarray of int, shape (n_rows,)
@@ -519,15 +523,18 @@ class Linearised:
 
 
 def linearised(program: Transcription, variables: FloatArray, data: FloatArray) -> Linearised:
-    """Linearise the differential equations (equalities with rates) at points.
+    """Return the derivatives of the differential equations with respect to rates and states.
+
+    Rates are the derivatives of the states with respect to the fraction of the horizon; an equality
+    that contains a rate is a differential equation.
 
     Parameters
     ----------
     program : Transcription
     variables : ndarray, shape (n_points, n_variables)
-        Rates, states, algebraic and static variables.
+        Rates, states, algebraic and static variables at the points of linearisation.
     data : ndarray, shape (n_points, n_data)
-        Fraction of the horizon and parameters.
+        Fraction of the horizon and parameters at these points.
     """
     path, n = program.compiled.path, program.layout.n_states
     differential = np.zeros(path.values.numel_out(0), dtype=bool)
@@ -543,6 +550,8 @@ def rate_corrections(
     program: Transcription, variables: FloatArray, data: FloatArray, rows: FloatArray
 ) -> FloatArray:
     """Return the changes of the rates after which the differential equations are satisfied.
+
+    Rates are the derivatives of the states with respect to the fraction of the horizon.
 
     Parameters
     ----------

@@ -315,7 +315,8 @@ def copies_with_template_times(model: Any) -> tuple[WorkingCopy, ...]:
 def _culprit(error: Exception, copies: list[WorkingCopy]) -> str:
     """Return the name of the component whose rule raised an error, for the error message.
 
-    If the traceback does not show the component, the names of the continuous sets are returned.
+    If the traceback does not show the component, the names of the continuous sets of the working
+    copies `copies` are returned.
     """
     frames = [frame for frame, _ in walk_tb(error.__traceback__)]
     made = [frame.f_locals.get("self") for frame in frames]
@@ -327,6 +328,8 @@ def _expand(copy: Any, copies: list[WorkingCopy]) -> None:
     """Make the members of all components at the template times, by calling their rules.
 
     A template time is the interior time added to a continuous set, at which equations are read.
+    `copy` is the clone of the user's model, and `copies` has its working copies, one per horizon,
+    which hold the template times.
 
     Raises
     ------

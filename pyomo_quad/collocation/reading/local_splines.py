@@ -144,7 +144,23 @@ def _jet(
     coefficients: FloatArray,
     degree: int,
 ) -> Any:
-    """Return value, gradient and upper triangle of the Hessian of a spline at a symbolic place."""
+    """Return value, gradient and upper triangle of the Hessian of a spline at a symbolic point.
+
+    Parameters
+    ----------
+    place : casadi.MX
+        Symbols of the point's coordinates, one per axis of the spline.
+    knots : sequence of ndarray
+        Knots along each axis.
+    coefficients : ndarray
+        B-spline coefficients, with one array axis per axis of the spline.
+    degree : int
+
+    Returns
+    -------
+    casadi.MX
+        Column of the value, then the gradient, then the upper triangle of the Hessian.
+    """
     table, order, cells = coefficients, degree + 1, 0
     axes, index, along = [], [], []
     for axis, t in enumerate(knots):
@@ -178,28 +194,37 @@ def _jet(
     return _contraction(list(parts), len(knots), degree)(casadi.vertcat(*parts.values()), *weights)
 
 
-# A part of a spline's jet: a derivative's orders along the last axes, and its coefficients.
+# Sums of a cell's coefficients times their factors along the last axes, for value and derivatives
+# of a spline: orders of the derivative along these axes -> column with a sum for each combination
+# of the coefficients along the other axes.
 _Parts = dict[tuple[int, ...], Any]
 
 
 def _weights(count: int, cells: int, degree: int) -> Any:
-    """Return the CasADi function from a place and its cell to the weights of each axis.
+    """Return a CasADi function for the factors by which a cell's coefficients are multiplied.
+
+    In each cell of its grid, a spline is a sum of (degree + 1)**count coefficients, each multiplied
+    by one factor per axis. The factor is a function of the coordinate along the axis: a power of
+    the local coordinate in the cell, or a B-spline basis function. If derivatives of the factors
+    take the place of the factors, the sum is a derivative of the spline.
 
     Parameters
     ----------
     count : int
-        Number of axes.
+        Number of axes of the spline.
     cells : int
-        Number of leading axes along which the entries are coefficients of powers; along the others
-        they are coefficients of the B-spline.
+        Number of leading axes along which the factors are powers; along the other axes they are
+        B-spline basis functions.
     degree : int
 
     Returns
     -------
     casadi.Function
-        Of the place, and for each axis the numbers of its cell: anchor, reciprocal width, first
-        basis function, and coefficients of the basis functions. For each axis a matrix with a row
-        per entry and a column per derivative.
+        (point, then one column per axis) -> one matrix per axis. The column describes the cell that
+        contains the point, along the axis: anchor (origin of the local coordinate), reciprocal
+        width, index of the first basis function that is not zero in the cell, and coefficients of
+        these basis functions in powers of the local coordinate. The matrix has the shape
+        (degree + 1, 3): a row for each factor, with its value, first and second derivative.
     """
     order, weights = degree + 1, []
     place = casadi.SX.sym("place", count)
@@ -212,9 +237,28 @@ def _weights(count: int, cells: int, degree: int) -> Any:
 
 
 def _contracted(parts: _Parts, weights: Sequence[Any], axes: Iterable[int]) -> _Parts:
-    """Return the parts of a jet after the entries along some axes are summed with their weights.
+    """Sum the terms of a spline's value and derivatives along some axes.
 
-    The axes are the last ones that the parts still have.
+    In a grid cell, a spline is a sum of the cell's coefficients, each multiplied by one factor per
+    axis (see `_weights`). This function multiplies by the factors of the given axes, and sums the
+    products over these axes.
+
+    Parameters
+    ----------
+    parts : dict
+        Results of the summation over other axes before. The key has the orders of the derivative
+        along those axes, () if there are none. The value is a CasADi column with an entry for each
+        combination of the coefficients along the axes that remain.
+    weights : sequence of casadi.SX or casadi.MX
+        For each axis, the matrix of factors and their derivatives that `_weights` describes.
+    axes : iterable of int
+        The axes to sum over, in rising order: the last of the axes that remain.
+
+    Returns
+    -------
+    dict
+        In the form of `parts`. The orders along `axes` come first in the keys; derivatives have a
+        total order of at most 2.
     """
     for axis in reversed([*axes]):
         order = weights[axis].shape[0]
@@ -232,18 +276,26 @@ def _contracted(parts: _Parts, weights: Sequence[Any], axes: Iterable[int]) -> _
 
 
 def _contraction(given: Sequence[tuple[int, ...]], count: int, degree: int) -> Any:
-    """Return the CasADi function from parts of a jet to value, gradient and Hessian.
+    """Return a CasADi function that completes the sums for value, gradient and Hessian.
 
-    The parts are summed along the first axes, one scalar operation after the other: for the few
-    numbers of these axes this takes less time than matrices do.
+    The value and each derivative of a spline at a point are sums, over all axes, of a cell's
+    coefficients times their factors (see `_contracted`). The returned function sums over the first
+    axes, after `_contracted` has summed over the last axes. It consists of scalar operations: for
+    the few numbers of the first axes, they take less time than products of matrices.
 
     Parameters
     ----------
     given : sequence of tuple of int
-        Orders of the derivative of each part along the axes that were summed before.
+        Keys of the sums over the last axes: orders of the derivative along these axes.
     count : int
         Number of axes of the spline.
     degree : int
+
+    Returns
+    -------
+    casadi.Function
+        (the sums over the last axes as one column, then for each first axis the matrix of factors
+        that `_weights` describes) -> column of value, gradient and upper triangle of the Hessian.
     """
     left, order = min(count, _AS_NUMBERS), degree + 1
     size = order**left

@@ -208,8 +208,8 @@ class RelationReader:
         points.
 
         The collocation points include the end of the horizon but not its start. If the equation
-        contains states, but no rates or algebraic variables, a condition therefore imposes it at
-        the start; an equation with rates or algebraic variables is not imposed at the start. A
+        contains states, but no rates (time derivatives of states) or algebraic variables, a
+        condition therefore imposes it at the start; any other equation is not imposed there. A
         member at the end that differs from the path equation becomes a separate condition.
         `equation` is the constraint as an equation over time, and `instances` has its members at
         declared times, the members of the continuous set.
@@ -275,7 +275,10 @@ class RelationReader:
         return self.addresses.of(a).index == self.addresses.of(b).index
 
     def _states_only(self, equation: PathEquation) -> bool:
-        """Return whether an equation over time has states, but no rates or algebraic variables."""
+        """Return whether an equation over time has states, but no rates or algebraic variables.
+
+        Rates are the derivatives of the states with respect to time.
+        """
         names = symbol_names(equation.expression)
         table = self.symbols
         rates = {s.rate.name() for s in table.states.values()}
@@ -599,8 +602,9 @@ class ModelReader:
 
         Each equation determines at most one state. If the model has derivatives in space, the
         discretisation in space has added one equation for each derivative in space. An added
-        equation determines the derivative for which it was added, and therefore no state. `read`
-        has the names of the symbols in each equation.
+        equation determines the derivative for which it was added, and therefore no state; the name
+        of such a derivative is in the result too. `states` are the states to be determined, and
+        `read` has the names of the symbols in each equation.
         """
         rates = {s.rate.name() for s in self.symbols.states.values()}
         algebraic = [names for names in read if not names & rates]

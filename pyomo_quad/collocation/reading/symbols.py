@@ -75,12 +75,13 @@ class TimeSymbol:
         return self.template == other
 
     def _compare(self, relation: Callable[[Any, Any], Any], other: Any) -> bool:
-        """Compare the symbol's number with another number, as a rule of the model requests.
+        """Return the result of comparing the symbol's number with another number in a rule.
 
         A comparison with a number that is no declared time (member of the continuous set) counts as
         reading the symbol's number, and sets `is_read`.
 
-        `relation` is the comparison, a function of two numbers.
+        `relation` is the comparison, a function of two numbers, for example `operator.lt`; `other`
+        is the second number.
         """
         # Pyomo compares two symbols when an Integral sorts its times.
         if isinstance(other, TimeSymbol):
@@ -159,7 +160,7 @@ class Instant(float):
     template: float
 
     def __new__(cls, time: float, template: float) -> Self:
-        """Return a number that equals, as an index, the time at which equations are read."""
+        """Return the number `time`, which as an index equals the template time `template`."""
         made = super().__new__(cls, time)
         made.template = template
         return made

@@ -133,7 +133,10 @@ class ModelValues:
         return np.array([self._parameter(slot, named, ends) for slot in self._declared.parameters])
 
     def by_name(self, overrides: Overrides | None) -> dict[str, Any]:
-        """Return the parameter values that the caller gives, by full name instead of component.
+        """Return the parameter values that the caller gives, with full names as keys.
+
+        A key of `overrides` is the full name of a parameter, or the Pyomo parameter itself, which
+        the result replaces by its name.
 
         Raises
         ------
