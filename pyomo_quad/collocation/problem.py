@@ -246,7 +246,9 @@ class Problem(Summarised, Formulation):
     def _simulated(self, mesh: Mesh, instance: Instance) -> Trajectory | None:
         """Simulate a model without controls from its initial states, as an initial guess.
 
-        `instance` holds the parameter values and the horizon of the solve.
+        `mesh` is the mesh of the guess; element boundaries are added where the solve needs them,
+        for example at jumps of parameters. `instance` holds the parameter values and the horizon of
+        the solve.
 
         Returns
         -------

@@ -526,7 +526,7 @@ def _times(declared: Declarations, parameters: Any) -> Any:
 
 
 def with_moving_limits(declared: Declarations) -> Declarations:
-    """Rewrite limits that depend on static variables, so that all bounds depend on data alone.
+    """Return a copy of the declarations, in which all bounds depend on data alone.
 
     If times are free (determined by the solve), the time t in a rule such as `m.x[t] <= t` depends
     on static variables (variables without time). The bounds of a constraint or variable, however,
@@ -757,13 +757,11 @@ def _is_static(declared: Declarations, name: str) -> bool:
 
 
 def _with_integral_variables(declared: Declarations) -> Declarations:
-    """Add a static variable for each integral that does not enter the objective linearly.
+    """Return a copy of the declarations, with a static variable for each integral that needs one.
 
-    A static variable is a variable without time.
-
-    A constraint, a single dense row of the nonlinear program, makes the static variable equal to
-    the integral. An integral that enters only the objective, and linearly, needs no static
-    variable.
+    A static variable is a variable without time. An integral that enters only the objective, and
+    linearly, needs none. For any other integral, a constraint (a single dense row of the nonlinear
+    program) makes the static variable equal to the integral.
     """
     in_conditions = symbol_names(stacked([c.expression for c in declared.conditions]))
     variables = symbol_names(

@@ -83,11 +83,13 @@ def _solved(
     options: SolverOptions,
     progress: Progress | None,
 ) -> IpoptResult:
-    """Solve an elastic program, starting from a point of the original program.
+    """Solve an elastic program by Ipopt, starting from a point of the original program.
 
     An elastic program is the original program with slacks that permit violations of its
     constraints. The initial slacks equal the violations at the point `near`, plus a margin.
-    `bounds` and `scaling` are the bounds and scaling of the original program.
+    `bounds` and `scaling` are the bounds and scaling of the original program. `options` are
+    settings of Ipopt, and `progress` is called at each iteration. The unknowns of the result are
+    those of the original program, then the slacks.
     """
     values = elastic.program.constraints(near)
     by_slack = elastic.terms[:, near.size :].tocoo()

@@ -782,9 +782,9 @@ def _result(
 ) -> IpoptResult:
     """Return the outcome of Ipopt as an `IpoptResult`.
 
-    After a failed solve, the result holds the iterate with the least constraint violation. `z` and
-    `info` are the results of cyipopt, `wall` is the wall-clock time [s], and `stopped` is true if
-    the user interrupted the solve.
+    After a failed solve, the result holds the iterate with the least constraint violation, which
+    `callbacks` has recorded together with the progress. `z` and `info` are the results of cyipopt,
+    `wall` is the wall-clock time [s], and `stopped` is true if the user interrupted the solve.
 
     Raises
     ------

@@ -293,7 +293,10 @@ class ExtendedProgram:
         return np.append(rows, self.columns), np.append(columns, self.columns)
 
     def hessian(self, w: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
-        """Return the nonzeros of the Lagrangian's Hessian; the linear terms do not contribute."""
+        """Return the nonzeros of the Hessian of factor * objective + multipliers . constraints.
+
+        The added linear terms do not contribute to the Hessian.
+        """
         own = multipliers[: self.program.n_rows]
         held = self.program.hessian(self.split(w)[0], own, self.share * factor)
         return np.append(held, factor * self.weights)

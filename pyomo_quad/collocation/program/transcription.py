@@ -428,7 +428,8 @@ class Transcription:
     def path_curvatures(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
         """Return the second derivatives of the Lagrangian with respect to each variable of a point.
 
-        They are the diagonals of the Hessians that `path_hessians` returns.
+        They are the diagonals of the Hessians that `path_hessians` returns. `multipliers` are the
+        multipliers of all constraints of the program.
 
         The result has the shape (n_points, n_variables). Entry (i, j) is the second derivative with
         respect to variable j at point i, per unit of the fraction of the horizon. The variables are
@@ -445,7 +446,8 @@ class Transcription:
         """Return the Hessian of the Lagrangian with respect to the variables of each point.
 
         Shape (n_points, n_variables, n_variables), in the order of `path_variables`, per unit of
-        the fraction of the horizon.
+        the fraction of the horizon. `multipliers` are the multipliers of all constraints of the
+        program.
         """
         path = self.compiled.path
         held, n = self._path_hessian(z, multipliers), path.values.size1_in(0)
@@ -458,7 +460,7 @@ class Transcription:
         """Return the nonzeros of the Lagrangian's Hessian at each point: (n_points, n_nonzeros).
 
         The Hessian is taken with respect to the variables of the point, per unit of the fraction of
-        the horizon.
+        the horizon. `multipliers` are the multipliers of all constraints of the program.
         """
         weights = self.path_weights(z, multipliers)
         held = self._path[2](self.path_variables(z), self._path_data, weights)[0]
@@ -497,7 +499,8 @@ class Transcription:
         """Return the integrands' contribution to the Lagrangian at the points, shape (n_points,).
 
         The contribution is the sum of all integrands, each multiplied by the weight of its integral
-        in the Lagrangian (`integral_weights`).
+        in the Lagrangian (`integral_weights`), per unit of the fraction of the horizon.
+        `multipliers` are the multipliers of all constraints of the program.
         """
         densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
         return np.asarray(densities @ self.integral_weights(z, multipliers))

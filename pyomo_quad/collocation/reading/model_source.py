@@ -389,7 +389,8 @@ class LiveModel:
         """Return a parameter over time as an `Interpolant`, which can be pickled.
 
         The interpolant has no pieces if the parameter cannot be approximated by polynomials.
-        `asked` are the times between which jumps are searched.
+        `horizon` has the start and the end of the approximation, and `asked` the times between
+        which jumps are searched.
         """
         try:
             return _as_interpolant(slot, self.signal(slot), horizon, asked)
@@ -406,7 +407,8 @@ def _as_interpolant(
     """Return a function of time as an `Interpolant`: piecewise polynomials that can be pickled.
 
     If the function fails or is too rough, the interpolant has no pieces and contains the reason.
-    `asked` are the times between which jumps of the function are searched.
+    `slot` is the component that the function belongs to, and `horizon` has the start and the end of
+    the approximation. `asked` are the times between which jumps of the function are searched.
     """
     try:
         edges = list(jumps(partial(as_reading, function), asked))

@@ -180,7 +180,7 @@ class ModelValues:
         """Return the time-dependent parameters as a function of the fraction of the horizon.
 
         The function returns a list: parameters over time, then the data of rules that branch on
-        time.
+        time. `instance` holds the horizon, and the parameter values that the caller gives.
 
         Raises
         ------
@@ -204,8 +204,9 @@ class ModelValues:
         """Return the fractions of the horizon at which time-dependent parameters may jump.
 
         These are the declared times (members of the continuous set), and the times at which
-        bisection finds a jump of a rule's result or of a parameter. Parameters given as `Steps` are
-        not searched.
+        bisection finds a jump of a rule's result or of a parameter. Parameters given as `Steps`
+        (piecewise constant) are not searched. `overrides` has the parameter values that the caller
+        gives; `horizon` is start and end of the horizon, by default the ends of the continuous set.
         """
         if not self._declared.has_signals:
             return ()
@@ -233,7 +234,11 @@ class ModelValues:
         return found
 
     def _signal_functions(self, overrides: Overrides | None) -> list[Callable[[float], float]]:
-        """Return the parameters over time as functions of time, in declared order."""
+        """Return the parameters over time as functions of time, in declared order.
+
+        `overrides` has the parameter values that the caller gives, which take precedence over the
+        rules in the model.
+        """
         if not self._declared.signals:
             return []
         named = self.by_name(overrides)
