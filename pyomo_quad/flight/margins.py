@@ -86,8 +86,9 @@ class RiskTaken:
     limiting : tuple of str
         The limits that flights break most, in words, the most frequent first.
     least : float
-        Share of vehicles hovering at the goal that gusts carry farther off, or faster, than a
-        flight may arrive; no plan has a smaller risk. Zero where it was not computed.
+        Fraction of vehicles hovering at the goal that gusts carry farther from the goal, or make
+        faster, than a flight may be at its end. No plan has a smaller risk. Zero if it was not
+        computed.
     advice : str
         Possible remedies for the user if the risk cannot be reached.
     stopped : str
