@@ -47,7 +47,8 @@ _MOST_REMEDIES = 3
 _LIMITS = "limits."
 # Factor by which the tolerance is tightened if a simulated flight does not confirm the solution.
 _TIGHTER = 0.1
-# Factor on the tolerances for flying the controls of a solution, with each such simulation.
+# Factor on the tolerances of `MissionProblem.allowance` after each simulation that does not confirm
+# the solution.
 _FINER = 0.25
 # Largest number of solves with limits that become stricter and stricter.
 _MOST_STRICTER = 4
@@ -119,7 +120,7 @@ class Candidate:
     def __post_init__(self) -> None:
         self.tolerance = self.mission.told.solver.tolerance
         self._began = time.perf_counter()
-        # Factor on the tolerances for flying the controls of a solution.
+        # Factor on the tolerances of `MissionProblem.allowance`.
         self._share = 1.0
 
     @property

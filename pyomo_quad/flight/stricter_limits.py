@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     from pyomo_quad.flight.plan import Plan
     from pyomo_quad.scenario import Scenario
 
-# Parameters of limits, and the sign of the change that makes the limit stricter, by the name of the
-# limit without its index. A parameter with braces has the index of the limit; one that ends with a
-# comma stands for all parameters whose names begin so.
+# Name of a limit without its index -> the parameter that sets the limit, and the sign of the change
+# that makes the limit stricter. Braces in the name of a parameter stand for the index of the limit.
+# A name that ends with a comma stands for all parameters whose names begin with it.
 _FLOOR, _CEILING = "airspace.floor", "airspace.ceiling"
 _STRICTER = {
     "airspace.ceiling_limit": (_CEILING, -1.0),
@@ -53,20 +53,21 @@ _ENDS = ("mission.start_z", "mission.goal_z")
 # Violation of a limit, relative to the larger of 1 and the limit, above which a stricter limit is
 # not tried.
 _SLIGHT = 0.5
-# Part of the tolerance on a limit that violations may use up; change of a limit relative to the
-# rest of its violation, somewhat more because the violation between the points of another mesh may
-# be larger; and the factor on all changes if they cost more energy than the accuracy allows.
+# Violation of a limit that may remain after the next solve, relative to the tolerance. Change of a
+# limit relative to the rest of its violation: above 1, because the violation between the points of
+# another mesh may be larger. Factor on all changes if they cost more energy than the accuracy
+# allows.
 _ALLOWED, _MORE, _LESS = 0.5, 1.2, 0.5
-# Factors by which points lie closer together in windows around zones that a path cuts, and around
-# zones whose larger clearance costs too much.
+# Factors by which the mesh is refined at the times at which a path cuts through a zone, and at the
+# times at which a stricter limit on the distance from a zone costs too much energy.
 _DENSER, _DENSEST = 3, 8
-# The limit that has a lower bound as well, which its parameter does not change.
+# A limit with an upper and a lower bound; its parameter changes the upper bound only.
 _ROTOR_SPEED = "limits.rotor_speed_limit"
-# Limits whose corners paths cut.
+# Limits on the distance from zones, whose corners a path may cut between two collocation points.
 _CORNERS = "airspace.keep_out"
-# Shortest element of a window [s].
+# Shortest element of a refined mesh [s].
 _SHORTEST_S = 1e-3
-# Largest share of a positive limit, such as a radius, by which it becomes stricter.
+# Largest decrease of a parameter that makes its limit stricter, such as a radius, relative to it.
 _MOST = 0.5
 
 
@@ -158,7 +159,7 @@ def within_limits(
         if not found.status.is_solved:
             return
         last = found
-        # The finer mesh has the errors of the mesh of the relaxed solution at most.
+        # The errors on the finer mesh are at most those of the relaxed solution.
         own = replace(
             found,
             instance=relaxed.instance,

@@ -47,8 +47,9 @@ _DEVIATIONS = {
     "rigid_body.r": 0.01,
 }
 _ROTOR_SPEED, _ROTOR_DEVIATION = "rotors.omega[", 5.0
-# Correction of each rotor's acceleration with that weight [rad/s^2], and factor on the weights of
-# the states at the end, where the vehicle must be at its goal.
+# Correction of a rotor's acceleration that the regulator weighs like the deviations above
+# [rad/s^2]; and factor on the weights of the states at the end, where the vehicle must be at its
+# goal.
 _CORRECTION, _AT_THE_END = 200.0, 50.0
 # Relative and absolute tolerance of the simulation; and the magnitude of a state, in its unit,
 # above which the vehicle is lost.
@@ -138,7 +139,8 @@ def _gains(dynamics: Dynamics, coarse: Trajectories, borders: FloatArray) -> Flo
     shape (n_elements, n_controls, n_states).
     """
     n_states, n_controls = len(dynamics.state_names), len(dynamics.control_names)
-    # As states of the law that do not change, the controls are among the arguments of the slopes.
+    # The controls are declared as constant states of the control law, so that `slopes` also
+    # differentiates with respect to them.
     loop = ClosedLoop(
         dynamics.without_iterations(),
         lambda _command, _x, own: (own, [0.0 * u for u in own]),

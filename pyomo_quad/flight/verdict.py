@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation import Solution
     from pyomo_quad.scenario import Scenario
 
-# Violation of limits by the path of a solution, relative to the tolerance, above which the path is
-# not flown.
+# Violation of limits by the path of a solution, relative to the tolerance, above which the controls
+# are not simulated.
 _FLOWN = 10.0
 _STATUS = {
     Status.NOT_CONVERGED: PlanStatus.NOT_CONVERGED,
@@ -132,7 +132,7 @@ def verified(
     try:
         flown = _path_of(plan, asked)
         verification = compared(plan.dynamics, flown, plan.energy, wanted, plan.passages, asked)
-        # A path that cuts through zones need not be flown.
+        # No simulation is needed if the planned path itself cuts through zones.
         if asked is Accuracy.PROOF or verification.max_violation <= _FLOWN * FIGURES[asked].breach:
             plan = _followed(plan, asked, plan.energy if least_energy is None else least_energy)
             verification, flown = _flown(plan, asked, wanted)

@@ -89,7 +89,8 @@ _USUAL_THRUST = (0.3, 1.8)
 # at which the search ends with its present bound.
 _FIRST_BOXES = 8
 _MOST_BOXES = 500_000
-# Proofs that `Pairs.least_through_air` advances together, more do not fit a cache.
+# Number of sets of prices that `Pairs.least_through_air` treats together: the arrays of more sets
+# do not fit into a processor's cache.
 _AT_ONCE = 4
 # `bound_of_pairs`: limit on linear programs, and number of headings with which each pair enters.
 _ROUNDS = 60
@@ -97,7 +98,7 @@ _HEADINGS = 8
 # Multiple of the tolerance by which a sampled bound is lowered before it is compared, because the
 # proof lowers it by the tolerance and by the error of the samples.
 _SURE = 1.5
-# Largest price in the linear program, relative to hover: optimal prices are far below.
+# Largest price in the linear program, relative to hover: optimal prices are much smaller.
 _DEAREST = 6.0
 #: Tolerance of the proven least power, relative to the power of hover.
 POWER_TOLERANCE = 1e-3
@@ -635,7 +636,7 @@ def bound_of_pairs(
     shared : sequence of tuple of float
         Least and greatest duration of each group of legs, from `legs.legs_of`, s.
     power : float
-        Power of hover, the scale of powers, W.
+        Power of hover [W], to which tolerances are relative.
     """
     prices, program = prices_of_pairs(pairs, legs, shared, power)
     tolerance = POWER_TOLERANCE * power
@@ -686,7 +687,7 @@ class _Program:
     legs, shared
         Legs of the flight and limits on their durations, from `legs.legs_of`.
     power : float
-        Power of hover, the scale of powers, W.
+        Power of hover [W], to which tolerances are relative.
     standing : ndarray, shape (3,)
         Thrust that holds the vehicle still at zero airspeed, N.
     """

@@ -51,18 +51,19 @@ if TYPE_CHECKING:
 
 # Directions of a gradient in a half turn from the price of momentum, both ends included.
 _DIRECTIONS = 9
-# Quantiles of the sizes of the price of momentum at which G is proven, and number of lengths of a
-# gradient in each direction.
+# Quantiles of the lengths of the price of momentum in the winds of the field at which G is proven,
+# and number of lengths of a gradient in each direction at which it is proven.
 _SIZES, _LENGTHS = (0.0, 0.25, 0.7, 0.97, 1.0), 4
-# The same lengths where G is sampled, and the longest, relative to the power of hover [s/m].
+# Number of lengths of a gradient in each direction at which G is sampled, and the longest length,
+# relative to the power of hover [s/m].
 _SAMPLED_LENGTHS, _LONGEST = 16, 0.4
-# Extents of the winds, relative to those of the whole field, for which prices are tried in turn:
-# prices for all winds at once suit the few extreme winds.
+# Ranges of winds for which prices are computed and tried in turn, relative to the range of the
+# whole field: prices for the whole range would suit the few extreme winds.
 _SPREADS = (0.2, 0.6)
 # Steps of the search for the power of flights of fixed duration.
 _POWERS = 8
-# Length of an edge that is rounding error, relative to the longest gradient, and factor on the
-# allowed gradients for the rounding of their polygons.
+# Length below which an edge of a polygon counts as rounding error, relative to the longest
+# gradient; and factor on the allowed gradients, because their polygons have rounding errors.
 _SLIVER, _SHRUNK = 1e-9, 1.0 - 1e-7
 
 
@@ -267,7 +268,8 @@ class Places:
         #: Height of the goal above the start [m].
         self.climb = float(ends[1, 2] - ends[0, 2])
         low, high = columns.low[:, columns.is_open], columns.high[:, columns.is_open]
-        #: Corners of the winds of each open cell, shape (n_cells, 4, 2), m/s.
+        #: Corners of the rectangle of winds in each cell that a flight may enter [m/s], shape
+        #: (n_cells, 4, 2).
         self.corners = np.stack(
             [np.stack([x, y], axis=-1) for x in (low[0], high[0]) for y in (low[1], high[1])],
             axis=1,
@@ -331,7 +333,7 @@ class Places:
         )  # fmt: skip
         if found.x is None:
             return 0.0
-        # The solver allows small errors of the limits, by which its potential is too steep.
+        # The solver may violate the constraints slightly; its potential is then too steep.
         return float(self._gain @ found.x / max(1.0, float(np.max(matrix @ found.x))))
 
 
@@ -400,7 +402,8 @@ class _Search:
 
     def _sizes(self, prices: PlacePrices) -> FloatArray:
         size = np.linalg.norm(prices.offset[:2] + prices.motion * self._winds, axis=1)
-        # G bends most between distant sizes; most winds lie far from the extreme ones.
+        # Lengths of the price of momentum: most winds lie far from the extreme winds, and linear
+        # interpolation of G is least accurate between distant lengths.
         found = np.quantile(size, _SIZES)
         return found + self._tolerance * np.arange(len(found)) / len(found)
 
