@@ -57,9 +57,10 @@ _INTEGRATION, _LOST = 1e-10, 1e6
 
 
 def can_be_tracked(dynamics: Dynamics) -> bool:
-    """Return whether a model has all states whose deviations the regulator needs for its feedback.
+    """Return whether a model has all states that the linear-quadratic regulator needs.
 
-    These are position, velocity, attitude and body rates.
+    The regulator makes a simulated vehicle follow a solution on a coarse mesh. It needs position,
+    velocity, attitude and body rates.
     """
     return set(_DEVIATIONS) <= set(dynamics.state_names)
 
@@ -118,8 +119,8 @@ def tracked(dynamics: Dynamics, coarse: Trajectories) -> Trajectories | None:
 def _split(mesh: Mesh, duration: float) -> Mesh:
     """Return a mesh in which each element longer than `_LONGEST_S` [s] is split into equal parts.
 
-    The regulator corrects the controls once in each element. `duration` is the duration of the
-    flight [s], which the mesh covers.
+    The regulator that follows a coarse solution corrects the controls once in each element.
+    `duration` is the duration of the flight [s], which the mesh covers.
     """
     return mesh.with_breakpoints(
         first + (last - first) * part / count
@@ -168,10 +169,11 @@ def _gains(dynamics: Dynamics, coarse: Trajectories, borders: FloatArray) -> Flo
 
 
 def _weight(name: str) -> float:
-    """Return the weight of the squared deviation of a state in the regulator's cost.
+    """Return the weight of a state's squared deviation in the linear-quadratic regulator's cost.
 
-    `name` is the name of the state. The weight is 0 for a state that the regulator need not keep
-    near the solution, such as the charge drawn from the battery.
+    The regulator keeps a simulated vehicle near a solution. `name` is the name of the state. The
+    weight is 0 for a state that need not stay near the solution, such as the charge drawn from the
+    battery.
     """
     if name.startswith(_ROTOR_SPEED):
         return 1.0 / _ROTOR_DEVIATION**2

@@ -130,9 +130,10 @@ class Pairs:
     """All combinations (pairs) of thrust and airspeed of a vehicle, with the power that they take.
 
     The power is computed by the compiled equations. A pair has three coordinates: rotor speed
-    (induced velocity for the power model `momentum`), and airspeed along and across the thrust.
-    The class searches for the least value over all pairs of the function H (docstring of this
-    module), and proves a lower bound on it, from which a lower bound on the energy follows.
+    (induced velocity for the power model `momentum`), and airspeed along and across the thrust. The
+    class searches for the least value over all pairs of the function H, the power minus terms with
+    the multipliers (prices) of momentum, displacement and kinetic energy. It proves a lower bound
+    on this value, from which a lower bound on the energy follows.
 
     Parameters
     ----------
@@ -284,11 +285,14 @@ class Pairs:
         return still + self.fastest if self._has_induced else still
 
     def numbers(self, prices: MotionPrices, mass: float) -> tuple[float, ...]:
-        """Return the four numbers through which H (docstring of this module) depends on the prices.
+        """Return the four numbers through which the function H depends on the prices.
 
-        They are the length of the price of momentum p; the components along p and across p of q = w
-        - eta s; and the price of kinetic energy eta. `mass` is the mass as a fraction of the mass
-        at the start. See docs/theory/bound.md, eq. (16).
+        H is the power of a pair of thrust and airspeed minus the terms of the prices, multipliers
+        of momentum, displacement and kinetic energy. The numbers are: the length of the price of
+        momentum p; the components along p and across p of the price of displacement, reduced by the
+        product of the price of kinetic energy and the thrust `standing`; and the price of kinetic
+        energy. `mass` is the mass as a fraction of the mass at the start. See docs/theory/bound.md,
+        eq. (16).
         """
         displacement = prices.displacement - prices.motion * mass * self.standing
         size = float(np.linalg.norm(prices.momentum))
@@ -347,8 +351,8 @@ class Pairs:
     ) -> FloatArray:
         """Return proven lower bounds on the function G, the least H in still air, shape (n,) [W].
 
-        H is the power of a pair of thrust and airspeed minus the terms of the prices (docstring of
-        this module). Implements docs/theory/bound.md, eq. (23).
+        H is the power of a pair of thrust and airspeed minus the terms of the prices, multipliers
+        of momentum, displacement and kinetic energy. Implements docs/theory/bound.md, eq. (23).
 
         Parameters
         ----------

@@ -5,8 +5,9 @@ bound of this module uses the winds that the field has at each place. A potentia
 the horizontal position. Its gradient at each place is limited such that the energy of any motion in
 the winds there, minus terms for the changes of momentum and kinetic energy, is at least the
 potential that the motion gains. Over a flight from rest to rest, these terms vanish. The rise of
-the potential from the start to the goal is then a lower bound on the energy of every flight, along
-any path. Derivation: see docs/theory/bound.md, eqs. (23) to (27).
+the potential from the start to the goal, with terms for the difference in height and the duration,
+is then a lower bound on the energy of every flight, along any path. Derivation: see
+docs/theory/bound.md, eqs. (23) to (27).
 
 A price is a multiplier (dual variable), as in `study.pairs`, which also explains the thrust u, the
 airspeed v, the force of the air f, the thrust s at rest and the power P. A pair is a combination of
@@ -71,8 +72,9 @@ _SLIVER, _SHRUNK = 1e-9, 1.0 - 1e-7
 class PlacePrices:
     """Multipliers (prices) in the bound by a potential that are equal at all places of a field.
 
-    They belong to quantities of the motion that every flight from rest to rest fixes; see the
-    docstring of this module.
+    A potential is a function of the horizontal place whose rise from start to goal gives a lower
+    bound on the energy of every flight. The prices multiply quantities whose integral over a flight
+    from rest to rest is known, such as the acceleration.
 
     Attributes
     ----------
@@ -83,7 +85,8 @@ class PlacePrices:
     climb : float
         Price of vertical displacement [N].
     power : float
-        Lower bound on the part of the power that the terms of the prices do not include (h) [W].
+        Power (h) that every motion spends at least, in addition to the terms of the prices and of
+        the potential [W].
     """
 
     offset: FloatArray
@@ -95,8 +98,9 @@ class PlacePrices:
     def of(cls, prices: MotionPrices, middle: FloatArray) -> PlacePrices:
         """Return the prices that are equal at all places, from prices for a range of winds.
 
-        The bound of `study.pairs` gives `prices`. Their price of momentum refers to the wind
-        `middle`, shape (3,) [m/s], in the middle of this range; it is converted to still air.
+        Prices are Lagrange multipliers, from which a lower bound on the energy follows; `prices`
+        are those of `study.pairs`. Their price of momentum refers to the wind `middle`, shape (3,)
+        [m/s], in the middle of the range; it is converted to still air.
         """
         return cls(
             offset=prices.momentum - prices.motion * middle,
@@ -110,10 +114,12 @@ class PlacePrices:
         sizes: FloatArray,
         lengths: FloatArray,
     ) -> GradientTable:
-        """Tabulate the function G (docstring of this module) over prices of momentum and gradients.
+        """Tabulate the function G over prices of momentum and gradients of a potential.
 
-        G depends on the horizontal length of the price of momentum, the length of the gradient, and
-        the angle between the two.
+        G is the least value, over all combinations of thrust and airspeed, of the power minus terms
+        with the multipliers (prices) of momentum, displacement and kinetic energy. The gradient of
+        the potential is the price of horizontal displacement. G depends on the horizontal length of
+        the price of momentum, the length of the gradient, and the angle between the two.
 
         Parameters
         ----------
@@ -147,7 +153,12 @@ class PlacePrices:
 
 @dataclass(frozen=True, kw_only=True)
 class GradientTable:
-    """Table of the function G (docstring of this module) over prices of momentum and gradients.
+    """Table of the function G over prices of momentum and gradients of a potential.
+
+    G is the least value, over all combinations of thrust and airspeed, of the power minus terms
+    with the multipliers (prices) of momentum, displacement and kinetic energy. The gradient of the
+    potential is the price of horizontal displacement. From G follows which gradients a lower bound
+    on the energy of flights allows.
 
     Attributes
     ----------
@@ -168,8 +179,10 @@ class GradientTable:
     def gradients(self, prices: PlacePrices, winds: FloatArray) -> FloatArray | None:
         """Return the allowed gradients of a potential in each of n winds, as polygons.
 
-        The docstring of this module states which gradients are allowed. Implements
-        docs/theory/bound.md, eq. (26).
+        A potential is a function of the horizontal place. A gradient [J/m] is allowed in a wind if
+        the power of every motion in this wind is at least the rate at which the motion gains
+        potential, plus the terms of the multipliers `prices`. Implements docs/theory/bound.md, eq.
+        (26).
 
         Parameters
         ----------
@@ -219,9 +232,10 @@ def _last_positive(at: FloatArray, values: FloatArray) -> FloatArray:
 
 
 class Sampled:
-    """Approximation of the function G (docstring of this module) by sampled pairs.
+    """Approximation of the function G by its least value over samples.
 
-    A pair is a combination of thrust and airspeed. G is a least value over all pairs; the
+    G is the least value, over all combinations (pairs) of thrust and airspeed, of the power minus
+    terms with the multipliers (prices) of momentum, displacement and kinetic energy. The
     approximation is the least value over samples of pairs, so that it is not below G.
 
     Parameters
@@ -234,9 +248,10 @@ class Sampled:
         self._pairs, self._samples = pairs, pairs.samples()
 
     def __call__(self, prices: Sequence[MotionPrices]) -> FloatArray:
-        """Return approximate values of the function G for n prices, shape (n,) [W].
+        """Return approximate values of the function G for n sets of prices, shape (n,) [W].
 
-        The prices are those of motions through the air.
+        Prices are multipliers of momentum, displacement and kinetic energy of a motion through the
+        air. G is the least power of such a motion minus the terms of the prices.
         """
         thrust, lift, aside, power, along, across = self._samples
         drag = -(aside * across + lift * along)
@@ -253,7 +268,8 @@ class Sampled:
 class Places:
     """Grid of places of a mission in a wind field, on which potentials are defined.
 
-    A potential is a function of the horizontal place. It has a value at each node of the grid.
+    A potential is a function of the horizontal place, given by its values at the nodes of the grid.
+    Its rise from start to goal gives a lower bound on the energy of every flight.
 
     Parameters
     ----------
@@ -301,17 +317,18 @@ class Places:
         return [(int(node[i + 1, j + 1]), u + v - 1.0), *aside]
 
     def rise(self, gradients: FloatArray) -> float:
-        """Return the largest rise of a potential from start to goal that is allowed [J].
+        """Return the largest rise of a potential from start to goal [J], with a limited gradient.
 
-        The gradient of the potential must be allowed everywhere. Tolerances of the linear
-        programming solver make the result slightly smaller than the largest rise. Implements
-        docs/theory/bound.md, eq. (27).
+        A potential is a function of the horizontal place; the rise gives a lower bound on the
+        energy of every flight. It is the optimal value of a linear program. Tolerances of the
+        solver make the result slightly smaller. Implements docs/theory/bound.md, eq. (27).
 
         Parameters
         ----------
         gradients : ndarray, shape (4 * n_cells, n, 2)
-            Polygons of the gradients that are allowed in the winds `corners`: four winds for each
-            cell that a flight may enter, n corners of a polygon for each wind [N].
+            Corners of polygons that contain the allowed gradients [N]: one polygon of n corners for
+            each of the winds `corners`, four for each cell of the grid that a flight may enter. The
+            gradient in a cell must be inside all four polygons of the cell.
         """
         cell, normals, most = _common_edges(gradients.reshape(*self.corners.shape[:2], -1, 2))
         i, j = (part[cell] for part in np.nonzero(self._columns.is_open))
@@ -375,8 +392,10 @@ def _common_edges(polygons: FloatArray) -> tuple[FloatArray, FloatArray, FloatAr
 class _Search:
     """Calculator of lower bounds on the energy by a potential, approximate and proven.
 
-    An approximate bound uses sampled values of the function G (docstring of this module), a proven
-    bound uses proven lower bounds on G.
+    A potential is a function of the horizontal place whose rise from start to goal gives a lower
+    bound on the energy of every flight. Its gradient is limited by the function G, the least power
+    of a motion minus the terms of multipliers (prices). An approximate bound uses sampled values of
+    G, a proven bound uses proven lower bounds on G.
 
     Parameters
     ----------
@@ -408,9 +427,11 @@ class _Search:
         return found + self._tolerance * np.arange(len(found)) / len(found)
 
     def _bound(self, prices: PlacePrices, table: GradientTable) -> float:
-        """Return the lower bound on the energy that a table of the function G gives [J].
+        """Return the lower bound on the energy that follows from a table of allowed gradients [J].
 
-        The result is minus infinity if a wind of the field allows no gradients.
+        The gradients are those of a potential, a function of the horizontal place whose rise from
+        start to goal gives a lower bound on the energy of every flight. The result is minus
+        infinity if no gradient is allowed in one of the winds of the field.
         """
         gradients = table.gradients(prices, self._winds)
         if gradients is None:
@@ -421,8 +442,10 @@ class _Search:
     def with_power(self, prices: PlacePrices) -> PlacePrices | None:
         """Return prices whose `power` maximises the approximate bound; None if they give no bound.
 
-        The bound is a concave function of the power. If the least duration is less than half the
-        greatest duration, the power remains zero.
+        Prices are multipliers, from which a lower bound on the energy follows; `power` is the power
+        that every motion spends in addition to the terms of the prices. The bound is a concave
+        function of it. If the least duration is less than half the greatest duration, `power`
+        remains zero.
         """
         table = prices.table(self._sampled, self._sizes(prices), self._lengths)
         most = float(table.values[:, 0, 0].min())
@@ -439,10 +462,11 @@ class _Search:
         return replace(prices, power=float(found.x))
 
     def proven(self, prices: PlacePrices) -> float:
-        """Return a proven lower bound on the energy for given prices [J].
+        """Return a proven lower bound on the energy, for given prices (multipliers) [J].
 
-        The result is minus infinity if a wind of the field allows no gradients. The function G is
-        proven only at gradients near those that its sampled values allow.
+        The result is minus infinity if no gradient of a potential is allowed in one of the winds of
+        the field. To save time, allowed gradients are proven only near those that sampling
+        predicts.
         """
         table = prices.table(self._sampled, self._sizes(prices), self._lengths)
         gradients = table.gradients(prices, self._winds)
@@ -469,8 +493,11 @@ def bound_by_places(
     durations: tuple[float, float],
     power: float,
 ) -> float:
-    """Return a lower bound on the energy that uses the winds of a field at each place [J].
+    """Return a lower bound on the energy of flights [J], from the wind at each place of a field.
 
+    The bound is the sum of three terms: the rise of a potential from start to goal, a term for the
+    difference in height, and a term for the duration. A potential is a function of the horizontal
+    place. Its slope at each place is limited by the energy of motions in the winds there.
     Implements docs/theory/bound.md, eq. (25).
 
     Parameters
