@@ -159,8 +159,9 @@ class MissionProblem:
         Parameters
         ----------
         numbers : dict, optional
-            Full name of a parameter -> value that replaces the mission's value. If given, solutions
-            on intermediate meshes are not offered to the search as usable plans.
+            Full name of a parameter -> value that replaces the mission's value. If given, no
+            usable plans are made from the solutions on intermediate meshes. A usable plan is a plan
+            that simulation confirms at lower accuracy than requested.
         **chosen
             Arguments of `Problem.solve` that replace those of `arguments`.
 

@@ -241,7 +241,10 @@ class _Tried:
 
     @property
     def predicted(self) -> float:
-        """Upper bound on the probability that a flight breaks any limit (Boole's inequality)."""
+        """Upper bound on the probability that a flight that follows the plan breaks any limit.
+
+        It is the sum of the probabilities for the single limits (Boole's inequality).
+        """
         by_limits = sum(
             limit.present_probability
             for limit in self.near
@@ -615,10 +618,11 @@ class _Search:
         }
 
     def _settled(self, tried: _Tried) -> _Tried:
-        """Solve with new margins repeatedly, until they agree with the covariance of flights.
+        """Solve with new margins repeatedly, until the plan has the margins that its risk requires.
 
-        The covariance of flights in turbulence about a plan determines the margins that the allowed
-        risk requires. Margins are the amounts by which limits are tightened for the plan.
+        Margins are the amounts by which limits are tightened for the plan. The covariance of
+        flights in turbulence about a plan determines the margins that the allowed risk requires; a
+        plan with these margins has another covariance.
         """
         for _ in range(_PLANS):
             wanted = self._margins(tried)
