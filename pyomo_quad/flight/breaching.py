@@ -72,7 +72,7 @@ class LimitDistance:
 
     @property
     def present_probability(self) -> float:
-        """Probability that a flight breaks the limit at any time, with the plan as it is."""
+        """Probability that a flight breaks the limit at any time, if the plan is not changed."""
         return _crossing(self.distance, self.deviation, self.correlation)
 
     def probability(self, present: float = 0.0, changed: float = 0.0) -> float:

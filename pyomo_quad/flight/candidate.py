@@ -47,7 +47,8 @@ _MOST_REMEDIES = 3
 _LIMITS = "limits."
 # Factor by which the tolerance is tightened if a simulated flight does not confirm the solution.
 _TIGHTER = 0.1
-# Factor on the tolerances for flying the controls of a solution, with each such simulation.
+# Factor on the tolerances of `MissionProblem.allowance` after each simulation that does not confirm
+# the solution.
 _FINER = 0.25
 # Largest number of solves with limits that become stricter and stricter.
 _MOST_STRICTER = 4
@@ -57,8 +58,8 @@ _MOST_STRICTER = 4
 class AlongShortest:
     """Starting point of a search for a plan: a solution along the shortest route.
 
-    The solution `flight` was computed on a single mesh, when the order of the waypoints was
-    searched. Other routes are still to be compared with it.
+    The search for the best order of the waypoints computes this solution, `flight`, on a single
+    mesh. The search for a plan still has to compare the solutions along other routes with it.
     """
 
     flight: Solution
@@ -119,7 +120,7 @@ class Candidate:
     def __post_init__(self) -> None:
         self.tolerance = self.mission.told.solver.tolerance
         self._began = time.perf_counter()
-        # Factor on the tolerances for flying the controls of a solution.
+        # Factor on the tolerances of `MissionProblem.allowance`.
         self._share = 1.0
 
     @property
@@ -317,7 +318,7 @@ class Candidate:
         return self.found.status.has_failed and not self.is_closed
 
     def has_failed_at_waypoints(self) -> bool:
-        """Return whether the solve failed and an easier mission exists, with exact passages.
+        """Return whether the solve failed, and an easier mission exists from which to try again.
 
         In the easier mission, the vehicle passes each waypoint exactly and at any speed.
         """
@@ -485,7 +486,8 @@ class Candidate:
     def _remedies(self, diagnosis: Diagnosis) -> tuple[Relaxation, ...]:
         """Return the single limits whose relaxation alone would make the mission feasible.
 
-        The candidates are the relaxed and the active limits of the `diagnosis`.
+        The limits tried are the limits that the `diagnosis` had to relax, and the limits that are
+        active in it.
         """
         candidates = [r.name for r in diagnosis.relaxations] + [a.name for a in diagnosis.active]
         limits = [name for name in dict.fromkeys(candidates) if name.startswith(_LIMITS)]
@@ -511,9 +513,11 @@ class Candidate:
         self._began += self.flown.timings.get("verify", 0.0)
 
     def breaks_limits(self) -> bool:
-        """Return whether the simulated flight of a converged solution is not verified.
+        """Return whether solves with stricter limits may turn the solution into a verified plan.
 
-        For accuracy `proof`, limits are not made stricter, because that costs energy.
+        This is the case if the solve converged but its simulated flight is not verified
+        (`is_astray`), and the required accuracy is below `proof`. For accuracy `proof`, limits are
+        not made stricter, because stricter limits cost energy.
         """
         return self.is_astray() and self.scenario.solver.accuracy is not Accuracy.PROOF
 
@@ -541,9 +545,11 @@ class Candidate:
         return f"{solves} solves" if solves else None
 
     def _is_better(self, plan: Plan, relaxed: Solution) -> bool:
-        """Return whether a plan within stricter limits costs less than the optimum without them.
+        """Return whether a plan with stricter limits costs less than the solution without them.
 
-        The solve has then left the valley of that optimum, and must be refined in its own.
+        Stricter limits cannot reduce the energy of an optimum. If the energy is nevertheless lower
+        by more than the tolerance, the solution `relaxed` is only a local optimum, and the plan is
+        near a better one. The search then continues from the plan's solution.
         """
         least, tolerance = energy_of(self.mission.told, relaxed), self.scenario.solver.tolerance
         return least - plan.energy > tolerance * abs(least)
@@ -561,7 +567,7 @@ class Candidate:
         return plan.verification is None or plan.verification.is_fed
 
     def tighten(self) -> str | None:
-        """Solve again to a smaller tolerance and simulate again.
+        """Solve again with smaller tolerances of the mesh refinement, and simulate the new plan.
 
         The mesh is refined where the simulated flight broke a limit. In a long flight without
         feedback, small errors of the mesh elements add up, so that the simulated flight may miss

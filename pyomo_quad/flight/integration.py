@@ -107,7 +107,7 @@ def discrete(
 ) -> tuple[FloatArray, FloatArray]:
     """Discretise a linear system over steps with constant input: transition and input matrices.
 
-    Van Loan (1978): both are blocks of the exponential of one matrix.
+    Both matrices are blocks of the exponential of one matrix (Van Loan, 1978).
 
     Parameters
     ----------

@@ -56,12 +56,12 @@ def is_long(scenario: Scenario) -> bool:
 
 
 def rough_mesh(duration: float) -> Mesh:
-    """Return a coarse mesh for the first solve of a long flight that takes a duration [s]."""
+    """Return a coarse mesh for the first solve of a long flight of given duration [s]."""
     return _graded(duration, *_ROUGH)
 
 
 def fine_mesh(duration: float, degree: int) -> Mesh:
-    """Return a mesh with fine elements at both ends, for a long flight that takes a duration [s].
+    """Return a mesh with fine elements at both ends, for a long flight of given duration [s].
 
     `degree` is the degree of short elements; long elements have a higher degree.
     """

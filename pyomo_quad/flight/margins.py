@@ -14,8 +14,8 @@ from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.mission import Waypoint
 
 # Limit of the declared model, without its index -> the scenario fields that set its upper and its
-# lower end. Moments and rotor accelerations need no margin: the controller never commands more than
-# the limit.
+# lower bound. Moments and rotor accelerations need no margin: the controller never commands more
+# than the limit.
 FIELDS: Mapping[str, tuple[str, str]] = {
     "limits.roll_limit": ("limits.roll_max", "limits.roll_max"),
     "limits.pitch_limit": ("limits.pitch_max", "limits.pitch_max"),
@@ -29,7 +29,7 @@ FIELDS: Mapping[str, tuple[str, str]] = {
     "airspace.ceiling_limit": ("airspace.ceiling", ""),
     "airspace.keep_out": ("", "airspace.clearance"),
 }
-# Fields whose value a margin increases; it decreases that of the others.
+# Fields whose value a margin increases; a margin on any other field decreases its value.
 _RAISED = {
     "limits.state_of_charge_min",
     "limits.battery_voltage_min",
@@ -86,8 +86,9 @@ class RiskTaken:
     limiting : tuple of str
         The limits that flights break most, in words, the most frequent first.
     least : float
-        Share of vehicles hovering at the goal that gusts carry farther off, or faster, than a
-        flight may arrive; no plan has a smaller risk. Zero where it was not computed.
+        Fraction of vehicles hovering at the goal that gusts carry farther from the goal, or make
+        faster, than a flight may be at its end. No plan has a smaller risk. Zero if it was not
+        computed.
     advice : str
         Possible remedies for the user if the risk cannot be reached.
     stopped : str

@@ -116,10 +116,11 @@ class MissionProblem:
 
     @property
     def allowance(self) -> Allowance:
-        """Tolerances for flying the controls of a solution.
+        """Tolerances of the mesh refinement on errors that a simulation of the controls reveals.
 
-        Below the accuracy `proof`, feedback corrects the controls, and limits that the flight
-        breaks are made stricter. A coarse mesh then suffices.
+        They are wide for the package's own model and an accuracy below `proof`, so that a coarse
+        mesh suffices: before the simulation, feedback corrects the controls (`flight.tracking`),
+        and limits that the simulated flight breaks are made stricter (`flight.stricter_limits`).
         """
         figures = FIGURES[self.told.solver.accuracy]
         if self.told.solver.accuracy is not Accuracy.PROOF and self.problems.is_declared:
@@ -135,9 +136,11 @@ class MissionProblem:
         )
 
     def stricter_refinement(self, share: float) -> RefinementOptions:
-        """Return the options of a refinement with smaller tolerances for flying the controls.
+        """Return the options of the mesh refinement with tolerances below those of `allowance`.
 
-        The tolerances on states and limits between the points are multiplied by `share`.
+        The tolerances on the errors of the states and on the violation of limits, both between the
+        collocation points, are multiplied by `share`. Options without a tolerance on the errors of
+        the states are returned unchanged.
         """
         refinement: RefinementOptions = self.arguments["refinement"]
         allowed = refinement.allowance
@@ -156,8 +159,9 @@ class MissionProblem:
         Parameters
         ----------
         numbers : dict, optional
-            Full name of a parameter -> value that replaces the mission's value. If given, solutions
-            on intermediate meshes are not offered to the search as usable plans.
+            Full name of a parameter -> value that replaces the mission's value. If given, no
+            usable plans are made from the solutions on intermediate meshes. A usable plan is a plan
+            that simulation confirms at lower accuracy than requested.
         **chosen
             Arguments of `Problem.solve` that replace those of `arguments`.
 

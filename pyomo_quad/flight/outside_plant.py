@@ -106,7 +106,7 @@ class Pilot(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class BodyFrame:
-    """Body axes and rotor numbers of RotorPy's vehicle, relative to the declared vehicle."""
+    """Body axes and rotor numbers of RotorPy's vehicle, relative to the scenario's model."""
 
     turn: float = 0.0
     """Angle from the declared body x axis to RotorPy's [rad]."""
@@ -478,7 +478,11 @@ _WIND_VELOCITY = ("wind.velocity_x", "wind.velocity_y", "wind.velocity_z")
 
 
 def _wind_of(scenario: Scenario, dynamics: Dynamics) -> Callable[[float, FloatArray], FloatArray]:
-    """Return the declared wind [m/s], shape (3,), as a function of time and declared states."""
+    """Return the wind of the scenario's model, as a function of time and of the model's states.
+
+    The function takes a time [s] and the states, shape (n_states,); it returns the wind along world
+    x, y and z, shape (3,) [m/s].
+    """
     keys = tuple((name, None) for name in _WIND_VELOCITY if dynamics.has(name))
 
     def read(times: FloatArray, states: FloatArray) -> FloatArray:

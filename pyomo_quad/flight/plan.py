@@ -551,7 +551,7 @@ class Plan(Summarised):
 
     @property
     def figures_checked(self) -> Figures:
-        """Tolerances that the plan's simulation was compared with.
+        """Tolerances that decided whether the simulation of the plan's controls confirms the plan.
 
         For a usable plan these are the tolerances `USABLE`, otherwise those of the accuracy that
         the scenario requests.

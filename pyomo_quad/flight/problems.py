@@ -33,8 +33,8 @@ Builder = Callable[[Scenario], Any]
 def _start_key(scenario: Scenario) -> Scenario:
     """Return a key that is equal for scenarios whose problems have the same initial states.
 
-    It is meant for scenarios of fixed duration, and leaves out the duration, the wind and the
-    settings of baseline flights.
+    The key is the scenario without duration, wind and settings of baseline flights, on which the
+    initial states do not depend if the duration is fixed.
     """
     timeless = scenario.mission.model_copy(update={"duration": 1.0})
     return guess_key(scenario).model_copy(update={"mission": timeless, "baseline": None})

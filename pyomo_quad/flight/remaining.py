@@ -149,8 +149,8 @@ class Remainder:
     def planned_until(self) -> float:
         """Time from which on the plan is not replaced until the next waypoint or the end [s].
 
-        A new plan shortly before a place that must be met exactly would counteract every gust at
-        any cost.
+        A new plan that starts shortly before a place where it must arrive exactly would counteract
+        every gust, however much energy this costs.
         """
         if not self.passages:
             return self.end - min(_LAST, _LAST_SHARE * (self.end - self.begin))

@@ -299,7 +299,11 @@ class _ReplannedFlight:
     def _solved(
         self, t: float, state: FloatArray, belief: Belief, *, is_patient: bool = False
     ) -> Solution | None:
-        """Solve the remaining mission from a state at time t [s]; None if the solve fails."""
+        """Solve the remaining mission from a state at time t [s]; None if the solve fails.
+
+        `belief` has the estimates of mass and wind. `is_patient` allows the solve as many
+        iterations as before take-off.
+        """
         try:
             solution = self._replanner.solve(t, state, belief, is_patient=is_patient)
         except TranscriptionError:

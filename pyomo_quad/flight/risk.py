@@ -228,8 +228,8 @@ class _Tried:
     missed : tuple of Miss
         Distance of flights from goal and waypoints.
     is_refined : bool
-        Whether the plan was refined and verified; a plan that was not stands on the mesh of the
-        plan without margins.
+        Whether the mesh was refined for this plan and the plan was verified. If not, the plan was
+        solved on the mesh of the plan without margins.
     """
 
     plan: Plan
@@ -241,7 +241,10 @@ class _Tried:
 
     @property
     def predicted(self) -> float:
-        """Upper bound on the probability that a flight breaks any limit (Boole's inequality)."""
+        """Upper bound on the probability that a flight that follows the plan breaks any limit.
+
+        It is the sum of the probabilities for the single limits (Boole's inequality).
+        """
         by_limits = sum(
             limit.present_probability
             for limit in self.near
@@ -365,10 +368,11 @@ class _Search:
         return self._stated(best.tried, best.counts, best.failed)
 
     def _examined(self, tried: _Tried) -> _Tested:
-        """Test a plan by flights; verify it unless they miss the goal, and test the verified plan.
+        """Test a plan by simulated flights; if enough reach the goal, verify it and test it again.
 
-        A test costs less than a verification, so a plan whose flights miss the goal is not
-        verified. Limits on the path may be broken only because the mesh is too coarse for them.
+        Test flights cost less than a verification. A plan is therefore not verified if its test
+        flights miss the goal too often. It is verified if they only break other limits: the reason
+        may be the coarse mesh, which the verification refines.
         """
         tested = self._tested(tried, self._next_seed())
         missed = max(tested.counts[words] for words in (NOT_THERE, NOT_AT_REST))
@@ -384,12 +388,15 @@ class _Search:
         return self._seed
 
     def _reduced(self, best: _Tested, failed: list[_Tested]) -> _Tested:
-        """Return a plan with smaller margins that passes its test too, if margins cost much.
+        """Reduce the margins of a plan if they cost much energy, while it still passes its test.
 
-        The margins tried lie halfway between those of a plan that passed and those of the last plan
-        that failed its test (none, if none failed). The flights that chose among several plans
-        favour the chosen plan; a plan with smaller margins may therefore break limits in half as
-        many flights as the risk allows.
+        Margins are the amounts by which limits are tightened for the plan. Each new margin is the
+        mean of two margins: that of the plan `best`, which passed its test, and that of the last
+        plan that failed its test (zero if none failed). Choosing one of several plans by their test
+        flights favours plans that passed by chance. Therefore a plan with smaller margins is
+        accepted only if at most half as many of its test flights break a limit as the risk allows.
+
+        `failed` has the tested plans that preceded `best`.
         """
         low: Mapping[str, float] = failed[-1].tried.margins if failed else {}
         for _ in range(_REDUCTIONS):
@@ -553,11 +560,12 @@ class _Search:
         return tried.missing_places <= allowed and tried.astray <= _ASTRAY_M
 
     def _missed_by_hover(self) -> float:
-        """Return the share of vehicles that gusts carry away from the goal where they hover.
+        """Return the fraction of hovering vehicles that gusts carry away from the goal.
 
-        A vehicle that hovers at the goal for `_HOVER_S` seconds is there or at rest at the end no
-        more seldom than a flight that arrives: no margin makes the share of flights that miss the
-        goal smaller.
+        It counts vehicles that are farther from the goal, or faster, than a flight may be at its
+        end. A vehicle that has hovered at the goal for `_HOVER_S` seconds is within these limits at
+        least as often as a vehicle that has just arrived. With any margins, at least this fraction
+        of the flights therefore misses the goal.
         """
         mission = self._in_turbulence.mission
         there = mission.start.model_copy(
@@ -610,10 +618,11 @@ class _Search:
         }
 
     def _settled(self, tried: _Tried) -> _Tried:
-        """Solve with new margins repeatedly, until they agree with the covariance of flights.
+        """Solve with new margins repeatedly, until the plan has the margins that its risk requires.
 
-        The covariance of flights in turbulence about a plan determines the margins that the allowed
-        risk requires. Margins are the amounts by which limits are tightened for the plan.
+        Margins are the amounts by which limits are tightened for the plan. The covariance of
+        flights in turbulence about a plan determines the margins that the allowed risk requires; a
+        plan with these margins has another covariance.
         """
         for _ in range(_PLANS):
             wanted = self._margins(tried)
@@ -726,9 +735,10 @@ class _Search:
     def _grown(self, tested: _Tested) -> dict[str, float]:
         """Return larger margins for the limits that test flights break too often.
 
-        Margins are the amounts by which the plan stays inside its limits. A flight that misses the
-        goal had too little thrust or time to correct the effect of a gust; therefore the reserve
-        grows, with the share of the flights that missed.
+        Margins are the amounts by which limits are tightened for the plan. A flight misses the goal
+        if it has too little thrust or time to correct the effect of a gust. If flights miss the
+        goal too often, the margins that leave a reserve of thrust, rotor speed and tilt therefore
+        grow as well, the more the larger the fraction of these flights is.
         """
         tried, counts = tested.tried, tested.counts
         allowed = self._risk * tested.flown / max(len(counts), 1)
@@ -776,7 +786,7 @@ class _Search:
         return f"{longer}{self._weaker(tried)}"
 
     def _weaker(self, tried: _Tried) -> str:
-        """Return advice to the user: the turbulence in which flights seldom miss the goal."""
+        """Return advice to the user: how weak turbulence must be for flights to reach the goal."""
         allowed = _SHARE_OF_GOAL * self._risk
         places = [miss for miss in tried.missed if not miss.field]
         low, high = 0.0, 1.0

@@ -457,7 +457,11 @@ def sides_touched(told: Scenario, journey: Journey, solution: Solution) -> _Side
 
 
 def _is_dominated(journey: Journey, touched: _SidesTouched) -> bool:
-    """Return whether a journey passes the zones that a known optimum touches on the same sides."""
+    """Return whether a journey need not be solved, because a known optimum costs no more.
+
+    This is the case if the journey passes each zone that the optimum touches on the same side as
+    the optimum. `touched` has these zones and sides for each leg, as `sides_touched` returns them.
+    """
     return all(sides <= set(route.sides) for route, sides in zip(journey, touched, strict=True))
 
 
@@ -485,8 +489,8 @@ def _is_same(one: Solution, other: Solution) -> bool:
 def _nearest(known: Mapping[int, Solution], share: float, most: int) -> list[int]:
     """Return the numbers of the solutions whose cost is near the least, the cheapest first.
 
-    `known` maps numbers to solutions. A cost is near the least if it exceeds it by at most the
-    fraction `share`. At most `most` numbers are returned.
+    `known` maps numbers to solutions. A cost is near the least cost if the relative difference
+    between the two is at most `share`. At most `most` numbers are returned.
     """
     costs = {k: _cost(s) for k, s in known.items() if s.status.is_solved}
     least = min(costs.values(), default=inf)

@@ -170,8 +170,8 @@ class Search:
     ) -> None:
         """Try to make a usable plan from the solution on a finished mesh.
 
-        A usable plan is one that simulation confirms at lower accuracy than requested; a search
-        that is stopped returns it. Short searches make none, to save time.
+        A usable plan is a plan that simulation confirms at lower accuracy than requested; a search
+        that is stopped returns it. To save time, no usable plan is made early in a search.
 
         Parameters
         ----------
@@ -180,8 +180,9 @@ class Search:
         energy_J : float
             Energy of the solution [J].
         flown : callable
-            Yields plans made from the solution, with the results of their simulations; each breaks
-            fewer limits than the one before.
+            Returns an iterator over plans, each with the result of its simulation. The first plan
+            is made from the solution. Each further plan is made with stricter limits; further plans
+            are tried only while the search has no usable plan.
         """
         self._note(energy_J)
         share = _SHARE if self.usable is None else _SHARE_FOR_BETTER

@@ -1,10 +1,13 @@
-"""Limits made stricter where a simulated flight breaks them, and solved again.
+"""Solves with stricter limits, for plans whose simulated flight breaks limits of the mission.
 
-A solution keeps its limits at the collocation points. Between them its path may cut the corner of a
-zone, or sink below the floor. With a limit that is stricter by the violation, the path between the
-points just keeps the limit of the mission. The energy that this costs is known: the solution within
-the original limits is the optimum of a problem that allows more. See docs/theory/tracking.md, eq.
-(6).
+A solution satisfies its limits at the collocation points. Between these points its path may cut the
+corner of a zone, or go below the floor (least height above the ground). The problem is therefore
+solved again with a stricter limit: the limit is changed by the amount of the violation, so that the
+path between the points just satisfies the limit of the mission.
+
+A stricter limit costs energy. The least energy of the mission itself, which the plan is compared
+with, is estimated from the solution with the original limits and the solution with stricter limits.
+See docs/theory/tracking.md, eq. (6).
 """
 
 from __future__ import annotations
@@ -27,9 +30,9 @@ if TYPE_CHECKING:
     from pyomo_quad.flight.plan import Plan
     from pyomo_quad.scenario import Scenario
 
-# Parameters of limits, and the sign of the change that makes the limit stricter, by the name of the
-# limit without its index. A parameter with braces has the index of the limit; one that ends with a
-# comma stands for all parameters whose names begin so.
+# Name of a limit without its index -> the parameter that sets the limit, and the sign of the change
+# that makes the limit stricter. Braces in the name of a parameter stand for the index of the limit.
+# A name that ends with a comma stands for all parameters whose names begin with it.
 _FLOOR, _CEILING = "airspace.floor", "airspace.ceiling"
 _STRICTER = {
     "airspace.ceiling_limit": (_CEILING, -1.0),
@@ -50,34 +53,42 @@ _ENDS = ("mission.start_z", "mission.goal_z")
 # Violation of a limit, relative to the larger of 1 and the limit, above which a stricter limit is
 # not tried.
 _SLIGHT = 0.5
-# Part of the tolerance on a limit that violations may use up; change of a limit relative to the
-# rest of its violation, somewhat more because the violation between the points of another mesh may
-# be larger; and the factor on all changes if they cost more energy than the accuracy allows.
+# Violation of a limit that may remain after the next solve, relative to the tolerance. Change of a
+# limit relative to the rest of its violation: above 1, because the violation between the points of
+# another mesh may be larger. Factor on all changes if they cost more energy than the accuracy
+# allows.
 _ALLOWED, _MORE, _LESS = 0.5, 1.2, 0.5
-# Factors by which points lie closer together in windows around zones that a path cuts, and around
-# zones whose larger clearance costs too much.
+# Factors by which the mesh is refined at the times at which a path cuts through a zone, and at the
+# times at which a stricter limit on the distance from a zone costs too much energy.
 _DENSER, _DENSEST = 3, 8
-# The limit that has a lower bound as well, which its parameter does not change.
+# A limit with an upper and a lower bound; its parameter changes the upper bound only.
 _ROTOR_SPEED = "limits.rotor_speed_limit"
-# Limits whose corners paths cut.
+# Limits on the distance from zones, whose corners a path may cut between two collocation points.
 _CORNERS = "airspace.keep_out"
-# Shortest element of a window [s].
+# Shortest element of a refined mesh [s].
 _SHORTEST_S = 1e-3
-# Largest share of a positive limit, such as a radius, by which it becomes stricter.
+# Largest decrease of a parameter that makes its limit stricter, such as a radius, relative to it.
 _MOST = 0.5
 
 
 class Mission(Protocol):
-    """Solver of one mission; `flight.mission_problem` has the class."""
+    """Interface of the solver of one mission, as `mission_problem.MissionProblem` implements it.
+
+    The attribute `told` is the mission in its forecast wind.
+    """
 
     told: Scenario
 
     @property
     def arguments(self) -> dict[str, Any]:
-        """Arguments of `Problem.solve` for the mission, by name."""
+        """Keyword arguments with which `Problem.solve` solves the mission."""
 
     def solve(self, numbers: dict[str, float], **chosen: Any) -> Solution:
-        """Solve the mission with other parameter values and arguments."""
+        """Solve the mission with changed parameter values and further arguments of `Problem.solve`.
+
+        `numbers` maps the full name of a parameter to its value. `chosen` holds arguments of
+        `Problem.solve` that replace those of `arguments`.
+        """
 
 
 def within_limits(
@@ -87,30 +98,35 @@ def within_limits(
     accuracy: Accuracy,
     fly: Callable[[Solution, float], Plan],
 ) -> Iterator[Plan]:
-    """Yield plans that keep the limits which the simulated flight of a plan breaks slightly.
+    """Yield plans with stricter limits, for a plan whose simulated flight breaks limits slightly.
 
-    Each plan is solved on one mesh, which is finer at the times of the violations found so far, and
-    with limits that are stricter because of these violations. If a plan keeps all limits, but its
-    stricter limits cost too much energy, they are relaxed again on a still finer mesh.
+    For each plan, the problem is solved on one mesh. In comparison with the previous solve, the
+    mesh is finer at the times at which the simulated flight broke a limit, and the broken limits
+    are stricter. If the simulated flight of a plan satisfies all limits, but the stricter limits
+    cost more energy than the accuracy allows, the next solve has less strict limits and a still
+    finer mesh.
 
     Parameters
     ----------
     mission : Mission
+        Solver of the mission.
     relaxed : Solution
-        Solution of the plan.
+        Solution within the original limits of the mission, from which `plan` was made.
     plan : Plan
         Plan with the result of its simulation.
     accuracy : Accuracy
-        Accuracy whose tolerance on limits is asked for.
+        Required accuracy, which sets the tolerance on violations of limits.
     fly : callable
-        Takes a solution and an estimate of the least energy [J]; returns the solution's plan with
-        the result of the simulation.
+        Takes a solution and an estimate of the least energy of the mission [J]; returns the plan
+        made from the solution, with the result of its simulation.
 
     Yields
     ------
     Plan
-        Plans whose solutions have the parameters of the mission; none if a solve fails, if a limit
-        is broken by a large amount or has no parameter, or if no limit is broken.
+        Plan with the result of its simulation. Its solution is stated with the parameters of the
+        mission, not with those of the stricter limits. The iteration ends if a solve fails, if all
+        limits are satisfied at an acceptable cost, or if a violation is too large for a stricter
+        limit or concerns a limit that no parameter sets.
     """
     numbers = dict(mission.arguments["parameters"] or {})
     margins, cuts = dict[str, float](), dict[str, float]()
@@ -143,7 +159,7 @@ def within_limits(
         if not found.status.is_solved:
             return
         last = found
-        # The finer mesh has the errors of the mesh of the relaxed solution at most.
+        # The errors on the finer mesh are at most those of the relaxed solution.
         own = replace(
             found,
             instance=relaxed.instance,
@@ -161,11 +177,14 @@ def _least_energy(
     margins: Mapping[str, float],
     cuts: Mapping[str, float],
 ) -> float:
-    """Estimate the least energy of a mission [J] from two solutions on either side of its limits.
+    """Estimate the least energy of a mission [J], by interpolation between two solutions.
 
-    The relaxed solution breaks limits between its points, by the amounts `cuts`; in the other
-    solution they are stricter by `margins`. Between the two, the energy changes in proportion to
-    the limits, to first order.
+    The flight of the solution `relaxed`, which has the limits of the mission, breaks these limits
+    by the amounts `cuts`. The flight of the solution `strict`, whose limits are stricter by the
+    amounts `margins`, satisfies them. To first order, the least energy changes in proportion to the
+    limits. Implements docs/theory/tracking.md, eq. (6).
+
+    `margins` and `cuts` map the full name of a parameter to an amount in its unit.
     """
     low, high = (energy_of(mission.told, solution) for solution in (relaxed, strict))
     shares = (abs(m) / max(abs(m) + abs(cuts[name]), 1e-300) for name, m in margins.items())
@@ -173,7 +192,11 @@ def _least_energy(
 
 
 def broken_limits(plan: Plan, accuracy: Accuracy) -> tuple[Violation, ...]:
-    """Return the violations of limits in a plan's flight that exceed an accuracy's tolerance."""
+    """Return the violations of limits in a plan's simulated flight that exceed a tolerance.
+
+    The tolerance on the relative violation is that of the `accuracy`. The result is empty if the
+    plan was not simulated.
+    """
     if plan.flown is None:
         return ()
     flown, allowed = plan.flown, FIGURES[accuracy].breach
@@ -182,7 +205,11 @@ def broken_limits(plan: Plan, accuracy: Accuracy) -> tuple[Violation, ...]:
 
 
 def _helps(breach: Violation) -> bool:
-    """Return whether a stricter limit helps against a violation, and not only a finer mesh."""
+    """Return whether a violation of a limit can be removed by making the limit stricter.
+
+    This requires a limit that a parameter sets, and a violation of at most half the limit. For
+    other violations only a finer mesh helps.
+    """
     is_known = breach.name.partition("[")[0] in _STRICTER
     is_of_other_side = breach.name.startswith(_ROTOR_SPEED) and not breach.is_above
     return is_known and breach.relative <= _SLIGHT and not is_of_other_side
@@ -191,17 +218,24 @@ def _helps(breach: Violation) -> bool:
 def _by_parameter(
     plan: Plan, broken: Iterable[Violation], numbers: Mapping[str, float], accuracy: Accuracy
 ) -> dict[str, tuple[float, float]]:
-    """Return, by full name of a parameter, how far its limit is broken, and the change against it.
+    """Return the violation of each broken limit, and the change that makes the limit stricter.
 
     Parameters
     ----------
     plan : Plan
+        Plan whose simulated flight breaks the limits.
     broken : iterable of Violation
-        The broken limits.
+        Violation of each broken limit.
     numbers : mapping
-        Full name of a parameter -> value, for the mission.
+        Full name of a parameter -> value in the mission.
     accuracy : Accuracy
-        Sets the tolerated violation.
+        Required accuracy, which sets the tolerance on violations.
+
+    Returns
+    -------
+    dict
+        Full name of the parameter that sets the limit -> (violation, change of the parameter), both
+        in the unit of the parameter. The violation is positive, the change may have either sign.
     """
     found = dict[str, tuple[float, float]]()
     for breach in broken:
@@ -217,7 +251,13 @@ def _by_parameter(
 
 
 def _changed(numbers: Mapping[str, float], changes: Mapping[str, float]) -> dict[str, float]:
-    """Return parameters with changes added, such that start and goal stay within the airspace."""
+    """Return parameter values to which changes were added, for a solve with stricter limits.
+
+    No change reduces a parameter by more than half. The floor is not raised above start or goal,
+    and the ceiling is not lowered below them, because the mission would then be infeasible.
+    `numbers` maps full names of parameters to values, and `changes` maps some of these names to
+    amounts to add.
+    """
     found = dict(numbers)
     for name, change in changes.items():
         least = -_MOST * abs(numbers[name])
@@ -230,25 +270,28 @@ def _changed(numbers: Mapping[str, float], changes: Mapping[str, float]) -> dict
 
 
 def mesh_where_broken(solution: Solution, plan: Plan, accuracy: Accuracy) -> Mesh:
-    """Return the mesh of a solution, finer at the times at which a simulated flight breaks limits.
+    """Return a solution's mesh, finer where its simulated flight cuts through a zone.
 
     Parameters
     ----------
     solution : Solution
+        Solution whose mesh is refined.
     plan : Plan
-        Plan of the solution, with the result of its simulation.
+        Plan made from the solution, with the result of its simulation.
     accuracy : Accuracy
-        Sets the tolerated violation.
+        Required accuracy, which sets the tolerance on violations.
     """
     return _denser_mesh(solution, _windows(plan, accuracy, {}), _DENSER)
 
 
 def _denser_mesh(solution: Solution, windows: Iterable[tuple[float, float]], denser: int) -> Mesh:
-    """Return the mesh of a solution with short elements in given windows of time [s].
+    """Return the mesh of a solution with shorter elements during given windows of time.
 
-    Where a path cuts the corner of a zone, the depth of the cut is proportional to the distance
-    between two points. In the windows, the distance is smaller by the factor `denser`; outside, the
-    elements stay as they are.
+    A path may cut the corner of a zone between two collocation points. The depth of the cut is then
+    proportional to the distance between the points. Each element, or the part of it that is inside
+    a window, is divided so that its parts are at most 1 / `denser` of the element's length.
+    Elements outside the windows are unchanged. `windows` has the start and end times of the windows
+    [s].
     """
     mesh, cuts = solution.mesh, list[float]()
     for window in windows:
@@ -270,19 +313,25 @@ def _denser_mesh(solution: Solution, windows: Iterable[tuple[float, float]], den
 def _windows(
     plan: Plan, accuracy: Accuracy, numbers: Mapping[str, float]
 ) -> list[tuple[float, float]]:
-    """Return start and end [s] of the windows in which a flight cuts through zones.
+    """Return the periods in which the mesh is refined, because a flight cuts through a zone.
 
-    Each window extends beyond the violation by its duration, since the optimum on a finer mesh may
-    pass the zone a little earlier or later.
+    Each period is the time during which the flight violates the limit on the distance from a zone,
+    and an equally long time before and after it, because the optimum on a finer mesh may pass the
+    zone a little earlier or later.
 
     Parameters
     ----------
     plan : Plan
         Plan with the result of its simulation.
     accuracy : Accuracy
-        Sets the tolerated violation.
+        Required accuracy, which sets the tolerance on violations.
     numbers : mapping
-        Parameters of stricter limits, by full name.
+        Full name of a parameter -> value of the stricter limit, which replaces the plan's value.
+
+    Returns
+    -------
+    list of (float, float)
+        Start and end of each period [s].
     """
     if plan.flown is None:
         return []

@@ -1,11 +1,12 @@
-"""Flyable trajectories near a solution on a coarse mesh: a linear-quadratic regulator follows it.
+"""Simulated flights that follow a solution on a coarse mesh under feedback, to make it flyable.
 
 Between its collocation points, the solution satisfies the equations of motion only approximately.
-Flown in open loop, its controls therefore miss the goal: an error of a rotor's speed grows into an
-error of position with the fourth power of time. Here the equations are simulated while feedback
-keeps the vehicle near the solution. The resulting states and controls satisfy the equations to the
-tolerance of the integrator, and spend nearly the energy of the solution. Derivation and sources:
-docs/theory/tracking.md, eqs. (1) to (4).
+If its controls are simulated in open loop, the flight therefore misses the goal: an error in the
+speed of a rotor grows into an error of position with the fourth power of time. This module
+simulates the equations while a linear-quadratic regulator keeps the vehicle near the solution. The
+resulting states and controls satisfy the equations to the tolerance of the integrator, and their
+energy is close to the energy of the solution. Derivation and sources: docs/theory/tracking.md, eqs.
+(1) to (4).
 """
 
 from __future__ import annotations
@@ -46,8 +47,9 @@ _DEVIATIONS = {
     "rigid_body.r": 0.01,
 }
 _ROTOR_SPEED, _ROTOR_DEVIATION = "rotors.omega[", 5.0
-# Correction of each rotor's acceleration with that weight [rad/s^2], and factor on the weights of
-# the states at the end, where the vehicle must be at its goal.
+# Correction of a rotor's acceleration that the regulator weighs like the deviations above
+# [rad/s^2]; and factor on the weights of the states at the end, where the vehicle must be at its
+# goal.
 _CORRECTION, _AT_THE_END = 200.0, 50.0
 # Relative and absolute tolerance of the simulation; and the magnitude of a state, in its unit,
 # above which the vehicle is lost.
@@ -55,7 +57,11 @@ _INTEGRATION, _LOST = 1e-10, 1e6
 
 
 def can_be_tracked(dynamics: Dynamics) -> bool:
-    """Return whether a model has the states that that the regulator weighs."""
+    """Return whether a model has all states that the linear-quadratic regulator needs.
+
+    The regulator makes a simulated vehicle follow a solution on a coarse mesh. It needs position,
+    velocity, attitude and body rates.
+    """
     return set(_DEVIATIONS) <= set(dynamics.state_names)
 
 
@@ -111,7 +117,11 @@ def tracked(dynamics: Dynamics, coarse: Trajectories) -> Trajectories | None:
 
 
 def _split(mesh: Mesh, duration: float) -> Mesh:
-    """Return a mesh whose elements of more than `_LONGEST_S` are split into equal parts."""
+    """Return a mesh in which each element longer than `_LONGEST_S` [s] is split into equal parts.
+
+    The regulator that follows a coarse solution corrects the controls once in each element.
+    `duration` is the duration of the flight [s], which the mesh covers.
+    """
     return mesh.with_breakpoints(
         first + (last - first) * part / count
         for first, last in pairwise(mesh.breakpoints)
@@ -121,13 +131,17 @@ def _split(mesh: Mesh, duration: float) -> Mesh:
 
 
 def _gains(dynamics: Dynamics, coarse: Trajectories, borders: FloatArray) -> FloatArray:
-    """Return the regulator's feedback matrices, one for each element; eqs. (2) to (4).
+    """Return the feedback matrices of the linear-quadratic regulator, one for each mesh element.
 
-    `borders` are the ends of the elements [s], shape (n_elements + 1,). The result has shape
-    (n_elements, n_controls, n_states).
+    Implements docs/theory/tracking.md, eqs. (2) to (4), by linearisation about the solution
+    `coarse`.
+
+    `borders` has the times of the element boundaries [s], shape (n_elements + 1,). The result has
+    shape (n_elements, n_controls, n_states).
     """
     n_states, n_controls = len(dynamics.state_names), len(dynamics.control_names)
-    # As states of the law that do not change, the controls are among the arguments of the slopes.
+    # The controls are declared as constant states of the control law, so that `slopes` also
+    # differentiates with respect to them.
     loop = ClosedLoop(
         dynamics.without_iterations(),
         lambda _command, _x, own: (own, [0.0 * u for u in own]),
@@ -155,7 +169,12 @@ def _gains(dynamics: Dynamics, coarse: Trajectories, borders: FloatArray) -> Flo
 
 
 def _weight(name: str) -> float:
-    """Return the regulator's weight of a state's squared deviation; 0 if any value will do."""
+    """Return the weight of a state's squared deviation in the linear-quadratic regulator's cost.
+
+    The regulator keeps a simulated vehicle near a solution. `name` is the name of the state. The
+    weight is 0 for a state that need not stay near the solution, such as the charge drawn from the
+    battery.
+    """
     if name.startswith(_ROTOR_SPEED):
         return 1.0 / _ROTOR_DEVIATION**2
     return 1.0 / _DEVIATIONS[name] ** 2 if name in _DEVIATIONS else 0.0
@@ -169,26 +188,30 @@ def _followed(
     coarse: Trajectories,
     gains: FloatArray,
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Simulate the vehicle under feedback, element by element; eq. (1).
+    """Simulate the vehicle under feedback along a solution, one mesh element after the other.
+
+    Implements docs/theory/tracking.md, eq. (1).
 
     Parameters
     ----------
     dynamics : Dynamics
+        Equations of the vehicle.
     mesh : Mesh
-        Mesh of the flight.
+        Mesh of the simulated flight.
     borders, points : ndarray
-        Times of the ends of elements and of the collocation points [s].
+        Times of the element boundaries and of the collocation points of this mesh [s].
     coarse : Trajectories
-        The solution that is followed.
+        The solution that the vehicle follows.
     gains : ndarray, shape (n_elements, n_controls, n_states)
+        Feedback matrices, from `_gains`.
 
     Returns
     -------
     ndarray, shape (n_points + 1, n_states + 1)
         States and energy at the nodes.
     ndarray, shape (n_points, n_controls)
-        Controls at the collocation points.
-        None instead of both if the vehicle is lost.
+        Controls at the collocation points, with the corrections by feedback. None instead of both
+        arrays if a state grows beyond `_LOST`.
     """
     controls, wanted = coarse.controls_at(points), coarse.states_at(borders)
     limits, held = dynamics.control_limits(), dynamics.control_limits(HELD_BREACH)

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation import Solution
     from pyomo_quad.scenario import Scenario
 
-# Violation of limits by the path of a solution, relative to the tolerance, above which the path is
-# not flown.
+# Violation of limits by the path of a solution, relative to the tolerance, above which the controls
+# are not simulated.
 _FLOWN = 10.0
 _STATUS = {
     Status.NOT_CONVERGED: PlanStatus.NOT_CONVERGED,
@@ -106,8 +106,8 @@ def verified(
 ) -> Plan:
     """Return a plan with the result of its verification, by simulation of its controls.
 
-    Below the accuracy `proof`, the controls are first corrected by feedback, so that they also fly
-    the path of a coarse solution (`flight.tracking`).
+    For accuracies below `proof`, feedback first corrects the controls (`flight.tracking`). Without
+    this correction, the controls of a solution on a coarse mesh would miss the goal.
 
     Parameters
     ----------
@@ -118,8 +118,9 @@ def verified(
     accuracy : Accuracy, optional
         Accuracy to confirm; by default the scenario's accuracy.
     least_energy : float, optional
-        Energy of the optimum [J], if the solution has stricter limits than the mission; by default
-        the energy of the solution.
+        Least energy of the mission [J], with which the plan's energy is compared. It is given if
+        the solution has stricter limits than the mission; by default it is the energy of the
+        solution.
 
     Returns
     -------
@@ -132,7 +133,7 @@ def verified(
     try:
         flown = _path_of(plan, asked)
         verification = compared(plan.dynamics, flown, plan.energy, wanted, plan.passages, asked)
-        # A path that cuts through zones need not be flown.
+        # No simulation is needed if the planned path itself cuts through zones.
         if asked is Accuracy.PROOF or verification.max_violation <= _FLOWN * FIGURES[asked].breach:
             plan = _followed(plan, asked, plan.energy if least_energy is None else least_energy)
             verification, flown = _flown(plan, asked, wanted)
@@ -167,15 +168,26 @@ def _why_not(plan: Plan, found: Verification, accuracy: Accuracy) -> str:
 
 
 def _flown(plan: Plan, accuracy: Accuracy, wanted: FloatArray) -> tuple[Verification, Flown]:
-    """Simulate a plan's controls in open loop, unless its path itself breaks limits.
+    """Simulate a plan's controls in open loop, and compare the flight with the plan.
+
+    For accuracies below `proof`, the planned path is checked first. If it misses the tolerances of
+    every accuracy, it is not simulated, and the result describes the planned path.
 
     Parameters
     ----------
     plan : Plan
+        The plan.
     accuracy : Accuracy
         Accuracy to confirm.
     wanted : ndarray, shape (n_states,)
         Final states that the flight should reach.
+
+    Returns
+    -------
+    Verification
+        Comparison with the plan, the limits and the final states.
+    Flown
+        Samples of the simulated flight or, without simulation, of the planned path.
 
     Raises
     ------
@@ -205,9 +217,11 @@ def _flown(plan: Plan, accuracy: Accuracy, wanted: FloatArray) -> tuple[Verifica
 def _followed(plan: Plan, accuracy: Accuracy, least_energy: float) -> Plan:
     """Return a plan whose controls are corrected by feedback, for accuracies below `proof`.
 
-    The energy of the plan is then that of the corrected flight. Its excess over the energy of the
-    optimum counts as error; see docs/theory/tracking.md, eq. (5). A plan that feedback does not
-    help is returned unchanged.
+    The corrected plan is a simulated flight that follows the plan (`flight.tracking`), with the
+    energy of this flight. The difference between this energy and `least_energy`, the energy of the
+    optimum [J], is part of the error estimate; see docs/theory/tracking.md, eq. (5). The plan is
+    returned unchanged for accuracy `proof`, for a model without the states of the feedback, and if
+    the vehicle cannot follow the plan.
     """
     if accuracy is Accuracy.PROOF or not can_be_tracked(plan.dynamics):
         return plan
@@ -225,7 +239,11 @@ def _followed(plan: Plan, accuracy: Accuracy, least_energy: float) -> Plan:
 
 
 def _path_of(plan: Plan, accuracy: Accuracy) -> Flown:
-    """Return samples of the planned path itself, as if it had been flown exactly."""
+    """Return samples of the planned path, as if the vehicle flew the path exactly.
+
+    They serve to check limits without a simulation. `accuracy` sets the spacing of the samples near
+    zones.
+    """
     held, spacing = plan.trajectories, FIGURES[accuracy].spacing
     shares = samples_of_path(plan.dynamics, held.mesh, held.states, plan.scenario.airspace, spacing)
     borders, widths = held.mesh.breakpoints, held.mesh.widths

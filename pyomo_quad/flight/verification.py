@@ -343,6 +343,7 @@ def samples_of_path(
     dynamics : Dynamics
         Equations of the plan; without positions among their states, samples are equally spaced.
     mesh : Mesh
+        Mesh of the plan.
     states : ndarray, shape (n_points + 1, n_states)
         Planned states at the nodes.
     airspace : Airspace or None

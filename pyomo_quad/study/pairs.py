@@ -89,7 +89,8 @@ _USUAL_THRUST = (0.3, 1.8)
 # at which the search ends with its present bound.
 _FIRST_BOXES = 8
 _MOST_BOXES = 500_000
-# Proofs that `Pairs.least_through_air` advances together, more do not fit a cache.
+# Number of sets of prices that `Pairs.least_through_air` treats together: the arrays of more sets
+# do not fit into a processor's cache.
 _AT_ONCE = 4
 # `bound_of_pairs`: limit on linear programs, and number of headings with which each pair enters.
 _ROUNDS = 60
@@ -97,7 +98,7 @@ _HEADINGS = 8
 # Multiple of the tolerance by which a sampled bound is lowered before it is compared, because the
 # proof lowers it by the tolerance and by the error of the samples.
 _SURE = 1.5
-# Largest price in the linear program, relative to hover: optimal prices are far below.
+# Largest price in the linear program, relative to hover: optimal prices are much smaller.
 _DEAREST = 6.0
 #: Tolerance of the proven least power, relative to the power of hover.
 POWER_TOLERANCE = 1e-3
@@ -129,9 +130,10 @@ class Pairs:
     """All combinations (pairs) of thrust and airspeed of a vehicle, with the power that they take.
 
     The power is computed by the compiled equations. A pair has three coordinates: rotor speed
-    (induced velocity for the power model `momentum`), and airspeed along and across the thrust.
-    The class searches for the least value over all pairs of the function H (docstring of this
-    module), and proves a lower bound on it, from which a lower bound on the energy follows.
+    (induced velocity for the power model `momentum`), and airspeed along and across the thrust. The
+    class searches for the least value over all pairs of the function H, the power minus terms with
+    the multipliers (prices) of momentum, displacement and kinetic energy. It proves a lower bound
+    on this value, from which a lower bound on the energy follows.
 
     Parameters
     ----------
@@ -236,7 +238,7 @@ class Pairs:
         H is the power of a pair minus the terms of the prices (multipliers of momentum,
         displacement and kinetic energy). `points` holds the three coordinates of each pair, shape
         (3, n): rotor speed (induced velocity for the power model `momentum`), airspeed along and
-        across the thrust. `numbers` are four numbers that follow from the prices, as `_numbers`
+        across the thrust. `numbers` are four numbers that follow from the prices, as `numbers`
         returns them.
 
         The result has the shape (8, n). Its rows are: H without the terms that are the same for all
@@ -283,7 +285,15 @@ class Pairs:
         return still + self.fastest if self._has_induced else still
 
     def numbers(self, prices: MotionPrices, mass: float) -> tuple[float, ...]:
-        """Return the four numbers in which H depends on prices: docs/theory/bound.md, eq. (16)."""
+        """Return the four numbers through which the function H depends on the prices.
+
+        H is the power of a pair of thrust and airspeed minus the terms of the prices, multipliers
+        of momentum, displacement and kinetic energy. The numbers are: the length of the price of
+        momentum p; the components along p and across p of the price of displacement, reduced by the
+        product of the price of kinetic energy and the thrust `standing`; and the price of kinetic
+        energy. `mass` is the mass as a fraction of the mass at the start. See docs/theory/bound.md,
+        eq. (16).
+        """
         displacement = prices.displacement - prices.motion * mass * self.standing
         size = float(np.linalg.norm(prices.momentum))
         if size == 0.0:
@@ -339,18 +349,21 @@ class Pairs:
     def least_through_air(
         self, prices: Sequence[MotionPrices], above: FloatArray, tolerance: float
     ) -> FloatArray:
-        """Return proven lower bounds on H of motions through still air, shape (n,) [W].
+        """Return proven lower bounds on the function G, the least H in still air, shape (n,) [W].
 
-        Implements G of docs/theory/bound.md, eq. (23).
+        H is the power of a pair of thrust and airspeed minus the terms of the prices, multipliers
+        of momentum, displacement and kinetic energy. Implements docs/theory/bound.md, eq. (23).
 
         Parameters
         ----------
-        prices : sequence of MotionPrices
-            Multipliers in H; the price of momentum is that of the motion through the air.
+        prices : sequence of n MotionPrices
+            Multipliers in H. The price of momentum already includes the effect of the wind.
         above : ndarray, shape (n,)
-            Values of H at pairs [W], the nearer to the least values the faster.
+            Upper bound on G for each item of `prices` [W], such as the value of H at a sampled
+            pair. The search is faster if it is close to G.
         tolerance : float
-            Largest difference from the least values, or from `above` where that is less [W].
+            The result is below the smaller of G and `above` by at most this amount [W], unless the
+            search ends early because of its effort.
         """
         constants = np.array([self._constant(p, 1.0, np.zeros(3)) for p in prices])
         numbers = np.array([self.numbers(p, 1.0) for p in prices]).T
@@ -363,10 +376,11 @@ class Pairs:
         return np.concatenate(found) + constants
 
     def samples(self) -> FloatArray:
-        """Return thrust, two forces of the air, power and airspeed of many pairs, shape (6, n).
+        """Return thrust, force of the air, power and airspeed of many pairs, shape (6, n).
 
-        Forces and airspeeds are along the thrust and across it. Pairs that no cheap flight has,
-        with much more or less thrust than hover, are left out.
+        The rows are: thrust [N]; force of the air along and across the thrust [N]; power [W];
+        airspeed along and across the thrust [m/s]. Pairs whose thrust is much larger or smaller
+        than the thrust of hover are left out, because cheap flights do not have them.
         """
         sides = self._edges()
         axes = [np.linspace(a, b, count) for (a, b), count in zip(sides, _COARSE, strict=True)]
@@ -463,10 +477,17 @@ class Pairs:
         return proven
 
     def _proven(self, numbers: FloatArray, sampled: FloatArray, tolerance: float) -> FloatArray:
-        """Return proven lower bounds on the lesser of H without its constant and a value [W].
+        """Return proven lower bounds on the least value of H, for n sets of prices [W].
 
         H is the power of a pair of thrust and airspeed minus the terms of the prices (multipliers).
-        `numbers` has shape (4, n) for n sets of prices; values and result have shape (n,).
+        The search is a branch and bound over boxes of pairs. It keeps the smallest value of H found
+        so far and ends if no box can contain a value that is smaller by more than `tolerance` [W],
+        or after a fixed number of boxes. H is taken here without the terms that are the same for
+        all pairs (`_constant`).
+
+        `numbers` has the four numbers of each set of prices, from `numbers`, shape (4, n).
+        `sampled` has a value of H at some pair for each set, with which the search starts, shape
+        (n,). The result has shape (n,).
         """
         cuts = [np.linspace(edge[0], edge[1], _FIRST_BOXES + 1) for edge in self._edges()]
         low = np.stack(np.meshgrid(*(c[:-1] for c in cuts), indexing="ij")).reshape(3, -1)
@@ -495,11 +516,28 @@ class Pairs:
     def _not_excluded(
         self, low: FloatArray, high: FloatArray, numbers: FloatArray, enough: FloatArray
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Return which boxes a flight may reach with H below ``enough`` [W].
+        """Return which boxes may contain a pair with H below ``enough`` that a flight can have.
 
-        The second result says for each of these boxes whether rotors with equal thrusts take the
-        least power everywhere in it. Bounds of the values alone cost much less than those of the
-        slopes (`_box`).
+        A box is a range of the three coordinates of a pair of thrust and airspeed; H is the power
+        of a pair minus the terms of the prices (multipliers). This test by bounds on values alone
+        is much faster than `_box`, which also bounds slopes.
+
+        Parameters
+        ----------
+        low, high : ndarray, shape (3, n)
+            Lower and upper ends of the boxes.
+        numbers : ndarray, shape (4, n)
+            Four numbers that follow from the prices, as `numbers` returns them, for each box.
+        enough : ndarray, shape (n,)
+            Value of H above which a box is excluded [W].
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+            Whether a box is not excluded.
+        ndarray of bool, shape (n_kept,)
+            For each box that is not excluded: whether rotors with equal thrusts take the least
+            power for all pairs in it.
         """
         given = np.vstack([numbers, np.zeros(low.shape[1])])
         under, over = self._enclosure.values_over(low, high, given)
@@ -516,7 +554,20 @@ class Pairs:
     def _box(
         self, low: FloatArray, high: FloatArray, numbers: FloatArray, is_alike: NDArray[np.bool_]
     ) -> tuple[FloatArray, FloatArray, NDArray[np.int_]]:
-        """Bound the function H from below in n boxes of the search.
+        """Bound the function H from below in n boxes of the branch and bound search.
+
+        A box is a range of the three coordinates of a pair of thrust and airspeed; H is the power
+        of a pair minus the terms of the prices (multipliers). Implements docs/theory/bound.md, eq.
+        (18).
+
+        Parameters
+        ----------
+        low, high : ndarray, shape (3, n)
+            Lower and upper ends of the boxes.
+        numbers : ndarray, shape (4, n)
+            Four numbers that follow from the prices, as `numbers` returns them, for each box.
+        is_alike : ndarray of bool, shape (n,)
+            Whether rotors with equal thrusts take the least power for all pairs in the box.
 
         Returns
         -------
@@ -589,7 +640,7 @@ def bound_of_pairs(
     shared : sequence of tuple of float
         Least and greatest duration of each group of legs, from `legs.legs_of`, s.
     power : float
-        Power of hover, the scale of powers, W.
+        Power of hover [W], to which tolerances are relative.
     """
     prices, program = prices_of_pairs(pairs, legs, shared, power)
     tolerance = POWER_TOLERANCE * power
@@ -640,7 +691,7 @@ class _Program:
     legs, shared
         Legs of the flight and limits on their durations, from `legs.legs_of`.
     power : float
-        Power of hover, the scale of powers, W.
+        Power of hover [W], to which tolerances are relative.
     standing : ndarray, shape (3,)
         Thrust that holds the vehicle still at zero airspeed, N.
     """

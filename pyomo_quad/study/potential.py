@@ -1,22 +1,34 @@
-"""Lower bound on flights in a wind field that counts where the wind blows, by a potential.
+"""Lower bound on the energy of flights through a wind field, by a potential over the ground.
 
-A potential is a function of the horizontal place whose slope is at most the least cost per metre of
-any motion there.  Its rise from the start to the goal bounds the energy of every flight from below,
-whichever way it takes.  Derivation: see docs/theory/bound.md, eqs. (23) to (27).
+The bound of `study.pairs` assumes that the most favourable wind of the field blows everywhere. The
+bound of this module uses the winds that the field has at each place. A potential is a function of
+the horizontal position. Its gradient at each place is limited such that the energy of any motion in
+the winds there, minus terms for the changes of momentum and kinetic energy, is at least the
+potential that the motion gains. Over a flight from rest to rest, these terms vanish. The rise of
+the potential from the start to the goal, with terms for the difference in height and the duration,
+is then a lower bound on the energy of every flight, along any path. Derivation: see
+docs/theory/bound.md, eqs. (23) to (27).
+
+A price is a multiplier (dual variable), as in `study.pairs`, which also explains the thrust u, the
+airspeed v, the force of the air f, the thrust s at rest and the power P. A pair is a combination of
+u and v.
 
 symbol | meaning
 phi(x, y) | potential: linear in each of two triangles of a cell of the field's grid [J]
-q | its gradient, the local price of displacement [N]
-o, eta | price of momentum per mass in still air, and of kinetic energy, the same everywhere
+q | gradient of the potential, and as third component the price of vertical displacement [N]
+o, eta | price of momentum per mass in still air, and of kinetic energy, equal at all places
 W | wind
-G(a, q) | least of P - a . (u + f - s) - q . v - eta v . (u + f - s) over all pairs u, v
-h | power that every motion spends beyond its prices [W]
+a | price of momentum per mass in the wind W: o + eta W
+G(a, q) | least value of P - a . (u + f - s) - q . v - eta v . (u + f - s) over all pairs u, v
+h | lower bound on the part of the power that the terms of the prices do not include [W]
 
-A gradient q is allowed in the wind W if G(o + eta W, q) >= h + q . W.  G is concave in both
-arguments together, so that the values proven at a few points bound it between them, and the allowed
-gradients of a wind are a convex set, held as a polygon of directions from the momentum price.  The
-condition is concave in W too: a gradient allowed at all corners of the winds of a cell is allowed
-in the whole cell.  The largest rise of a potential with allowed gradients is a linear program.
+A gradient q is allowed in the wind W if G(o + eta W, q) >= h + q . W.  G is a concave function of a
+and q together.  Therefore linear interpolation between proven values of G gives lower bounds on G,
+and the allowed gradients in a wind form a convex set.  An inscribed polygon represents this set;
+its corners lie in equally spaced directions, of which the first is the direction of a.  The
+condition is concave in W too.  A gradient that is allowed at all corners of a rectangle of winds is
+therefore allowed in all winds of the rectangle, which contains the winds of a cell.  The largest
+rise of a potential with allowed gradients is the optimal value of a linear program.
 """
 
 from __future__ import annotations
@@ -40,35 +52,41 @@ if TYPE_CHECKING:
 
 # Directions of a gradient in a half turn from the price of momentum, both ends included.
 _DIRECTIONS = 9
-# Quantiles of the sizes of the price of momentum at which G is proven, and number of lengths of a
-# gradient in each direction.
+# Quantiles of the lengths of the price of momentum in the winds of the field at which G is proven,
+# and number of lengths of a gradient in each direction at which it is proven.
 _SIZES, _LENGTHS = (0.0, 0.25, 0.7, 0.97, 1.0), 4
-# The same lengths where G is sampled, and the longest, relative to the power of hover [s/m].
+# Number of lengths of a gradient in each direction at which G is sampled, and the longest length,
+# relative to the power of hover [s/m].
 _SAMPLED_LENGTHS, _LONGEST = 16, 0.4
-# Extents of the winds, relative to those of the whole field, for which prices are tried in turn:
-# prices for all winds at once suit the few extreme winds.
+# Ranges of winds for which prices are computed and tried in turn, relative to the range of the
+# whole field: prices for the whole range would suit the few extreme winds.
 _SPREADS = (0.2, 0.6)
 # Steps of the search for the power of flights of fixed duration.
 _POWERS = 8
-# Length of an edge that is rounding error, relative to the longest gradient, and factor on the
-# allowed gradients for the rounding of their polygons.
+# Length below which an edge of a polygon counts as rounding error, relative to the longest
+# gradient; and factor on the allowed gradients, because their polygons have rounding errors.
 _SLIVER, _SHRUNK = 1e-9, 1.0 - 1e-7
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlacePrices:
-    """Multipliers (prices) of a flight's motion that are equal at all places.
+    """Multipliers (prices) in the bound by a potential that are equal at all places of a field.
+
+    A potential is a function of the horizontal place whose rise from start to goal gives a lower
+    bound on the energy of every flight. The prices multiply quantities whose integral over a flight
+    from rest to rest is known, such as the acceleration.
 
     Attributes
     ----------
     offset : ndarray, shape (3,)
-        Price of momentum per mass in still air, W/N.
+        Price of momentum per mass in still air (o) [W/N].
     motion : float
-        Price of kinetic energy, dimensionless.
+        Price of kinetic energy (eta), dimensionless.
     climb : float
-        Price of vertical displacement, N.
+        Price of vertical displacement [N].
     power : float
-        Power that every motion spends beyond its prices, W.
+        Power (h) that every motion spends at least, in addition to the terms of the prices and of
+        the potential [W].
     """
 
     offset: FloatArray
@@ -78,7 +96,12 @@ class PlacePrices:
 
     @classmethod
     def of(cls, prices: MotionPrices, middle: FloatArray) -> PlacePrices:
-        """Return the place prices of prices in winds with a given middle [m/s], shape (3,)."""
+        """Return the prices that are equal at all places, from prices for a range of winds.
+
+        Prices are Lagrange multipliers, from which a lower bound on the energy follows; `prices`
+        are those of `study.pairs`. Their price of momentum refers to the wind `middle`, shape (3,)
+        [m/s], in the middle of the range; it is converted to still air.
+        """
         return cls(
             offset=prices.momentum - prices.motion * middle,
             motion=prices.motion,
@@ -91,17 +114,23 @@ class PlacePrices:
         sizes: FloatArray,
         lengths: FloatArray,
     ) -> GradientTable:
-        """Return G at sizes of the momentum price, and gradients in each direction from it.
+        """Tabulate the function G over prices of momentum and gradients of a potential.
+
+        G is the least value, over all combinations of thrust and airspeed, of the power minus terms
+        with the multipliers (prices) of momentum, displacement and kinetic energy. The gradient of
+        the potential is the price of horizontal displacement. G depends on the horizontal length of
+        the price of momentum, the length of the gradient, and the angle between the two.
 
         Parameters
         ----------
         least : callable
-            Takes n prices of motions through the air and returns G, or lower bounds on it,
-            shape (n,), W.
+            Takes a sequence of n prices of motions through the air; returns G, or lower bounds on
+            G, shape (n,) [W].
         sizes : ndarray, shape (n_sizes,)
-            Horizontal prices of momentum per mass [W/N].
+            Horizontal lengths of the price of momentum per mass [W/N].
         lengths : ndarray, shape (_DIRECTIONS, n_lengths)
-            Horizontal lengths of the gradient in each direction [N]; the first is zero.
+            Lengths of the horizontal gradient in each direction [N], of which the first is zero.
+            The directions are equally spaced over half a turn from the price of momentum.
         """
         angles = np.pi * np.arange(_DIRECTIONS) / (_DIRECTIONS - 1)
         aside = lengths[..., None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)[:, None]
@@ -124,15 +153,21 @@ class PlacePrices:
 
 @dataclass(frozen=True, kw_only=True)
 class GradientTable:
-    """Values of the concave function G at sizes of the momentum price, directions and lengths.
+    """Table of the function G over prices of momentum and gradients of a potential.
+
+    G is the least value, over all combinations of thrust and airspeed, of the power minus terms
+    with the multipliers (prices) of momentum, displacement and kinetic energy. The gradient of the
+    potential is the price of horizontal displacement. From G follows which gradients a lower bound
+    on the energy of flights allows.
 
     Attributes
     ----------
     sizes : ndarray, shape (n_sizes,)
-        Horizontal price of momentum per mass [W/N], rising.
+        Horizontal lengths of the price of momentum per mass [W/N], increasing.
     lengths : ndarray, shape (_DIRECTIONS, n_lengths)
-        Lengths of the gradient [N], rising from zero, in equally spaced directions over half a turn
-        from the price of momentum. The other half is its mirror image.
+        Lengths of the gradient in each direction [N], increasing from zero. The directions are
+        equally spaced over half a turn from the price of momentum. The values over the other half
+        turn follow by symmetry.
     values : ndarray, shape (n_sizes, _DIRECTIONS, n_lengths)
         Lower bounds on G [W].
     """
@@ -142,21 +177,25 @@ class GradientTable:
     values: FloatArray
 
     def gradients(self, prices: PlacePrices, winds: FloatArray) -> FloatArray | None:
-        """Return allowed gradients in each of n winds, as corners of polygons.
+        """Return the allowed gradients of a potential in each of n winds, as polygons.
 
-        Implements docs/theory/bound.md, eq. (26).
+        A potential is a function of the horizontal place. A gradient [J/m] is allowed in a wind if
+        the power of every motion in this wind is at least the rate at which the motion gains
+        potential, plus the terms of the multipliers `prices`. Implements docs/theory/bound.md, eq.
+        (26).
 
         Parameters
         ----------
         prices : PlacePrices
-            Prices for which the table holds.
+            Prices with which the table was computed; `power` may differ.
         winds : ndarray, shape (n, 2)
             Horizontal winds [m/s].
 
         Returns
         -------
         ndarray or None, shape (n, 2 * (_DIRECTIONS - 1), 2)
-            Counter-clockwise corners [N]; None if a wind does not allow the gradient zero.
+            Corners of each polygon, counter-clockwise [N]; None if the gradient zero is not allowed
+            in one of the winds.
         """
         momentum = prices.offset[:2] + prices.motion * winds
         size, turned = np.linalg.norm(momentum, axis=1), np.arctan2(*momentum.T[::-1])
@@ -177,10 +216,12 @@ class GradientTable:
 
 
 def _last_positive(at: FloatArray, values: FloatArray) -> FloatArray:
-    """Return where concave functions, positive at first, fall to zero between their samples.
+    """Return the arguments at which concave functions fall to zero, from samples.
 
-    The result is the last sample where a function is positive throughout. `at` has shape (m, k),
-    `values` shape (n, m, k), and the result shape (n, m).
+    The functions are positive at their first sample, and are interpolated linearly. For a function
+    that is positive at all samples, the result is the last argument. `at` has the arguments of the
+    samples, shape (m, k), and `values` the values of n m functions, shape (n, m, k). The result has
+    shape (n, m).
     """
     last = np.sum(np.cumprod(values > 0.0, axis=-1), axis=-1, dtype=int) - 1
     after = np.minimum(last + 1, at.shape[1] - 1)
@@ -191,19 +232,27 @@ def _last_positive(at: FloatArray, values: FloatArray) -> FloatArray:
 
 
 class Sampled:
-    """G over sampled pairs of thrust and airspeed, slightly above the least over all pairs.
+    """Approximation of the function G by its least value over samples.
+
+    G is the least value, over all combinations (pairs) of thrust and airspeed, of the power minus
+    terms with the multipliers (prices) of momentum, displacement and kinetic energy. The
+    approximation is the least value over samples of pairs, so that it is not below G.
 
     Parameters
     ----------
     pairs : Pairs
-        The pairs.
+        Pairs of thrust and airspeed of the vehicle, from which the samples are taken.
     """
 
     def __init__(self, pairs: Pairs) -> None:
         self._pairs, self._samples = pairs, pairs.samples()
 
     def __call__(self, prices: Sequence[MotionPrices]) -> FloatArray:
-        """Return G for n prices of motions through the air, shape (n,) [W]."""
+        """Return approximate values of the function G for n sets of prices, shape (n,) [W].
+
+        Prices are multipliers of momentum, displacement and kinetic energy of a motion through the
+        air. G is the least power of such a motion minus the terms of the prices.
+        """
         thrust, lift, aside, power, along, across = self._samples
         drag = -(aside * across + lift * along)
         found = np.empty(len(prices))
@@ -217,14 +266,17 @@ class Sampled:
 
 
 class Places:
-    """Places of a mission in a wind field, between which potentials rise.
+    """Grid of places of a mission in a wind field, on which potentials are defined.
+
+    A potential is a function of the horizontal place, given by its values at the nodes of the grid.
+    Its rise from start to goal gives a lower bound on the energy of every flight.
 
     Parameters
     ----------
     columns : ColumnWinds
-        Winds over the cells of the field's grid.
+        Limits of the winds over each cell of the field's grid.
     ends : ndarray, shape (2, 3)
-        Start and goal [m].
+        Start and goal of the mission [m].
     """
 
     def __init__(self, columns: ColumnWinds, ends: FloatArray) -> None:
@@ -232,7 +284,8 @@ class Places:
         #: Height of the goal above the start [m].
         self.climb = float(ends[1, 2] - ends[0, 2])
         low, high = columns.low[:, columns.is_open], columns.high[:, columns.is_open]
-        #: Corners of the winds of each open cell, shape (n_cells, 4, 2), m/s.
+        #: Corners of the rectangle of winds in each cell that a flight may enter [m/s], shape
+        #: (n_cells, 4, 2).
         self.corners = np.stack(
             [np.stack([x, y], axis=-1) for x in (low[0], high[0]) for y in (low[1], high[1])],
             axis=1,
@@ -245,7 +298,12 @@ class Places:
                 self._gain[node] += sign * share
 
     def _shares(self, place: FloatArray) -> list[tuple[int, float]]:
-        """Return the nodes of the triangle round a place, with the barycentric coordinates."""
+        """Return the nodes of the triangle of the grid that contains a place, with their weights.
+
+        The weights are the barycentric coordinates of the place. A potential at the place is the
+        sum of its values at these nodes, each times its weight. Each item of the result is (index
+        of node, weight).
+        """
         cell, shares = [], []
         for axis, at in zip((self._columns.x, self._columns.y), place, strict=False):
             number = int(np.clip(np.searchsorted(axis, at) - 1, 0, len(axis) - 2))
@@ -259,14 +317,18 @@ class Places:
         return [(int(node[i + 1, j + 1]), u + v - 1.0), *aside]
 
     def rise(self, gradients: FloatArray) -> float:
-        """Return a rise of a potential from start to goal, nearly the largest [J].
+        """Return the largest rise of a potential from start to goal [J], with a limited gradient.
 
-        Implements docs/theory/bound.md, eq. (27).
+        A potential is a function of the horizontal place; the rise gives a lower bound on the
+        energy of every flight. It is the optimal value of a linear program. Tolerances of the
+        solver make the result slightly smaller. Implements docs/theory/bound.md, eq. (27).
 
         Parameters
         ----------
         gradients : ndarray, shape (4 * n_cells, n, 2)
-            Allowed gradients at each corner of the winds of each open cell, as polygons [N].
+            Corners of polygons that contain the allowed gradients [N]: one polygon of n corners for
+            each of the winds `corners`, four for each cell of the grid that a flight may enter. The
+            gradient in a cell must be inside all four polygons of the cell.
         """
         cell, normals, most = _common_edges(gradients.reshape(*self.corners.shape[:2], -1, 2))
         i, j = (part[cell] for part in np.nonzero(self._columns.is_open))
@@ -288,26 +350,30 @@ class Places:
         )  # fmt: skip
         if found.x is None:
             return 0.0
-        # The solver allows small errors of the limits, by which its potential is too steep.
+        # The solver may violate the constraints slightly; its potential is then too steep.
         return float(self._gain @ found.x / max(1.0, float(np.max(matrix @ found.x))))
 
 
 def _common_edges(polygons: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the edges of the polygon in which the polygons of each cell overlap.
+    """Return the edges of the intersections of polygons, as linear inequalities.
+
+    For each cell of the wind field's grid, the polygons of allowed gradients in several winds are
+    intersected. A gradient q is in the intersection if ``normal . q <= most`` for each of its
+    edges.
 
     Parameters
     ----------
     polygons : ndarray, shape (n_cells, n_winds, n, 2)
-        Corners; all polygons contain the origin.
+        Corners of the polygons, each of which contains the origin.
 
     Returns
     -------
     cell : ndarray of int, shape (n_edges,)
-        The cell of each edge.
+        Index of the cell to which each edge belongs.
     normals : ndarray, shape (n_edges, 2)
-        Outward normals, not of unit length.
+        Normals of the edges, outward, not of unit length.
     most : ndarray, shape (n_edges,)
-        Product of the normal with the places of the edge, positive.
+        Largest value of the product ``normal . q``, positive.
     """
     import shapely  # noqa: PLC0415  for fields alone
 
@@ -324,7 +390,12 @@ def _common_edges(polygons: FloatArray) -> tuple[FloatArray, FloatArray, FloatAr
 
 
 class _Search:
-    """Bounds that sampled and proven values of G give by a potential.
+    """Calculator of lower bounds on the energy by a potential, approximate and proven.
+
+    A potential is a function of the horizontal place whose rise from start to goal gives a lower
+    bound on the energy of every flight. Its gradient is limited by the function G, the least power
+    of a motion minus the terms of multipliers (prices). An approximate bound uses sampled values of
+    G, a proven bound uses proven lower bounds on G.
 
     Parameters
     ----------
@@ -333,9 +404,9 @@ class _Search:
     places : Places
         Places of the mission.
     durations : tuple of float
-        Least and greatest duration [s].
+        Least and greatest duration of the flight [s].
     power : float
-        Power of hover, the scale of powers [W].
+        Power of hover [W], to which tolerances are relative.
     """
 
     def __init__(
@@ -350,12 +421,18 @@ class _Search:
 
     def _sizes(self, prices: PlacePrices) -> FloatArray:
         size = np.linalg.norm(prices.offset[:2] + prices.motion * self._winds, axis=1)
-        # G bends most between distant sizes; most winds lie far from the extreme ones.
+        # Lengths of the price of momentum: most winds lie far from the extreme winds, and linear
+        # interpolation of G is least accurate between distant lengths.
         found = np.quantile(size, _SIZES)
         return found + self._tolerance * np.arange(len(found)) / len(found)
 
     def _bound(self, prices: PlacePrices, table: GradientTable) -> float:
-        """Return the bound of a table [J]; minus infinity if a wind allows no gradients."""
+        """Return the lower bound on the energy that follows from a table of allowed gradients [J].
+
+        The gradients are those of a potential, a function of the horizontal place whose rise from
+        start to goal gives a lower bound on the energy of every flight. The result is minus
+        infinity if no gradient is allowed in one of the winds of the field.
+        """
         gradients = table.gradients(prices, self._winds)
         if gradients is None:
             return -inf
@@ -363,9 +440,12 @@ class _Search:
         return self._places.rise(gradients) + prices.climb * self._places.climb + spent
 
     def with_power(self, prices: PlacePrices) -> PlacePrices | None:
-        """Return prices with the best power; None if they give no bound.
+        """Return prices whose `power` maximises the approximate bound; None if they give no bound.
 
-        It is zero if flights may be short. The bound is concave in the power.
+        Prices are multipliers, from which a lower bound on the energy follows; `power` is the power
+        that every motion spends in addition to the terms of the prices. The bound is a concave
+        function of it. If the least duration is less than half the greatest duration, `power`
+        remains zero.
         """
         table = prices.table(self._sampled, self._sizes(prices), self._lengths)
         most = float(table.values[:, 0, 0].min())
@@ -382,7 +462,12 @@ class _Search:
         return replace(prices, power=float(found.x))
 
     def proven(self, prices: PlacePrices) -> float:
-        """Return the proven bound [J]; minus infinity if a wind allows no gradients."""
+        """Return a proven lower bound on the energy, for given prices (multipliers) [J].
+
+        The result is minus infinity if no gradient of a potential is allowed in one of the winds of
+        the field. To save time, allowed gradients are proven only near those that sampling
+        predicts.
+        """
         table = prices.table(self._sampled, self._sizes(prices), self._lengths)
         gradients = table.gradients(prices, self._winds)
         if gradients is None:
@@ -408,15 +493,18 @@ def bound_by_places(
     durations: tuple[float, float],
     power: float,
 ) -> float:
-    """Return a lower bound on the energy that counts where the wind of a field blows [J].
+    """Return a lower bound on the energy of flights [J], from the wind at each place of a field.
 
+    The bound is the sum of three terms: the rise of a potential from start to goal, a term for the
+    difference in height, and a term for the duration. A potential is a function of the horizontal
+    place. Its slope at each place is limited by the energy of motions in the winds there.
     Implements docs/theory/bound.md, eq. (25).
 
     Parameters
     ----------
     pairs_in : callable
-        Takes corners of a polyhedron of winds, shape (n, 3), and returns the pairs of thrust and
-        airspeed in them.
+        Takes the corners of a polyhedron of winds, shape (n, 3) [m/s]; returns the vehicle's pairs
+        of thrust and airspeed for these winds, a `Pairs`.
     winds : ndarray, shape (n_winds, 3)
         Corners of the polyhedron of all winds of the field, all horizontal [m/s].
     places : Places
@@ -426,12 +514,12 @@ def bound_by_places(
     durations : tuple of float
         Least and greatest duration [s].
     power : float
-        Power of hover [W].
+        Power of hover [W], to which tolerances are relative.
 
     Returns
     -------
     float
-        Minus infinity if no bound of this kind was found.
+        The bound; minus infinity if no prices were found that give one.
     """
     search = _Search(pairs_in(winds), places, durations, power)
     mean = np.array([*places.corners.mean(axis=(0, 1)), 0.0])

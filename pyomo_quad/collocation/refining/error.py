@@ -39,6 +39,7 @@ def final_misses(solution: Solution, errors: FloatArray) -> FloatArray:
     Parameters
     ----------
     solution : Solution
+        The solution whose linearised equations propagate the errors to the end.
     errors : ndarray, shape (n_elements, n_states)
         Errors of the states at each element's end that arise within the element.
 
@@ -46,7 +47,7 @@ def final_misses(solution: Solution, errors: FloatArray) -> FloatArray:
     -------
     ndarray, shape (n_elements, n_states)
         Changes of the final states to first order, relative to max(1, abs(final state)). All
-        entries are zero if the equations do not determine every rate.
+        entries are zero if the equations do not determine the time derivative of every state.
     """
     program, mesh = solution.program, solution.mesh
     variables = program.path_variables(solution.unknowns)
@@ -114,10 +115,11 @@ class Allowance:
     final_miss : float
         Tolerance on the final states, relative to max(1, abs(final state)).
     state_error : float, optional
-        Tolerance on the error of the states between the points, relative to their magnitudes, and
-        ten times on the residuals of algebraic equations there; by default the tolerance of the
-        refinement. A larger value suffices if a simulation corrects the controls by feedback, and
-        solves the algebraic equations: the objective then depends on the square of this error.
+        Tolerance on the error of the states between the points, relative to their magnitudes; by
+        default the tolerance of the refinement. A larger value suffices if the controls are
+        corrected by feedback in a simulation, because the error then changes the objective only to
+        second order. The tolerance on the residuals of algebraic equations between the points is
+        then ten times this value, because the simulation solves these equations.
     """
 
     control_breach: float = np.inf
@@ -648,6 +650,9 @@ def _breaches(
     violation causes within the element. For any other limit, it is the effect on the objective,
     estimated from the multipliers of the bounds on states. If a violation exceeds its tolerance in
     `Allowance`, the violation itself counts.
+
+    `weight` is 1, or less if `Allowance.state_error` is larger than the tolerance of the
+    refinement.
     """
     mesh = solution.mesh
     residuals, limits, controls = (
