@@ -41,7 +41,7 @@ def read_wind_file(
     where : str
         Beginning of error messages: the scenario field that names the file.
     longest : tuple of str and object
-        Path of the field that limits the mission's duration, and its value [s].
+        Path of the field that sets the mission's duration or its upper limit, and its value [s].
     time_offset : object
         Time in the file [s] at which the mission starts. A value that is not a number, here or in
         `longest`, is refused later by the validation of the scenario.
@@ -135,7 +135,8 @@ def check_cover(
     start : float
         Time in the measured wind [s] at which the mission starts.
     field : str
-        Dotted path of the field that limits the mission's duration, for the error message.
+        Dotted path of the field that sets the mission's duration or its upper limit, for the error
+        message.
     duration : float
         Longest duration of the mission [s].
     place : str
