@@ -1,7 +1,7 @@
 """Type alias `FloatArray` for NumPy arrays of double-precision numbers.
 
-The package `pyomo_quad.collocation` imports nothing from the rest of `pyomo_quad`, and defines the
-same alias for itself in `collocation.mesh`.
+All packages but `pyomo_quad.collocation` import the alias from here. That package must not import
+other parts of `pyomo_quad`, and therefore defines the same alias for itself, in `collocation.mesh`.
 """
 
 import numpy as np

@@ -51,9 +51,10 @@ class SolveStopped(Stopped):
 class Interruption:
     """Record of a user's request to stop the running command.
 
-    After the request, a timer ends the process within half a second. If `has_result` is set,
-    because a usable plan exists, the command has a minute to write its report; a second signal of
-    the user shortens this minute to half a second.
+    After the request, a timer ends the process within half a second. The attribute `has_result` is
+    set once the command has a plan worth reporting: one whose simulated flight arrives and keeps
+    all limits. The command then has a minute to write its report; a second signal of the user
+    shortens this minute to half a second.
     """
 
     def __init__(self) -> None:

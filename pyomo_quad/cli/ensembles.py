@@ -93,7 +93,16 @@ def _refuse_equal_flights(mission: Scenario, flights: int) -> None:
 
 
 def _lines(flown: Ensemble, savings: Sequence[Saving]) -> Iterator[str]:
-    """Yield the lines that the command prints: statistics of the flights, and energy savings."""
+    """Yield the lines that the command prints on the simulated flights of a plan.
+
+    Parameters
+    ----------
+    flown : Ensemble
+        Flights of the plan in random winds.
+    savings : sequence of Saving
+        Energy that the plan saves over an autopilot's flights in the same winds, for each speed of
+        the autopilot.
+    """
     name, told = flown.scenario.name, flown.summary
     low, middle, high = flown.band("energy_J")
     yield f"{name}: {flown.succeeded} of {flown.count} flights arrived and kept every limit."

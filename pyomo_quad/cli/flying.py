@@ -32,7 +32,11 @@ from pyomo_quad.study.comparison import has_arrived
 
 
 def make_plan(planner: Planner, scenario: Scenario) -> Plan:
-    """Plan the flight that is to be simulated; if no usable plan is found, exit with the reason."""
+    """Plan the flight that is to be simulated; if no flyable plan is found, exit with the reason.
+
+    A plan is flyable if a simulation of its controls without feedback confirms that it arrives and
+    keeps all limits.
+    """
     plan = plan_at_risk(scenario, planner)
     if plan.is_flyable:
         return plan
@@ -116,7 +120,11 @@ def fly_mpc(planner: Planner, scenario: Scenario, knowledge: Knowledge) -> Fligh
 
 
 def refuse_outside(scenario: Scenario) -> None:
-    """Raise an error if the simulator RotorPy is not installed or cannot simulate the scenario."""
+    """Raise an error if the simulator RotorPy is not installed or cannot simulate the scenario.
+
+    RotorPy cannot simulate a wind that acts as an acceleration, as in eq. (9) of Yacef et al.,
+    instead of through the drag.
+    """
     rotorpy_module(MULTIROTOR)
     refuse_pushing_wind(scenario)
 
@@ -174,7 +182,11 @@ def write_flight(
 
 
 def verdict(scenario: Scenario, flight: Flight) -> str:
-    """Return a line on a flight: arrival, energy, and confirmation by a second integrator."""
+    """Return a line to print on a simulated flight.
+
+    The line states whether the flight arrived, how far from the goal it ended, its energy, and
+    whether a simulation by a second integrator gives the same result.
+    """
     end = "arrived" if has_arrived(flight) else "did not arrive"
     confirmed = "confirmed" if flight.is_verified else "not confirmed"
     why = f": {flight.doubt}" if flight.doubt else ""

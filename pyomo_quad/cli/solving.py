@@ -139,8 +139,8 @@ def planner_for(scenario: Scenario, options: Options, *, keeps_usable: bool = Fa
         Options of the command: whether to run the Python model builder that the scenario names, and
         whether to show progress.
     keeps_usable : bool, default False
-        Whether a stopped solve that has found a usable plan returns this plan instead of raising
-        `SolveStopped`.
+        Whether a stopped solve returns its best plan so far instead of raising `SolveStopped`, if
+        a simulation confirms that this plan arrives and keeps all limits.
 
     Raises
     ------
@@ -206,8 +206,9 @@ def _kept(plan: Plan, folder: Path) -> str:
 def plan_to_continue(run: Path, overrides: Sequence[str]) -> tuple[Plan, Scenario]:
     """Load a stored plan, and choose the accuracy to which its solve continues.
 
-    An override `solver.accuracy` sets the accuracy. Without this override, the accuracy is the next
-    higher level if the stored plan is verified, and otherwise the level that its scenario required.
+    An override `solver.accuracy` sets the accuracy. Without this override, the accuracy is the
+    level that the plan's scenario required or, if a simulation has already confirmed the stored
+    plan to that level (the plan is "verified"), the next higher level.
 
     Parameters
     ----------
@@ -250,10 +251,11 @@ def plan_to_continue(run: Path, overrides: Sequence[str]) -> tuple[Plan, Scenari
 
 
 def _lacks_risk(plan: Plan) -> bool:
-    """Return whether flights of a usable plan break limits more often than the scenario permits.
+    """Return whether flights of a plan break limits more often than the scenario permits.
 
     The scenario's risk is the permitted probability that a flight breaks a limit. The result is
-    False for a scenario that states no risk.
+    False if the scenario states no risk, if the risk of the plan was not assessed, or if the plan
+    may not be flown anyway, because its own simulation does not confirm it.
     """
     is_stated = plan.scenario.mission.risk is not None
     return is_stated and plan.is_flyable and plan.risk is not None and not plan.risk.is_satisfied
@@ -301,7 +303,11 @@ _TEXTS = ("scenario", "flight")
 
 
 def verdict_lines(plan: Plan) -> Iterator[str]:
-    """Yield the lines to print on a plan: energy, accuracy and risk, or the causes of failure."""
+    """Yield the lines to print on a plan.
+
+    They state the plan's status, energy and estimated error, and the probability that a flight
+    breaks a limit; for a failed plan, they state the causes of the failure.
+    """
     if plan.is_flyable:
         beside = against_hovering(plan.energy - plan.hover_energy_J, digits=3)
         yield (

@@ -170,7 +170,10 @@ def follow_sweep(*, is_verbose: bool) -> Iterator["SweepListener"]:
 
 
 class _Listener:
-    """Base class of listeners, which a sweep informs of its cases and which print their number."""
+    """Base class of progress displays of a sweep, which solves many variants of a scenario.
+
+    The sweep calls the methods `start` and `case_ended`. A case is one variant of the scenario.
+    """
 
     total = done = failed = _solved = 0
 

@@ -137,8 +137,9 @@ def _plain_lines(started: float) -> Callable[["State"], None]:
 def _state_of(now: "State") -> str:
     """Return a line on the state of a search for a plan, for the progress display.
 
-    The line gives the stage of the search, the best energy and its uncertainty, the iteration, the
-    number of mesh points and the processor time.
+    The line gives the stage of the search, the energy on the last mesh that was solved and its
+    relative change from the mesh before, whether a plan that may be flown has been found, the
+    iteration of the solver, the number of mesh points and the processor time.
     """
     best = "no energy yet"
     if isfinite(now.energy_J):

@@ -506,7 +506,7 @@ def _write_mission(
     error_m: float,
     origin: GeodeticOrigin,
 ) -> _Written:
-    """Write a plan as a mission of waypoints.
+    """Write a plan as a ground station's mission: waypoints joined by straight legs.
 
     Parameters
     ----------
@@ -522,6 +522,12 @@ def _write_mission(
         Largest permitted distance [m] of the straight legs between waypoints from the plan.
     origin : GeodeticOrigin
         Position of the plan's origin on earth.
+
+    Returns
+    -------
+    tuple of (int, str, float, None)
+        Number of waypoints, the word "waypoints", and the largest distance of the legs from the
+        plan [m]; None because the file does not prescribe the heading between waypoints.
     """
     legs = thin(motion, error_m)
     _write_text(path, spelled(mission(legs, origin, motion, error_m)), mark)
@@ -533,7 +539,10 @@ def _as_json(held: dict[str, Any]) -> str:
 
 
 def _deviation(legs: Legs, motion: Motion) -> float:
-    """Return the largest distance [m], at any time, between the positions on plan and legs."""
+    """Return the largest distance [m] between a plan and straight legs that approximate it.
+
+    The distance is between the position on the plan and the position on the legs at the same time.
+    """
     t = motion.samples(len(legs.times) / motion.duration * 100)
     return float(np.linalg.norm(legs.at(t) - motion.position(t), axis=1).max())
 

@@ -454,9 +454,10 @@ def _height(item: _Item, home: GeodeticOrigin, notes: Counter[str]) -> float:
 
 
 def _apply(item: _Item, place: _Place, notes: Counter[str]) -> None:
-    """Apply a command without a position, such as a delay, to the place before the command.
+    """Apply a command without a position, such as a delay, to the place where it is executed.
 
-    A command that a scenario cannot represent is added to `notes`.
+    This is `place`, the last place to which the mission has made the vehicle fly; the function
+    changes it. A command that a scenario cannot represent is added to `notes`.
     """
     if item.command == Command.DELAY:
         place.hold += _number(item.param(0), item.where, 0.0, _LONGEST_S)

@@ -73,8 +73,9 @@ def read_proven(path: str | Path, *, is_code_allowed: bool = False) -> ProvenPla
     Raises
     ------
     ScenarioError
-        If there is no plan, the plan is damaged, its status is neither verified nor usable
-        (`PlanStatus`), or the simulation does not confirm the plan.
+        If there is no plan, the plan is damaged, the plan's status says that no simulation has
+        confirmed it (neither `PlanStatus.VERIFIED` nor `PlanStatus.USABLE`), or the new simulation
+        does not confirm it.
     """
     place = Path(path)
     if place.is_dir():
@@ -176,8 +177,9 @@ class Motion:
         Raises
         ------
         ScenarioError
-            If the plan's status is neither verified nor usable (`PlanStatus`), or the simulation
-            does not confirm the plan.
+            If the plan's status says that no simulation has confirmed it (neither
+            `PlanStatus.VERIFIED` nor `PlanStatus.USABLE`), or the new simulation does not
+            confirm it.
         """
         return cls._along(_proven(plan, is_code_allowed=is_code_allowed))
 
@@ -195,8 +197,9 @@ class Motion:
         Raises
         ------
         ScenarioError
-            If there is no plan, the plan is damaged, its status is neither verified nor usable
-            (`PlanStatus`), or the simulation does not confirm the plan.
+            If there is no plan, the plan is damaged, the plan's status says that no simulation has
+            confirmed it (neither `PlanStatus.VERIFIED` nor `PlanStatus.USABLE`), or the new
+            simulation does not confirm it.
         """
         return cls._along(read_proven(path, is_code_allowed=is_code_allowed))
 

@@ -132,7 +132,8 @@ def shown_flights(frame: pd.DataFrame) -> list[object]:
 def draw_power(found: Identification) -> Figure:
     """Draw the measured and the computed power of three flights over time.
 
-    The power is computed by fits without the drawn flight.
+    The flights are a slow, an average and a fast one. The power of each is computed by a fit to
+    other flights only.
 
     Parameters
     ----------
@@ -162,6 +163,10 @@ def draw_power(found: Identification) -> Figure:
 
 def draw_voltages(found: Identification, pack: PackIdentification) -> Figure:
     """Draw measured and computed cell voltage of three flights, and the error of each flight.
+
+    The left panel shows the voltage of a slow, an average and a fast flight over time. The right
+    panel shows the root mean square error of each flight's voltage over the factor on the
+    resistance of the flight's battery pack.
 
     Parameters
     ----------

@@ -387,10 +387,24 @@ def _bounds(name: str) -> tuple[float, float]:
 
 
 def _most_drag(scenario: Scenario, frame: pd.DataFrame, power: int) -> float:
-    """Return the drag coefficient that would tilt level flight by 45° at the largest airspeed.
+    """Return the upper bound of a drag coefficient in the fit.
 
-    The result is the upper bound of the coefficient in the fit. `power` is the exponent of the
-    airspeed in the drag: 1 for linear and 2 for quadratic drag.
+    With this coefficient, the drag equals the vehicle's weight, so that level flight is tilted by
+    45°, at the largest airspeed in the log.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Scenario with the vehicle.
+    frame : DataFrame
+        Rows of the log.
+    power : int
+        Exponent of the airspeed in the drag: 1 for linear and 2 for quadratic drag.
+
+    Returns
+    -------
+    float
+        Coefficient of linear drag [kg/s] or of quadratic drag [kg/m].
     """
     north, east = (frame[name].to_numpy() for name in AIR_VELOCITY)
     fastest = float(np.hypot(north, east).max()) * scenario.vehicle.anemometer_factor
@@ -443,10 +457,11 @@ def undetermined(fit: Fit) -> tuple[str, ...]:
 
 
 def _size(fit: Fit) -> FloatArray:
-    """Return a least magnitude for each parameter, shape (n,), in the parameter's unit.
+    """Return a lower bound on the magnitude of each parameter, shape (n,), in its own unit.
 
-    `undetermined` changes each parameter by a fraction of its magnitude. Without a least magnitude,
-    a parameter with the value 0 would not change.
+    To test whether the flights determine a parameter, `undetermined` changes the parameter by a
+    fraction of its magnitude. Without the lower bound, a parameter with the value 0 would not be
+    changed at all.
     """
     return np.array([_SMALL_DRAG if name in _OF_MOTION else _SHARE for name in fit.names])
 
@@ -538,6 +553,18 @@ def _cautions(scenario: Scenario, fit: Fit, values: FloatArray, draws: FloatArra
     """Yield warnings if the log has too few rows, or if its rows are too far apart in time.
 
     Rows are too far apart if a fit to every second row gives clearly different parameters.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Scenario with the vehicle before the fit.
+    fit : Fit
+        Least-squares problem, which holds the rows of the log.
+    values : ndarray, shape (n,)
+        Parameters fitted to all flights.
+    draws : ndarray, shape (draws, n)
+        Parameters fitted to random draws of the flights, from which their standard deviations
+        follow.
     """
     frame = fit.frame
     flights, rows = frame[FLIGHT].nunique(), len(frame)

@@ -234,10 +234,15 @@ def _read(file: Path, source: str) -> pd.DataFrame:
 def _wanted(names: Iterable[str]) -> dict[str, str]:
     """Find the columns of a log that are needed, under any of their accepted names.
 
+    Parameters
+    ----------
+    names : iterable of str
+        Names of all columns of the log.
+
     Returns
     -------
     dict
-        Name in `COLUMNS`, by the name in the log.
+        For each needed column, the name in the log -> the package's own name, a key of `COLUMNS`.
 
     Raises
     ------
@@ -347,7 +352,10 @@ def _read_csv(file: Path) -> pd.DataFrame:
 
 
 def _complaints(frame: pd.DataFrame) -> Iterator[str]:
-    """Yield a message for each fault of a log's rows, the most basic first."""
+    """Yield an error message for each fault of a log's rows, the most basic fault first.
+
+    `frame` has the rows of all flights, with the columns of `COLUMNS`.
+    """
     for name in frame:
         missing = frame[name].isna() if name in _TEXTS else ~np.isfinite(frame[name])
         if missing.any():

@@ -108,7 +108,8 @@ class LoggedMotion:
         Parameters
         ----------
         numbers : mapping, optional
-            Changed values of the model's parameters, by full name.
+            Changed values of the model's parameters, by full name, such as
+            ``vehicle.drag_linear``; all other parameters have the scenario's values.
 
         Returns
         -------
@@ -165,12 +166,14 @@ class LoggedMotion:
         Parameters
         ----------
         numbers : mapping
-            Changed values of the model's parameters, by full name.
+            Changed values of the model's parameters, by full name, such as
+            ``vehicle.drag_linear``.
 
         Returns
         -------
         ndarray, shape (n_rows, n_states)
-            States with solved roll, pitch and rotor speed.
+            State of the vehicle's model in each row: roll, pitch and rotor speed are solved for,
+            all other states are given by the log.
 
         Raises
         ------

@@ -326,7 +326,7 @@ class Circuit:
         return self.voltages(record, values, factor, len(record.power))[0]
 
     def charge(self, record: Record, values: FloatArray, factor: FloatArray) -> FloatArray:
-        """Return the charge drawn before the start of each flight [A h].
+        """Return the charge that a full pack has lost before the start of each flight [A h].
 
         The charge follows from the open-circuit voltage at the start of the flight: the measured
         voltage at rest or, if the record begins under load, the measured voltage plus the computed
@@ -506,7 +506,10 @@ def identify_pack(scenario: Scenario, frame: pd.DataFrame) -> PackIdentification
 
 
 def _resistance(values: FloatArray) -> float:
-    """Return the total resistance of a cell [ohm] from the logarithms of the fitted fields."""
+    """Return the total resistance of a cell [ohm]: its immediate part plus its slow part.
+
+    `values` are the logarithms of the fitted fields; the slow part is that of the relaxation.
+    """
     names = list(FITTED)
     parts = ("cell_resistance", "relaxation.resistance")
     return float(sum(np.exp(values[names.index(name)]) for name in parts))

@@ -43,8 +43,9 @@ def model_table(found: Identification) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        One row for each model: number of fitted parameters, errors by cross-validation, and errors
-        of extrapolations. The identified model is the last.
+        One row for each model: number of fitted parameters, errors of energy and power on flights
+        that were left out of the fit (cross-validation), and errors of energy when the model is
+        extrapolated to other payloads and speeds. The identified model is the last.
     """
     frame, measured = found.frame, found.frame[POWER].to_numpy()
     rows = []
@@ -122,9 +123,15 @@ def measures(models: pd.DataFrame, tried: Sequence[Trial]) -> tuple[Measure, ...
     Parameters
     ----------
     models : DataFrame
-        Table from `model_table`.
+        Errors of all models, from `model_table`.
     tried : sequence of Trial
-        Extrapolations in the table.
+        Extrapolations whose errors the table contains, in the order of its columns.
+
+    Returns
+    -------
+    tuple of Measure
+        One comparison each for the energy of flights, for the power in a row, and for the energy in
+        each extrapolation.
     """
     *rivals, own = models.to_dict("records")
     columns = {

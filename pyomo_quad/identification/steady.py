@@ -207,6 +207,18 @@ def as_flights(points: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
     """Convert points of steady flight to the format of logged flights.
 
     Each point becomes a flight of two equal rows, so that the fit to logged flights can be used.
+
+    Parameters
+    ----------
+    points : DataFrame
+        Power, airspeed, payload, climb and air density of each point.
+    scenario : Scenario
+        Scenario with the vehicle.
+
+    Returns
+    -------
+    DataFrame
+        Rows with the columns of a flight log, in cruise toward north and in calm air.
     """
     twice = points.loc[points.index.repeat(2)].reset_index(drop=True)
     read = twice[AIRSPEED] / scenario.vehicle.anemometer_factor
@@ -303,11 +315,26 @@ def identify_steady(
 def _deviations(
     fit: Fit, values: FloatArray, power: FloatArray, points: pd.DataFrame
 ) -> FloatArray:
-    """Return the standard deviations of the fitted parameters `values`, shape (n,).
+    """Return the standard deviations of the fitted parameters, by linear least squares.
 
-    `power` is the computed power of each of the measured `points` [W]. The standard deviations
-    follow from linear least squares. The error of a measured power is
-    estimated from the residuals or, with few points, is at least an assumed relative error.
+    The standard error of a measured power is estimated from the residuals of the fit. With few
+    points, it is at least an assumed fraction of the mean power.
+
+    Parameters
+    ----------
+    fit : Fit
+        Least-squares problem.
+    values : ndarray, shape (n,)
+        Fitted values of the parameters.
+    power : ndarray, shape (n_points,)
+        Power of each point that the fitted model gives [W].
+    points : DataFrame
+        Measured points.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Standard deviations, in the units of the parameters.
     """
     slopes = fit.slopes(values)
     measured = points[POWER].to_numpy()

@@ -81,6 +81,8 @@ def write_steady(folder: Path, found: SteadyFit, base: str, figures: Figures) ->
 def point_table(points: pd.DataFrame, power: np.ndarray) -> pd.DataFrame:
     """Return the table of steady flight points with computed powers [W] and errors [percent].
 
+    An error is the computed minus the measured power, divided by the measured power.
+
     Parameters
     ----------
     points : DataFrame

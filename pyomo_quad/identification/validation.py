@@ -43,11 +43,12 @@ class Scores:
     flights : int
         Number of flights.
     mean_absolute_error_percent : float
-        Mean over the flights of the absolute relative error of energy.
+        Mean over the flights of the absolute relative error of the computed energy.
     bias_percent : float
-        Relative error of the sum of all energies.
+        Relative error of the computed energy of all flights together; positive if it is larger than
+        the measured energy.
     power_rmse_W : float
-        Root mean square error of the power in a row.
+        Root mean square error of the computed power over all rows of the log.
     """
 
     flights: int
@@ -89,7 +90,8 @@ def energies(frame: pd.DataFrame, power: FloatArray) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        One row for each flight: both energies [J], and the relative error [percent].
+        One row for each flight: both energies [J], and computed minus measured energy relative to
+        the measured energy [percent].
     """
     steps = frame.groupby(FLIGHT, sort=False)[TIME].transform(lambda t: np.median(np.diff(t)))
     columns = {MEASURED_ENERGY: frame[POWER] * steps, PREDICTED_ENERGY: power * steps}

@@ -49,13 +49,14 @@ class SteadyCurve:
     Attributes
     ----------
     payload_kg : float
-        Mass carried.
+        Mass of the payload [kg].
     airspeeds : ndarray, shape (n,)
         Airspeeds in equal steps from 0 to the greatest that the vehicle can fly [m/s].
     powers : ndarray, shape (n,)
         Power at each airspeed [W].
     endurances : ndarray, shape (n,)
-        Flight time at each airspeed on the full battery [s].
+        Flight time at each airspeed [s], from a full battery to the least state of charge that the
+        scenario allows.
     """
 
     payload_kg: float
@@ -64,11 +65,17 @@ class SteadyCurve:
     endurances: FloatArray
 
     def power(self, airspeed: FloatArray | float) -> FloatArray:
-        """Interpolate the power at airspeeds [W]; infinite above the greatest airspeed."""
+        """Interpolate the power of level flight at airspeeds [W].
+
+        It is infinite above the greatest airspeed that the vehicle can fly.
+        """
         return self._between(self.powers, airspeed, np.inf)
 
     def endurance(self, airspeed: FloatArray | float) -> FloatArray:
-        """Interpolate the endurance at airspeeds [s]; zero above the greatest airspeed."""
+        """Interpolate the flight time on one battery charge at airspeeds [s].
+
+        It is zero above the greatest airspeed that the vehicle can fly.
+        """
         return self._between(self.endurances, airspeed, 0.0)
 
     def _between(
@@ -127,9 +134,10 @@ class SteadyCurve:
 
 
 def _least(cost: Callable[[FloatArray | float], FloatArray], trials: FloatArray) -> float:
-    """Return the argument at which a cost function is least.
+    """Return the argument at which a cost function of one variable, such as a speed, is least.
 
-    The best of the given trial arguments is refined by a bounded search between its neighbours.
+    The best of the arguments `trials`, in ascending order, is refined by a bounded search between
+    its two neighbours.
     """
     best = int(np.argmin(cost(trials)))
     low, high = trials[max(0, best - 1)], trials[min(len(trials) - 1, best + 1)]
@@ -152,7 +160,7 @@ class GroundSpeed:
     power : float
         Power [W].
     endurance : float
-        Flight time on the full battery [s].
+        Flight time [s], from a full battery to the least state of charge that the scenario allows.
     """
 
     ground_speed: float
@@ -167,7 +175,7 @@ class GroundSpeed:
 
     @property
     def range_m(self) -> float:
-        """Distance over the ground on the full battery [m]."""
+        """Distance over the ground that is flown within the endurance [m]."""
         return self.ground_speed * self.endurance
 
 
@@ -184,11 +192,13 @@ class Polar:
     winds : DataFrame
         Best ground speed for each wind speed and each angle between course and wind.
     reach : DataFrame
-        Distance out and back on one charge for each course, in the scenario's mean wind.
+        For each course, the greatest distance from the start from which the vehicle returns on the
+        same battery charge, in the scenario's mean wind.
     wind_m_s, wind_towards_rad : float
         Speed of the mean wind, and direction to which it blows.
     depth : float
-        Fraction of the battery charge that may be used.
+        Fraction of the battery's capacity that a flight may use: 1 minus the least allowed state of
+        charge.
     """
 
     scenario: Scenario
@@ -246,7 +256,9 @@ def find_polar(scenario: Scenario) -> Polar:
 
 
 def steady_curve(scenario: Scenario, steady: SteadyFlight, depth: float) -> SteadyCurve:
-    """Compute steady flight at ascending airspeeds, until rotors or tilt reach a limit.
+    """Compute power and endurance of level flight at ascending airspeeds in equal steps, from 0.
+
+    The last airspeed is the greatest at which neither rotors nor tilt exceed a limit.
 
     Parameters
     ----------
@@ -255,7 +267,8 @@ def steady_curve(scenario: Scenario, steady: SteadyFlight, depth: float) -> Stea
     steady : SteadyFlight
         Solver for steady flight of the scenario's vehicle.
     depth : float
-        Fraction of the battery charge that may be used.
+        Fraction of the battery's capacity that a flight may use: 1 minus the least allowed state of
+        charge.
     """
     speeds: list[float] = []
     powers: list[float] = []
@@ -316,7 +329,9 @@ def _winds(curve: SteadyCurve, winds: Sequence[float]) -> pd.DataFrame:
 
 
 def _reach(curve: SteadyCurve, wind: float, towards: float) -> pd.DataFrame:
-    """Return the distance that the vehicle can fly out and back on one battery charge [m].
+    """Return, for each course, how far from the start the vehicle can turn back and still return.
+
+    Way out and way back together use the usable charge of a full battery.
 
     Parameters
     ----------
@@ -330,7 +345,8 @@ def _reach(curve: SteadyCurve, wind: float, towards: float) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        One row for each course: ground speeds out and back [m/s], and the distance.
+        One row for each course: course [deg from x, counter-clockwise], ground speeds out and back
+        [m/s], and greatest distance from the start [m].
     """
     rows = []
     for course in np.linspace(0.0, 2.0 * np.pi, _DIRECTIONS, endpoint=False):

@@ -5,8 +5,9 @@ per metre in the local wind. Over terrain the vehicle climbs where its height ab
 would fall below the floor of the airspace (the least height above ground). It does not descend on
 the way out, and returns at the same heights. A climb takes charge but brings no progress.
 
-Each metre uses the fraction 1 / range of the battery charge, where range is the distance [m] that
-the vehicle flies on a full battery in the local wind. The boundary of the reach on a course is
+Each metre uses the fraction 1 / range of the usable battery charge, which is the charge from the
+full battery to the least state of charge that the scenario allows. Range is the distance [m] that
+the vehicle flies on the usable charge in the local wind. The boundary of the reach on a course is
 where the sum of these fractions is 1. The sum is taken over the way out and, if the vehicle
 returns, also over the way back. The boundary does not extend beyond the terrain or the wind field.
 Keep-out zones are ignored.
@@ -65,7 +66,8 @@ class Reach:
         One row for each course: course [deg from x, counter-clockwise], distance and position [m],
         and whether the wind field or the terrain ends before the battery is empty.
     depth : float
-        Fraction of the battery charge that may be used.
+        Fraction of the battery's capacity that a flight may use: 1 minus the least allowed state of
+        charge.
     """
 
     scenario: Scenario
@@ -155,7 +157,9 @@ def _is_within_terrain(scenario: Scenario, places: FloatArray) -> NDArray[np.boo
 
 
 def _share_per_climb(scenario: Scenario, steady: SteadyFlight, curve: SteadyCurve) -> float:
-    """Return the share of the battery charge that one metre of climb uses [1/m]; 0 without terrain.
+    """Return the share of the usable battery charge that one metre of climb takes [1/m].
+
+    The share is 0 without terrain, because the vehicle then stays at the height of the start.
 
     The climb has the rate of climb of `mission.return_flight`, and the battery current that
     `climb_current` computes or that `mission.return_flight.climb_current` states.
@@ -173,7 +177,7 @@ def _share_per_climb(scenario: Scenario, steady: SteadyFlight, curve: SteadyCurv
 def _shares(
     curve: SteadyCurve, winds: FloatArray, courses: FloatArray, *, has_return: bool
 ) -> FloatArray:
-    """Return the share of the battery charge that one metre of flight uses, along each course.
+    """Return the share of the usable battery charge that one metre of flight takes on each course.
 
     Parameters
     ----------
@@ -201,7 +205,7 @@ def _shares(
 def _share_per_metre(
     curve: SteadyCurve, winds: FloatArray
 ) -> Callable[[FloatArray, FloatArray], FloatArray]:
-    """Return a function for the share of the battery charge used per metre over ground [1/m].
+    """Return a function for the share of the usable battery charge per metre over ground [1/m].
 
     Parameters
     ----------
@@ -252,9 +256,9 @@ def _boundary_on(
     along : ndarray, shape (n_steps,)
         Distances from the start [m].
     share : ndarray, shape (n_steps,)
-        Share of the battery charge that one metre of flight uses at each distance [1/m].
+        Share of the usable battery charge that one metre of flight uses at each distance [1/m].
     climbed : ndarray, shape (n_steps,)
-        Share of the battery charge that all climbs up to each distance use.
+        Share of the usable battery charge that all climbs up to each distance use.
     is_known : ndarray of bool, shape (n_steps,)
         Whether wind and ground are known at each distance.
     start : ndarray, shape (3,)
@@ -337,7 +341,11 @@ def write_reach(folder: Path, reach: Reach, figures: Figures = Figures.SVG) -> d
 
 
 def reach_summary(reach: Reach) -> dict[str, Any]:
-    """Return the least and the greatest reach [m] as a dictionary for `summary.json`."""
+    """Return the main results on a vehicle's reach as a dictionary for `summary.json`.
+
+    They are the least and the greatest distance within reach over all courses [m], the fraction of
+    the battery's capacity that is used, and whether the wind field or the terrain limits the reach.
+    """
     return {
         "scenario": reach.scenario.name,
         "has_return": reach.has_return,

@@ -71,7 +71,11 @@ def write_polar(folder: Path, polar: Polar, figures: Figures = Figures.SVG) -> N
 
 
 def polar_summary(polar: Polar) -> dict[str, Any]:
-    """Return the best speeds, ranges and reaches of a polar as a dictionary for `summary.json`."""
+    """Return the main results of a polar as a dictionary for `summary.json`.
+
+    They are the best speeds, powers, range and endurance with the scenario's own payload, and the
+    least and the greatest distance from which the vehicle returns on the same battery charge.
+    """
     facts = _facts(polar.own)
     best = facts.pop("best")
     price = polar.scenario.mission.price_of_time
@@ -197,9 +201,10 @@ def draw_winds(polar: Polar) -> Figure:
 
 
 def draw_reach(polar: Polar) -> Figure:
-    """Draw the greatest distance out and back on one battery charge, in polar coordinates.
+    """Draw how far from the start the vehicle can fly and return on one battery charge.
 
-    The angle is the course (direction of flight from the start), and the radius the distance.
+    The figure is in polar coordinates: the angle is the course (direction of flight from the
+    start), and the radius the greatest distance from the start.
     """
     figure = Figure(figsize=(FULL_WIDTH, 4.2))
     axes = figure.add_axes((0.25, 0.08, 0.5, 0.84), projection="polar")

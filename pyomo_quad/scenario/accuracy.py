@@ -13,7 +13,8 @@ from types import MappingProxyType
 class Accuracy(StrEnum):
     """Accuracy that a scenario requires of its plan: `QUICK`, `STANDARD` or `PROOF`.
 
-    The members are listed in ascending order of accuracy. `Figures` has the tolerances of a level.
+    The members are listed in ascending order of accuracy. The class `Figures` holds the numerical
+    tolerances that each of these levels stands for.
     """
 
     QUICK = "quick"
@@ -49,7 +50,8 @@ class Figures:
         tolerances, because errors of a flight without feedback grow about a millionfold in half a
         minute.
     spacing : float
-        Distance [m] between the places at which the simulated path is checked against zones.
+        Distance [m] between the places at which the simulated path is checked for entry into
+        keep-out zones, where the path is near a zone.
     """
 
     energy: float

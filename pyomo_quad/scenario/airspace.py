@@ -280,9 +280,10 @@ class KeepOut(Part):
         return (round_part, _interval(2, self.bottom, self.top))
 
     def ring(self, beyond: float = 0.0) -> "FloatArray":
-        """Return the corners of the zone's polygon after moving its edges outwards.
+        """Return the corners of a prism's ground plan, with its edges moved outwards.
 
-        Corners on the straight line between their two neighbours are left out.
+        The zone must be a prism over a convex polygon. Corners on the straight line between their
+        two neighbours are left out.
 
         Parameters
         ----------
@@ -601,9 +602,10 @@ class Airspace(Part):
                 yield f"is inside keep-out {near} by {depth:.3g} m; move one of them"
 
     def with_clearance(self, zone: KeepOut) -> str:
-        """Return a zone's name for messages, followed by the clearance unless it is zero.
+        """Return words that name a zone and its clearance, "NAME with its clearance of 2 m".
 
-        The clearance is the distance that the flight must keep from every keep-out zone.
+        The words are used in error messages. The clearance is the distance that the flight must
+        keep from every keep-out zone; if it is zero, only the zone's name is returned.
         """
         near = f" with its clearance of {self.clearance:g} m" if self.clearance else ""
         return f"{zone.name}{near}"

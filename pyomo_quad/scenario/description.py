@@ -147,7 +147,8 @@ _LIMITS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusi
 class WritableField:
     """Description of a field that users may write in a scenario or study file.
 
-    The attributes are texts, the cells of a row in the documentation's table of fields.
+    The attributes are texts: dotted path, unit, default, allowed values and meaning of the field.
+    They make up one row of the documentation's table of fields.
     """
 
     path: str

@@ -112,7 +112,17 @@ class Part(BaseModel):
 
         A field that is newer than some stored records is left out if its value is the default.
         The record of an unchanged scenario therefore equals the record that an earlier version
-        stored.
+        of the package stored.
+
+        Parameters
+        ----------
+        dump : callable
+            Pydantic's own serialiser, which converts the whole table to a dictionary.
+
+        Returns
+        -------
+        dict
+            Values by field name.
         """
         written: dict[str, Any] = dump(self)
         for name, field in type(self).model_fields.items():

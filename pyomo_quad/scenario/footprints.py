@@ -124,7 +124,10 @@ def convex_parts(polygon: Any) -> list[_Ring]:  # noqa: ANN401  see `is_convex`
 
 
 def _plain(polygon: Any) -> _Ring:  # noqa: ANN401  see `is_convex`
-    """Return a polygon's corners, without corners on the line between their two neighbours."""
+    """Return the corners (x, y) of a shapely polygon's outline, in order.
+
+    Corners on the straight line between their two neighbours are left out.
+    """
     ring = [(float(x), float(y)) for x, y in polygon.exterior.coords[:-1]]
     extent = polygon.area
     kept = []
@@ -136,7 +139,20 @@ def _plain(polygon: Any) -> _Ring:  # noqa: ANN401  see `is_convex`
 
 
 def _cut_off(polygon: Any) -> tuple[_Ring, list[_Ring]]:  # noqa: ANN401  see `is_convex`
-    """Return a polygon's convex hull, and the hull's part outside the polygon, in convex parts."""
+    """Return the convex hull of a concave fence, and the parts of the hull outside the fence.
+
+    The flight must stay in the hull, and the parts become keep-out zones.
+
+    Parameters
+    ----------
+    polygon : shapely.Polygon
+        The concave fence.
+
+    Returns
+    -------
+    tuple of (list, list of list)
+        Corners (x, y) of the hull, and the corners of each part; the parts are convex.
+    """
     from shapely import Polygon  # noqa: PLC0415  see `_polygon_of`
 
     hull = polygon.convex_hull

@@ -60,7 +60,7 @@ class Quantity:
     word : str
         Name of the quantity in messages.
     axes : tuple of str
-        Axes that the grid may have, from `AXES`.
+        Names of the axes that the grid may have: "x", "y", "z" and "time", or some of them.
     names : tuple of tuple of str
         For each component its possible names in NetCDF, the standard name of the CF conventions
         first.
@@ -328,7 +328,20 @@ def _from_table(file: Path, place: str, quantity: Quantity) -> Gridded:
 
 
 def _check_columns(columns: list[str], place: str, quantity: Quantity) -> None:
-    """Raise an error if a file's table lacks a required column or has an unknown column."""
+    """Raise an error if a table's columns are not those of a given quantity on a grid.
+
+    Columns for x and y and for the required components of the quantity must be present; further
+    axes and components of the quantity may be. Unknown or repeated columns are an error.
+
+    Parameters
+    ----------
+    columns : list of str
+        Names of the columns in the file.
+    place : str
+        Beginning of the error message: the scenario field that names the file.
+    quantity : Quantity
+        Column names of the quantity, such as wind or height of the ground.
+    """
     here, beside = list(_AXIS_COLUMNS.values())[:2], quantity.columns[quantity.needed :]
     known = (*(_AXIS_COLUMNS[axis] for axis in quantity.axes), *quantity.columns)
     needed = (*here, *quantity.columns[: quantity.needed])

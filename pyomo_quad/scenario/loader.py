@@ -191,12 +191,13 @@ def _parsed(overrides: Sequence[str]) -> dict[FieldPath, Any]:
 
 
 def assignments_of(tables: Mapping[str, Any], source: str) -> dict[FieldPath, Any]:
-    """Return the fields and values of a mapping whose keys are nested tables or dotted paths.
+    """Convert nested tables, or a mapping of dotted paths, to a flat dictionary of field values.
 
     Parameters
     ----------
     tables : mapping
-        Nested as in a scenario file, or dotted path -> value, or both mixed.
+        New values of scenario fields: nested as in a scenario file, ``{"mission": {"duration":
+        8.0}}``, or by dotted path, ``{"mission.duration": 8.0}``, or both mixed.
     source : str
         Beginning of error messages: the name of the scenario or of the overrides.
 

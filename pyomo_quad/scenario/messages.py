@@ -175,7 +175,10 @@ def field_paths(model: type[BaseModel], prefix: FieldPath = ()) -> Iterator[Fiel
 def declared_place(
     model: type[BaseModel], place: Sequence[str | int]
 ) -> tuple[type[BaseModel], str]:
-    """Find the innermost table on a path, and the unit of the field at the end of the path.
+    """Find the model of the innermost table on a path, and the unit of the field at its end.
+
+    For the path `mission.goal.position[2]` these are the model of the table `goal` and the unit of
+    its field `position`. Error messages name the unit, and other fields of the table.
 
     Parameters
     ----------

@@ -105,8 +105,9 @@ class Waypoint(Part):
 class ReturnFlight(Part):
     """Steady return flight to a landing place, for which a plan must keep battery charge.
 
-    The table states the margin of the charge, the airspeed, the rate of climb over terrain, and
-    the battery current in level flight and in climb.
+    The table states the charge to keep in addition to the charge that the return takes (as a
+    fraction of the latter), and the airspeed, the rate of climb over terrain, and the battery
+    current in level flight and in climb.
     """
 
     margin: Number = quantity(

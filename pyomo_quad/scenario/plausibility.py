@@ -164,11 +164,23 @@ def _motor_constants(motor: MotorConstants) -> str:
 
 
 def _least_speed(motor: MotorConstants, drag_torque_coefficient: float) -> float:
-    """Return the least rotor speed [rad/s] at which a motor creates no power.
+    """Return the least rotor speed at which a motor gives out no more power than it takes in.
 
-    A motor whose product of torque constant and voltage constant exceeds 1 creates power. The
+    By its model, a motor whose torque constant times voltage constant exceeds 1 creates power. The
     motor's copper loss grows with the speed, and exceeds the created power above the returned
-    speed. The result is 0 if the motor creates no power at any speed.
+    speed.
+
+    Parameters
+    ----------
+    motor : MotorConstants
+        Torque constant, voltage constant and resistance.
+    drag_torque_coefficient : float
+        Torque of the rotor's air drag divided by the square of the rotor speed [N m s²/rad²].
+
+    Returns
+    -------
+    float
+        Rotor speed [rad/s]; 0 if the motor creates no power at any speed.
     """
     created = max(0.0, motor.torque_constant - 1 / motor.voltage_constant)
     return created / (motor.resistance * drag_torque_coefficient / motor.torque_constant)

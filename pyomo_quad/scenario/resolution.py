@@ -839,7 +839,11 @@ def _beside(file: str, pack: str) -> str:
 
 
 def _longest(tables: Mapping[str, Any]) -> tuple[tuple[str, str], object]:
-    """Return the path of the field that limits a mission's duration, and the limit [s]."""
+    """Return the path of the field that sets an upper limit on the duration, and the limit [s].
+
+    The field is `mission.duration` if the duration is fixed, and otherwise the field for the
+    greatest duration. Wind files must cover this time. `tables` are the scenario's tables.
+    """
     is_free = value_at(tables, "mission", "duration") == FREE
     field = _LONGEST if is_free else ("mission", "duration")
     return field, value_at(tables, *field)

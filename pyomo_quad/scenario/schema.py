@@ -276,7 +276,8 @@ class Scenario(Part):
     def with_mission(self, **values: Any) -> Self:  # noqa: ANN401
         """Return a copy of the scenario with fields of the table `mission` changed.
 
-        The values are not validated. Keyword arguments are the names of the fields.
+        Each keyword argument is the name of a field with its new value. The values are not
+        validated.
         """
         mission = self.mission.model_copy(update=values)
         changed = self.model_copy(update={"mission": mission})

@@ -136,7 +136,11 @@ def origin_of_mission(tables: Mapping[str, Any], source: str) -> GeodeticOrigin 
 
 
 def _count(tables: Any, path: FieldPath) -> int:  # noqa: ANN401  tables of TOML
-    """Return the number of coordinates of the place at a path: 2 or 3."""
+    """Return how many coordinates the place at a path of a scenario has: 2 or 3.
+
+    The corner of a polygon and the centre of a vertical cylinder have x and y only; every other
+    place has x, y and z.
+    """
     if _CORNERS in path:
         return 2
     is_axis = path[-1] == "centre" and table_at(tables, *path[:-1]).get("shape") == _CYLINDER

@@ -48,7 +48,7 @@ class Surface:
         Heights of the surface at the points of the grid [m]; the surface is the not-a-knot spline
         through them.
     excess : float
-        Upper bound on the distance between surface and ground [m].
+        Upper bound on the vertical distance between surface and ground, over the whole grid [m].
     """
 
     x: FloatArray
@@ -60,7 +60,7 @@ class Surface:
         """Return the height of the surface at places [m].
 
         Outside the grid, where the ground is not known, the height at the nearest place of the
-        grid's border is returned, for figures.
+        grid's border is returned, so that figures can show the surroundings of the grid.
 
         Parameters
         ----------
@@ -100,7 +100,7 @@ def surface_of(x: ArrayLike, y: ArrayLike, heights: FloatArray, side: int) -> Su
     Returns
     -------
     Surface
-        A cubic spline, with a bound on its distance from the ground.
+        A cubic spline, with an upper bound on its vertical distance from the ground.
     """
     x, y, ground = _with_enough_points(np.array(x), np.array(y), heights)
     knots, coefficients = _through(x, y, side * ground)

@@ -213,7 +213,10 @@ class Baseline(Part):
     mpc: Replanning | None = late_quantity("", "re-planning in flight, not flown when absent", None)
 
     def cruise_settings(self, speed: float) -> CruiseSettings:
-        """Return the settings of the baseline flight `cruise` for a given largest speed [m/s]."""
+        """Return largest speed, acceleration and jerk of the baseline flight `cruise`.
+
+        The largest speed is `speed` [m/s]; the other two values are fields of this table.
+        """
         return CruiseSettings(
             speed=speed, acceleration=self.cruise_acceleration, jerk=self.cruise_jerk
         )

@@ -50,10 +50,11 @@ _LEAST_VOLUME = 1e-6
 
 
 def _volume(*rows: Sequence[float]) -> float:
-    """Return the Gram determinant of three vectors: the squared volume that they span.
+    """Return the Gram determinant of three vectors, `rows`: the squared volume that they span.
 
-    A small determinant of the rotors' moments about the three body axes shows that the rotors
-    cannot turn the vehicle about every axis.
+    The function is called with one vector for each body axis: the moment about this axis that each
+    rotor produces, relative to the largest. A determinant near zero shows that the rotors cannot
+    turn the vehicle about every axis.
     """
     (a, b, c), (_, d, e), (_, _, f) = (
         [sum(map(mul, one, other)) for other in rows] for one in rows

@@ -253,7 +253,8 @@ class WindGrid(Part):
         places : array_like, shape (n, 3)
             Positions x, y, z [m].
         times : array_like, shape (n,) or ()
-            Wind times [s].
+            Times [s] on the time axis of the wind field. The flight starts at the time
+            `wind.time_offset` of this axis.
 
         Returns
         -------

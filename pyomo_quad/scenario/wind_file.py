@@ -41,9 +41,9 @@ def read_wind_file(
     where : str
         Beginning of error messages: the scenario field that names the file.
     longest : tuple of str and object
-        Path of the field that limits the mission's duration, and its value [s].
+        Path of the field that sets the mission's duration or its upper limit, and its value [s].
     time_offset : object
-        Wind time at the start of the mission [s]. A value that is not a number, here or in
+        Time in the file [s] at which the mission starts. A value that is not a number, here or in
         `longest`, is refused later by the validation of the scenario.
 
     Returns
@@ -133,9 +133,10 @@ def check_cover(
     times : sequence of float
         Times of the measured wind [s], ascending.
     start : float
-        Wind time at the start of the mission [s].
+        Time in the measured wind [s] at which the mission starts.
     field : str
-        Dotted path of the field that limits the mission's duration, for the error message.
+        Dotted path of the field that sets the mission's duration or its upper limit, for the error
+        message.
     duration : float
         Longest duration of the mission [s].
     place : str
@@ -150,9 +151,15 @@ def check_cover(
 
 
 def _read_rows(file: Path, place: str) -> tuple[tuple[str, ...], _Rows]:
-    """Read a wind file: the names of its key columns (time, height or both) and its rows.
+    """Read the columns and rows of a CSV file of measured wind.
 
     Error messages begin with the text `place`.
+
+    Returns
+    -------
+    tuple of (tuple of str, list of tuple of float)
+        Names of the columns that precede the wind velocities (time, height or both), and the
+        numbers of each row.
     """
     try:
         if file.stat().st_size > _LARGEST_FILE_BYTES:

@@ -211,9 +211,10 @@ class Arrivals(NamedTuple):
     Attributes
     ----------
     arrived : int
-        Confirmed flights that reached the goal.
+        Number of the confirmed flights that reached the goal.
     confirmed, unconfirmed : int
-        Flights that a second integration confirms, and flights that it does not confirm.
+        Number of flights for which a simulation by a second integrator gives the same result
+        ("confirmed"), and number of flights for which it does not.
     """
 
     arrived: int
@@ -224,7 +225,8 @@ class Arrivals(NamedTuple):
 def arrivals(flights: pd.DataFrame, controller: str) -> Arrivals:
     """Count the flights of one controller in RotorPy, by their outcome.
 
-    Outcomes are: arrived at the goal, and confirmed or not confirmed by a second integration.
+    A flight is confirmed or not, depending on whether a simulation by a second integrator gives the
+    same result; of the confirmed flights, those that arrived at the goal are counted, too.
 
     Parameters
     ----------
@@ -441,10 +443,11 @@ def _flights(mission: _Mission) -> Iterator[Flown]:
 
 
 def _leaps(mission: _Mission, limited: OutsidePlant) -> Iterator[Flown]:
-    """Yield flights whose commanded position jumps to the goal at once.
+    """Yield flights whose commanded position jumps from the start to the goal at once.
 
-    The flights in RotorPy are made with the vehicle `limited`, whose rotor acceleration is limited,
-    and with a vehicle without this limit.
+    One flight is of the package's own vehicle model. The flights in RotorPy show the effect of a
+    limit on the rotors' acceleration: they are made with the vehicle `limited`, which has this
+    limit, and with a vehicle without it. The flights are not simulated yet.
     """
     unlimited = OutsidePlant(mission.scenario.with_values(_NO_SLEW_LIMIT), mission.dynamics)
     yield mission.declared(Pilot.ADAPTIVE, Reference.STEP)

@@ -53,7 +53,8 @@ class Held:
     is_endurance : bool
         Whether the measured powers were computed from measured flight times.
     is_fitted : bool
-        Whether the vehicle's parameters of power were fitted to measurements.
+        Whether parameters of the vehicle's power model were fitted to measurements, so that the
+        comparison with measurements is no independent test of the model.
     source : str
         Source of the measurements.
     """
@@ -68,7 +69,7 @@ class Held:
 
     @property
     def errors(self) -> FloatArray:
-        """Error of each computed power relative to the measured power [percent]."""
+        """Computed minus measured power, divided by the measured power, of each point [percent]."""
         return 100.0 * (self.computed / self.points[POWER].to_numpy() - 1.0)
 
     @property
@@ -96,6 +97,11 @@ def held_vehicles(planner: Planner | None = None) -> tuple[Held, ...]:
     ----------
     planner : Planner, optional
         Planner whose compiled models are used again for further vehicles; a new one by default.
+
+    Returns
+    -------
+    tuple of Held
+        Measured and computed powers of each vehicle of the library.
     """
     planner = planner or Planner()
     return tuple(held_against(name, planner) for name in library_names("vehicles"))
@@ -110,6 +116,11 @@ def held_against(name: str, planner: Planner) -> Held:
         Name of the vehicle.
     planner : Planner
         Planner whose compiled models are used again for further vehicles.
+
+    Returns
+    -------
+    Held
+        Measured powers in steady flight, and the powers that the vehicle's model gives for them.
     """
     entry = library_entry("vehicles", name)
     is_momentum = "vehicle.rotor_radius" in entry.sources
@@ -161,8 +172,9 @@ def data_sheets() -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        One row for each vehicle: mass, propeller, estimated and published hover power [W], error of
-        the estimate [percent] and source.
+        One row for each vehicle: mass, propeller, published and estimated hover power [W], error of
+        the estimate relative to the published power [percent], and source. If a data sheet gives
+        only the endurance in hover, the published power follows from it and the battery's energy.
     """
     told = tomllib.loads(_folder().joinpath(_SHEETS).read_text(encoding="utf-8"))
     rows = []

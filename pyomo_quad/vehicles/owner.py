@@ -277,10 +277,22 @@ def _motor(known: Known, pack: Pack, hover: RotorHover, model: MassModel) -> dic
 
 
 def _powers(known: Known, hover: RotorHover) -> tuple[dict[str, Estimate], float]:
-    """Return the parameters of the power model `momentum`, and the estimated hover power [W].
+    """Return the parameters of the vehicle's power model, and its estimated hover power.
 
-    A hover power that the owner has measured scales the parameters, but does not change the
-    returned hover power, which follows from the estimates alone.
+    The power model is `momentum`, which uses momentum theory.
+
+    Parameters
+    ----------
+    known : Known
+        The owner's data. A hover power that the owner has measured scales the parameters.
+    hover : RotorHover
+        Speed and powers of one rotor in hover, which are estimates.
+
+    Returns
+    -------
+    tuple of (dict, float)
+        Estimate of each parameter by its field in the table `vehicle`, and the hover power [W]
+        that follows from the estimates alone; a measured hover power does not change the latter.
     """
     electronics = _ELECTRONICS_W * (known.mass / _AT_KG) ** _ELECTRONICS_EXPONENT
     loss = 1 / hover.drive_efficiency

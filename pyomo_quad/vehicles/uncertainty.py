@@ -60,7 +60,8 @@ class PowerBand:
     Attributes
     ----------
     power, low, high : ndarray, shape (len(AIRSPEEDS),)
-        Power [W] at the airspeeds `AIRSPEEDS` [m/s], and the ends of its range.
+        Best estimate of the power [W] at the airspeeds `AIRSPEEDS` [m/s], and the lower and the
+        upper end of its range of uncertainty.
     causes : tuple of Cause
         Causes of the uncertainty.
     """
@@ -117,7 +118,11 @@ def power_band(vehicle: EstimatedVehicle, planner: Planner | None = None) -> Pow
 
 
 def _together(changes: Sequence[FloatArray]) -> FloatArray:
-    """Combine independent changes of the power by the square root of the sum of their squares."""
+    """Combine the effects of independent causes on the power to one change of the power [W].
+
+    `changes` has one array for each cause: the change of the power [W] at each airspeed. The result
+    is the square root of the sum of their squares at each airspeed.
+    """
     return np.sqrt(np.nansum(np.square(changes), axis=0))
 
 
