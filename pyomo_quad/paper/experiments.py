@@ -126,8 +126,9 @@ def fly_baseline_case(case: BaselineCase) -> BaselineFlight:
 def full_speed_energy(experiment: Experiment) -> float:
     """Return the energy of an experiment with all rotors at full speed throughout [J].
 
-    The power is computed with the efficiency f_r of motor and rotor of Yacef et al. To use more
-    energy, the rotors would have to accelerate and brake all the time.
+    The power is computed with the efficiency f_r of motor and rotor of Yacef et al. The report
+    compares this energy with the energy that Yacef et al. print for adaptive control: a flight can
+    exceed it only if its rotors accelerate and brake all the time.
 
     Parameters
     ----------

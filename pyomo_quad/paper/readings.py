@@ -76,13 +76,14 @@ def model_without_battery(scenario: Scenario) -> "ConcreteModel":
 def literal_model(scenario: Scenario) -> "ConcreteModel":
     """Build a mission's model in which the efficiency f_r is the bare polynomial.
 
-    f_r is the efficiency of motor and rotor of Yacef et al. The package's usual model limits the
-    torque and the efficiency from below.
+    f_r is the efficiency of motor and rotor of Yacef et al. The package's usual model limits torque
+    and efficiency from below; here both lower limits are removed, and the model has no battery.
 
     Parameters
     ----------
     scenario : Scenario
-        Scenario with the fields of `Reading.LITERAL.values`.
+        The mission, in which the fields that `Reading.LITERAL.values` returns have the values that
+        it returns.
     """
     m = model_without_battery(scenario)
     m.power.torque_floor.set_value(_NO_FLOOR)

@@ -281,8 +281,9 @@ def _further(flights: Sequence[StyledFlight], share: float) -> tuple[StyledFligh
 def _limits(flights: Sequence[StyledFlight], mission: Scenario | None) -> np.ndarray:
     """Return the range of each axis of a figure of paths, shape (3, 2), in m.
 
-    The ranges include the path of the plan (the first flight), all paths near it, and the parts of
-    the mission's airspace near them.
+    The ranges include the path of the plan (the first flight), the paths of the flights that stay
+    near it (all but those of `leaving_paths`), and the keep-out zones, floor and ceiling of the
+    mission near these paths.
     """
     astray = leaving_paths(flights)
     points = np.concatenate([_track(flight) for flight in flights if flight not in astray])

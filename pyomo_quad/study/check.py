@@ -429,13 +429,13 @@ def check_mission(
 
 
 def _contradictions(scenario: Scenario) -> Iterator[Finding]:
-    """Yield contradictions between the vehicle's numbers, such as its moments of inertia."""
+    """Yield a finding for each contradiction between numbers of the vehicle, as of its inertia."""
     for found in scenario.contradictions:
         yield Finding(severity=Severity.UNPHYSICAL, subject=found.field, message=found.message)
 
 
 def _angles_in_degrees(scenario: Scenario) -> Iterator[Finding]:
-    """Yield angles of more than one turn, probably given in degrees by mistake."""
+    """Yield a caution for each angle of more than one turn, probably meant in degrees."""
     for field in describe_fields(scenario):
         if field.unit == "rad" and isinstance(field.value, float) and abs(field.value) > 2 * pi:
             degrees = field.value

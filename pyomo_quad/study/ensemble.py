@@ -126,9 +126,9 @@ class Ensemble(Summarised):
 
     @property
     def worst(self) -> dict[str, float]:
-        """Largest relative violation of each broken limit over all flights.
+        """Largest violation of each broken limit over all flights, relative to the limit.
 
-        The key is the limit in words.
+        The key is the limit in words. For a limit below 1, the violation is absolute.
         """
         return {
             name: max(ending.broken.get(name, 0.0) for ending in self.flown.endings)
