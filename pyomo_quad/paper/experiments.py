@@ -100,7 +100,8 @@ def baseline_cases(*, is_quick: bool = False) -> tuple[BaselineCase, ...]:
     Parameters
     ----------
     is_quick : bool, optional
-        Whether to leave out the reference that jumps to the goal.
+        Whether to leave out the flights along the reference trajectory that jumps to the goal at
+        the start of the flight.
     """
     references = (Reference.QUINTIC,) if is_quick else (Reference.QUINTIC, Reference.STEP)
     cases = product(Experiment, (PowerModel.MOTOR, PowerModel.EFFICIENCY), references)

@@ -633,7 +633,8 @@ def _has_places(
     """Return whether the bound that counts where each wind of a field blows applies to a mission.
 
     `_bound_of_places` computes this bound. It applies if the mission has a single leg with exact
-    start and goal, if the field ends at its edge, and if its winds differ and are horizontal.
+    start and goal, if the plan may not leave the field (`wind.beyond` is not "hold"), and if its
+    winds are horizontal and not all the same.
 
     Parameters
     ----------
@@ -837,10 +838,11 @@ def _fit(
 
 
 def _below(thrust: FloatArray, power: FloatArray) -> FloatArray:
-    """Lower samples of the power so that the polygon through them is nowhere above the curve.
+    """Return samples of the power, lowered until the polygon through them is below the curve.
 
-    A lower bound on the energy that is computed from the lowered samples is thus valid for the
-    whole curve. `thrust` [N] and `power` [W] are the samples, in the order of increasing thrust.
+    The curve is the power as a function of the thrust. A lower bound on the energy that is computed
+    from the lowered samples [W] is thus valid for the whole curve. `thrust` [N] and `power` [W] are
+    the samples, in the order of increasing thrust.
     """
     chords = np.diff(power) / np.diff(thrust)
     # The power rises with thrust, so the first step extends a level line.

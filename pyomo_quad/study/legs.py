@@ -243,8 +243,9 @@ class Itinerary:
         Parameters
         ----------
         price : ndarray, shape (3,)
-            Price (multiplier) of thrust, W/N. Times the mass at the start, it is the price of
-            velocity at the start of the flight from which the search begins.
+            Price (multiplier) of thrust, W/N. The search begins with prices of velocity that are
+            this price times the mass at the start of the flight, and that fall along the
+            displacements.
         """
         places = np.zeros((self._size, 3))
         for first, last, displacement in zip(

@@ -135,9 +135,10 @@ class Best:
 
     @property
     def is_inside(self) -> bool:
-        """Whether the cases on both sides finished, which shows that the best value is a minimum.
+        """Whether the cases at the next smaller and next larger value of the field both finished.
 
-        Otherwise the quantity may be smaller beyond the values that were tried.
+        This shows that the best value is a local minimum. Otherwise the quantity may be smaller at
+        the value next to it or beyond the values that were tried.
         """
         return self.is_below_flown and self.is_above_flown
 
@@ -337,8 +338,8 @@ def _matching(rows: pd.DataFrame, fixed: Mapping[str, Any]) -> pd.DataFrame:
 def pareto_front(rows: pd.DataFrame, first: str, second: str) -> pd.DataFrame:
     """Return the rows on the Pareto front of two quantities that are both to be small.
 
-    A row lies on the front if every row with a smaller or equal first quantity has a larger second
-    quantity.
+    A row lies on the front if every other row with a smaller or equal first quantity has a larger
+    second quantity.
 
     Parameters
     ----------
