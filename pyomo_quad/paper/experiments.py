@@ -100,7 +100,8 @@ def baseline_cases(*, is_quick: bool = False) -> tuple[BaselineCase, ...]:
     Parameters
     ----------
     is_quick : bool, optional
-        Whether to leave out the reference that jumps to the goal.
+        Whether to leave out the flights along the reference trajectory that jumps to the goal at
+        the start of the flight.
     """
     references = (Reference.QUINTIC,) if is_quick else (Reference.QUINTIC, Reference.STEP)
     cases = product(Experiment, (PowerModel.MOTOR, PowerModel.EFFICIENCY), references)
@@ -126,8 +127,9 @@ def fly_baseline_case(case: BaselineCase) -> BaselineFlight:
 def full_speed_energy(experiment: Experiment) -> float:
     """Return the energy of an experiment with all rotors at full speed throughout [J].
 
-    The power is computed with the efficiency f_r of motor and rotor of Yacef et al. To use more
-    energy, the rotors would have to accelerate and brake all the time.
+    The power is computed with the efficiency f_r of motor and rotor of Yacef et al. The report
+    compares this energy with the energy that Yacef et al. print for adaptive control: a flight can
+    exceed it only if its rotors accelerate and brake all the time.
 
     Parameters
     ----------

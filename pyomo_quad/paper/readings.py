@@ -76,13 +76,14 @@ def model_without_battery(scenario: Scenario) -> "ConcreteModel":
 def literal_model(scenario: Scenario) -> "ConcreteModel":
     """Build a mission's model in which the efficiency f_r is the bare polynomial.
 
-    f_r is the efficiency of motor and rotor of Yacef et al. The package's usual model limits the
-    torque and the efficiency from below.
+    f_r is the efficiency of motor and rotor of Yacef et al. The package's usual model limits torque
+    and efficiency from below; here both lower limits are removed, and the model has no battery.
 
     Parameters
     ----------
     scenario : Scenario
-        Scenario with the fields of `Reading.LITERAL.values`.
+        The mission, in which the fields that `Reading.LITERAL.values` returns have the values that
+        it returns.
     """
     m = model_without_battery(scenario)
     m.power.torque_floor.set_value(_NO_FLOOR)
@@ -202,8 +203,9 @@ def run_trial(trial: MeshTrial) -> TrialOutcome:
 def _fly(scenario: Scenario, solution: Solution, priced: Dynamics) -> tuple[float, float]:
     """Simulate the controls of a solution, and compute the energy under the efficiency f_r.
 
-    f_r is the efficiency of motor and rotor of Yacef et al. The motion is simulated with another
-    power model, because it does not depend on the power.
+    f_r is the efficiency of motor and rotor of Yacef et al. The motion does not depend on the
+    power. It is simulated with the motors' electrical power, which is always finite, whereas the
+    power under f_r is infinite where f_r is zero.
 
     Parameters
     ----------

@@ -67,7 +67,8 @@ def rotor_map(
     speed, acceleration : ndarray
         Rotor speeds [rad/s] and accelerations [rad/s²] of the samples.
     efficiency : str or None
-        Model component that holds the efficiency; None if the model has none.
+        Name of the model component that holds the efficiency, such as "power.drive_efficiency";
+        None if the model has none, and the efficiency is then 1.
     """
     count = speed.size * acceleration.size
     states = np.zeros((count, len(dynamics.state_names)))
@@ -132,8 +133,8 @@ def chattering_floors(
     Returns
     -------
     ndarray, shape (len(bounds), 2)
-        Bound on the rotor acceleration [rad/s²], and least energy [J]; minus infinity where f_r
-        reaches zero.
+        Each row holds a bound on the absolute rotor acceleration [rad/s²] and the lower bound on
+        the energy [J], which is minus infinity if f_r reaches zero within the bound.
     """
     scenario = paper_scenario(Experiment.CALM, reading.values())
     largest = max(bounds)
@@ -165,7 +166,8 @@ def floor_energy(scenario: Scenario, sampled: RotorMap, bound: float) -> float:
     Returns
     -------
     float
-        Least energy [J]; minus infinity if f_r reaches zero within the bound.
+        Lower bound on the energy [J]; minus infinity if f_r reaches zero within the bound on the
+        rotor acceleration.
     """
     allowed = np.abs(sampled.acceleration) <= bound
     if sampled.efficiency[:, allowed].min() <= 0.0:

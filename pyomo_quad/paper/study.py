@@ -123,7 +123,8 @@ class PaperStudy:
         For each interpretation of f_r, an array with two columns: a bound on the rotor acceleration
         [rad/s²], and the least energy [J] that any flight within this bound can take.
     critical_acceleration, critical_speed : float
-        Rotor acceleration [rad/s²] and speed [rad/s] at which f_r first reaches zero.
+        Smallest absolute rotor acceleration of braking at which f_r is zero [rad/s²], and the rotor
+        speed at which this happens [rad/s].
     efficiency_map : EfficiencyMap
         f_r over rotor speed and torque.
     trials : tuple of TrialOutcome

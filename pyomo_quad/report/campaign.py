@@ -72,7 +72,7 @@ def campaign_summary(campaign: Campaign) -> dict[str, Any]:
 
     A campaign repeats missions on one or more battery charges. The dictionary holds the number of
     flights on each charge, the reason why no further flight was possible, the total duration [s]
-    and energy [J], and the scenarios.
+    and energy [J], and the complete scenarios of the missions.
     """
     plans = [flight.plan for flight in campaign.flights]
     return {

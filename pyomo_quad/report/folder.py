@@ -86,8 +86,9 @@ def output_file(path: str | Path, mark: str = MARK) -> Iterator[Path]:
     path : str or Path
         Final file.
     mark : str, optional
-        Text that the new file contains. An existing regular file is replaced only if it contains
-        this text, too, or is empty.
+        Text by which files that this package wrote are recognised; the caller must write it into
+        the new file. An existing regular file is replaced only if it contains this text or is
+        empty.
 
     Yields
     ------
@@ -270,7 +271,7 @@ def _lock(final: Path, path: str | Path) -> Iterator[None]:
 
 
 def _finish_swap(final: Path, path: str | Path, aside: Path) -> None:
-    """Move a finished new output folder to its final path, if there is such a folder.
+    """Move a finished new output folder, if one waits under its hidden name, to the final path.
 
     A new folder that is to replace an old one is first renamed to a hidden name that contains
     "ready", beside the final folder. This function renames the old folder to `aside`, then the new
@@ -338,7 +339,8 @@ def _remove(folder: Path) -> None:
 def _files(folder: Path) -> Iterator[str]:
     """Yield the relative names of all files in a folder, including links to folders.
 
-    Raises OSError if the folder cannot be read.
+    The manifest of an output folder is made from these names, and they are compared with it to find
+    files that this package did not write. Raises OSError if the folder cannot be read.
     """
 
     def fail(error: OSError) -> NoReturn:

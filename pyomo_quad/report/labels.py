@@ -25,8 +25,9 @@ _HALO = withStroke(linewidth=1.6, foreground="white")
 class Label:
     """Text label for a point of a figure; x and y are the point's data coordinates.
 
-    The label is placed beside its point. If `is_centred`, it may also be placed on the point, like
-    the name of a zone in the middle of the zone.
+    `color` is the colour of the text. `write_labels` places the label beside its point. If
+    `is_centred`, it may also be placed on the point, like the name of a zone in the middle of the
+    zone.
     """
 
     text: str

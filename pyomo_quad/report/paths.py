@@ -196,7 +196,8 @@ def _draw_wind_field(axes: Axes, grid: WindGrid, scale: float) -> None:
     """Draw the horizontal wind of a gridded field as arrows, with a key for their length.
 
     The arrows show the first height and the first time of the field. On a fine grid, only every
-    second, third, ... grid point has an arrow. The field's velocities are multiplied by `scale`.
+    second, third, ... grid point has an arrow. The velocities of `grid` are multiplied by `scale`,
+    the factor by which the scenario scales its wind field.
     """
     every_x, every_y = (1 + len(axis) // _MOST_ARROWS for axis in (grid.x, grid.y))
     components = grid.components[:2].reshape(2, len(grid.x), len(grid.y), -1)
@@ -281,8 +282,9 @@ def _further(flights: Sequence[StyledFlight], share: float) -> tuple[StyledFligh
 def _limits(flights: Sequence[StyledFlight], mission: Scenario | None) -> np.ndarray:
     """Return the range of each axis of a figure of paths, shape (3, 2), in m.
 
-    The ranges include the path of the plan (the first flight), all paths near it, and the parts of
-    the mission's airspace near them.
+    The ranges include the path of the plan (the first flight), the paths of the flights that stay
+    near it (all but those of `leaving_paths`), and the keep-out zones, floor and ceiling of the
+    mission near these paths.
     """
     astray = leaving_paths(flights)
     points = np.concatenate([_track(flight) for flight in flights if flight not in astray])
@@ -436,7 +438,10 @@ def _draw_projection(
 
 
 def _ends(optimum: StyledFlight) -> tuple[tuple[np.ndarray, str, str], ...]:
-    """Return position, name and marker of a plan's start and goal; one marker if both coincide."""
+    """Return position [m], name and marker of the two ends of a plan's path, for figures.
+
+    The ends are start and goal. If both are the same place, the result has one entry for it.
+    """
     track = _track(optimum)
     way = np.linalg.norm(np.diff(track, axis=0), axis=1).sum()
     if np.linalg.norm(track[-1] - track[0]) <= _SAME_PLACE * way:

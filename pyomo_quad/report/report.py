@@ -176,7 +176,7 @@ class RunRecord:
 
 
 def find_run(folder: Path, scenario: "Scenario") -> RunRecord | None:
-    """Read an earlier, verified run of the same scenario from a report folder.
+    """Read from a report folder an earlier run of the same scenario, if its plan was verified.
 
     A comparison of scenarios uses this run instead of solving the scenario again. A run by other
     versions of the package or its dependencies is ignored, because its numbers may differ. A run of

@@ -330,7 +330,10 @@ def draw_over_time(
 def draw_panels(
     panels: Iterable[Axes], shown: Iterable[Column], flights: Sequence["StyledFlight"]
 ) -> None:
-    """Draw one column of all flights against time in each panel, with title and scale.
+    """Draw one column of all flights against time in each panel, with the column's title.
+
+    The vertical axis of each panel covers at least the least range that its column declares
+    (`keep_span`).
 
     Parameters
     ----------

@@ -89,7 +89,8 @@ class TriedCruise:
     """Autopilot settings that a tuning tried, with the results of the simulated flight.
 
     The settings are limits on speed, acceleration and jerk. The flight is simulated at reduced
-    accuracy.
+    accuracy. Its results are the largest speed and acceleration that it reaches, its duration,
+    energy and broken limits, whether it arrives, and its cost in the search.
     """
 
     settings: CruiseSettings
@@ -118,9 +119,11 @@ class Tuning:
     flight : Flight
         Flight with the best settings, to full accuracy.
     settings : CruiseSettings
-        Largest speed and acceleration that this flight reaches.
+        The best settings, with limits that are not reached lowered: the largest speed and
+        acceleration that this flight reaches, and the limit on its jerk. They result in the same
+        flight.
     tried : tuple of TriedCruise
-        All settings that the search tried, in order.
+        All settings that the search tried, in the order tried.
     """
 
     flight: Flight
@@ -226,7 +229,7 @@ def tune_cruise(scenario: Scenario, plan: Plan | None, planner: Planner) -> Tuni
     Returns
     -------
     Tuning
-        Best flight, its settings, and all settings tried.
+        Best flight, its settings (limits on speed, acceleration and jerk), and all settings tried.
 
     Raises
     ------

@@ -40,11 +40,12 @@ _QUADRATURE_ERROR = 1e-10
 
 
 class ThrustMoments:
-    """Weighted integrals of the thrust over a flight, fixed by the boundary conditions alone.
+    """Two weighted integrals of the thrust over a flight, fixed by the boundary conditions alone.
 
-    Every flight from rest to rest over a displacement in a given time has the same two integrals:
-    one follows from the momentum balance, the other from the displacement. They give a lower bound
-    on the energy and on the largest thrust of every flight.
+    Every flight from rest to rest over a displacement in a given time has the same values of two
+    weighted integrals of the thrust vector: the first follows from the momentum balance
+    (docs/theory/bound.md, eq. (2)), the second from the displacement (eq. (4)). They give a lower
+    bound on the energy and on the largest thrust of every flight.
 
     Parameters
     ----------
@@ -58,14 +59,17 @@ class ThrustMoments:
     Attributes
     ----------
     widths : ndarray, shape (n,)
-        Widths of a quadrature over the flight, s.
+        Quadrature weights (widths of the intervals) of the n nodes of a Gauss quadrature over the
+        flight, s.
     weights : ndarray, shape (2, n, 3)
-        Weights of the two integrals at the nodes of the quadrature: the weight of
-        docs/theory/bound.md, eq. (2), and a combination of the weights of eqs. (2) and (4).
+        Dimensionless weights of the first and of the second integral at the nodes, along each axis.
+        The first weight is 1; the second is k(t) of docs/theory/bound.md, eq. (3), less its mean
+        over the flight and divided by the duration.
     demanded : ndarray, shape (2, 3)
-        Values of the integrals of the weights times the thrust, N s.
+        Values of the first and of the second integral (weight times thrust) that the mission
+        requires, along each axis, N s.
     mean_thrust : ndarray, shape (3,)
-        Mean thrust vector, N.
+        Mean over the flight of the thrust vector that the mission requires, N.
     """
 
     def __init__(self, demand: MomentumDemand, displacement: FloatArray, duration: float) -> None:
@@ -85,21 +89,22 @@ class ThrustMoments:
     def price(self, multipliers: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the price of thrust: the thrust vector's multiplier at each quadrature node.
 
-        A price is a Lagrange multiplier of the dual problem (docs/theory/bound.md, eq. (8)). The
-        price of thrust at a node is the sum of the two integrals' multipliers, each times its
-        weight at the node.
+        In the dual problem (docs/theory/bound.md, eq. (8)) each of the two weighted integrals of
+        the thrust has a Lagrange multiplier. The multiplier of the thrust vector at a node, called
+        its price, is the sum of these two multipliers, each times the weight of its integral at the
+        node.
 
         Parameters
         ----------
         multipliers : ndarray, shape (2, 3)
-            Multipliers of the two weighted integrals of the thrust along each axis.
+            Multipliers of the first and of the second integral along each axis, W/N.
 
         Returns
         -------
         length : ndarray, shape (n,)
-            Length of the price vector, W/N.
+            Length of the price vector at each node, W/N.
         direction : ndarray, shape (n, 3)
-            Unit vector of the price.
+            Unit vector along the price at each node.
         """
         vector = np.einsum("ki,kti->ti", multipliers, self.weights)
         size = np.linalg.norm(vector, axis=1)
@@ -119,7 +124,7 @@ class ThrustMoments:
         Returns
         -------
         ndarray, shape (2, 3)
-            Integrals with the two `weights`, N s.
+            The first and the second integral along each axis, N s.
         """
         return np.einsum("kti,ti->ki", self.weights, self.widths[:, None] * thrust)
 
@@ -164,7 +169,11 @@ class ThrustMoments:
 
 
 def _gauss(duration: float, panels: int) -> tuple[FloatArray, FloatArray]:
-    """Return nodes [s] and widths [s] of Gauss-Legendre quadrature on equal panels of a flight."""
+    """Return nodes [s] and weights [s] of Gauss-Legendre quadrature over the duration of a flight.
+
+    The duration [s] is divided into `panels` equal intervals, each with `_GAUSS_NODES` nodes. Both
+    results have the shape (panels * `_GAUSS_NODES`,).
+    """
     nodes, widths = np.polynomial.legendre.leggauss(_GAUSS_NODES)
     panel = duration / panels
     starts = panel * np.arange(panels)
@@ -173,10 +182,23 @@ def _gauss(duration: float, panels: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _weights(times: FloatArray, rate: FloatArray, duration: float) -> tuple[FloatArray, FloatArray]:
-    """Return the weights of two integrals of the thrust over a flight, at n times, each (n, 3).
+    """Return the two weights whose integrals with the thrust the boundary conditions fix.
 
-    The boundary conditions fix the integrals with these weights: docs/theory/bound.md, eqs. (2) and
-    (4). `rate` is drag over mass [1/s] along each axis, `duration` the duration of the flight [s].
+    Parameters
+    ----------
+    times : ndarray, shape (n,)
+        Times from the start of the flight, s.
+    rate : ndarray, shape (3,)
+        Drag coefficient over mass along each axis, 1/s.
+    duration : float
+        Duration of the flight, s.
+
+    Returns
+    -------
+    plain : ndarray, shape (n, 3)
+        Weight 1 of the momentum balance, docs/theory/bound.md, eq. (2).
+    lever : ndarray, shape (n, 3)
+        Weight k(t) of the displacement, eqs. (3) and (4), s.
     """
     left = (duration - times)[:, None] * np.ones_like(rate)
     has_drag = rate > 0.0
@@ -187,12 +209,27 @@ def _weights(times: FloatArray, rate: FloatArray, duration: float) -> tuple[Floa
 def _standing_moments(
     demand: MomentumDemand, rate: FloatArray, duration: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return two weighted integrals of the thrust that keeps the vehicle at rest during a flight.
+    """Return the two weighted integrals of the thrust that keeps the vehicle at rest.
 
-    This thrust balances weight and wind at zero velocity. The two weights are those of
-    docs/theory/bound.md, eqs. (2) and (4), which `_weights` returns. Each integral has the shape
-    (3,). `demand` is the thrust that the momentum balance requires for a motion, `rate` is drag
-    over mass [1/s] along each axis, and `duration` the duration of the flight [s].
+    This thrust balances weight and wind at zero velocity; it changes with time if the wind does.
+    The integrals are the terms of S on the right-hand sides of docs/theory/bound.md, eqs. (2) and
+    (4).
+
+    Parameters
+    ----------
+    demand : MomentumDemand
+        Thrust that the momentum balance requires for a motion.
+    rate : ndarray, shape (3,)
+        Drag coefficient over mass along each axis, 1/s.
+    duration : float
+        Duration of the flight, s.
+
+    Returns
+    -------
+    plain : ndarray, shape (3,)
+        Integral with the weight 1 along each axis, N s.
+    levered : ndarray, shape (3,)
+        Integral with the weight k(t) of eq. (3) along each axis, N s^2.
     """
     previous = np.full((2, 3), np.nan)
     for panels in _PANEL_COUNTS:
@@ -242,11 +279,11 @@ class Certificate:
     lower_bound_J : float or None
         Energy below which no flight of the mission exists; None if no bound is known.
     hover_energy_J : float
-        Energy of hovering in still air for the same time.
+        Energy of hovering in still air for the nominal duration of the mission.
     applies : bool
         Whether a bound is known.
     reason : str
-        Basis of the bound, or why there is none.
+        Sentence that names the basis of the bound, or says why no bound is known.
     durations_s : tuple of float
         Least and greatest duration of the flights that the bound covers [s].
     """
@@ -310,8 +347,9 @@ def certify(scenario: Scenario, *, planner: Planner | None = None) -> Certificat
 def _bound(scenario: Scenario, planner: Planner) -> _Found:
     """Return the best lower bound on the energy of a mission [J], and its basis in words.
 
-    The methods differ in the missions to which they apply. If no method applies, the bound is None
-    and the text is the reason.
+    The methods are `_bound_as_a_whole`, `_bound_by_legs` and `_bound_by_pairs`, which apply to
+    different missions. If several apply, the largest bound counts. If no method applies, the bound
+    is None and the text is the reason.
     """
     reason = next(_obstacles(scenario), "")
     if reason:
@@ -364,7 +402,7 @@ def _bound_as_a_whole(
     demand : MomentumDemand
         Thrust that the momentum balance requires.
     power : _SteadyPower
-        Total power over total thrust at constant rotor speeds.
+        Total power as a function of the total thrust, all rotors at one constant speed.
     why_not_by_legs : str
         Reason from `_why_not_by_legs` why the bound that takes account of waypoints and of a free
         duration does not apply. The returned text contains it.
@@ -415,7 +453,7 @@ def _bound_by_legs(
     demand : MomentumDemand
         Thrust that the momentum balance requires.
     power : _SteadyPower
-        Total power over total thrust at constant rotor speeds.
+        Total power as a function of the total thrust, all rotors at one constant speed.
 
     Returns
     -------
@@ -471,7 +509,9 @@ def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand
     """Bound the energy of flights from below if power or drag depends on the airspeed.
 
     The bound follows from the least power over all combinations (pairs) of thrust and airspeed; the
-    module `pairs` computes it.
+    module `study.pairs` computes it. In some missions with a wind field a second bound also counts
+    where each wind blows (`_bound_of_places`); the larger of the two is returned. `demand` is the
+    thrust that the momentum balance requires for a motion.
 
     Returns
     -------
@@ -527,9 +567,19 @@ def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand
 
 
 def _basis_of_pairs(scenario: Scenario, counted: Scenario, legs: int, of_field: str) -> str:
-    """Return the basis of a bound over pairs of thrust and airspeed, in words.
+    """Return in words the basis of a bound from the least power over pairs of thrust and airspeed.
 
-    The mission `counted` may lack waypoints of the scenario; `of_field` names the winds.
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission.
+    counted : Scenario
+        The mission for which the bound was computed: the same, or the mission without its waypoints
+        if their order is open. The text then says that the waypoints are left out.
+    legs : int
+        Number of legs, flights from one waypoint to the next, in `counted`.
+    of_field : str
+        Clause that says which winds of a wind field the bound includes; "" without a field.
     """
     of_legs = f" on each of {legs} legs" if counted.mission.waypoints else ""
     left_out = (
@@ -552,9 +602,24 @@ def _bound_of_places(
     winds: FloatArray,
     power: float,
 ) -> float:
-    """Return the lower bound by the places of a flight without waypoints [J].
+    """Return a lower bound on the energy in a wind field that counts where each wind blows [J].
 
-    The parameters are those of `bound_by_places`.
+    The bound of `study.pairs` allows every wind of the field everywhere. This bound
+    (docs/theory/bound.md, eq. (25)) allows in each horizontal cell of the field's grid only the
+    winds of this cell. `_has_places` tells whether it applies. The result is minus infinity if the
+    search finds no such bound.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission, without waypoints.
+    pairs_in : callable
+        Takes the corners of a polyhedron of winds [m/s], shape (n, 3), and returns the pairs of
+        thrust and airspeed in these winds.
+    winds : ndarray, shape (n_winds, 3)
+        Corners of the polyhedron of all winds of the field, all horizontal [m/s].
+    power : float
+        Power of hovering [W].
     """
     mission, ((leg,), (durations,)) = scenario.mission, legs_of(scenario)
     ends = np.array([mission.start.position, mission.goal.position])
@@ -565,7 +630,23 @@ def _bound_of_places(
 def _has_places(
     scenario: Scenario, legs: Sequence[Leg], standing: FloatArray, winds: FloatArray
 ) -> bool:
-    """Return whether a bound can count where the wind of a field blows: `study.potential`."""
+    """Return whether the bound that counts where each wind of a field blows applies to a mission.
+
+    `_bound_of_places` computes this bound. It applies if the mission has a single leg with exact
+    start and goal, if the plan may not leave the field (`wind.beyond` is not "hold"), and if its
+    winds are horizontal and not all the same.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission, with a wind field.
+    legs : sequence of Leg
+        Its legs, flights from one waypoint to the next.
+    standing : ndarray, shape (3,)
+        Thrust that holds the vehicle still in still air [N]; it must be vertical.
+    winds : ndarray, shape (n_winds, 3)
+        Corners of the polyhedron of all winds of the field [m/s].
+    """
     return (
         scenario.wind.beyond is not Beyond.HOLD
         and len(legs) == 1
@@ -627,9 +708,9 @@ def _best_bound(moments: ThrustMoments, power: _SteadyPower, ceiling: float) -> 
     Parameters
     ----------
     moments : ThrustMoments
-        Weighted integrals of the thrust that the mission fixes.
+        The two weighted integrals of the thrust that the mission fixes.
     power : _SteadyPower
-        Total power over total thrust at constant rotor speeds.
+        Total power as a function of the total thrust, all rotors at one constant speed.
     ceiling : float
         Energy of full power during the whole flight [J]. The search stops above it, because a
         larger bound proves that no flight exists.
@@ -757,10 +838,11 @@ def _fit(
 
 
 def _below(thrust: FloatArray, power: FloatArray) -> FloatArray:
-    """Lower samples of the power so that the polygon through them is nowhere above the curve.
+    """Return samples of the power, lowered until the polygon through them is below the curve.
 
-    A lower bound on the energy that is computed from the lowered samples is thus valid for the
-    whole curve. `thrust` [N] and `power` [W] are the samples, in the order of increasing thrust.
+    The curve is the power as a function of the thrust. A lower bound on the energy that is computed
+    from the lowered samples [W] is thus valid for the whole curve. `thrust` [N] and `power` [W] are
+    the samples, in the order of increasing thrust.
     """
     chords = np.diff(power) / np.diff(thrust)
     # The power rises with thrust, so the first step extends a level line.

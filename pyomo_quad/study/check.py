@@ -78,7 +78,8 @@ def _limits_broken(scenario: Scenario, steady: SteadyFlight, bound: float) -> It
 
     `bound` is a lower bound on the energy of every flight of the mission [J]. Divided by the
     duration, it gives a lower bound on the mean power. If a limit does not permit even this mean
-    power, every flight breaks the limit.
+    power, every flight breaks the limit. `steady` computes current and voltage of the battery at a
+    given power.
     """
     limits, duration = scenario.limits, scenario.mission.fixed_duration
     current, voltage, charge_rate = steady.pack_under(bound / duration)
@@ -125,8 +126,9 @@ _SAVING = 1e-3
 def power_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[Finding]:
     """Yield findings if the power model is outside its valid range at or near hover.
 
-    For instance, the motors may need more voltage in hover than the battery has. This is impossible
-    if the power model uses the motor's electrical constants; otherwise it gives a caution.
+    For instance, the motors may need more voltage in hover than the battery has. The finding then
+    has the severity "impossible" if the power model uses the motor's electrical constants;
+    otherwise it is a caution. `steady` computes power and rotor speed in hover.
     """
     if scenario.power.model is PowerModel.EFFICIENCY:
         yield from _efficiency_findings(scenario, steady)
@@ -171,7 +173,8 @@ def _fastest_chattering(steady: SteadyFlight, limit: float) -> float | None:
 
     Chattering is alternating acceleration and braking, up to the rotor acceleration ``limit``
     [rad/s^2]. Where it takes less power, a plan of least energy depends on this limit and on the
-    mesh. The result is None if there is no such speed between 0.6 and 1.1 times the speed of hover.
+    mesh. `steady` computes the power at a given rotor speed and acceleration. The result is None if
+    there is no such speed between 0.6 and 1.1 times the speed of hover.
     """
     hover = steady.hover_speed
     for speed in np.linspace(_FASTEST * hover, _SLOWEST * hover, _SPEEDS):
@@ -429,13 +432,13 @@ def check_mission(
 
 
 def _contradictions(scenario: Scenario) -> Iterator[Finding]:
-    """Yield contradictions between the vehicle's numbers, such as its moments of inertia."""
+    """Yield a finding for each contradiction between numbers of the vehicle, as of its inertia."""
     for found in scenario.contradictions:
         yield Finding(severity=Severity.UNPHYSICAL, subject=found.field, message=found.message)
 
 
 def _angles_in_degrees(scenario: Scenario) -> Iterator[Finding]:
-    """Yield angles of more than one turn, probably given in degrees by mistake."""
+    """Yield a caution for each angle of more than one turn, probably meant in degrees."""
     for field in describe_fields(scenario):
         if field.unit == "rad" and isinstance(field.value, float) and abs(field.value) > 2 * pi:
             degrees = field.value
@@ -580,8 +583,9 @@ def _attitude_cautions(plan: "Plan", planner: "Planner | None") -> Iterator[str]
 def _efficiency_map_cautions(plan: "Plan") -> Iterator[str]:
     """Yield a caution if part of a plan is outside the valid range of the polynomial f_r.
 
-    f_r is the efficiency of motor and rotor in `power.model` "efficiency". The caution states the
-    share of the plan's rotor states outside the range.
+    f_r is the efficiency of motor and rotor in `power.model` "efficiency". In the valid range, the
+    motor's torque and f_r exceed the lower limits that the scenario sets. The caution states the
+    share of all mesh points and rotors of the plan that are outside the range.
     """
     floors = plan.scenario.power
     if floors.model is not PowerModel.EFFICIENCY or not plan.dynamics.has(_EFFICIENCY):

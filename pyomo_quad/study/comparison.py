@@ -233,8 +233,8 @@ def against_hovering(excess_J: float, digits: int = 2) -> str:
 def has_own_time(scenario: Scenario, duration_s: float) -> bool:
     """Return whether the duration of a flight [s] differs from the duration of the mission.
 
-    The energy of hovering for the mission's duration must then be converted to the flight's
-    duration.
+    If it differs, the energy of hovering for the mission's duration cannot be subtracted from the
+    energy of the flight; it is first scaled to the duration of the flight.
     """
     return not isclose(duration_s, scenario.mission.fixed_duration, rel_tol=SAME_TIME)
 
@@ -352,7 +352,8 @@ def replanning_table(flights: Sequence[Flight], settings: Replanning) -> "pd.Dat
 
     A solve is late if it took longer on this machine than the scenario's ``solve_time``, the time
     allowed for a solve. The table also counts the solves that took longer than the interval to the
-    next solve. Both counts are independent of the delay that was simulated.
+    next solve. Both counts use the measured times of the solves, even if the simulated flight
+    delayed each new plan by the stated ``solve_time`` instead.
 
     Parameters
     ----------

@@ -52,8 +52,9 @@ class Counts:
     ----------
     unknowns : int
         Number of functions of time in the model: states and other variables.
-    elements, degree, tolerance
-        Elements and degree of the first mesh, and tolerance of the mesh refinement.
+    elements, degree : int, tolerance : float
+        Number of elements and polynomial degree of the first mesh, and relative error to which the
+        mesh is refined.
     waypoints : int
         Number of waypoints.
     routes : int

@@ -126,9 +126,11 @@ class Ensemble(Summarised):
 
     @property
     def worst(self) -> dict[str, float]:
-        """Largest relative violation of each broken limit over all flights.
+        """Largest violation of each broken limit over all flights, relative to the limit.
 
-        The key is the limit in words.
+        The key is the limit in words. The violation is divided by the larger of 1 and the limit.
+        For a missed goal the value is the distance [m] or the speed [m/s] at the end instead, for
+        the battery the missing fraction of power or charge.
         """
         return {
             name: max(ending.broken.get(name, 0.0) for ending in self.flown.endings)

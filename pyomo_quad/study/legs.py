@@ -2,14 +2,17 @@
 
 A leg is the flight from one waypoint to the next. A passage is the instant at a waypoint. A price
 is the Lagrange multiplier (dual variable) of a quantity that the mission fixes; here these are
-momentum and time.  Derivation: see docs/theory/bound.md, eqs. (12) and (13).
+momentum and time. As momentum is mass times velocity, the price of momentum times the mass is a
+price of velocity.  Derivation: see docs/theory/bound.md, eqs. (12) and (13).
 
 symbol | meaning
 d_k, T_k, m_k | displacement of leg k, its duration, and the mass on it
 r_k | sum of the distances that the two ends of leg k may lie from their nominal places
 s_k | thrust that holds the vehicle still on leg k: weight and the acceleration by a steady wind
-y | price of momentum, J per N s: linear in time on each leg
-P* | conjugate of the power: maximum of price times thrust minus power
+p | price of thrust and momentum, W/N = J per N s
+y | price of velocity, J per m/s: m_k times p, linear in time on each leg
+P* | conjugate of the power: maximum of price of thrust times thrust minus power
+A_k, G_k | terms of the bound, J s and W, defined below
 
 With the acceleration a, the thrust is u = m_k a + s_k, and power is at least p . u - P*(|p|) at any
 price p of the thrust.  With p = y / m_k the acceleration integrates by parts: the boundary terms
@@ -19,7 +22,7 @@ spends at least
 sum over k of  A_k / T_k + G_k T_k,   A_k = -(change of y) . d_k - r_k |change of y|,
 G_k = mean over the leg of p . s_k - P*(|p|).
 
-At a passage with a speed limit y may jump; this lowers the bound by the limit times the jump.
+At a passage with a speed limit y may jump; this lowers the bound by the limit times |jump of y|.
 
 If the T_k are free and only their sum is limited, a price of time mu < G_k with A_k >= 0 gives the
 lower bound  sum of 2 sqrt(A_k (G_k - mu)) + mu (sum of T_k):  a closed form, which holds for all
@@ -48,9 +51,9 @@ if TYPE_CHECKING:
 
 _NODES = 48  # of the Gauss quadrature over a leg: the conjugate is piecewise linear
 _ITERATIONS = 200  # of L-BFGS in each search
-# Smoothing of the length of a price vector, which is not differentiable at zero, N s/J.
+# Smoothing of the length of a change of price, which is not differentiable at zero, J per m/s.
 _CORNER = 1e-6
-# Starts of the search: decrease of the price of momentum per distance flown, J s / (kg m^2).
+# Starts of the search: decrease of the price of velocity per distance flown, J s/m^2.
 _STIFFNESSES = np.geomspace(1e-3, 1e2, 26)
 _RESTARTS = 3  # a restarted L-BFGS discards the curvature that it has estimated across kinks
 _ROUNDING = 1e-9  # relative
@@ -179,26 +182,31 @@ class Itinerary:
         self._size = int(self._last[-1]) + 1
 
     def _terms(self, prices: FloatArray) -> tuple[FloatArray, FloatArray, float, FloatArray]:
-        """Return the terms of the lower bound for given prices of momentum, with their gradients.
+        """Return the terms of the lower bound for given prices of velocity, with their gradients.
 
-        The bound is the sum over the legs k of A_k / T_k + G_k T_k, plus the term `jumped`. T_k is
-        the duration of leg k. A_k follows from the leg's displacement, and G_k from the thrust that
-        holds the vehicle still; the docstring of this module gives both formulas.
+        The lower bound on the energy is the sum over the legs k of A_k / T_k + G_k T_k, plus the
+        term `jumped`. T_k is the duration of leg k. A_k follows from the leg's displacement, and
+        G_k from the thrust that holds the vehicle still; the docstring of this module gives both
+        formulas.
 
         Parameters
         ----------
         prices : ndarray, shape (n_prices, 3)
-            Prices (multipliers) of momentum at the ends of the legs, J per N s.
+            Prices y (multipliers) of velocity at the ends of the legs, J per m/s: price of momentum
+            times the mass on the leg. Between its two ends a leg has linearly changing prices. Two
+            legs share the price at the waypoint between them, unless it limits the speed.
 
         Returns
         -------
         gained, spent : ndarray, shape (n_legs,)
             A_k [J s] and G_k [W] of each leg.
         jumped : float
-            Term by which the jumps of the prices lower the bound, J, not positive. A price may jump
-            at a waypoint with a speed limit.
+            Term of the bound for the jumps of the prices, J: minus the speed limit times the length
+            of the jump, summed over the waypoints with a speed limit, where a price may jump; not
+            positive.
         slopes : ndarray, shape (2 n_legs + 1, n_prices, 3)
-            Gradients of A_k, of G_k and of `jumped`.
+            Gradients with respect to the prices: n_legs of A_k, then n_legs of G_k, last that of
+            `jumped`.
         """
         n = len(self._displacements)
         legs = np.arange(n)
@@ -229,13 +237,15 @@ class Itinerary:
     def bound(self, price: FloatArray) -> float:
         """Return a lower bound on the energy for all allowed passing times and durations [J].
 
-        The bound is maximised over the prices (multipliers) of momentum at the ends of the legs.
+        For given prices, the bound is the least value over the durations of the legs. It is
+        maximised over the prices (multipliers) of velocity at the ends of the legs.
 
         Parameters
         ----------
         price : ndarray, shape (3,)
-            Price (multiplier) of thrust from which the initial prices of the search are computed,
-            W/N.
+            Price (multiplier) of thrust, W/N. The search begins with prices of velocity that are
+            this price times the mass at the start of the flight, and that fall along the
+            displacements.
         """
         places = np.zeros((self._size, 3))
         for first, last, displacement in zip(
@@ -258,8 +268,9 @@ class Itinerary:
     def _negative(self, flat: FloatArray) -> tuple[float, FloatArray]:
         """Return the negative lower bound on the energy [J] and its gradient, for a minimiser.
 
-        `flat` holds the prices (multipliers) of momentum at the ends of the legs, one after the
-        other. The gradient is taken with respect to these prices.
+        `flat` holds the prices (multipliers) of velocity [J per m/s] at the ends of the legs, the
+        three components of each price one after the other. The gradient is taken with respect to
+        these prices.
         """
         gained, spent, jumped, slopes = self._terms(flat.reshape(-1, 3))
         bound, times = jumped, np.zeros(len(gained))
@@ -284,7 +295,9 @@ class Itinerary:
 def _length(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the lengths of vectors, smoothed at zero, and their gradients.
 
-    The length of a vector is not differentiable at zero; the smoothed length is slightly larger.
+    `vectors` has the shape (n, 3), one vector in each row; the lengths have the shape (n,), the
+    gradients the shape (n, 3). The length of a vector is not differentiable at zero; the smoothed
+    length is slightly larger.
     """
     length = np.sqrt(np.sum(vectors**2, axis=1) + _CORNER**2)
     return length, vectors / length[:, None]
@@ -302,9 +315,9 @@ def _least_over_times(
     Parameters
     ----------
     gained, spent : ndarray, shape (n,)
-        A_k [J s] and G_k [W].
+        A_k [J s] and G_k [W] of the n legs of the group.
     least, greatest : float
-        Limits of the sum of the T_k, s.
+        Lower and upper limit of the sum of the T_k, s; equal if the sum is fixed.
 
     Returns
     -------

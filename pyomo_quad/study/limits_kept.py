@@ -27,8 +27,9 @@ def limit_lines(plan: Plan, flights: Sequence[Flight]) -> Iterator[str]:
     """Yield a sentence on each flight that breaks limits, for the report of a run.
 
     The sentence also says whether the plan's risk covers the violation. The risk is the share of
-    the plan's flights in turbulence that may break a limit. If no flight breaks a limit, one
-    sentence says so.
+    the plan's flights in turbulence that may break a limit. It covers a violation if the limit is
+    among those that the planner's test flights in turbulence break most often. If no flight breaks
+    a limit, one sentence says so.
 
     Parameters
     ----------
@@ -54,8 +55,10 @@ def limit_lines(plan: Plan, flights: Sequence[Flight]) -> Iterator[str]:
 def _risk_words(risk: RiskTaken | None, flight: Flight) -> str:
     """Return in words whether the plan's risk covers the limits that a flight breaks.
 
-    The risk is the share of the plan's flights in turbulence that may break a limit. It covers the
-    limits that the planner's test flights break most often.
+    The risk is the share of the plan's flights in turbulence that may break a limit. The planner
+    simulates test flights of the plan in turbulence. A limit that a flight breaks counts as covered
+    by the risk if it is among those that the test flights break most often. `risk` is the record of
+    the risk and of the test flights; None for a plan without risk.
     """
     if flight.name == OPTIMAL:
         return "the plan itself, beyond the error that its accuracy allows"

@@ -159,7 +159,8 @@ class CaseOutcome:
         """Make the row of a sweep's case from the result that the case solver returned.
 
         Values that are not finite or exceed `LARGEST_OUTPUT` are dropped, because JSON has no NaN.
-        If the result holds no warm start, the row passes on the warm start that the case received.
+        If the result holds no warm start, for example after a failure, the row holds the warm start
+        that the case received, so that the children of the case have an initial guess, too.
         """
         # Columns whose value is NaN or infinite are left out, because JSON has no NaN.
         finite = {n: float(v) for n, v in result.values.items() if abs(v) <= LARGEST_OUTPUT}

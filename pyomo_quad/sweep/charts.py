@@ -266,7 +266,8 @@ def draw_wind_rose(curves: Sequence[Curve], field: str, quantity: Quantity) -> F
     """Draw an output quantity against the wind direction, in polar coordinates.
 
     The centre of the rose is the least value of all curves, not zero. A star marks the worst
-    direction of each curve.
+    direction of each curve: the direction of the greatest value or, for a quantity that should be
+    large, such as a saving, of the least value.
 
     Parameters
     ----------

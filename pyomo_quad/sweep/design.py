@@ -30,7 +30,10 @@ _SIGNIFICANT_DIGITS = 12
 
 
 class Spacing(Part):
-    """First value, last value and number of the equally spaced values of a sweep's axis."""
+    """First value, last value and number of the spaced values of a field that a sweep varies.
+
+    The steps between the values are equal, or equal in ratio for a logarithmic spacing.
+    """
 
     first: Number = quantity(
         "",

@@ -206,8 +206,8 @@ def _worst_direction(curves: Sequence[Curve], quantity: Quantity) -> str:
     """Return the caption's sentence on a wind rose's centre value and on the worst wind direction.
 
     `curves` are the curves of the wind rose, and `quantity` is the output column that it shows. The
-    centre is the least value of all curves. The worst direction is the wind direction in which the
-    quantity is worst.
+    centre is the least value of all curves. The worst direction is the wind direction of the
+    greatest value of the quantity or, if it should be large, such as a saving, of the least value.
     """
     least, _ = charts.rose_range(curves, quantity)
     worst_rows = [quantity.worst_row(curve.rows) for curve in curves]

@@ -129,9 +129,10 @@ def settings_name(fixed: Mapping[str, Any]) -> str:
 
 
 def case_name(fields: Mapping[str, Any]) -> str:
-    """Return the printed name of the central case of a sweep, from its field values.
+    """Return the printed name of a sweep's central case: its field values, such as "a.b = 1 m".
 
-    Heat maps and sensitivities vary one or two fields and keep the others as in the central case.
+    Heat maps and sensitivities vary one or two fields and keep the others as in the central case;
+    captions name this case.
 
     Parameters
     ----------

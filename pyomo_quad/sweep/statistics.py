@@ -1,9 +1,10 @@
 """Statistics of a parameter sweep: Pareto fronts, best values, sensitivities and ranges.
 
 A quantity is an output column of the sweep's result table, such as the energy. A dimension is one
-scenario field, or several fields that change together. The central case is the case of the grid
-through which sensitivities and heat maps pass; it has the base scenario's field values where the
-grid contains these.
+scenario field, or several fields that change together. A sweep has a case for each combination of
+the values of its dimensions. Sensitivities and heat maps vary one or two dimensions and keep the
+other fields as in the central case. In this case each field has the base scenario's value or, if
+the sweep does not contain this value, the middle of the field's values.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -45,9 +46,11 @@ class Curve:
 class Sensitivity:
     """Range of an output quantity as one scenario field varies.
 
-    All other fields of the grid are as in the central case of the sweep. For a field of the grid,
-    the quantity is the mean over the draws of random fields, if there are any. For a random field,
-    the quantity is a linear fit in the random fields, with the other random fields at their mean.
+    The values of a field are either given (listed or spaced) or drawn at random. All other fields
+    with given values are as in the central case of the sweep. For a field with given values, the
+    quantity is its mean over the draws of the random fields, if there are any. For a random field,
+    the quantity is the value of a linear fit in all random fields, with the other random fields at
+    their mean.
 
     Attributes
     ----------
@@ -132,9 +135,10 @@ class Best:
 
     @property
     def is_inside(self) -> bool:
-        """Whether the cases on both sides finished, which shows that the best value is a minimum.
+        """Whether the cases at the next smaller and next larger value of the field both finished.
 
-        Otherwise the quantity may be smaller beyond the values that were tried.
+        This shows that the best value is a local minimum. Otherwise the quantity may be smaller at
+        the value next to it or beyond the values that were tried.
         """
         return self.is_below_flown and self.is_above_flown
 
@@ -256,11 +260,11 @@ class SweepResults:
     def sensitivities(self, quantity: str) -> list[Sensitivity]:
         """Compute the range of a quantity along each numeric field, the widest range first.
 
-        For a field of the grid, the range is taken over all values of the field, with all other
-        fields as in the central case. The first and the last value alone do not suffice: for an
-        angle that goes once around, the quantity is the same at both. For a random field, a plane
-        is fitted to the quantity by least squares; the range is the plane's range between the 5 %
-        and 95 % quantiles of the field's draws.
+        For a field whose values are given (not drawn at random), the range is taken over all values
+        of the field, with all other such fields as in the central case. The first and the last
+        value alone do not suffice: for an angle that goes once around, the quantity is the same at
+        both. For a random field, a plane is fitted to the quantity by least squares; the range is
+        the plane's range between the 5 % and 95 % quantiles of the field's draws.
 
         Parameters
         ----------
@@ -334,8 +338,8 @@ def _matching(rows: pd.DataFrame, fixed: Mapping[str, Any]) -> pd.DataFrame:
 def pareto_front(rows: pd.DataFrame, first: str, second: str) -> pd.DataFrame:
     """Return the rows on the Pareto front of two quantities that are both to be small.
 
-    A row lies on the front if every row with a smaller or equal first quantity has a larger second
-    quantity.
+    A row lies on the front if every other row with a smaller or equal first quantity has a larger
+    second quantity.
 
     Parameters
     ----------

@@ -330,7 +330,11 @@ _Output = Annotated[float, Field(allow_inf_nan=False, ge=-LARGEST_OUTPUT, le=LAR
 
 
 class StoredCase(BaseModel):
-    """Row of a result store for one case of a sweep, validated when it is read."""
+    """Row of a result store for one case of a sweep, validated when it is read.
+
+    The columns are the key of the case (a hash of its field values), these field values, status,
+    reason of a failure, output values, and wall time of the solve [s].
+    """
 
     model_config = ConfigDict(strict=True, frozen=True)
 
