@@ -26,15 +26,15 @@ from tests.benchmarks.report import FOLDER, Table
 TITLE = "Jobs, by an older commit and by this one"
 ABOUT = (
     "The same job by two checkouts, in processes of their own, one right after the other; a dash "
-    "stands for a job that was not run, inf for one that failed or was ended, as a run of more than "
-    "150 s on the clock is. Processor seconds of one thread from a scenario to its verified plan, "
-    "without imports, the median of the runs; of a run, the clock on the wall from the start of the "
-    "process to its end. `usable` asks for accuracy quick, `standard` for standard and `proof` for "
-    "proof; an older checkout that knows no accuracies is asked for its tolerance by default, 1e-6. "
-    "The random missions are the first of seed 2026 of the benchmark `robustness`, their seconds "
-    "those of the median mission. Of the second table, flights are SciPy's integrations, and the "
-    "rest is mostly building, compiling and the errors of meshes. Other programs used the machine "
-    "as well."
+    "stands for a job that was not run, inf for one that failed or was ended, as a run of more "
+    "than 150 s on the clock is. Processor seconds of one thread from a scenario to its verified "
+    "plan, without imports, the median of the runs; of a run, the clock on the wall from the "
+    "start of the process to its end. `usable` asks for accuracy quick, `standard` for standard "
+    "and `proof` for proof; an older checkout that knows no accuracies is asked for its tolerance"
+    " by default, 1e-6. The random missions are the first of seed 2026 of the benchmark "
+    "`robustness`, their seconds those of the median mission. Of the second table, flights are "
+    "SciPy's integrations, and the rest is mostly building, compiling and the errors of meshes. "
+    "Other programs used the machine as well."
 )
 ROOT = Path(__file__).parents[2]
 SCRIPT = Path(__file__).with_name("job.py")
