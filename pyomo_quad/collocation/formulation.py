@@ -279,9 +279,10 @@ class OutputStates:
     def _start_function(declared: Declarations) -> Any:
         """Return the CasADi function from parameters to initial values of the output states.
 
-        Output states are states on which neither objective nor other equations depend. The initial
-        value follows from the condition that the model declares for the state at the start of the
-        horizon; it is NaN if there is no such condition.
+        Output states are states on which neither objective nor other equations depend; `declared`
+        are the declarations of the model that has them. The initial value follows from the
+        condition that the model declares for the state at the start of the horizon; it is NaN if
+        there is no such condition.
         """
         parameters = stacked([s.symbol for s in declared.parameters])
         values = []

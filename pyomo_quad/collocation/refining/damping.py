@@ -96,7 +96,10 @@ class Damping:
     def _near(self, fractions: FloatArray) -> FloatArray:
         """Return the smoothed controls of the previous mesh, towards which controls are damped.
 
-        `fractions` are fractions of the horizon. The result has shape (n_fractions, n_controls).
+        They are straight lines between the means of the controls over each element or, if
+        `is_still` is true, polynomials of low degree in each element, clipped to the limits of the
+        controls. `fractions` are the times of the result as fractions of the horizon. The result
+        has shape (n_fractions, n_controls).
         """
         mesh, held = self.solution.mesh, self.solution.trajectory.algebraics[:, self.controls]
         if self.is_still:

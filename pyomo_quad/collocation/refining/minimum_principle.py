@@ -104,15 +104,21 @@ def _valleys(
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Yield trial values of a control at all collocation points, and the Hamiltonian for them.
 
-    The trial values at a point are a grid between the bounds of the control, and the minima of
-    parabolas through three neighbouring values of the grid.
+    `improved_controls` searches these values for the least Hamiltonian at each point. The trial
+    values at a point are a grid between the bounds of the control, and then the minima of parabolas
+    through three neighbouring values of the grid.
 
     Parameters
     ----------
     at : callable
         Control values, shape (n_points,) -> Hamiltonian, shape (n_points,).
     lower, upper : ndarray, shape (n_points,)
-        Bounds of the control.
+        Lower and upper bounds of the control at each point.
+
+    Yields
+    ------
+    (ndarray, ndarray), each of shape (n_points,)
+        One trial value for each point, and the Hamiltonian at each point with this value.
     """
     step = (upper - lower) / (_TRIED - 1)
     tried = [lower + k * step for k in range(_TRIED)]
@@ -361,10 +367,11 @@ def _free_directions(
 ) -> FloatArray:
     """Return a basis of the changes of rates and controls that keep all equations satisfied.
 
-    At each collocation point, the states are held, and the rates of the states (dx/dt) and the
-    algebraic variables change together. To first order, the changes that the linearised equations
-    allow form a linear space: the null space of the equations' Jacobian. `singular_order` evaluates
-    the curvature of the Hamiltonian in this space.
+    At each collocation point, the states are held, and the rates (derivatives of the states with
+    respect to the fraction of the horizon) and the algebraic variables change together. To first
+    order, the changes that the linearised equations allow form a linear space: the null space of
+    the equations' Jacobian. `singular_order` evaluates the curvature of the Hamiltonian in this
+    space.
 
     Parameters
     ----------

@@ -411,7 +411,7 @@ class _Refinement(Generic[S]):
         return solution
 
     def _expected_change(self) -> float | None:
-        """Return the last change of the objective, in its unit, as a bound on the next change.
+        """Return the last change of the objective, in its unit, as an estimate of the next one.
 
         The result is None if the change is unknown.
         """
@@ -542,8 +542,8 @@ def _is_limited_by_the_barrier(
     """Return whether Ipopt's barrier, not the mesh, limits the accuracy of a solution.
 
     Two conditions must hold. First, the error of every element is at most `fine`. Two parts of the
-    error are not counted, because they are estimated only if all other errors meet the tolerance:
-    the possible costs of control switches at a wrong time, and the cost of state errors relative to
+    error, which are estimated only if all other errors meet the tolerance, are not counted: the
+    possible costs of control switches at a wrong time, and the costs of state errors relative to
     the objective's own magnitude. Second, the complementarity gap (the error that Ipopt's barrier
     leaves in the objective) exceeds `tolerance`, or the scaled objective is so small that it has no
     influence on Ipopt's convergence test.

@@ -215,10 +215,11 @@ def refined_mesh(
 def _lowered(
     solution: Solution, e: int, error: float, tolerance: float, options: RefinementOptions
 ) -> _Piece:
-    """Return an element with a small error for the next mesh, with its degree lowered if possible.
+    """Return an element as it is kept for the next mesh, with its degree lowered if possible.
 
-    The degree is lowered as long as the highest Legendre coefficients of the states are negligible.
-    `e` is the index of the element, `error` its estimated error.
+    The degree is lowered only if the element's error is far below the tolerance, and as long as the
+    highest Legendre coefficients of the states are negligible. `e` is the index of the element,
+    `error` its estimated error.
     """
     mesh = solution.mesh
     degree = mesh.degrees[e]
@@ -341,9 +342,10 @@ def _parts(mesh: Mesh, e: int, count: int, degree: int, size: float) -> list[_Pi
 def _merged(pieces: list[_Piece], solution: Solution, tolerance: float) -> list[_Piece]:
     """Merge neighbouring elements of the next mesh if the merged element is accurate enough.
 
-    The predicted error of the merged element must be far below the tolerance. Elements that were
-    refined for the next mesh are not merged. A boundary between elements is kept if the problem
-    requires it.
+    `pieces` are the elements of the next mesh before merging, from left to right; the result is the
+    same mesh with merged elements. The predicted error of a merged element must be far below
+    `tolerance`. Elements that were refined for the next mesh are not merged. A boundary between
+    elements is kept if the problem of `solution` requires it.
     """
     required = solution.problem.required_breakpoints(solution.instance)
     merged: list[_Piece] = []
