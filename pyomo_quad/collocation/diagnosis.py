@@ -124,10 +124,12 @@ class SoftRows:
 
 
 def _soft_unknowns(limits: list[Limit], scaling: Scaling) -> Iterator[_SoftRow]:
-    """Yield the one-sided limits on unknowns of the program, for `SoftRows.of`.
+    """Yield the one-sided limits on unknowns of the nonlinear program, for `SoftRows.of`.
 
-    `limits` are the declared limits on the unknowns. A limit with a lower and an upper side gives
-    two one-sided limits for each unknown.
+    `limits` are the declared limits on unknowns. A limit with a lower and an upper side gives two
+    one-sided limits for each unknown. The reference magnitude of a limit follows from the unknown's
+    scaling factor in `scaling`. The items are tuples (name of the declaring component, -1, index of
+    the unknown, sign, value of the limit, reference magnitude).
     """
     for limit in limits:
         for k, column in enumerate(limit.columns):
@@ -140,10 +142,13 @@ def _soft_unknowns(limits: list[Limit], scaling: Scaling) -> Iterator[_SoftRow]:
 def _soft_program_rows(
     program: Transcription, bounds: Bounds, scaling: Scaling
 ) -> Iterator[_SoftRow]:
-    """Yield the one-sided limits on constraints of the program, for `SoftRows.of`.
+    """Yield the one-sided limits on constraints of the nonlinear program, for `SoftRows.of`.
 
-    These constraints are the path inequalities at the collocation points, and the conditions
-    (constraints at declared times, the members of the continuous set).
+    The constraints are the path inequalities at each collocation point, and the constraints that
+    are imposed at single times, such as boundary conditions. `bounds` has their lower and upper
+    limits, and the reference magnitudes follow from `scaling`. The items are tuples (name of the
+    declaring component, index of the constraint, -1, sign, value of the limit, reference
+    magnitude).
     """
     equations = program.compiled.declared.equations
     rows = [
@@ -354,12 +359,19 @@ def diagnose(
 
 
 def _least_slacks(solution: Solution, soft: SoftRows, progress: Progress | None) -> IpoptResult:
-    """Minimise the sum of the slacks by which families of limits are violated.
+    """Solve the elastic program: minimise the sum of the slacks by which limits are violated.
 
-    A family is all limits that one component of the model declares. Each family has a single slack,
-    which bounds the relative violation of every limit in the family. The result's unknowns are the
-    program's unknowns, then the violation of each relaxed constraint, then the slacks. Bounds on
-    unknowns that may be relaxed become constraints.
+    All limits that one component of the model declares (a family) have a single slack, an upper
+    bound on the relative violation of every limit in the family. The solve starts at the unknowns
+    of the failed `solution`. `soft` has the limits that may be violated; those of them that are
+    bounds on unknowns become constraints.
+
+    Returns
+    -------
+    IpoptResult
+        Ipopt's result. Its unknowns are the unknowns of the original program, then the relative
+        violation of each limit in `soft` that is a constraint of that program, then one slack for
+        each family.
     """
     program, bounds, z = solution.program, solution.bounds, solution.unknowns
     n, m, count, families = z.size, program.n_rows, len(soft), len(soft.names)

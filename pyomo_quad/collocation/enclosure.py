@@ -156,9 +156,10 @@ class Enclosure:
         return self._all.over(low, high, numbers)
 
     def values_over(self, low: FloatArray, high: FloatArray, numbers: ArrayLike) -> Interval:
-        """Return bounds of the expressions over n boxes, with the parameters of `over`.
+        """Return lower and upper bounds of the expressions over n boxes, without the gradient.
 
-        It costs less than the bounds of the gradient as well.
+        This costs less than `over`, which bounds the gradient, too. The parameters are those of
+        `over`. Each of the two results has shape (n_expressions, n).
         """
         return self._values.over(low, high, numbers)[0]
 

@@ -1,7 +1,8 @@
 """First solve of a problem, on its initial mesh, with fallback strategies if it fails.
 
-The strategies of the table in `strategies` change the initial point, the mesh or the settings of
-Ipopt. This module carries the strategies out, on a model with one horizon or several.
+The strategies are the rows of the table `strategies.STRATEGIES` for the first mesh. They change the
+initial point, the mesh or the settings of Ipopt. This module carries the strategies out, on a model
+with one horizon or several.
 """
 
 from __future__ import annotations
@@ -99,7 +100,10 @@ class FirstSolve(Search[S], Generic[S]):
     def holds(self, fact: Fact) -> bool:
         """Return whether a condition that a strategy requires is true at this stage of the search.
 
-        A condition that only `FirstSolveOfOne` can evaluate is false.
+        This class evaluates two conditions: whether the feasibility of the failed solve's problem
+        has been examined (`Fact.JUDGED`), and whether that examination has not found the problem
+        infeasible (`Fact.POSSIBLE`). For any other condition the result is False; the subclass for
+        one horizon evaluates more of them.
         """
         is_judged = self.first is not None and self.judged.status is not Status.INTERRUPTED
         if fact is Fact.POSSIBLE:
@@ -215,10 +219,25 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     def begun(self, first: First, own: Callable[..., Solution], mesh: Any) -> Solution | None:
         """Solve from the kind of initial point that a strategy requires.
 
-        The kinds are the caller's start, a simulation, the point of least constraint violation, the
-        optimum on a coarse mesh, the optimum of the elastic program (equations violated at a
-        penalty), and, for a solve without redundant conditions, the point of least constraint
-        violation. The result is None if no initial point of the required kind exists.
+        The kinds are: the start that the caller gave; a trajectory simulated from the initial
+        states; the point of least constraint violation near the last iterate of the failed solve;
+        the optimum on a coarse mesh; and the optimum of the elastic program, whose equations may be
+        violated at a penalty. One further kind, `First.REDUCED`, also leaves redundant conditions
+        out of the problem.
+
+        Parameters
+        ----------
+        first : First
+            Kind of initial point.
+        own : callable
+            Function (mesh, start) -> solution on one mesh, with the strategy's settings.
+        mesh : Mesh or None
+            Initial mesh; None for a model without time.
+
+        Returns
+        -------
+        Solution or None
+            None if no initial point of the required kind exists.
         """
         if first is First.GIVEN:
             return self._ended(self.finish(own, mesh, self.start))
@@ -254,11 +273,24 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     def _reduced(self, solve_on: Callable[..., Solution], mesh: Mesh | None) -> Solution | None:
         """Solve without redundant conditions, and check that the solution satisfies them.
 
-        A condition is redundant if it follows from the other equations: for example an end
-        condition on a conserved quantity. Redundant conditions are detected at the point of least
-        constraint violation near the guess. With the redundant conditions imposed, the problem on a
-        coarse mesh might have no solution, or spurious solutions. The result is None if no
-        condition is redundant, if the solve fails, or if its solution violates a condition.
+        A condition is a constraint at a single time. It is redundant if it follows from the other
+        equations: for example an end condition on a conserved quantity. Redundant conditions are
+        detected at the point of least constraint violation near the guess. With the redundant
+        conditions imposed, the problem on a coarse mesh might have no solution, or spurious
+        solutions.
+
+        Parameters
+        ----------
+        solve_on : callable
+            Function (mesh, start, options=, instance=) -> solution on that one mesh.
+        mesh : Mesh or None
+            Initial mesh; None for a model without time.
+
+        Returns
+        -------
+        Solution or None
+            None if no condition is redundant, if the solve fails, or if its solution violates a
+            redundant condition.
         """
         near = solve_on(mesh, self.start, options=replace(self.options, max_iterations=0))
         least = violation_of(near, self.options, self.progress)

@@ -94,7 +94,8 @@ class Evaluator:
     five inputs, evaluated at one time: the rates (derivatives of the states with respect to the
     fraction of the horizon), the states, the algebraic variables, the static variables (without
     time), and the data (fraction of the horizon, time-dependent parameters, constant parameters).
-    Output states, which no other equation depends on, follow the states of the nonlinear program.
+    The first two inputs hold the states of the nonlinear program first, and then the output states,
+    on which neither objective nor other equations depend.
 
     Parameters
     ----------
@@ -128,7 +129,20 @@ class Evaluator:
         return cls(inputs, writer)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle each component as a CasADi expression, and all expressions as a single text."""
+        """Return the recipe by which `pickle` stores this evaluator, as Python's protocol requires.
+
+        CasADi expressions cannot be pickled one by one. The recipe therefore holds the expressions
+        of all components of the model, and the symbols of their inputs, serialised into a single
+        text. For a component that cannot be written as an expression it holds the reason. The
+        recipe does not need the Pyomo model, and contains no compiled functions: the restored
+        evaluator compiles them again at first use.
+
+        Returns
+        -------
+        callable, tuple
+            The function `_unpacked`, which restores the evaluator, and its argument: the serialised
+            data.
+        """
         written: dict[tuple[str, tuple[Any, ...]], Any] = {}
         for name, index in self._writer.components_over_time():
             try:
@@ -265,9 +279,10 @@ class OutputStates:
     def _start_function(declared: Declarations) -> Any:
         """Return the CasADi function from parameters to initial values of the output states.
 
-        Output states are states on which neither objective nor other equations depend. The initial
-        value follows from the condition that the model declares for the state at the start of the
-        horizon; it is NaN if there is no such condition.
+        Output states are states on which neither objective nor other equations depend; `declared`
+        are the declarations of the model that has them. The initial value follows from the
+        condition that the model declares for the state at the start of the horizon; it is NaN if
+        there is no such condition.
         """
         parameters = stacked([s.symbol for s in declared.parameters])
         values = []
@@ -517,9 +532,11 @@ class Formulation:
     def data_at_starts(self, instance: Instance) -> FloatArray:
         """Return the values of all parameters at the start of the horizon and just after each jump.
 
-        A jump is a discontinuity of a time-dependent parameter; no collocation point lies just
-        after a jump. The result has shape (1 + n_jumps, n_data). Its columns are the fraction of
-        the horizon, the time-dependent parameters and the constant parameters.
+        A jump is a discontinuity of a time-dependent parameter. The values at the collocation
+        points do not include these times; the bounds of variables at these times are evaluated from
+        this result (`program.bounds.bounds_of`). The result has shape (1 + n_jumps, n_data). Its
+        columns are the fraction of the horizon, the time-dependent parameters and the constant
+        parameters.
         """
         after = np.array(instance.jumps) + 2.0 * BESIDE
         return self.data_of(instance, np.concatenate([np.zeros(1), after])).at_points()
@@ -540,13 +557,16 @@ class Formulation:
     def timeline(self, statics: FloatArray, instance: Instance) -> Timeline:
         """Return the mapping between fractions of the horizon and physical time.
 
+        The mapping is linear in each phase, the part of the horizon between two free times, or
+        between a free time and an end of the horizon. Free times are physical times that the solve
+        determines.
+
         Parameters
         ----------
         statics : ndarray, shape (n_statics,)
-            Values of the static variables (variables without time). Some of them may be free times:
-            physical times that the solve determines.
+            Values of the static variables (variables without time). Some of them may be free times.
         instance : Instance
-            Data of one solve, with the times that are not free.
+            Data of one solve, which gives the ends of the horizon if these are not free.
         """
         times = np.array(self.compiled.times(statics, instance.parameters)).ravel()
         return Timeline(fractions=np.array(self.compiled.declared.clock.fractions), times=times)
@@ -630,11 +650,12 @@ class StructuralIndex:
 def structural_index(declared: Declarations) -> StructuralIndex:
     """Return the structural index of the equations over time, by Pryce's signature matrix.
 
-    The index is 0 for an ODE. The result is also 0 where the method does not apply: there are no
-    equations, more equations than variables, or no assignment of equations to variables. Controls
-    count as unknowns, like all algebraic variables. An equation among states therefore raises the
-    index even if controls drive these states. Source: Pryce (2001), BIT Numerical Mathematics 41,
-    364-394.
+    The structural index is the number of times by which the equations must be differentiated to
+    obtain an ODE; it is 0 for an ODE. The result is also 0 where the method does not apply: there
+    are no equations, more equations than variables, or no assignment of equations to variables.
+    Controls count as unknowns, like all algebraic variables. An equation that contains states only
+    therefore raises the index, even if controls drive these states. Source: Pryce (2001), BIT
+    Numerical Mathematics 41, 364-394.
     """
     equations = [e for e in declared.equations if e.is_equality]
     names = [s.name for s in (*declared.states, *declared.algebraics)]

@@ -253,7 +253,8 @@ class _Known:
 def _are_fixed(bounds: Bounds, columns: Any) -> NDArray[np.bool_]:
     """Return whether each of the given unknowns is fixed: its lower bound equals its upper bound.
 
-    `columns` are the positions of the unknowns in the nonlinear program.
+    `columns` are the positions of these unknowns in the nonlinear program; the result has their
+    shape.
     """
     return np.asarray(bounds.lower[columns] == bounds.upper[columns])
 

@@ -100,9 +100,10 @@ class _WholeSolve(Search[S], Generic[S]):
         return found.updated(cold_start=known) if known and self.has_ended else found
 
     def _cold(self, effort: Effort) -> S:
-        """Solve from the guess, and record in the result how many iterations the solve took.
+        """Solve from the guess, without the warm start, and record the number of iterations.
 
-        `effort` counts the iterations.
+        The record, the attribute `cold_start` of the result, is the budget of later solves from a
+        warm start. `effort` counts the iterations of this solve.
         """
         cold = self.solve(self.start.cold, effort)
         took = ColdStart(first=effort.first, iterations=effort.count, tolerance=self.tolerance)
@@ -133,7 +134,7 @@ def within_budget(
     *,
     is_known: bool = True,
 ) -> S:
-    """Solve from a warm start with a budget of iterations, and from the guess if that is too few.
+    """Solve from a warm start within a budget of iterations; beyond the budget, from the guess.
 
     A warm start is useful only if it is faster than a solve from the guess (cold start). On its
     first mesh it may take as many iterations as the cold start took on the first mesh, and on all

@@ -45,7 +45,11 @@ class ColdStart:
 
     @property
     def array(self) -> FloatArray:
-        """The record as an array of three numbers, which `from_arrays` reads."""
+        """The record as an array, which `from_arrays` reads.
+
+        The three numbers are the iterations on the first mesh, the iterations on all meshes, and
+        the tolerance.
+        """
         return np.array([float(self.first), float(self.iterations), self.tolerance])
 
     @classmethod

@@ -83,7 +83,7 @@ class SteppedLoops:
         *,
         sampled: FloatArray,
     ) -> SteppedFlights:
-        """Simulate all closed loops from the first time to the last, one step from time to time.
+        """Simulate all closed loops over given times, with one step between neighbouring times.
 
         Parameters
         ----------

@@ -29,12 +29,16 @@ if TYPE_CHECKING:
 class Sensitivities:
     """Derivatives of the declared objective with respect to constraints, bounds or states.
 
+    For a constraint, the derivative is with respect to its constant side; for a bound, with respect
+    to the value of the bound. For a state it is the costate: the derivative with respect to the
+    value of the state at one time.
+
     Attributes
     ----------
     over_time : dict
-        For each component over time, by name: a function of time that returns the derivative per
-        unit of time (for a state: the costate). Its argument is a time within the range of the
-        model's continuous set.
+        For each component over time, by name: the derivative as a function of time. For constraints
+        and bounds it is per unit of time, for states it is the costate. The argument of the
+        function is a time within the range of the model's continuous set.
     once : dict
         For each component that does not depend on time, by name: the derivative.
     """
@@ -45,9 +49,10 @@ class Sensitivities:
     def add(self, name: str, price: Callable[[float], float]) -> None:
         """Add the derivative with respect to a component over time, as a function of time.
 
-        `name` is the name of the component, and `price` the function: time -> derivative. If the
-        component has a function already, the sum of the two functions is stored. A limit with a
-        lower and an upper side, of which at most one is active at any time, has two functions.
+        `name` is the name of the component, and `price` the function: time -> derivative of the
+        objective. If the component has a function already, the sum of the two functions is stored:
+        a limit with a lower and an upper side has one function for each side, of which at most one
+        is not zero at any time.
         """
         held = self.over_time.get(name)
         if held is None:
@@ -97,7 +102,8 @@ def _costate(solution: Solution, state: int, sign: float) -> Callable[[float], f
     """Return the costate of a state for the declared objective, as a function of time.
 
     The argument of the function is a time within the range of the model's continuous set. `state`
-    is the position among the states; `sign` is -1 if the objective is maximised.
+    is the position of the state among the states of the nonlinear program; `sign` is -1 if the
+    objective is maximised, and 1 otherwise.
     """
     return lambda time: sign * float(solution.costates.at(_fraction(solution, time))[0, state])
 
@@ -105,8 +111,9 @@ def _costate(solution: Solution, state: int, sign: float) -> Callable[[float], f
 def _function(solution: Solution, density: FloatArray) -> Callable[[float], float]:
     """Return the piecewise polynomial through values at the collocation points, as a function.
 
-    `density` are the values, shape (n_points,). The argument of the function is a time within the
-    range of the model's continuous set.
+    The suffixes store multipliers over time as such functions. `density` are the values, the
+    multipliers of a constraint or bound per unit of time, shape (n_points,). The argument of the
+    function is a time within the range of the model's continuous set.
     """
 
     def at(time: float) -> float:
@@ -127,7 +134,12 @@ def _fraction(solution: Solution, time: float) -> FloatArray:
 def _sensitivities(solution: Solution) -> tuple[Sensitivities, Sensitivities]:
     """Return the derivatives of the objective with respect to constraints, and to bounds.
 
-    The first item of the result is for the suffix `dual`, the second for the suffix `rc`.
+    Returns
+    -------
+    Sensitivities
+        Derivatives with respect to the constant sides of constraints, for the suffix `dual`.
+    Sensitivities
+        Derivatives with respect to bounds of variables, for the suffix `rc`.
     """
     program, multipliers = solution.program, solution.multipliers
     declared = program.compiled.declared

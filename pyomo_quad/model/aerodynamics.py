@@ -1,17 +1,21 @@
 """The aerodynamic force on the airframe, in world axes, and its moments.
 
-There are two couplings of the wind to the vehicle:
+The force is the sum of two parts. For the first part, the scenario's `wind.coupling` selects one of
+two laws:
 
 `acceleration` is eq. (9) of the paper (Yacef et al.) as printed: the wind velocity, times an
 implied coefficient of 1 1/s, is added to the acceleration of the vehicle. The vehicle's own
 velocity does not enter.
 
-`drag` is the force opposite to the airspeed, the velocity relative to the wind: linear (rotor drag)
-plus quadratic (parasitic drag), isotropic, and valid at the few m/s of these missions. This
-coupling is the default of a vehicle that has drag.
+`drag` is an isotropic drag: with v the airspeed, the velocity of the vehicle relative to the air,
+the force is -(d_1 + d_2 abs(v)) v. The coefficients d_1 [kg/s] and d_2 [kg/m] are the vehicle's
+`drag_linear` and `drag_quadratic`. The law is valid at the few m/s of these missions. It is the
+default for a vehicle that has a drag coefficient of any kind.
 
-With either coupling, the following forces act in addition. They depend on the airspeed v in body
-axes and on the rotor speed omega; k_d, k_z, k_h and c_i are the coefficients:
+The second part is the same with both laws. It consists of forces along the body axes, which depend
+on the airspeed v in body axes and on the rotor speed omega. For a vehicle with rotor drag and
+parasitic drag, these usually replace d_1 and d_2, which are then zero. The coefficients k_d, k_z,
+k_h and c_i are the vehicle's fields in the first column:
 
 name | force on the vehicle | source
 rotor_drag_plane | -k_d omega v along x and y, at each rotor | Mellinger (2012)
@@ -20,8 +24,8 @@ translational_lift | k_h (v_x^2 + v_y^2) along z, at each rotor | Faessler et al
 parasitic_drag | -c_i abs(v) v_i along each axis | Svacha, Mohta and Kumar (2017)
 
 Each rotor has the airspeed at its own place, including the motion from the body rates. Rotor drag
-therefore damps the body rates without a further coefficient. Each force is declared only if its
-coefficient is not zero.
+therefore damps the body rates without a further coefficient. Each force of the second part is
+declared only if its coefficient is not zero.
 """
 
 from collections.abc import Callable
@@ -62,8 +66,9 @@ _PARASITIC = Parameter(
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters that the model of a scenario declares in its block `aerodynamics`.
 
-    The parameters are the coefficients of the chosen coupling of wind and vehicle, of the rotor
-    forces and of the parasitic drag. A coefficient that the scenario does not set is left out.
+    They are the coefficient of eq. (9) for `wind.coupling = "acceleration"`, and the coefficients
+    of the rotor forces and of the parasitic drag along the body axes, as far as the vehicle has
+    them. The coefficients of the isotropic drag are parameters of block `vehicle`.
     """
     is_printed = scenario.wind.coupling is WindCoupling.ACCELERATION
     return (
@@ -130,7 +135,7 @@ def declare_unexplained(m: ConcreteModel) -> None:
     ----------
     m : ConcreteModel
         Model that already declares the forces of block `aerodynamics`, to which no other component
-        refers yet: each horizontal force is replaced by its sum with mass times the unexplained
+        refers yet. Each horizontal force is replaced by its sum with the mass times the unexplained
         acceleration.
     """
     b = m.aerodynamics

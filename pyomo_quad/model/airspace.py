@@ -122,8 +122,17 @@ def _centres(scenario: Scenario) -> dict[tuple[str, int, str], float]:
 def _axes_and_centre(ball: Ball) -> tuple[tuple[int, ...], tuple[float, ...]]:
     """Return the axes in which a ball measures distances, and the ball's centre on these axes [m].
 
-    A ball of one axis is a slab (two parallel faces), of two axes a vertical cylinder. A slab
-    across the edge of a polygon has a horizontal normal, so that its centre is given along x and y.
+    A ball contains the places whose distance from its centre, measured along one, two or three
+    axes, is at most its radius. A ball of one axis is a slab between two parallel faces, a ball of
+    two axes a vertical cylinder. The slab across the edge of a polygon has a horizontal normal, so
+    that its centre is given along x and y.
+
+    Returns
+    -------
+    axes : tuple of int
+        0, 1, 2 for x, y, z.
+    centre : tuple of float
+        Coordinate on each of these axes [m].
     """
     if ball.normal is None:
         return ball.axes, ball.centre
@@ -263,7 +272,8 @@ def _inside(
     ----------
     edges : mapping
         For each edge of the grid, by name: the axis across the edge (0, 1 or 2 for x, y or z), the
-        side (1 for an upper limit, -1 for a lower limit) and the coordinate [m], which is not used.
+        side (1 if the edge limits the coordinate from above, -1 from below) and the edge's
+        coordinate [m]. The coordinate is not used here: the parameter below holds it.
     parameter : str
         Name of the parameter of block `airspace` that holds the coordinate of each edge [m].
     b : Block

@@ -45,9 +45,9 @@ def build_model(scenario: Scenario) -> ConcreteModel:
     -------
     ConcreteModel
         Model with ``time`` (start, one interior point, end; not discretised), ``clock`` (the time
-        as a parameter, for terms of equations) and the blocks ``vehicle, rigid_body, rotors, wind,
-        aerodynamics, power, battery, limits, airspace, mission`` and, over terrain, ``ground``, the
-        integral ``energy`` and the ``objective``.
+        as a parameter, for equations that depend on it) and the blocks ``vehicle, rigid_body,
+        rotors, wind, aerodynamics, power, battery, limits, airspace, mission`` and, over terrain,
+        ``ground``, the integral ``energy`` and the ``objective``.
         Suffix ``scaling_factor`` holds one over the usual magnitude of each variable.
 
     Examples
@@ -110,10 +110,10 @@ def build_remaining(scenario: Scenario) -> ConcreteModel:
     -------
     ConcreteModel
         The model of `build_model` with four differences: the states at the start are mutable
-        parameters of block `start`; the flight ends in steady hover, tilted against the wind; there
-        is the mutable acceleration `aerodynamics.unexplained`, zero until the vehicle has observed
-        one; and the limits are soft, that is a flight may violate them at a penalty
-        (`model.soft_limits`).
+        parameters of block `start`; the flight ends in steady hover, tilted against the wind; the
+        mutable parameter `aerodynamics.unexplained` adds a horizontal acceleration (zero unless the
+        planner in flight sets it to the difference between observed and modelled acceleration); and
+        the limits are soft, that is a flight may violate them at a penalty (`model.soft_limits`).
 
     Examples
     --------

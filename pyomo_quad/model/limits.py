@@ -57,10 +57,12 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 
 
 def without_reserve(numbers: dict[str, float] | None) -> dict[str, float] | None:
-    """Return parameter values in which the fraction of thrust kept for the controller is zero.
+    """Return parameter values without the reserve of rotor speed and thrust for the controller.
 
-    A plan leaves this reserve unused; the controller that flies the plan may use it. `numbers`
-    holds values by full component name. None and values without a reserve are returned unchanged.
+    The reserve is the fraction `limits.reserve` of the largest rotor speed and thrust. A plan
+    leaves it unused; the controller that flies the plan may use it. `numbers` holds parameter
+    values by full name; the result is a copy in which the reserve is zero. None and values without
+    a reserve are returned unchanged.
     """
     reserve = f"limits.{_RESERVE}"
     return numbers | {reserve: 0.0} if numbers is not None and reserve in numbers else numbers
@@ -93,8 +95,9 @@ def declare_limits(m: ConcreteModel, scenario: Scenario) -> None:
 def _less_reserve(b: Block, most: NumericExpression) -> NumericExpression:
     """Return the largest rotor speed or thrust that a plan may use.
 
-    The result is `most`, the largest speed or thrust of the vehicle, minus a fraction of `most`
-    that the plan leaves to the controller which follows the plan.
+    The result is (1 - reserve) times `most`, the largest rotor speed or thrust of the vehicle. The
+    fraction `reserve`, a parameter of the block `b`, is left to the controller that follows the
+    plan; it is zero if the scenario sets none.
     """
     reserve = b.component(_RESERVE)
     return most if reserve is None else (1 - reserve) * most
@@ -116,7 +119,12 @@ def _declare_motor_lag(b: Block, m: ConcreteModel) -> None:
 
 
 def _declare_validated_range(b: Block, m: ConcreteModel) -> None:
-    """Limit airspeed, climb and descent to the range that measured flights confirm."""
+    """Limit airspeed, climb and descent to the range for which the vehicle's model is validated.
+
+    The range is that of measured flights; the scenario requests these limits by
+    `limits.within_validated`. Each of the three (largest airspeed, fastest climb, fastest descent)
+    is declared in the block `b` only if the vehicle has a value for it.
+    """
     if b.component("validated_airspeed") is not None:
 
         @b.Expression(m.time, doc="airspeed [m/s]")

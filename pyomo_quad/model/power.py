@@ -33,7 +33,7 @@ v_h | | m/s | v_i of hover, v_h^2 = T / (2 rho A)
 k_i | induced_power_factor | - | induced power over the power of an ideal rotor
 c_0 | profile_power_coefficient | - | profile power over T^(3/2) / sqrt(rho A) of one rotor
 K | profile_advance_factor | - | growth of the profile power with the square of the advance ratio
-k_c, k_d | climb_power_factor, descent_power_factor | - | power over T v_a, up and down
+k_c, k_d | climb_power_factor, descent_power_factor | - | power over T v_a, in climb and in descent
 P_e | electronics_power | W | power drawn by all but the motors
 rho, A | air_density, disc_area | kg/m3, m2 | of the air and of all discs together
 

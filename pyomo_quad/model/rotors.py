@@ -28,10 +28,10 @@ def _by_rotor(
 
 @parameters_in("rotors")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters of positions and directions of rotation of the rotors.
+    """Return the model parameters for positions and directions of rotation of the rotors.
 
     A standard cross of four rotors without rotor forces needs no parameters of this kind, because
-    eq. (7) contains its geometry.
+    eq. (7) of Yacef et al. contains its geometry.
     """
     vehicle = scenario.vehicle
     ahead = Parameter(
@@ -167,7 +167,9 @@ def _declare_mixer(b: Block, m: ConcreteModel) -> None:
 
 
 def _declare_mixer_of_places(b: Block, m: ConcreteModel) -> None:
-    """Declare thrust and moments for any planar rotor layout; eq. (7) is a special case.
+    """Declare thrust and moments for any planar rotor layout.
+
+    Eq. (7) of Yacef et al., for a standard cross of four rotors, is a special case.
 
     Thrust and moments are sums over the rotors, with the position and the direction of rotation of
     each rotor. The speed imbalance, the sum of the rotor speeds with the signs of their directions

@@ -87,8 +87,9 @@ def usual_price(scenario: Scenario) -> float:
 def soften(m: ConcreteModel, scenario: Scenario) -> None:
     """Replace limits and end conditions of a model by soft constraints, in block `soft`.
 
-    A soft constraint may be violated at a penalty. The sum of all violations, times the penalty, is
-    added to the objective.
+    A soft constraint may be violated at a penalty. The sum of all violations, times the penalty per
+    unit, is added to the objective. The limits of the rotors and the greatest power of the pack
+    stay hard.
 
     Parameters
     ----------

@@ -134,25 +134,36 @@ def horizontal_deviation(wind_at_6_m: Any, height: Any) -> Any:
 
 
 def longitudinal_gust(deviation: Any, state: Any) -> Any:
-    """Return the longitudinal gust u [m/s] from its standard deviation and filter state xi_1."""
+    """Return the longitudinal gust u [m/s].
+
+    `deviation` is its standard deviation [m/s], `state` the state xi_1 of its filter.
+    """
     return deviation * sqrt(2) * state
 
 
 def transverse_gust(deviation: Any, state: Any, lag: Any) -> Any:
-    """Return the transverse gust v or w [m/s] from its standard deviation and filter states."""
+    """Return the transverse gust v or w [m/s].
+
+    `deviation` is its standard deviation [m/s]; `state` and `lag` are the states xi_1 and xi_2 of
+    its filter, of which xi_2 lags xi_1.
+    """
     return deviation * (sqrt(3) * state + (1 - sqrt(3)) * lag)
 
 
 def filter_rate(rate: Any, state: Any, noise: Any) -> Any:
-    """Return the time derivative of the filter state xi_1, whose stationary variance is 1/2 [1/s].
+    """Return the time derivative [1/s] of the filter state xi_1, which is dimensionless.
 
-    `rate` is a = V / L [1/s], `noise` is white noise of unit intensity [1/s^(1/2)].
+    `rate` is a = V / L [1/s], `state` is xi_1, and `noise` is white noise of unit intensity
+    [1/s^(1/2)]. The stationary variance of xi_1 is 1/2.
     """
     return -rate * state + root(rate) * noise
 
 
 def lag_rate(rate: Any, state: Any, lag: Any) -> Any:
-    """Return the time derivative of the filter state xi_2, which lags xi_1 [1/s]."""
+    """Return the time derivative [1/s] of the filter state xi_2, which lags xi_1.
+
+    `rate` is a = V / L [1/s]; `state` and `lag` are the dimensionless states xi_1 and xi_2.
+    """
     return rate * (state - lag)
 
 
@@ -327,14 +338,18 @@ class Gusts:
 
     @property
     def start(self) -> dict[str, float]:
-        """Initial values of `FILTER_STATES` by full name, a sample of the stationary state."""
+        """Initial values of the states of the turbulence filters, by full name.
+
+        They are a random sample from the stationary distribution of the states, drawn with the
+        seed.
+        """
         drawn = LONG_RUN_FACTOR @ np.random.default_rng(self._seed).standard_normal(
             len(FILTER_STATES)
         )
         return dict(zip(FILTER_STATES, drawn.tolist(), strict=True))
 
     def noise(self, duration: float) -> FloatArray:
-        """Return the white noise of a flight, constant over steps of `NOISE_STEP`.
+        """Return the white noise of a flight, constant over time steps of length `NOISE_STEP` [s].
 
         The variance of the noise is 1 / `NOISE_STEP`. With the same seed, two flights of different
         duration have the same noise until the shorter flight ends.
@@ -342,12 +357,12 @@ class Gusts:
         Parameters
         ----------
         duration : float
-            Length of the flight [s].
+            Duration of the flight [s].
 
         Returns
         -------
         ndarray, shape (n_steps, 3)
-            Noise of the filters along, across and upwards [1/s^(1/2)].
+            Noise of the filters along, across and upwards [1/s^(1/2)], one row per step.
         """
         generator = np.random.default_rng(self._seed)
         generator.standard_normal(len(FILTER_STATES))
@@ -355,7 +370,11 @@ class Gusts:
         return generator.standard_normal((steps, len(NOISE))) / sqrt(NOISE_STEP)
 
     def steps(self, duration: float) -> dict[str, Steps]:
-        """Return the white noise of a flight as step functions of time, by full parameter name."""
+        """Return the white noise of a flight as step functions of time, by full parameter name.
+
+        `duration` is the duration of the flight [s]. There is one parameter for each of the three
+        filters.
+        """
         columns = self.noise(duration).T
         return {
             name: Steps(start=0.0, step=NOISE_STEP, values=tuple(column.tolist()))

@@ -108,7 +108,10 @@ def _component(component: IndexedComponent, time: ContinuousSet, instant: float)
 
 
 def _index(data: ComponentData) -> tuple[Hashable, ...]:
-    """Return the index of a member of a component as a tuple, without the time in this index."""
+    """Return the index of a member of a Pyomo component as a tuple, without the time.
+
+    For ``x[i, t]`` with the time t, the result is (i,).
+    """
     index = data.index()
     if index is None:
         return ()

@@ -101,9 +101,10 @@ def _measured_heights(wind: Wind) -> tuple[float, ...]:
 
 
 def _least_height(wind: Wind) -> float:
-    """Return the lowest height at which a measured wind or a wind profile is defined [m].
+    """Return the lowest height above ground at which the wind of a scenario is defined [m].
 
-    The logarithmic law has no wind at the roughness length and below.
+    For a wind measured over heights it is the lowest of these. For a wind profile it is the larger
+    of 0.1 m and the roughness length, at which and below which the logarithmic law has no wind.
     """
     if wind.profile is not None:
         return max(_LEAST_HEIGHT_M, wind.profile.roughness or 0.0)
@@ -163,7 +164,11 @@ def _angular_frequencies(scenario: Scenario, name: str) -> dict[int, float]:
 
 
 def _axis_parameters(name: str, scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters of eq. (11)-(12) along one axis; empty for a wind from a file."""
+    """Return the parameters of eqs. (11) and (12) of Yacef et al. along the world axis `name`.
+
+    They are the mean, the harmonics and the gust of one component of the wind. The result is empty
+    for a wind from a file.
+    """
     of_axis = (
         Parameter(name="mean", units=_SPEED, value=lambda s: _mean(s, name), doc="v_0: mean value"),
         Parameter(

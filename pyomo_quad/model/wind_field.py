@@ -160,9 +160,10 @@ def wind_corners(scenario: Scenario) -> FloatArray:
     """Return corners of a polyhedron that contains the wind of a field at every place and time.
 
     Implements docs/theory/bound.md, eq. (21).
+
     In each cell of the grid the spline is a polynomial of degree three along every axis, and lies
-    in the convex hull of its control points (Bernstein coefficients). Cells without wind at all
-    corners are left out unless `wind.beyond` is "hold", since no flight may enter them.
+    in the convex hull of its control points (Bernstein coefficients). Cells that have wind at none
+    of their corners are left out unless `wind.beyond` is "hold", since no flight may enter them.
 
     Parameters
     ----------
@@ -172,9 +173,10 @@ def wind_corners(scenario: Scenario) -> FloatArray:
     Returns
     -------
     ndarray, shape (n, 3)
-        Winds along x, y and z [m/s]. The polyhedron is a prism: the control points lie between the
-        least and the greatest vertical wind, and in a horizontal polygon whose sides have
-        `_SIDES` equally spaced directions.
+        Components of the wind along x, y and z [m/s] at the n corners. The polyhedron is a prism in
+        the space of these components. Its base is the smallest polygon around the horizontal
+        components whose sides have `_SIDES` equally spaced directions; along z it extends from the
+        least to the greatest vertical wind.
 
     Raises
     ------
@@ -201,16 +203,19 @@ def wind_corners(scenario: Scenario) -> FloatArray:
 def _controlled(
     scenario: Scenario,
 ) -> tuple[list[FloatArray], FloatArray, NDArray[np.bool_]]:
-    """Return the axes of a field, its control points, and which of them a flight may meet.
+    """Return the axes of a wind field, its control points, and which of them a flight may meet.
+
+    In each cell of the grid the wind is a polynomial, and lies in the convex hull of its control
+    points (Bernstein coefficients).
 
     Returns
     -------
     axes : list of ndarray
-        Coordinates along each axis [m, m, m, s].
+        Coordinates of the grid points along each axis [m, m, m, s].
     points : ndarray, shape (n_components, *counts)
         Control points [m/s], four for each cell along each axis.
     is_open : ndarray of bool, shape counts
-        Whether the cell of a control point may be entered.
+        Whether a flight may enter the cell to which a control point belongs.
     """
     grid = scenario.wind.grid
     if grid is None:
@@ -227,14 +232,15 @@ def _controlled(
 
 @dataclass(frozen=True, kw_only=True)
 class ColumnWinds:
-    """Limits of the horizontal wind in the columns over the cells of a field's grid.
+    """Bounds of the horizontal wind in vertical columns, one over each cell of a field's grid.
 
     Attributes
     ----------
     x, y : ndarray, shapes (nx + 1,) and (ny + 1,)
         Edges of the cells [m].
     low, high : ndarray, shape (2, nx, ny)
-        Limits of the wind along x and y at all heights and times [m/s].
+        Lower and upper bounds of the wind along x (first item) and y (second item) that hold at all
+        heights and times in each column [m/s]; infinite in a column that no flight may enter.
     is_open : ndarray of bool, shape (nx, ny)
         Whether a flight may enter the column.
     """
@@ -247,12 +253,18 @@ class ColumnWinds:
 
 
 def winds_of_columns(scenario: Scenario) -> ColumnWinds:
-    """Return limits of the horizontal wind over each cell of a field's grid.
+    """Return bounds of the horizontal wind in the vertical column over each cell of a field's grid.
+
+    The bounds follow from the control points (Bernstein coefficients) of the splines.
 
     Parameters
     ----------
     scenario : Scenario
         A scenario with a wind field.
+
+    Returns
+    -------
+    ColumnWinds
 
     Raises
     ------

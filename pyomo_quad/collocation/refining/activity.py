@@ -1,6 +1,7 @@
 """Active limits, and the elements in which limits become active or inactive (junctions).
 
-The rule by which a limit is active: see docs/theory/refinement.md, eq. (7).
+A limit counts as active where its scaled multiplier is larger than its scaled slack (the distance
+to the limit): see docs/theory/refinement.md, eq. (7).
 """
 
 from __future__ import annotations
@@ -147,11 +148,17 @@ def _zero(times: FloatArray, values: FloatArray) -> float:
 
 
 def _pulls_and_slacks(solution: Solution) -> tuple[FloatArray, FloatArray]:
-    """Return the scaled multiplier and slack of each limit at each collocation point.
+    """Return the multipliers and the slacks of all limits, from which `active_limits` decides.
 
-    Both arrays have shape (n_points, n_limits). The multiplier is divided by the point's quadrature
-    weight. The slack is the distance to the limit. The multiplier is 0 where lower and upper limit
-    are equal.
+    The slack is the distance of the limited value from its limit.
+
+    Returns
+    -------
+    pulls : ndarray, shape (n_points, n_limits)
+        Multiplier of each limit at each collocation point, for the scaled program, divided by the
+        point's quadrature weight. It is 0 where the lower and the upper limit are equal.
+    slacks : ndarray, shape (n_points, n_limits)
+        Slack of each limit at each collocation point, in the scaled program.
     """
     program, layout = solution.program, solution.program.layout
     bounds, scaling = solution.bounds, solution.scaling

@@ -65,7 +65,9 @@ class Damping:
     def start_distance(self) -> StartDistance:
         """Expected distance between warm start and solution in the solve on the next mesh.
 
-        Ipopt's initial barrier parameter is chosen according to this distance.
+        The distance is none, short or far. It is none if the objective hardly changes from mesh to
+        mesh any more (`is_still`), far if the error of the solution on the previous mesh is large,
+        and short otherwise. Ipopt's initial barrier parameter is chosen according to this distance.
         """
         if self.is_still:
             return StartDistance.NONE
@@ -94,7 +96,10 @@ class Damping:
     def _near(self, fractions: FloatArray) -> FloatArray:
         """Return the smoothed controls of the previous mesh, towards which controls are damped.
 
-        `fractions` are fractions of the horizon. The result has shape (n_fractions, n_controls).
+        They are straight lines between the means of the controls over each element or, if
+        `is_still` is true, polynomials of low degree in each element, clipped to the limits of the
+        controls. `fractions` are the times of the result as fractions of the horizon. The result
+        has shape (n_fractions, n_controls).
         """
         mesh, held = self.solution.mesh, self.solution.trajectory.algebraics[:, self.controls]
         if self.is_still:
@@ -199,9 +204,11 @@ def damping_of(
 
 
 def _least_curvatures(solution: Solution) -> FloatArray:
-    """Return the least second derivative of the Lagrangian in each algebraic variable.
+    """Return the least second derivative of the Lagrangian with respect to each algebraic variable.
 
-    The result is the minimum over all collocation points, shape (n_algebraics,).
+    The derivative of second order with respect to a control measures how nearly linearly the
+    control enters; it may be negative. The result is the minimum over all collocation points, with
+    its sign, shape (n_algebraics,).
     """
     program = solution.program
     first = 2 * program.layout.n_states

@@ -104,15 +104,21 @@ def _valleys(
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Yield trial values of a control at all collocation points, and the Hamiltonian for them.
 
-    The trial values at a point are a grid between the bounds of the control, and the minima of
-    parabolas through three neighbouring values of the grid.
+    `improved_controls` searches these values for the least Hamiltonian at each point. The trial
+    values at a point are a grid between the bounds of the control, and then the minima of parabolas
+    through three neighbouring values of the grid.
 
     Parameters
     ----------
     at : callable
         Control values, shape (n_points,) -> Hamiltonian, shape (n_points,).
     lower, upper : ndarray, shape (n_points,)
-        Bounds of the control.
+        Lower and upper bounds of the control at each point.
+
+    Yields
+    ------
+    (ndarray, ndarray), each of shape (n_points,)
+        One trial value for each point, and the Hamiltonian at each point with this value.
     """
     step = (upper - lower) / (_TRIED - 1)
     tried = [lower + k * step for k in range(_TRIED)]
@@ -132,11 +138,23 @@ def _valleys(
 def _hilly_controls(solution: Solution, lower: FloatArray, upper: FloatArray) -> NDArray[np.intp]:
     """Return the free controls for which the Hamiltonian may have several local minima.
 
-    A free control is a bounded algebraic variable that can be changed alone (`_free_controls`).
-    Between two minima the curvature of the Hamiltonian in the control is negative. If a rate has a
-    factor that depends on a control, the curvature is inconclusive, and the control is included.
-    `lower` and `upper` are the bounds of the algebraic variables, shape (n_points, n_algebraics).
-    The result holds the positions of the controls among the algebraic variables.
+    A free control is a bounded algebraic variable that appears in no algebraic equation, so that it
+    can be changed alone. Between two minima the second derivative of the Hamiltonian with respect
+    to the control is negative. The derivative is evaluated at several values between the control's
+    bounds, and the control is included if the derivative is negative at any of them. If the
+    coefficient of a state's rate in an equation depends on the control, the sign of the derivative
+    is no test; such a control is always included.
+
+    Parameters
+    ----------
+    solution : Solution
+    lower, upper : ndarray, shape (n_points, n_algebraics)
+        Bounds of the algebraic variables.
+
+    Returns
+    -------
+    ndarray of int
+        Positions of the controls among the algebraic variables.
     """
     program = solution.program
     free = _free_controls(program, lower, upper)
@@ -176,11 +194,12 @@ def _free_controls(
 
 
 def _hamiltonian(solution: Solution, variables: FloatArray) -> FloatArray:
-    """Return the Hamiltonian at the collocation points, up to a constant at each point.
+    """Return the Hamiltonian at the collocation points, to compare different controls at a point.
 
-    The result has shape (n_points,). It is infinite at points at which a path limit is violated.
-    `variables` holds rates, states, algebraic and static variables, one row per collocation point;
-    the costates are the costates of the solution.
+    At each point a constant that does not depend on the controls is omitted. The result has shape
+    (n_points,). It is infinite at points at which a path inequality is violated. `variables` holds
+    rates, states, algebraic and static variables, one row per collocation point. The costates are
+    those of `solution`.
     """
     program = solution.program
     compiled, count = program.compiled, len(variables)
@@ -225,7 +244,8 @@ def state_error(
 
     The second applies to a singular arc, where only the objective determines the control. The
     objective is flat about its optimum, so that a small error of the objective allows a large error
-    of the states.
+    of the states. The number is that error of the states: proportional to a root of the largest
+    relative error or, if that is larger, of `change`.
 
     The third applies if limits become active or inactive inside elements, because the mesh then
     restricts the times of these changes. It is the largest of three effects: the violation of
@@ -314,10 +334,11 @@ def singular_order(solution: Solution) -> int:
 
 
 def _barriers(solution: Solution) -> FloatArray:
-    """Return the second derivative of Ipopt's barrier function in each algebraic variable.
+    """Return the second derivative of Ipopt's barrier function with respect to each variable.
 
-    The barrier function keeps the variable between its bounds. The result has a row per collocation
-    point, shape (n_points, n_algebraics), and is divided by the point's quadrature weight.
+    The variables are the algebraic variables at the collocation points; the barrier function keeps
+    them between their bounds. The result has shape (n_points, n_algebraics); each row is divided by
+    the quadrature weight of its collocation point.
     """
     z, multipliers, bounds = solution.unknowns, solution.multipliers, solution.bounds
     lower = multipliers.lower / np.maximum(z - bounds.lower, _LEAST_SLACK)
@@ -344,11 +365,29 @@ def _is_between(solution: Solution) -> NDArray[np.bool_]:
 def _free_directions(
     program: Transcription, z: FloatArray, points: NDArray[np.intp], scale: FloatArray
 ) -> FloatArray:
-    """Return an orthonormal basis of the changes of rates and controls that the equations allow.
+    """Return a basis of the changes of rates and controls that keep all equations satisfied.
 
-    The states are unchanged. `z` is the solution, `points` the collocation points to examine, and
-    `scale` the magnitudes of rates and algebraic variables, which are the units of the basis. The
-    result has shape (n_points, n_free, n_rates + n_algebraics).
+    At each collocation point, the states are held, and the rates (derivatives of the states with
+    respect to the fraction of the horizon) and the algebraic variables change together. To first
+    order, the changes that the linearised equations allow form a linear space: the null space of
+    the equations' Jacobian. `singular_order` evaluates the curvature of the Hamiltonian in this
+    space.
+
+    Parameters
+    ----------
+    program : Transcription
+    z : ndarray, shape (n_unknowns,)
+        Unknowns of the program at the solution, where the equations are linearised.
+    points : ndarray of int, shape (n_points,)
+        Indices of the collocation points to examine.
+    scale : ndarray, shape (n_rates + n_algebraics,)
+        Magnitudes of the rates and of the algebraic variables.
+
+    Returns
+    -------
+    ndarray, shape (n_points, n_free, n_rates + n_algebraics)
+        For each point, the n_free vectors of an orthonormal basis. Each component is the change of
+        a rate or algebraic variable divided by its magnitude in `scale`.
     """
     n, rows = program.layout.n_states, np.flatnonzero(program.compiled.is_equality)
     chosen = np.r_[0:n, 2 * n : 2 * n + program.layout.n_algebraics]

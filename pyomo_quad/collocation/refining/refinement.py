@@ -269,7 +269,9 @@ class _Refinement(Generic[S]):
     ) -> None:
         """Set warm start, meshes and previous solutions for the next solve of the refinement.
 
-        `before` has the previous solution on each horizon, None where there is none.
+        `warm` is the warm start: trajectory and multipliers from which the next solve begins.
+        `meshes` has the mesh and `before` the previous solution on each horizon; the previous
+        solution is None where there is none.
         """
         self.start, self.meshes, self.before = replace(self.start, warm=warm), meshes, before
 
@@ -312,7 +314,12 @@ class _Refinement(Generic[S]):
         return errors if len(errors) == 1 else tuple(replace(e, gap=0.0) for e in errors)
 
     def _with_state_error(self, solution: S, errors: tuple[ErrorEstimate, ...]) -> S:
-        """Return a solution with its estimated state error, the largest over all horizons."""
+        """Return a solution whose attribute `state_error` is set, the largest over all horizons.
+
+        The state error is the estimated distance of the states from the optimal states, relative to
+        their magnitudes. `errors` are the error estimates of the solution, one for each horizon,
+        from which it is computed.
+        """
         change = _objective_change(solution.parts[0], self.tolerance)
         change = change if np.isfinite(change) else 0.0
         parts = zip(solution.parts, errors, self.before, strict=True)
@@ -329,8 +336,17 @@ class _Refinement(Generic[S]):
 
         The refinement may end if all errors meet the tolerance. If limits become active or inactive
         inside elements, or if controls are damped (penalised for their distance from the controls
-        of the previous mesh), the last change of the objective must also be less than half the
-        tolerance. With damping, the next meshes may be the same meshes again.
+        of the previous mesh), the last relative change of the objective must also be less than half
+        the tolerance. With damping, the next meshes may be the same meshes again.
+
+        Parameters
+        ----------
+        solution : Solution or JointSolution
+            Solution on the present meshes.
+        errors : tuple of ErrorEstimate
+            Its estimated errors, one for each horizon.
+        is_damped : bool
+            Whether controls were damped on the present meshes.
         """
         parts = solution.parts
         junctions = [junction_elements(part) for part in parts]
@@ -357,7 +373,8 @@ class _Refinement(Generic[S]):
     def _has_settled(self, solution: Outcome) -> bool:
         """Return whether the objective has changed little since the previous mesh.
 
-        The relative change must not exceed half the tolerance.
+        It has if the relative change to the objective of `solution` is not more than half the
+        tolerance of the refinement.
         """
         return _objective_change(solution.parts[0], self.tolerance) <= _SETTLED * self.tolerance
 
@@ -394,7 +411,7 @@ class _Refinement(Generic[S]):
         return solution
 
     def _expected_change(self) -> float | None:
-        """Return the last change of the objective, in its unit, as a bound on the next change.
+        """Return the last change of the objective, in its unit, as an estimate of the next one.
 
         The result is None if the change is unknown.
         """
@@ -405,13 +422,14 @@ class _Refinement(Generic[S]):
         return change * last.nominal_objective if math.isfinite(change) else None
 
     def _gap_to_leave(self, solution: Outcome, errors: tuple[ErrorEstimate, ...]) -> float:
-        """Return the relative complementarity gap at which the next solve may stop.
+        """Return the complementarity gap at which the next solve may stop, over the objective.
 
-        The gap is the error that Ipopt's barrier leaves in the objective.
+        The gap is the error that Ipopt's barrier leaves in the objective; the result is relative to
+        the objective.
 
-        The result is a fraction of the present error of objective and integrals, because more
-        precision is not useful while the times at which limits become active change from mesh to
-        mesh.
+        The result is a fraction of the relative error that objective and integrals have on the
+        present mesh, as estimated in `errors`, within fixed limits. A smaller gap is not useful
+        while the times at which limits become active change from mesh to mesh.
         """
         unknown = max(e.of_integrals for e in errors)
         if any(part.restraint is not None for part in solution.parts):
@@ -435,22 +453,25 @@ def _firmer(firmness: float, settled: int) -> float:
 class _MeshSolve(Search[S], Generic[S]):
     """Search for the solution on the next meshes of a refinement.
 
-    The search tries the strategies of the scope `MESH`, in the order of the table in `strategies`.
+    The search tries the strategies of `strategies.STRATEGIES` for a further mesh of the refinement,
+    in the order of that table.
 
     Attributes
     ----------
     solve : callable
-        See `refine`.
+        (meshes, start, dampings, change=, iteration_limit=) -> solution; see `refine`.
     meshes : tuple of Mesh
+        The next meshes, one for each horizon.
     start : Start
         Warm start from the previous meshes, with the caller's guess.
     dampings : tuple
         Damping of the controls for each horizon; None for a horizon without damping.
     change : float or None
-        Expected change of the objective.
+        Expected change of the objective from the previous meshes to the next; None if it is
+        unknown.
     gap : float
         Complementarity gap (error that Ipopt's barrier leaves in the objective), relative to the
-        objective, of a solve with stronger damping.
+        objective, at which a solve with increased damping may stop.
     """
 
     solve: Callable[..., S]
@@ -463,8 +484,10 @@ class _MeshSolve(Search[S], Generic[S]):
     def holds(self, fact: Fact) -> bool:
         """Return whether a condition that a strategy requires is true at this stage of the search.
 
-        The conditions concern the warm start, and whether damping or a small barrier parameter
-        keeps the next solution near the previous solution.
+        The conditions are that there is a warm start (`Fact.WARM_START`), and that the next
+        solution is expected near the previous one (`Fact.KEPT_NEAR`) or not (`Fact.FREE`). It is
+        expected near if controls are damped, or if the change of the objective is known, so that
+        Ipopt starts with a small barrier parameter.
         """
         is_kept_near = self.change is not None or _are_damped(self.dampings)
         has_warm = self.start.warm is not None
@@ -490,10 +513,12 @@ class _MeshSolve(Search[S], Generic[S]):
 
 
 def _sharper(dampings: tuple[Damping | None, ...], tolerance: float) -> tuple[Damping | None, ...]:
-    """Return the dampings with a complementarity gap of at most a fraction of the tolerance.
+    """Return dampings with which the next solve leaves at most a small complementarity gap.
 
-    A damping is a penalty on changes of the controls from the previous mesh. It also holds the
-    complementarity gap (the error that Ipopt's barrier leaves in the objective) of the solve.
+    A damping is a penalty on changes of the controls from the previous mesh. It also prescribes the
+    complementarity gap (the error that Ipopt's barrier leaves in the objective) at which the solve
+    may stop. Each gap is reduced, if it is larger, to a fixed fraction of `tolerance` times the
+    magnitude of the objective.
 
     `dampings` and the result have one item for each horizon, None for a horizon without damping.
     """
@@ -516,10 +541,14 @@ def _is_limited_by_the_barrier(
 ) -> bool:
     """Return whether Ipopt's barrier, not the mesh, limits the accuracy of a solution.
 
-    Two conditions must hold. The error of every element is at most `fine`; the costs of control
-    switches are not counted. And either the complementarity gap (the error that Ipopt's barrier
-    leaves in the objective) exceeds the tolerance, or the scaled objective is so small that it has
-    no influence on Ipopt's convergence test.
+    Two conditions must hold. First, the error of every element is at most `fine`. Two parts of the
+    error, which are estimated only if all other errors meet the tolerance, are not counted: the
+    possible costs of control switches at a wrong time, and the costs of state errors relative to
+    the objective's own magnitude. Second, the complementarity gap (the error that Ipopt's barrier
+    leaves in the objective) exceeds `tolerance`, or the scaled objective is so small that it has no
+    influence on Ipopt's convergence test.
+
+    `solution` has a single horizon; `errors` holds its error estimate.
     """
     (part,), (error,) = solution.parts, errors
     counted = replace(error, switches=0.0 * error.switches, costs=0.0 * error.costs)
@@ -564,9 +593,11 @@ class _Reached(Generic[S]):
         return (-earned if is_maximised else earned) / first.nominal_objective
 
     def compare(self, other: S, error: float) -> None:
-        """Update `shown` with a solution that was found after the restart.
+        """Update `shown`, the bound on the improvement, with a solution found after the restart.
 
-        `other` is this solution, `error` its estimated relative error.
+        `other` is this solution, `error` its estimated relative error. The lower bound `shown`
+        becomes the improvement of the objective by `other` less `error`, if that is larger than the
+        present bound.
         """
         shown = self.gain(other) - error
         self.shown = shown if self.shown is None else max(self.shown, shown)
@@ -675,7 +706,10 @@ def _most_moved(solution: Outcome, before: tuple[Solution | None, ...]) -> str:
 
 
 def _record(solution: Outcome, error: float) -> MeshRecord:
-    """Return the `MeshRecord` of a solution, for the history of the refinement."""
+    """Return the `MeshRecord` of a solution, for the history of the refinement.
+
+    `error` is the estimated largest relative error of the solution.
+    """
     return MeshRecord(
         elements=sum(mesh.elements for mesh in _meshes(solution)),
         points=sum(mesh.points for mesh in _meshes(solution)),

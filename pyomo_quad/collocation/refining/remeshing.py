@@ -44,7 +44,8 @@ class RefinementOptions:
     max_points : int
         Number of collocation points above which no finer mesh is tried.
     allowance : Allowance
-        Tolerances for a flight with the controls in open loop.
+        Tolerances for the simulation of the controls in open loop (without feedback): on violations
+        of limits between the collocation points, on the final states and on the states.
     damping : float
         Strength of the penalty on the distance between the controls and the controls on the
         previous mesh. Only controls that enter linearly are penalised. If a control differs by its
@@ -76,10 +77,14 @@ class RefinementOptions:
 
     @property
     def breach_between_points(self) -> float:
-        """Relative violation of bounds that is allowed between collocation points.
+        """Largest violation of a bound that is allowed between the points, over max(1, abs(bound)).
 
-        Infinite if bounds are imposed at the collocation points only. That suffices if a simulation
-        corrects the controls, because it also shows which bounds are violated in between.
+        The points are the collocation points. If the result is finite, solves with a warm start
+        impose the bounds between the points as well, up to this violation; if it is infinite,
+        bounds are imposed at the points only. It is finite if `limits_move` is true and the
+        tolerances on violations in `allowance` are positive. It is infinite if `allowance` sets a
+        tolerance on the states: a simulation then corrects the controls by feedback, and shows
+        violations between the points.
         """
         if self.allowance.state_error is not None:
             return math.inf
@@ -210,10 +215,11 @@ def refined_mesh(
 def _lowered(
     solution: Solution, e: int, error: float, tolerance: float, options: RefinementOptions
 ) -> _Piece:
-    """Return an element with a small error for the next mesh, with its degree lowered if possible.
+    """Return an element as it is kept for the next mesh, with its degree lowered if possible.
 
-    The degree is lowered as long as the highest Legendre coefficients of the states are negligible.
-    `e` is the index of the element, `error` its estimated error.
+    The degree is lowered only if the element's error is far below the tolerance, and as long as the
+    highest Legendre coefficients of the states are negligible. `e` is the index of the element,
+    `error` its estimated error.
     """
     mesh = solution.mesh
     degree = mesh.degrees[e]
@@ -336,9 +342,10 @@ def _parts(mesh: Mesh, e: int, count: int, degree: int, size: float) -> list[_Pi
 def _merged(pieces: list[_Piece], solution: Solution, tolerance: float) -> list[_Piece]:
     """Merge neighbouring elements of the next mesh if the merged element is accurate enough.
 
-    The predicted error of the merged element must be far below the tolerance. Elements that were
-    refined for the next mesh are not merged. A boundary between elements is kept if the problem
-    requires it.
+    `pieces` are the elements of the next mesh before merging, from left to right; the result is the
+    same mesh with merged elements. The predicted error of a merged element must be far below
+    `tolerance`. Elements that were refined for the next mesh are not merged. A boundary between
+    elements is kept if the problem of `solution` requires it.
     """
     required = solution.problem.required_breakpoints(solution.instance)
     merged: list[_Piece] = []
@@ -362,8 +369,10 @@ def _merged(pieces: list[_Piece], solution: Solution, tolerance: float) -> list[
 def _legendre_sizes(solution: Solution, e: int) -> FloatArray:
     """Return the relative magnitudes of the states' Legendre coefficients in an element.
 
-    The result has for each order the largest magnitude over all states, shape (degree + 1,). `e` is
-    the index of the element.
+    The coefficients are those of the polynomials of the states in the element with index `e`. Each
+    is divided by the magnitude of its state over the horizon. Item k of the result, shape (degree +
+    1,), is the largest magnitude over all states for the Legendre polynomial of degree k. The
+    decrease of the result with k measures how smooth the solution is.
     """
     mesh, states = solution.mesh, solution.trajectory.states
     first, last = mesh.first_node[e], mesh.first_node[e + 1]
@@ -378,8 +387,11 @@ def _legendre_sizes(solution: Solution, e: int) -> FloatArray:
 def _integrand_sizes(solution: Solution, e: int) -> FloatArray:
     """Return the relative magnitudes of the integrands' Legendre coefficients in an element.
 
-    The result has for each order the largest magnitude over all integrals, shape (degree,). `e` is
-    the index of the element.
+    The coefficients are those of the polynomials through the integrands at the collocation points
+    of the element with index `e`. Each is divided by the largest magnitude of its integrand in the
+    element. Item k of the result, shape (degree,), is the largest magnitude over all integrals for
+    the Legendre polynomial of degree k. The decrease of the result with k measures how smooth the
+    integrands are.
     """
     mesh, program = solution.mesh, solution.program
     points = slice(mesh.first_node[e], mesh.first_node[e + 1])

@@ -21,7 +21,7 @@ _SAME_WIDTH = 1.0 + 1e-9
 
 
 def misplaced_switches(solution: Solution) -> FloatArray:
-    """Bound the increase of the objective by a control switch at a wrong time, for each element.
+    """Return, for each element, the most by which a misplaced control switch raises the objective.
 
     Let J(s) be the least objective with a control that switches at time s. If the switch is later
     by ds, the Hamiltonian before the switch, H-, applies for ds instead of the Hamiltonian after
@@ -46,8 +46,8 @@ def misplaced_switches(solution: Solution) -> FloatArray:
     Returns
     -------
     ndarray, shape (n_elements,)
-        In units of the objective. Zero in elements where no limit on an algebraic variable becomes
-        active or inactive, or no algebraic variable jumps.
+        Upper bounds, in units of the objective. Zero in elements where no limit on an algebraic
+        variable becomes active or inactive, or no algebraic variable jumps.
     """
     mesh, chosen = solution.mesh, switch_elements(solution) & _jumping_elements(solution)
     jumps = np.zeros((2, mesh.elements))
