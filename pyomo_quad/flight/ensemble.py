@@ -148,7 +148,8 @@ class FlownOften:
     t : ndarray, shape (n_samples,)
         Times [s].
     tracks : mapping to ndarray, shape (n_samples, n)
-        Name of a quantity, as in `TRACKS` -> its values over time for each of n flights.
+        Name of a quantity (position, speed, tilt, energy, or distance from the reference; see
+        `TRACKS`) -> its values over time for each of n flights.
     endings : tuple of Ending
         Energy, arrival and broken limits of each flight.
     """

@@ -159,7 +159,11 @@ class Remainder:
         return self.passages[0] - min(near[0], near[1] * ahead)
 
     def timeline(self, t: float) -> Timeline:
-        """Return the times of start, passages and end of a plan that starts at time t [s]."""
+        """Return the times of start, passages and end of a plan that starts at time t [s].
+
+        The compiled problem uses fractions of the horizon; the result relates each of its fixed
+        fractions to one of these times.
+        """
         return Timeline(
             fractions=np.array(self.problem.compiled.declared.clock.fractions),
             times=np.array([t, *self.passages, self.end]),

@@ -60,7 +60,7 @@ _ROUNDING = 1e-9
 class Trim:
     """Steady flight at a constant velocity: states, controls and power [W].
 
-    States and controls have the order of the dynamics.
+    States, shape (n_states,), and controls, shape (n_controls,), have the order of the dynamics.
     """
 
     states: FloatArray

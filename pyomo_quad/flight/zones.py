@@ -32,7 +32,10 @@ ROUNDING = 1e-9
 
 
 class Side(StrEnum):
-    """Side on which a route passes a keep-out zone, as seen in the direction of flight."""
+    """Side on which a route passes a keep-out zone, as seen in the direction of flight.
+
+    The sides are left, right, over and under.
+    """
 
     LEFT = "left"
     RIGHT = "right"

@@ -671,7 +671,8 @@ def _breaches(
 def _prices(solution: Solution) -> FloatArray:
     """Return for each element the sum of the multipliers of all bounds on states.
 
-    The multiplier of a bound is the change of the objective per unit of the bound. Shape
+    The multiplier of a bound is the change of the objective per unit of the bound. `_breaches`
+    multiplies the violation of limits by the sum, to estimate the effect on the objective. Shape
     (n_elements,).
     """
     program, multipliers = solution.program, solution.multipliers
