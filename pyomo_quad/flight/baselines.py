@@ -173,10 +173,11 @@ RATE_HZ = 100.0
 
 
 class TumblingGuard:
-    """Guard that stops the simulation of a tumbling vehicle, by counting evaluations.
+    """Guard that stops the simulation of a tumbling vehicle, by a limit on evaluations.
 
-    The integration of a tumbling vehicle needs far more evaluations of the right-hand side than the
-    integration of a controlled vehicle.
+    The integration of a tumbling vehicle needs far more evaluations of the right-hand side of its
+    differential equations than the integration of a controlled vehicle. The guard counts them and
+    raises an error above the limit.
 
     Parameters
     ----------
@@ -192,7 +193,7 @@ class TumblingGuard:
         self._most = _MOST_EVALUATIONS_PER_SECOND * max(1.0, duration)
 
     def evaluated(self, t: float) -> None:
-        """Count an evaluation of the right-hand side at time t [s], and check the limits.
+        """Count an evaluation of the right-hand side at time t [s]; raise an error above a limit.
 
         Raises
         ------
@@ -539,7 +540,7 @@ def fly_open_loop(scenario: Scenario, plan: Plan, dynamics: Dynamics) -> Flight:
     Returns
     -------
     Flight
-        The flight, with the name `OPEN_LOOP`.
+        The flight, whose name in comparisons is "open_loop/plan".
     """
     began = perf_counter()
     held = plan.trajectories
@@ -634,7 +635,8 @@ def broken_under_control(
     flown : Flown
         Samples of the flight.
     breaches : sequence of Violation
-        Violations of the declared limits, as `Dynamics.violations` returns them.
+        Largest violation of each limit of the model along the flight, as `Dynamics.violations`
+        returns them.
 
     Returns
     -------
@@ -741,7 +743,8 @@ def _yaw_acceleration(
 ) -> FloatArray:
     """Return the time derivative of the planned yaw rate by central differences [rad/s^2].
 
-    `states` and `controls` are the plan's values at the n `times` [s].
+    `states` and `controls` are the plan's values at the n `times` [s]. The result, shape (n,), is
+    the yaw acceleration of the reference path that the controller follows.
     """
     steps = _INSTANT * np.array(
         [dynamics.rates(t, x, u) for t, x, u in zip(times.tolist(), states, controls, strict=True)]

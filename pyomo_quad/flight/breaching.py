@@ -49,7 +49,7 @@ class LimitDistance:
     Attributes
     ----------
     name : str
-        Name of the path constraint in the declared model.
+        Name of the path constraint in the Pyomo model.
     field : str
         Scenario field that sets this bound, such as "limits.roll_max".
     distance : ndarray, shape (n,)
@@ -72,7 +72,7 @@ class LimitDistance:
 
     @property
     def present_probability(self) -> float:
-        """Probability that a flight breaks the limit at any time, if the plan is not changed."""
+        """Probability that a flight that follows the present plan breaks the limit at some time."""
         return _crossing(self.distance, self.deviation, self.correlation)
 
     def probability(self, present: float = 0.0, changed: float = 0.0) -> float:
@@ -95,11 +95,12 @@ class LimitDistance:
         return _crossing(self.distance + (to_come - self.planned), self.deviation, self.correlation)
 
     def margin_for(self, share: float, present: float, largest: float) -> float:
-        """Return the smallest margin at which the probability of a violation is at most ``share``.
+        """Return the smallest margin for which a violation has at most the probability ``share``.
 
-        A margin is the amount by which a plan must stay inside the limit, in the unit of the limit.
-        `present` is the margin of the present plan. `largest` is the largest margin considered; it
-        is returned if no smaller margin makes the probability small enough.
+        A violation means that a flight breaks the limit. A margin is the amount by which a plan
+        must stay inside the limit, in the unit of the limit. `present` is the margin of the present
+        plan. `largest` is the largest margin considered; it is returned if no smaller margin makes
+        the probability small enough.
         """
         if self.probability(present, 0.0) <= share:
             return 0.0

@@ -209,9 +209,10 @@ class Candidate:
         return start if isinstance(start, WarmStart) else None
 
     def starts_warm(self) -> bool:
-        """Return whether the search can be warm-started from the same compiled problem.
+        """Return whether the search was given a warm start that fits the mission's problem.
 
-        A warm start holds the variables and the multipliers of an earlier solve.
+        A warm start holds the variables and the multipliers of an earlier solve. It fits a compiled
+        problem with the same equations.
         """
         start = self._warm_start
         return start is not None and start.fits(self.mission.problem.compiled)
@@ -365,9 +366,9 @@ class Candidate:
     def slow_down(self, by: float) -> str:
         """Solve the mission with its duration multiplied by ``by``.
 
-        The solution is a start for a solve with the original duration. The solve starts from the
-        solution of the previous, longer duration. If there is none, it starts from the model's own
-        initial guess.
+        The longer flight serves as the initial guess of a later solve with the original duration
+        (`speed_up`). It is itself solved from the longer flight that the previous call found or, if
+        there is none, from the model's own initial guess.
 
         Returns
         -------
@@ -486,8 +487,9 @@ class Candidate:
     def _remedies(self, diagnosis: Diagnosis) -> tuple[Relaxation, ...]:
         """Return the single limits whose relaxation alone would make the mission feasible.
 
-        The limits tried are the limits that the `diagnosis` had to relax, and the limits that are
-        active in it.
+        `diagnosis` is the result of the elastic problem, in which limits may be violated at a
+        penalty. For each limit that it violates, and each that is active in it, the elastic problem
+        is solved again with this limit alone relaxed.
         """
         candidates = [r.name for r in diagnosis.relaxations] + [a.name for a in diagnosis.active]
         limits = [name for name in dict.fromkeys(candidates) if name.startswith(_LIMITS)]
@@ -516,8 +518,8 @@ class Candidate:
         """Return whether solves with stricter limits may turn the solution into a verified plan.
 
         This is the case if the solve converged but its simulated flight is not verified
-        (`is_astray`), and the required accuracy is below `proof`. For accuracy `proof`, limits are
-        not made stricter, because stricter limits cost energy.
+        (`is_astray`), and the scenario requires an accuracy below the highest level, `proof`. At
+        this level limits are not made stricter, because stricter limits cost energy.
         """
         return self.is_astray() and self.scenario.solver.accuracy is not Accuracy.PROOF
 

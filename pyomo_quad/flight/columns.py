@@ -179,7 +179,8 @@ _COLUMN_OF = {shown.variable or shown.name: shown for shown in ALL_COLUMNS}
 def column_of(variable: str) -> Column:
     """Return the column for a variable of the model, or for the name of a column.
 
-    `variable` is the full name of the variable, such as "rotors.omega[1]".
+    `variable` is the full name of the variable in the model, such as "rotors.omega[1]", or the
+    heading of the column in the table.
     """
     return _COLUMN_OF[variable]
 
@@ -245,7 +246,10 @@ def flight_frame(
 
 
 def dataset_of(frame: pd.DataFrame) -> xr.Dataset:
-    """Return the table of a flight as an xarray dataset with units and long names."""
+    """Return the table of a flight as an xarray dataset with units and long names.
+
+    Each column of `frame` becomes a variable over the index of the table, as a rule the time.
+    """
     data = frame.to_xarray()
     for column in ALL_COLUMNS:
         if column.name in data:

@@ -805,13 +805,13 @@ class AdaptiveController:
         Returns
         -------
         list of `COMMAND_SIZE` floats
-            In order: setpoint (position and yaw with their first two derivatives); accelerations
-            along world x and y for which the vehicle tilts; rates and accelerations of roll and
-            pitch; the three accelerations of a plan; and the payload released so far [kg]. A plan
-            gives all of them at time t. References other than a plan give zero for the rates and
-            accelerations of roll and pitch and for the accelerations of a plan. Their accelerations
-            for the tilt are taken at a later time than t, because the vehicle reaches a commanded
-            tilt with a lag.
+            In order: the setpoint, that is position and yaw with their first two derivatives (12);
+            the accelerations along world x and y from which the commanded tilt is computed (2);
+            planned rates and accelerations of roll and pitch (4); planned accelerations along world
+            x, y and z (3); and the payload released so far [kg]. A reference that is a plan gives
+            all of them at time t. For any other reference, the values named planned are zero, and
+            the accelerations for the tilt are taken at a later time than t, because the vehicle
+            reaches a commanded tilt with a lag.
         """
         place, rate, acceleration, tilting = reference(t)
         left = self._released(t)
@@ -905,7 +905,8 @@ class AdaptiveController:
         The command filter smooths the roll and pitch that point the thrust along ``force`` [N] at
         yaw ``yaw`` [rad]. ``states`` holds its four states, the commanded roll and pitch and their
         rates. ``command`` is the controller's input, which gives the planned rates of roll and
-        pitch.
+        pitch. The first result has the accelerations of the commanded roll and pitch [rad/s^2],
+        which the attitude loop follows.
         """
         angles, angle_rates = states[:2], states[2:]
         targets = [
@@ -972,8 +973,9 @@ def feedback_law(controller: AdaptiveController, dynamics: Dynamics) -> Law:
     Returns
     -------
     callable
-        Takes a command, the vehicle's states and the controller's states; returns rotor
-        accelerations [rad/s^2] and the rates of the controller's states.
+        Takes the input from the reference (`AdaptiveController.command`), the vehicle's states and
+        the controller's states; returns rotor accelerations [rad/s^2] and the time derivatives of
+        the controller's states.
     """
     body = [list(dynamics.state_names).index(name) for name in MEASURED_STATES]
     rotors = rotor_columns(dynamics)

@@ -162,7 +162,7 @@ class LineCosts:
         Returns
         -------
         costs, times : ndarray, shape (n,)
-            The cost is infinite for a line through a zone or unknown wind.
+            The cost is infinite for a line through a keep-out zone, or where the wind is unknown.
         """
         way = stops - starts
         lengths = np.linalg.norm(way, axis=1)
@@ -314,8 +314,8 @@ class Corridors:
     def energy_of(self, places: FloatArray) -> float | None:
         """Return the energy of steady flight along straight lines through places [J].
 
-        `places` has shape (n, 3), m. The result is None if the wind is unknown on a part of the way
-        or a zone blocks it.
+        `places` has shape (n, 3), m. The result is None if the wind is unknown on a part of the
+        way, or if a keep-out zone blocks it.
         """
         pieces = [
             np.linspace(a, b, 2 + int(np.linalg.norm(b - a) / self._way * _PLACES))[:-1]
@@ -330,9 +330,13 @@ class Corridors:
 def _grid(
     told: Scenario, ends: FloatArray
 ) -> tuple[FloatArray, NDArray[np.intp], NDArray[np.intp]]:
-    """Return the points of the search grid, and the pairs of points that are joined by lines.
+    """Return the points of the search grid about a leg, and the lines that join them.
 
-    The grid covers start and goal of a leg with a margin.
+    The search for cheap routes (corridors) goes from point to point along these lines. The grid is
+    a rectangle on the map that contains start and goal of the leg with a margin; the heights of its
+    points vary in proportion to the way along the leg. Each point of the grid is joined to its 16
+    neighbours, start and goal are joined to the points near them. Lines through keep-out zones are
+    included here; they get an infinite cost later.
 
     Parameters
     ----------
@@ -344,9 +348,10 @@ def _grid(
     Returns
     -------
     places : ndarray, shape (n, 3)
-        Start, goal, and grid points [m], n in all.
+        Start, goal, and then the points of the grid [m]; n is their total number.
     first, last : ndarray of int, shape (n_lines,)
-        Indices of the two ends of each line; each line is included in both directions.
+        Row in `places` of the start and of the end of each line. Each line is included twice, once
+        for each direction of flight, because the wind makes their costs differ.
     """
     margin = _MARGIN * float(np.linalg.norm(ends[1] - ends[0]))
     low, high = ends[:, :2].min(axis=0) - margin, ends[:, :2].max(axis=0) + margin

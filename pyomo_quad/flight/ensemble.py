@@ -1,7 +1,7 @@
 """Simultaneous simulation of many flights along one reference, each with random wind and mass.
 
-The control law and the declared equations are the same as for a single flight. Only the integration
-differs: all flights together take Runge-Kutta steps of fixed length. A step is at most
+The control law and the equations of the vehicle are the same as for a single flight. Only the
+integration differs: all flights together take Runge-Kutta steps of fixed length. A step is at most
 `LONGEST_STEP_S`, the time over which the noise of the turbulence is constant, and short compared
 with the fastest mode of the closed loop. A test compares the result with SciPy's adaptive
 integration.
@@ -148,7 +148,8 @@ class FlownOften:
     t : ndarray, shape (n_samples,)
         Times [s].
     tracks : mapping to ndarray, shape (n_samples, n)
-        Name of a quantity, as in `TRACKS` -> its values over time for each of n flights.
+        Name of a quantity (position, speed, tilt, energy, or distance from the reference; see
+        `TRACKS`) -> its values over time for each of n flights.
     endings : tuple of Ending
         Energy, arrival and broken limits of each flight.
     """
@@ -280,8 +281,9 @@ class EnsembleSimulation:
     ) -> Iterator[Ending]:
         """Yield the result of each flight.
 
-        `off` has the largest distance of each flight from the reference [m], `tilt` its largest
-        tilt [rad], both of shape (n,).
+        `flown` has the simulated flights, `draws` their n sets of random numbers. `off` has the
+        largest distance of each flight from the reference [m], `tilt` its largest tilt [rad], both
+        of shape (n,).
         """
         count, samples = draws.count, len(flown.t)
         # Reorder the arrays: one flight after the other, each with all its samples.

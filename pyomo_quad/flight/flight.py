@@ -92,7 +92,7 @@ class Flight(Summarised):
     name : str
         Name in comparisons, such as "optimal", "adaptive/quintic" or "open_loop/plan".
     frame : DataFrame
-        Dense table with the columns `COLUMNS`.
+        Table of the flight, one row per time, with the columns of `columns.flight_columns`.
     energy_J : float
         Energy spent, integrated together with the equations of motion.
     duration_s : float

@@ -118,9 +118,10 @@ class MissionProblem:
     def allowance(self) -> Allowance:
         """Tolerances of the mesh refinement on errors that a simulation of the controls reveals.
 
-        They are wide for the package's own model and an accuracy below `proof`, so that a coarse
-        mesh suffices: before the simulation, feedback corrects the controls (`flight.tracking`),
-        and limits that the simulated flight breaks are made stricter (`flight.stricter_limits`).
+        They are wide for the package's own model and an accuracy below the highest level, `proof`,
+        so that a coarse mesh suffices: before the simulation, feedback corrects the controls
+        (`flight.tracking`), and limits that the simulated flight breaks are made stricter
+        (`flight.stricter_limits`).
         """
         figures = FIGURES[self.told.solver.accuracy]
         if self.told.solver.accuracy is not Accuracy.PROOF and self.problems.is_declared:

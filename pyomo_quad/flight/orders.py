@@ -1,4 +1,4 @@
-"""Cheapest orders of places from a table of leg costs, and a lower bound on the cost of all orders.
+"""Cheapest orders of places from a table of leg costs, and a lower bound on the cost of any order.
 
 A leg is the flight from one place to another. The table has the costs of the legs from the start in
 its first row, the costs of the legs to the goal in its last column, and the costs of the legs
@@ -46,8 +46,8 @@ class OrderSearch:
         to the next, from hover to hover; its cost is the energy plus the price of time times the
         duration.
     bound_J : float
-        Lower bound on the cost of all orders [J]; for legs that were not solved it uses optimistic
-        predictions.
+        Lower bound on the cost of an order [J], for every order of the waypoints. For the costs of
+        legs that were not solved it uses optimistic predictions.
     solved, legs : int
         Number of legs for which a flight was solved, and number of all legs that orders may use.
     """
@@ -65,7 +65,11 @@ class OrderSearch:
 
     @property
     def gap(self) -> float:
-        """Relative difference between the order's cost and the lower bound on all orders."""
+        """Fraction by which the cost of the order found exceeds the lower bound, `bound_J`.
+
+        The bound holds for the cost of every order. The order found therefore costs at most this
+        fraction more than the cheapest order.
+        """
         return self.cost_J / self.bound_J - 1.0
 
     @property
@@ -302,7 +306,7 @@ def _made_symmetric(costs: FloatArray, finite: FloatArray) -> FloatArray:
 
 
 def _tree_bound(costs: FloatArray, reached: float) -> float:
-    """Return a lower bound on the cost of all orders, by minimum spanning trees.
+    """Return a lower bound on the cost of every order of places, by minimum spanning trees.
 
     An order is a spanning tree in which each place between start and goal has two legs (flights
     to another place). In the minimum spanning tree a place may have another number of legs.

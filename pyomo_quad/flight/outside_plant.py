@@ -106,7 +106,12 @@ class Pilot(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class BodyFrame:
-    """Body axes and rotor numbers of RotorPy's vehicle, relative to the scenario's model."""
+    """Body axes and rotor numbers of RotorPy's vehicle, relative to the scenario's model.
+
+    `turn` is the angle from the model's body x axis to the body x axis of RotorPy's vehicle [rad].
+    `order` has, for each rotor of RotorPy's vehicle, the number of the same rotor in the model,
+    from 0.
+    """
 
     turn: float = 0.0
     """Angle from the declared body x axis to RotorPy's [rad]."""
@@ -116,9 +121,12 @@ class BodyFrame:
 
 @dataclass(frozen=True, kw_only=True)
 class Habits:
-    """Switches for features of RotorPy's own simulation that differ from the declared equations.
+    """Switches for features of RotorPy's own simulation that differ from the scenario's model.
 
-    With the default values, RotorPy's vehicle obeys the equations of the scenario's Pyomo model.
+    The features are another value of gravity, rotors without gyroscopic moment or without reaction
+    of the body to their acceleration, rotor commands at a constant rate, and a tolerance of the
+    integrator. With the default values, RotorPy's vehicle obeys the equations of the scenario's
+    Pyomo model.
     """
 
     gravity: float | None = None
@@ -212,7 +220,7 @@ class OutsidePlant:
     frame : BodyFrame, optional
         Body axes in which the parameters are given.
     habits : Habits, optional
-        Differences from the declared equations; none by default.
+        Differences from the equations of the declared model; none by default.
     """
 
     def __init__(
@@ -289,7 +297,7 @@ class OutsidePlant:
         return x
 
     def turned_back(self, vector: FloatArray) -> FloatArray:
-        """Rotate a vector, shape (3,), from RotorPy's body axes to the declared body axes."""
+        """Rotate a vector, shape (3,), from RotorPy's body axes to those of the scenario."""
         return np.asarray(self._turn.apply(vector))
 
     def seen(self, x: FloatArray) -> dict[str, FloatArray]:

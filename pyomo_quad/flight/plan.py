@@ -170,9 +170,10 @@ class PlanStatus(StrEnum):
     VERIFIED
         The simulated flight and the error estimate confirm the plan to the requested accuracy.
     USABLE
-        The simulated flight confirms, to the wider tolerances `USABLE`, that the plan arrives,
-        keeps all limits and spends the energy stated. The plan may not be optimal:
-        `Plan.energy_uncertainty` estimates how much energy another flight may save.
+        The simulated flight confirms, to the tolerances `scenario.accuracy.USABLE`, that the plan
+        arrives, keeps all limits and spends the energy stated. These tolerances are those of the
+        lowest accuracy, except that the flight may end half a metre from the goal. The plan may not
+        be optimal: `Plan.energy_uncertainty` estimates how much energy another flight may save.
     SOLVED
         Ipopt converged, but the simulated flight does not confirm the plan.
     NOT_CONVERGED, INFEASIBLE, INTERRUPTED
@@ -544,17 +545,20 @@ class Plan(Summarised):
     def is_flyable(self) -> bool:
         """Whether simulation confirmed the plan to some accuracy.
 
-        This is the case for a verified plan (to the requested accuracy) and for a usable plan (to
-        the wider tolerances `USABLE`).
+        This is the case for a verified plan (status `VERIFIED`: to the requested accuracy) and for
+        a usable plan (status `USABLE`: to wider tolerances, with which the flight may end half a
+        metre from the goal).
         """
         return self.status in FLYABLE
 
     @property
     def figures_checked(self) -> Figures:
-        """Tolerances that decided whether the simulation of the plan's controls confirms the plan.
+        """Tolerances on the differences between the plan and the simulation of its controls.
 
-        For a usable plan these are the tolerances `USABLE`, otherwise those of the accuracy that
-        the scenario requests.
+        If the differences are within these tolerances, the simulation confirms the plan. For a plan
+        of status `USABLE` the tolerances are `scenario.accuracy.USABLE`, with which the flight may
+        end half a metre from the goal. For any other plan they are those of the accuracy that the
+        scenario requests.
         """
         usable = self.status is PlanStatus.USABLE
         return USABLE if usable else FIGURES[self.scenario.solver.accuracy]
@@ -578,9 +582,9 @@ class Plan(Summarised):
 
         For a verified plan this is the error estimate, which covers the error of the energy. For
         any other plan it is the relative change of the energy from the second last to the last
-        mesh. This change is replaced by the tolerance of the accuracy `quick` if it is smaller,
-        because two meshes may agree by chance. The uncertainty is infinite if there was only one
-        mesh.
+        mesh. If this change is smaller than the energy tolerance of the lowest accuracy, `quick`,
+        this tolerance replaces it, because two meshes may agree by chance. The uncertainty is
+        infinite if there was only one mesh.
         """
         if self.is_verified:
             return min(self.error_estimate, self.scenario.solver.tolerance)

@@ -33,8 +33,9 @@ Builder = Callable[[Scenario], Any]
 def _start_key(scenario: Scenario) -> Scenario:
     """Return a key that is equal for scenarios whose problems have the same initial states.
 
-    The key is the scenario without duration, wind and settings of baseline flights, on which the
-    initial states do not depend if the duration is fixed.
+    The key is the scenario without duration, wind and settings of baseline flights (flights of a
+    controller along a reference, with which a plan is compared). If the duration is fixed, the
+    initial states do not depend on these.
     """
     timeless = scenario.mission.model_copy(update={"duration": 1.0})
     return guess_key(scenario).model_copy(update={"mission": timeless, "baseline": None})
@@ -150,8 +151,9 @@ class Problems:
         """Return whether the cached problem of a scenario has the scenario's initial states.
 
         This is the case if the cached problem was built for a scenario that differs only in a fixed
-        duration, in its wind, or in its settings of baseline flights. A wind measured over time is
-        excluded, because the model samples this wind at fractions of the duration.
+        duration, in its wind, or in its settings of baseline flights (flights of a controller along
+        a reference, with which a plan is compared). A wind measured over time is excluded, because
+        the model samples this wind at fractions of the duration.
         """
         built_for, _ = self._problems.get(self._key(scenario)) or (None, None)
         if built_for is None or not self.is_declared or scenario.wind.series is not None:

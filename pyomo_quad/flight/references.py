@@ -39,7 +39,12 @@ _STEP = Polynomial((1,))
 
 
 class Setpoint(NamedTuple):
-    """Values of a reference path at one time: x, y, z and yaw with two time derivatives."""
+    """Values of a reference path at one time: x, y, z and yaw with two time derivatives.
+
+    The accelerations exclude the acceleration that the reference expects from the air. A reference
+    that is a plan also gives the rates and accelerations of roll and pitch, `tilting`; it is None
+    for other references.
+    """
 
     place: Sequence[float]
     """Position in world axes, m, and yaw, rad."""

@@ -159,7 +159,11 @@ class Remainder:
         return self.passages[0] - min(near[0], near[1] * ahead)
 
     def timeline(self, t: float) -> Timeline:
-        """Return the times of start, passages and end of a plan that starts at time t [s]."""
+        """Return the times of start, passages and end of a plan that starts at time t [s].
+
+        The compiled problem uses fractions of the horizon; the result relates each of its fixed
+        fractions to one of these times.
+        """
         return Timeline(
             fractions=np.array(self.problem.compiled.declared.clock.fractions),
             times=np.array([t, *self.passages, self.end]),
@@ -457,10 +461,11 @@ class Replanner:
     ) -> FloatArray:
         """Predict the state from which the next re-plan (new plan in flight) starts.
 
-        If the flight is near its plan, the result is the planned state. The controller corrects the
-        deviation in this case; a re-plan from the measured state would follow each lag of the
-        vehicle. If the flight is not near its plan, position and velocity are moved from the plan
-        towards the measured values, just as far as needed to bring the flight near the re-plan.
+        If the flight is near its plan (within the distance `tube`), the result is the planned
+        state. The controller corrects the deviation in this case; a re-plan from the measured state
+        would follow each lag of the vehicle. If the flight is not near its plan, position and
+        velocity are moved from the plan towards the measured values, just as far as needed to bring
+        the flight near the re-plan.
 
         Attitude and rotor speeds are those of the plan, changed by the amount that balances the
         estimated unexplained acceleration. Without this change, the re-plan would begin with a turn

@@ -109,7 +109,8 @@ class _Leg:
 class _Observer:
     """Estimator of the acceleration that the equations of a plan do not explain.
 
-    It applies the adaptation law of the controller to the measured states.
+    It applies the adaptation law of the controller to the measured states. Wind and mass that
+    differ from the assumed ones cause this unexplained acceleration.
     """
 
     def __init__(self, scenario: Scenario, replanner: Replanner, velocity: FloatArray) -> None:

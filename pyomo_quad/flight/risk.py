@@ -118,8 +118,9 @@ def risk_asked(scenario: Scenario) -> float:
 
     It is the risk that the scenario states. If the scenario states no risk, the result is 1, which
     allows any risk and needs no margins. A plan of free duration is an exception and gets the risk
-    `_USUAL_RISK`, except with the paper's equations: without margins, such a plan uses the full
-    thrust of the rotors, so that no controller can follow it.
+    `_USUAL_RISK`: without margins, such a plan uses the full thrust of the rotors, so that no
+    controller can follow it. This exception is not made for the simplified attitude equations of
+    the paper (Yacef et al.).
     """
     stated = scenario.mission.risk
     if stated is not None:
@@ -226,7 +227,8 @@ class _Tried:
     near : tuple of LimitDistance
         Statistics of the distance of flights from each limit over time.
     missed : tuple of Miss
-        Distance of flights from goal and waypoints.
+        Random samples of the distance and speed of flights at the goal and the waypoints, each with
+        its limit.
     is_refined : bool
         Whether the mesh was refined for this plan and the plan was verified. If not, the plan was
         solved on the mesh of the plan without margins.
@@ -294,7 +296,7 @@ class _Tested:
 
     @property
     def share(self) -> float:
-        """Share of the test flights that broke a limit."""
+        """Fraction of the test flights that broke a limit, from 0 to 1."""
         return self.failed / self.flown
 
 
@@ -368,11 +370,14 @@ class _Search:
         return self._stated(best.tried, best.counts, best.failed)
 
     def _examined(self, tried: _Tried) -> _Tested:
-        """Test a plan by simulated flights; if enough reach the goal, verify it and test it again.
+        """Simulate test flights of a plan; if enough reach the goal, refine it and test it again.
 
-        Test flights cost less than a verification. A plan is therefore not verified if its test
-        flights miss the goal too often. It is verified if they only break other limits: the reason
-        may be the coarse mesh, which the verification refines.
+        Test flights are simulations under feedback in random turbulence, which count how often a
+        limit is broken. They take less time than a refinement of the plan's mesh with the
+        simulation that verifies the plan. A plan whose test flights miss the goal too often is
+        therefore not refined. A plan whose test flights only break other limits is refined,
+        verified and tested again, because its coarse mesh may be the reason. A plan that has been
+        refined before is only tested. The result is that of the last test flights.
         """
         tested = self._tested(tried, self._next_seed())
         missed = max(tested.counts[words] for words in (NOT_THERE, NOT_AT_REST))
@@ -393,10 +398,11 @@ class _Search:
         Margins are the amounts by which limits are tightened for the plan. Each new margin is the
         mean of two margins: that of the plan `best`, which passed its test, and that of the last
         plan that failed its test (zero if none failed). Choosing one of several plans by their test
-        flights favours plans that passed by chance. Therefore a plan with smaller margins is
-        accepted only if at most half as many of its test flights break a limit as the risk allows.
+        flights favours plans whose flights kept the limits by chance. Therefore a plan with smaller
+        margins is accepted only if at most half as many of its test flights break a limit as the
+        risk allows.
 
-        `failed` has the tested plans that preceded `best`.
+        `failed` has the plans tried before `best`, with the results of their test flights.
         """
         low: Mapping[str, float] = failed[-1].tried.margins if failed else {}
         for _ in range(_REDUCTIONS):

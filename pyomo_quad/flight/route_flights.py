@@ -51,7 +51,7 @@ _ALIKE = 0.5
 
 
 class RouteFlights:
-    """Solver of a mission along its candidate routes round zones or through a wind field.
+    """Solver of a mission along candidate routes round keep-out zones or through a wind field.
 
     Parameters
     ----------
@@ -87,8 +87,8 @@ class RouteFlights:
         Returns
         -------
         Solution
-            The best solution, refined to the mission's tolerance. If zones block every route, its
-            status is infeasible and its message names the zones.
+            The best solution, refined to the mission's tolerance. If keep-out zones block every
+            route, its status is infeasible and its message names the zones.
         tuple of TriedRoute
             Result for each route; empty if zones block every route.
         """
@@ -216,7 +216,8 @@ class RouteFlights:
 
         A journey is a sequence of routes, one for each leg from one waypoint to the next. The
         shortest journeys come first; in a wind field, the journeys of least cost in steady flight
-        come first. Journeys of high estimated cost are left out, except for accuracy `proof`.
+        come first. Journeys of high estimated cost are left out, unless the scenario requires the
+        highest accuracy, `proof`.
         """
         told = self._scenario
         journeys = find_journeys(told.airspace, told.mission.positions)[:most]

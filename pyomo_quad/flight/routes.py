@@ -242,7 +242,7 @@ def length_of(journey: Journey) -> float:
 
 
 class NoRouteError(Exception):
-    """Error raised if zones block every route between two consecutive stops of a mission."""
+    """Error raised if keep-out zones block every route between consecutive stops of a mission."""
 
 
 def with_plain_passages(told: Scenario) -> Scenario | None:
@@ -402,8 +402,8 @@ _INSTANT = 1e-9
 class SpeedProfile(NamedTuple):
     """Samples of a motion from rest to rest along a straight line, in phases of constant jerk.
 
-    The 8 samples are the start of the motion and the ends of its seven phases; each array has shape
-    (8,).
+    The 8 samples are the start of the motion and the ends of its seven phases. The arrays of times,
+    distances, speeds and accelerations, each of shape (8,), hold their values there.
     """
 
     times: FloatArray
@@ -489,7 +489,7 @@ def cruise_at(
     Raises
     ------
     ScenarioError
-        If all places of the mission are the same, or zones block a leg.
+        If all places of the mission are the same, or keep-out zones block a leg.
     """
     told = scenario
     if speed is not None:

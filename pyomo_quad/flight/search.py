@@ -39,7 +39,11 @@ _MOST_PLANS = 3
 
 
 class Stage(StrEnum):
-    """Stage of a search for a plan, as a progress display shows it."""
+    """Stage of a search for a plan, as a progress display shows it.
+
+    The stages are the comparison of routes, the first solves on coarse meshes, the search for a
+    plan that simulation confirms at lower accuracy than requested (usable plan), and refinement.
+    """
 
     ROUTES = "routes"
     COARSE = "coarse solves"

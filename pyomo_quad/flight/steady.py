@@ -60,7 +60,7 @@ _ROUNDING = 1e-9
 class Trim:
     """Steady flight at a constant velocity: states, controls and power [W].
 
-    States and controls have the order of the dynamics.
+    States, shape (n_states,), and controls, shape (n_controls,), have the order of the dynamics.
     """
 
     states: FloatArray
@@ -70,7 +70,11 @@ class Trim:
 
 @dataclass(frozen=True, kw_only=True)
 class HoverState:
-    """Hover in still air with the battery in its initial state: rotor speed, power and battery."""
+    """Hover in still air with the battery in its initial state: rotor speed, power and battery.
+
+    The name of each attribute states its unit. The battery's current, voltage and charge rate are
+    those under the power of the hover; `greatest_battery_power_W` is the most that it can give.
+    """
 
     rotor_speed_rad_per_s: float
     thrust_N: float
@@ -190,7 +194,8 @@ class SteadyFlight:
         """Return the quantities that a steady flight keeps constant, by name, except the velocity.
 
         These are attitude, body rates and rotor speeds, and the induced velocity if the model has
-        it.
+        it. The result maps the full name of each state to its value, for an initial guess of the
+        solver.
         """
         moved = {*self._dynamics.states_used_up, *POSITION_STATES, *VELOCITY_STATES}
         named = dict(zip(self._dynamics.state_names, trim.states.tolist(), strict=True))

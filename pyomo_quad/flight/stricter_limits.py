@@ -270,7 +270,7 @@ def _changed(numbers: Mapping[str, float], changes: Mapping[str, float]) -> dict
 
 
 def mesh_where_broken(solution: Solution, plan: Plan, accuracy: Accuracy) -> Mesh:
-    """Return a solution's mesh, finer where its simulated flight cuts through a zone.
+    """Return a solution's mesh, finer where its simulated flight cuts through a keep-out zone.
 
     Parameters
     ----------

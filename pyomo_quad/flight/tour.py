@@ -186,7 +186,8 @@ class LegTable:
     def _features(self, leg: _Leg) -> list[float]:
         """Return the regressors that predict the energy of a leg (flight between two places).
 
-        They are functions of length, direction, height and detour of the leg; see
+        `leg` is the pair of indices of the two places. The regressors are functions of length,
+        direction, height and detour of the leg; the prediction is a linear combination of them. See
         docs/theory/orders.md, eq. (1).
         """
         here, there = (np.array(self._scenario.mission.positions[k]) for k in leg)

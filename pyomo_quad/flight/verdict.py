@@ -106,8 +106,9 @@ def verified(
 ) -> Plan:
     """Return a plan with the result of its verification, by simulation of its controls.
 
-    For accuracies below `proof`, feedback first corrects the controls (`flight.tracking`). Without
-    this correction, the controls of a solution on a coarse mesh would miss the goal.
+    Unless the accuracy is the highest level, `proof`, feedback first corrects the controls
+    (`flight.tracking`). Without this correction, the controls of a solution on a coarse mesh would
+    miss the goal.
 
     Parameters
     ----------
@@ -125,7 +126,8 @@ def verified(
     Returns
     -------
     Plan
-        The plan with `verification`, the simulated flight, and status `VERIFIED` or `SOLVED`.
+        The plan with its attributes `verification` and `flown` (the simulated flight); its status
+        is `VERIFIED` if the simulation confirms it to the accuracy, otherwise `SOLVED`.
     """
     started = time.perf_counter()
     asked = accuracy or plan.scenario.solver.accuracy
@@ -156,7 +158,12 @@ def verified(
 
 
 def _why_not(plan: Plan, found: Verification, accuracy: Accuracy) -> str:
-    """Return why a plan does not reach an accuracy below `proof`; else the message of its solve."""
+    """Return the message of a simulated plan: why it does not reach the required accuracy.
+
+    The reason is a limit that the simulated flight violates, as `found` states, or an energy that
+    may exceed the optimum by more than the accuracy allows. The result is the message of the plan's
+    solve if neither is the case, or if the accuracy is the highest level, `proof`.
+    """
     excess = plan.error_estimate
     if accuracy is Accuracy.PROOF or (found.is_verified and excess <= FIGURES[accuracy].energy):
         return plan.message
@@ -170,8 +177,9 @@ def _why_not(plan: Plan, found: Verification, accuracy: Accuracy) -> str:
 def _flown(plan: Plan, accuracy: Accuracy, wanted: FloatArray) -> tuple[Verification, Flown]:
     """Simulate a plan's controls in open loop, and compare the flight with the plan.
 
-    For accuracies below `proof`, the planned path is checked first. If it misses the tolerances of
-    every accuracy, it is not simulated, and the result describes the planned path.
+    Unless the accuracy is the highest level, `proof`, the planned path is checked first. If it
+    misses the tolerances of every accuracy, it is not simulated, and the result describes the
+    planned path.
 
     Parameters
     ----------
@@ -215,13 +223,13 @@ def _flown(plan: Plan, accuracy: Accuracy, wanted: FloatArray) -> tuple[Verifica
 
 
 def _followed(plan: Plan, accuracy: Accuracy, least_energy: float) -> Plan:
-    """Return a plan whose controls are corrected by feedback, for accuracies below `proof`.
+    """Return a plan whose controls are corrected by feedback, so that they fly the planned path.
 
     The corrected plan is a simulated flight that follows the plan (`flight.tracking`), with the
     energy of this flight. The difference between this energy and `least_energy`, the energy of the
     optimum [J], is part of the error estimate; see docs/theory/tracking.md, eq. (5). The plan is
-    returned unchanged for accuracy `proof`, for a model without the states of the feedback, and if
-    the vehicle cannot follow the plan.
+    returned unchanged for the highest accuracy, `proof`, for a model without the states of the
+    feedback, and if the vehicle cannot follow the plan.
     """
     if accuracy is Accuracy.PROOF or not can_be_tracked(plan.dynamics):
         return plan

@@ -209,8 +209,8 @@ class Verification:
     is_verified : bool
         Whether all deviations and shortfalls are within the tolerances of the required accuracy.
     is_usable : bool
-        Whether all deviations and shortfalls are within the tolerances of a usable plan, which are
-        wider.
+        Whether all deviations and shortfalls are within the tolerances of a usable plan
+        (`scenario.accuracy.USABLE`): those of the lowest accuracy, but wider for the final states.
     reached : Accuracy or None
         The highest accuracy, up to the required accuracy, whose tolerances all deviations and
         shortfalls meet; None if there is no such accuracy.

@@ -127,10 +127,11 @@ def as_expected(scenario: Scenario) -> Scenario:
 
 
 def unknowns(planner: Planner, scenario: Scenario) -> tuple[dict[str, float], ...]:
-    """Return the effect of one standard deviation of each uncertain quantity on parameters.
+    """Return the change of the model's parameters by one deviation of each uncertain quantity.
 
-    The uncertain quantities are speed and direction of the wind, mass, and hover power. Quantities
-    for which the scenario states no standard deviation are left out.
+    The deviation is the standard deviation that the scenario states. The uncertain quantities are
+    speed and direction of the wind, mass, and hover power. Quantities for which the scenario states
+    no standard deviation are left out.
 
     Returns
     -------

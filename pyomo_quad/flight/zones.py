@@ -32,7 +32,10 @@ ROUNDING = 1e-9
 
 
 class Side(StrEnum):
-    """Side on which a route passes a keep-out zone, as seen in the direction of flight."""
+    """Side on which a route passes a keep-out zone, as seen in the direction of flight.
+
+    The sides are left, right, over and under.
+    """
 
     LEFT = "left"
     RIGHT = "right"
@@ -150,9 +153,11 @@ def sides_passed(
 
 
 class _Section(NamedTuple):
-    """Cross-section of a zone in the vertical plane across a leg that passes the zone.
+    """Cross-section of a keep-out zone in the vertical plane across a leg that passes the zone.
 
-    A leg is the line between two waypoints.
+    A leg is the line between two waypoints. The cross-section is given by its middle, half its
+    width and half its height, and by the unit vectors along the leg, to its left and up. It serves
+    to decide on which side a route passes the zone.
     """
 
     middle: FloatArray

@@ -10,7 +10,7 @@ f(v) | force of the air, against the airspeed
 s | thrust that holds the mass still at zero airspeed, as a rule its weight
 P | power of the vehicle, a function of u and v
 m | mass of the vehicle
-p, w, eta | prices of momentum per mass, of displacement, and of kinetic energy
+p, w, eta | prices of momentum [W/N], of displacement, and of kinetic energy
 T, a, r | size of the thrust, airspeed along it and across it
 
 Every flight from rest to rest has m dv/dt = u + f - s.  So over the duration the mean of u + f - s
@@ -106,19 +106,20 @@ POWER_TOLERANCE = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class MotionPrices:
-    """Multipliers (prices) of the quantities that a mission fixes, on one leg of the flight.
+    """Multipliers (prices) of momentum, displacement and kinetic energy on one leg of the flight.
 
-    They are Lagrange multipliers: the lower bound on the energy is a dual function of them. A leg
-    is the flight from one waypoint to the next.
+    They are Lagrange multipliers of the changes of these quantities, which the mission fixes. The
+    lower bound on the energy is a dual function of them. A leg is the flight from one waypoint to
+    the next.
 
     Attributes
     ----------
     momentum : ndarray, shape (3,)
-        Price of momentum per mass, W/N.
+        Price of momentum along each world axis, W/N (J per N s).
     displacement : ndarray, shape (3,)
-        Price of displacement, N.
+        Price of displacement along each world axis, N (J per m).
     motion : float
-        Price of kinetic energy, dimensionless.
+        Price of kinetic energy, dimensionless (J per J).
     """
 
     momentum: FloatArray
@@ -255,8 +256,8 @@ class Pairs:
         """Return an airspeed that no flight from rest can exceed [m/s]; infinite if unknown.
 
         The airspeed is limited by the scenario's speed limit plus the strongest wind, and by the
-        speed at which the drag equals the largest thrust plus `standing`. Implements
-        docs/theory/bound.md, eq. (22).
+        speed at which the drag equals the largest thrust plus the thrust that holds the vehicle
+        still (`standing`). Implements docs/theory/bound.md, eq. (22).
         """
         strongest = float(np.linalg.norm(self._winds, axis=1).max())
         allowed = inf if scenario.limits.speed_max is None else scenario.limits.speed_max
@@ -288,11 +289,10 @@ class Pairs:
         """Return the four numbers through which the function H depends on the prices.
 
         H is the power of a pair of thrust and airspeed minus the terms of the prices, multipliers
-        of momentum, displacement and kinetic energy. The numbers are: the length of the price of
-        momentum p; the components along p and across p of the price of displacement, reduced by the
-        product of the price of kinetic energy and the thrust `standing`; and the price of kinetic
-        energy. `mass` is the mass as a fraction of the mass at the start. See docs/theory/bound.md,
-        eq. (16).
+        of momentum, displacement and kinetic energy. Let p, w and eta be these three prices, and s
+        the thrust that holds the vehicle still (`standing` times `mass`). The numbers are, in
+        order: the length of p; the components of w - eta s along p and across p; and eta. `mass` is
+        the mass as a fraction of the mass at the start. See docs/theory/bound.md, eq. (16).
         """
         displacement = prices.displacement - prices.motion * mass * self.standing
         size = float(np.linalg.norm(prices.momentum))
@@ -651,9 +651,11 @@ def bound_of_pairs(
 def prices_of_pairs(
     pairs: Pairs, legs: Sequence[Leg], shared: Sequence[tuple[float, float]], power: float
 ) -> tuple[list[MotionPrices], _Program]:
-    """Return the prices of the largest bound that sampled pairs give, and their linear program.
+    """Return the prices that give the largest lower bound found, and the linear program for them.
 
-    The parameters are those of `bound_of_pairs`.
+    The bound is a lower bound on the energy of the flight. It is computed here from sampled pairs
+    of thrust and airspeed, and is not yet proven. The first result has the prices (multipliers) on
+    each leg. The parameters are those of `bound_of_pairs`.
     """
     tolerance = POWER_TOLERANCE * power
     program = _Program(legs, shared, power, pairs.standing)

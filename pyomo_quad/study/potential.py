@@ -16,9 +16,9 @@ u and v.
 symbol | meaning
 phi(x, y) | potential: linear in each of two triangles of a cell of the field's grid [J]
 q | gradient of the potential, and as third component the price of vertical displacement [N]
-o, eta | price of momentum per mass in still air, and of kinetic energy, equal at all places
+o, eta | price of momentum [W/N] in still air, and of kinetic energy, equal at all places
 W | wind
-a | price of momentum per mass in the wind W: o + eta W
+a | price of momentum [W/N] in the wind W: o + eta W
 G(a, q) | least value of P - a . (u + f - s) - q . v - eta v . (u + f - s) over all pairs u, v
 h | lower bound on the part of the power that the terms of the prices do not include [W]
 
@@ -79,7 +79,7 @@ class PlacePrices:
     Attributes
     ----------
     offset : ndarray, shape (3,)
-        Price of momentum per mass in still air (o) [W/N].
+        Price of momentum in still air (o) [W/N, which is J per N s].
     motion : float
         Price of kinetic energy (eta), dimensionless.
     climb : float
@@ -127,7 +127,7 @@ class PlacePrices:
             Takes a sequence of n prices of motions through the air; returns G, or lower bounds on
             G, shape (n,) [W].
         sizes : ndarray, shape (n_sizes,)
-            Horizontal lengths of the price of momentum per mass [W/N].
+            Horizontal lengths of the price of momentum [W/N].
         lengths : ndarray, shape (_DIRECTIONS, n_lengths)
             Lengths of the horizontal gradient in each direction [N], of which the first is zero.
             The directions are equally spaced over half a turn from the price of momentum.
@@ -163,7 +163,7 @@ class GradientTable:
     Attributes
     ----------
     sizes : ndarray, shape (n_sizes,)
-        Horizontal lengths of the price of momentum per mass [W/N], increasing.
+        Horizontal lengths of the price of momentum [W/N], increasing.
     lengths : ndarray, shape (_DIRECTIONS, n_lengths)
         Lengths of the gradient in each direction [N], increasing from zero. The directions are
         equally spaced over half a turn from the price of momentum. The values over the other half
@@ -218,10 +218,11 @@ class GradientTable:
 def _last_positive(at: FloatArray, values: FloatArray) -> FloatArray:
     """Return the arguments at which concave functions fall to zero, from samples.
 
-    The functions are positive at their first sample, and are interpolated linearly. For a function
-    that is positive at all samples, the result is the last argument. `at` has the arguments of the
-    samples, shape (m, k), and `values` the values of n m functions, shape (n, m, k). The result has
-    shape (n, m).
+    `GradientTable.gradients` finds in this way the largest allowed length of a gradient in each
+    direction. The functions are positive at their first sample, and are interpolated linearly. For
+    a function that is positive at all samples, the result is the last argument. `at` has the
+    arguments of the samples, shape (m, k), and `values` the values of n m functions, shape (n, m,
+    k). The result has shape (n, m).
     """
     last = np.sum(np.cumprod(values > 0.0, axis=-1), axis=-1, dtype=int) - 1
     after = np.minimum(last + 1, at.shape[1] - 1)
@@ -429,9 +430,12 @@ class _Search:
     def _bound(self, prices: PlacePrices, table: GradientTable) -> float:
         """Return the lower bound on the energy that follows from a table of allowed gradients [J].
 
-        The gradients are those of a potential, a function of the horizontal place whose rise from
-        start to goal gives a lower bound on the energy of every flight. The result is minus
-        infinity if no gradient is allowed in one of the winds of the field.
+        A potential is a function of the horizontal place whose rise from start to goal gives a
+        lower bound on the energy of every flight. A gradient of the potential is allowed in a wind
+        if the power of every motion in this wind is at least the rate at which the motion gains
+        potential, plus the terms of the multipliers `prices`. `table` has the function G, from
+        which the allowed gradients follow. The result is minus infinity if the gradient zero is not
+        allowed in one of the winds of the field.
         """
         gradients = table.gradients(prices, self._winds)
         if gradients is None:
@@ -464,9 +468,13 @@ class _Search:
     def proven(self, prices: PlacePrices) -> float:
         """Return a proven lower bound on the energy, for given prices (multipliers) [J].
 
-        The result is minus infinity if no gradient of a potential is allowed in one of the winds of
-        the field. To save time, allowed gradients are proven only near those that sampling
-        predicts.
+        The bound is the largest rise, from start to goal, of a function of the horizontal place
+        (the potential), plus terms for height and duration. A gradient of the potential is allowed
+        in a wind if the power of every motion in this wind is at least the rate at which the motion
+        gains potential, plus the terms of the prices. This condition is proven by lower bounds on
+        the function G, the least power minus these terms. To save time, the bounds are computed
+        only near the largest gradients that samples of G allow. The result is minus infinity if the
+        gradient zero is not allowed in one of the winds of the field.
         """
         table = prices.table(self._sampled, self._sizes(prices), self._lengths)
         gradients = table.gradients(prices, self._winds)

@@ -231,6 +231,7 @@ def estimate_error(
     Parameters
     ----------
     solution : Solution
+        Solution on one mesh, whose errors between the collocation points are estimated.
     tolerance : float, optional
         Tolerance with which the errors will be compared. Errors of states are scaled so that their
         limits (`Allowance.state_error` and `Allowance.final_miss`) become this tolerance. The costs
@@ -416,6 +417,7 @@ def _sampled(
     Parameters
     ----------
     solution : Solution
+        Solution whose polynomials and parameters give the arguments of the equations.
     *grids : callable
         Degree of an element -> sample times in the element, as numbers from 0 (start of the
         element) to 1 (end), of which the last is 1.
@@ -669,7 +671,8 @@ def _breaches(
 def _prices(solution: Solution) -> FloatArray:
     """Return for each element the sum of the multipliers of all bounds on states.
 
-    The multiplier of a bound is the change of the objective per unit of the bound. Shape
+    The multiplier of a bound is the change of the objective per unit of the bound. `_breaches`
+    multiplies the violation of limits by the sum, to estimate the effect on the objective. Shape
     (n_elements,).
     """
     program, multipliers = solution.program, solution.multipliers
