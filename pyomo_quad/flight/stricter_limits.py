@@ -21,6 +21,7 @@ import numpy as np
 
 from pyomo_quad.flight.limit_words import excess
 from pyomo_quad.flight.verdict import energy_of
+from pyomo_quad.flight.verification import tolerated
 from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 
 if TYPE_CHECKING:
@@ -199,9 +200,9 @@ def broken_limits(plan: Plan, accuracy: Accuracy) -> tuple[Violation, ...]:
     """
     if plan.flown is None:
         return ()
-    flown, allowed = plan.flown, FIGURES[accuracy].breach
+    flown, figures = plan.flown, FIGURES[accuracy]
     found = plan.dynamics.violations(flown.t, flown.states, flown.controls)
-    return tuple(breach for breach in found if breach.relative > allowed)
+    return tuple(breach for breach in found if breach.size > tolerated(breach, figures))
 
 
 def _helps(breach: Violation) -> bool:
@@ -243,7 +244,7 @@ def _by_parameter(
         parameter, sign = _STRICTER.get(limit, ("", 0.0))
         name = parameter.format(index.removesuffix("]"))
         size = excess(breach, plan.dynamics.unit(breach.name))[0]
-        rest = 1.0 - _ALLOWED * FIGURES[accuracy].breach / breach.relative
+        rest = 1.0 - _ALLOWED * tolerated(breach, FIGURES[accuracy]) / breach.size
         for own in numbers:
             if name and (own == name or (name.endswith(",") and own.startswith(name))):
                 found[own] = max(found.get(own, (0.0, 0.0)), (size, sign * _MORE * rest * size))
@@ -336,11 +337,12 @@ def _windows(
     if plan.flown is None:
         return []
     flown, dynamics, found = plan.flown, plan.dynamics, list[tuple[float, float]]()
+    allowed = min(FIGURES[accuracy].breach, FIGURES[accuracy].intrusion)
     instants = dynamics.solved(flown.t, flown.states, flown.controls, numbers)
     for limit in dynamics.limits_of(instants):
         if not limit.name.startswith(_CORNERS):
             continue
-        is_beyond = limit.relative_violations > FIGURES[accuracy].breach
+        is_beyond = limit.relative_violations > allowed
         edges = np.flatnonzero(np.diff(np.concatenate([[0], is_beyond.astype(int), [0]])))
         for first, after in zip(edges[::2], edges[1::2], strict=True):
             start = float(flown.t[max(first - 1, 0)])

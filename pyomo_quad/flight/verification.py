@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pyomo_quad.collocation import ClosedLoop, Dynamics, Mesh, control_polynomial
+from pyomo_quad.collocation import ClosedLoop, Dynamics, Mesh, Violation, control_polynomial
 from pyomo_quad.flight.deadline import keep_time
 from pyomo_quad.flight.flight import (
     HELD_BREACH,
@@ -508,6 +508,7 @@ def compared(
     found = _Found(
         miss=max(relative[worst_miss], *passing, 0.0),
         breach=breach.relative,
+        intrusion=max((b.size for b in breaches if is_of_airspace(b)), default=0.0),
         energy=abs(flown_energy - energy) / max(1.0, abs(energy)),
         lacking=max(imbalance, lacking),
     )
@@ -530,18 +531,30 @@ def compared(
     )
 
 
+def is_of_airspace(breach: Violation) -> bool:
+    """Return whether a violated limit belongs to the airspace, so that its violation is in m."""
+    return breach.name.startswith("airspace.")
+
+
+def tolerated(breach: Violation, figures: Figures) -> float:
+    """Return the largest violation of a limit that an accuracy tolerates, in the limit's unit."""
+    by_size = figures.breach * max(1.0, abs(breach.bound))
+    return min(by_size, figures.intrusion) if is_of_airspace(breach) else by_size
+
+
 @dataclass(frozen=True, kw_only=True)
 class _Found:
     """Largest errors of a simulated flight compared with its plan.
 
     `miss` is the deviation of a final state or of a waypoint passage, `breach` the violation of a
     limit, and `energy` the deviation of the energy, each relative to the larger of 1 and the value;
-    deviations at waypoints are in m. `lacking` is the missing fraction of battery power, charge or
-    voltage.
+    deviations at waypoints are in m. `intrusion` is the largest violation of a limit of the
+    airspace [m]. `lacking` is the missing fraction of battery power, charge or voltage.
     """
 
     miss: float
     breach: float
+    intrusion: float
     energy: float
     lacking: float
 
@@ -558,6 +571,7 @@ class _Found:
         return bool(
             self.miss <= figures.miss
             and self.breach <= figures.breach
+            and self.intrusion <= figures.intrusion
             and self.energy <= figures.energy
             and self.lacking <= BALANCE_TOLERANCE
         )

@@ -7,6 +7,7 @@ real flights; the level `proof` is for studies that compare small differences of
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from math import inf
 from types import MappingProxyType
 
 
@@ -45,6 +46,9 @@ class Figures:
     breach : float
         Largest violation of a limit between collocation points, divided by the limit's magnitude
         or by 1, whichever is larger.
+    intrusion : float
+        Intrusion into the clearance of a zone, and excess over floor, ceiling or fence [m]. A
+        relative tolerance alone would allow half a metre at a ceiling of 50 m.
     integration : float
         Relative and absolute tolerance of the simulation. This tolerance is far below the other
         tolerances, because errors of a flight without feedback grow about a millionfold in half a
@@ -57,6 +61,7 @@ class Figures:
     energy: float
     miss: float
     breach: float
+    intrusion: float
     integration: float
     spacing: float
 
@@ -71,6 +76,7 @@ FIGURES: Mapping[Accuracy, Figures] = MappingProxyType(
             energy=1e-3,
             miss=0.1,
             breach=1e-2,
+            intrusion=2e-3,
             integration=1e-10,
             spacing=5e-2,
         ),
@@ -78,6 +84,7 @@ FIGURES: Mapping[Accuracy, Figures] = MappingProxyType(
             energy=1e-4,
             miss=1e-2,
             breach=1e-3,
+            intrusion=1e-3,
             integration=1e-11,
             spacing=1e-2,
         ),
@@ -85,6 +92,7 @@ FIGURES: Mapping[Accuracy, Figures] = MappingProxyType(
             energy=1e-6,
             miss=1e-4,
             breach=1e-4,
+            intrusion=inf,
             integration=1e-12,
             spacing=5e-3,
         ),
