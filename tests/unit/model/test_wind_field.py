@@ -140,6 +140,7 @@ def test_what_two_compiled_models_share_does_not_depend_on_what_was_done_with_th
     assert compile_model(build_model(other)).compiled.fingerprint != first.compiled.fingerprint
 
 
+@pytest.mark.slow
 def test_a_plan_through_a_cell_without_wind_is_refused_or_held(tmp_path):
     def with_a_tower(x, y):
         return (np.nan, np.nan) if (x, y) == (30.0, 40.0) else (3.0, 1.0)
@@ -193,6 +194,7 @@ def test_a_forecast_is_a_field_of_its_own(tmp_path):
     assert mean_wind(scenario.as_forecast()) == pytest.approx((2.0, 0.0), abs=1e-12)
 
 
+@pytest.mark.slow
 def test_a_plan_stays_within_the_field_although_better_wind_seems_to_blow_beyond_its_edge(tmp_path):
     def stronger_to_the_north(x, y):
         return (8.0 * (y - 30.0) / 12.0, 0.0)
