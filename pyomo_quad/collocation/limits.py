@@ -25,15 +25,12 @@ class Violation:
         Value of the limit at the time of the worst violation.
     time : float
         Physical time of the worst violation.
-    is_above : bool, optional
-        Whether the value is above an upper bound; else it is below a lower bound.
     """
 
     name: str
     size: float
     bound: float
     time: float
-    is_above: bool = True
 
     @property
     def relative(self) -> float:
@@ -87,7 +84,6 @@ class LimitValues:
         below, above = lower - values, values - upper
         size = np.maximum(below, above)
         at = int(np.argmax(size))
-        is_above = not below[at] > above[at]
-        bound = upper[at] if is_above else lower[at]
+        bound = lower[at] if below[at] > above[at] else upper[at]
         bound = float(bound) if np.isfinite(bound) else 0.0
-        return Violation(self.name, max(float(size[at]), 0.0), bound, float(t[at]), is_above)
+        return Violation(self.name, max(float(size[at]), 0.0), bound, float(t[at]))

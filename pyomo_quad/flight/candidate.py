@@ -49,7 +49,7 @@ _LIMITS = "limits."
 _TIGHTER = 0.1
 # Factor on the tolerances of `MissionProblem.allowance` after each simulation that does not confirm
 # the solution.
-_FINER = 0.25
+_FINER = 0.1
 # Largest number of solves with limits that become stricter and stricter.
 _MOST_STRICTER = 4
 

@@ -41,9 +41,7 @@ _STRICTER = {
     "airspace.keep_out": ("airspace.radius[{},", 1.0),
     "limits.pitch_limit": ("limits.pitch_max", -1.0),
     "limits.roll_limit": ("limits.roll_max", -1.0),
-    "limits.rotor_speed_limit": ("limits.rotor_speed_max", -1.0),
     "limits.speed_limit": ("limits.speed_max", -1.0),
-    "limits.thrust_limit": ("limits.thrust_max", -1.0),
     "mission.hold_distance": ("mission.hovering_distance_max", -1.0),
     "mission.hold_speed": ("mission.hovering_speed_max", -1.0),
     "mission.passing_near": ("mission.passing_radius[{}]", -1.0),
@@ -62,8 +60,6 @@ _ALLOWED, _MORE, _LESS = 0.5, 1.2, 0.5
 # Factors by which the mesh is refined at the times at which a path cuts through a zone, and at the
 # times at which a stricter limit on the distance from a zone costs too much energy.
 _DENSER, _DENSEST = 3, 8
-# A limit with an upper and a lower bound; its parameter changes the upper bound only.
-_ROTOR_SPEED = "limits.rotor_speed_limit"
 # Limits on the distance from zones, whose corners a path may cut between two collocation points.
 _CORNERS = "airspace.keep_out"
 # Shortest element of a refined mesh [s].
@@ -131,19 +127,21 @@ def within_limits(
     """
     numbers = dict(mission.arguments["parameters"] or {})
     margins, cuts = dict[str, float](), dict[str, float]()
-    last = relaxed
+    last, has_relaxed = relaxed, False
     while True:
         strict = _changed(numbers, margins)
         windows = _windows(plan, accuracy, {name: strict[name] for name in margins})
         broken = broken_limits(plan, accuracy)
         denser = _DENSER
+        if broken and has_relaxed:
+            return
         if broken:
             found_now = _by_parameter(plan, broken, numbers, accuracy)
             for name, (violation, change) in found_now.items():
                 cuts.setdefault(name, violation)
                 margins[name] = margins.get(name, 0.0) + change
         elif margins and plan.error_estimate > FIGURES[accuracy].energy:
-            denser = _DENSEST
+            denser, has_relaxed = _DENSEST, True
             for name in margins:
                 margins[name] *= _LESS
         else:
@@ -206,14 +204,12 @@ def broken_limits(plan: Plan, accuracy: Accuracy) -> tuple[Violation, ...]:
 
 
 def _helps(breach: Violation) -> bool:
-    """Return whether a violation of a limit can be removed by making the limit stricter.
+    """Return whether a violated limit has a parameter in `_STRICTER`, and is violated slightly.
 
-    This requires a limit that a parameter sets, and a violation of at most half the limit. For
-    other violations only a finer mesh helps.
+    Otherwise only a finer mesh helps. So it does for the rotors' speed and thrust, although they
+    have parameters: a margin of a thousandth costs more energy than the accuracy allows.
     """
-    is_known = breach.name.partition("[")[0] in _STRICTER
-    is_of_other_side = breach.name.startswith(_ROTOR_SPEED) and not breach.is_above
-    return is_known and breach.relative <= _SLIGHT and not is_of_other_side
+    return breach.name.partition("[")[0] in _STRICTER and breach.relative <= _SLIGHT
 
 
 def _by_parameter(
