@@ -203,7 +203,7 @@ def _again(
         mission.told = told
         if is_rough:
             solution = mission.solve(
-                mesh=plan.mesh, tolerance=None, options=_ROUGHLY, warm_start=start
+                mesh=start.mesh, tolerance=None, options=_ROUGHLY, warm_start=start
             )
             return plan_of(tight, solution, {}, mission.hover_energy(solution))
         candidate = Candidate(scenario=tight, mission=mission, search=search, start=plan)
