@@ -38,6 +38,17 @@ class Violation:
         return self.size / max(1.0, abs(self.bound))
 
 
+def outside(values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
+    """Return by how much values lie outside their bounds, relative to max(1, abs(bound)).
+
+    The result is 0 inside the bounds.
+    """
+    with np.errstate(invalid="ignore"):
+        below = (lower - values) / np.maximum(1.0, np.abs(lower))
+        above = (values - upper) / np.maximum(1.0, np.abs(upper))
+    return np.nan_to_num(np.fmax(np.fmax(below, above), 0.0), nan=0.0)
+
+
 @dataclass(frozen=True)
 class LimitValues:
     """Values of a limited quantity at n times, with the lower and upper bounds at these times.
@@ -60,10 +71,7 @@ class LimitValues:
     @property
     def relative_violations(self) -> FloatArray:
         """Violations at the n times relative to max(1, abs(bound)); 0 where the limit is met."""
-        with np.errstate(invalid="ignore"):
-            below = (self.lower - self.values) / np.maximum(1.0, np.abs(self.lower))
-            above = (self.values - self.upper) / np.maximum(1.0, np.abs(self.upper))
-        return np.nan_to_num(np.fmax(np.fmax(below, above), 0.0), nan=0.0)
+        return outside(self.values, self.lower, self.upper)
 
     def worst(self, chosen: slice, t: FloatArray) -> Violation:
         """Return the worst violation of the limit among a range of times.

@@ -133,8 +133,8 @@ def verified(
     asked = accuracy or plan.scenario.solver.accuracy
     wanted = trajectories_of(solution).states[-1]
     try:
-        flown = _path_of(plan, asked)
-        verification = compared(plan.dynamics, flown, plan.energy, wanted, plan.passages, asked)
+        if asked is not Accuracy.PROOF:
+            verification, flown = _as_planned(plan, asked, wanted)
         # No simulation is needed if the planned path itself cuts through zones.
         if asked is Accuracy.PROOF or verification.max_violation <= _FLOWN * FIGURES[asked].breach:
             plan = _followed(plan, asked, plan.energy if least_energy is None else least_energy)
@@ -204,8 +204,7 @@ def _flown(plan: Plan, accuracy: Accuracy, wanted: FloatArray) -> tuple[Verifica
     """
     held = plan.trajectories
     if accuracy is not Accuracy.PROOF:
-        path = _path_of(plan, accuracy)
-        found = compared(plan.dynamics, path, plan.energy, wanted, plan.passages, accuracy)
+        found, path = _as_planned(plan, accuracy, wanted)
         if not found.reached:
             return found, path
     return verify_controls(
@@ -244,6 +243,15 @@ def _followed(plan: Plan, accuracy: Accuracy, least_energy: float) -> Plan:
         energy=energy,
         error_estimate=max(plan.error_estimate, excess),
     )
+
+
+def _as_planned(plan: Plan, accuracy: Accuracy, wanted: FloatArray) -> tuple[Verification, Flown]:
+    """Compare the planned path itself with goal, limits and battery, without a simulation.
+
+    The arguments are those of `_flown`. The result is the comparison, and samples of the path.
+    """
+    path = _path_of(plan, accuracy)
+    return compared(plan.dynamics, path, plan.energy, wanted, plan.passages, accuracy), path
 
 
 def _path_of(plan: Plan, accuracy: Accuracy) -> Flown:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 
 from pyomo_quad.collocation.dynamics import control_limits
+from pyomo_quad.collocation.limits import outside
 from pyomo_quad.collocation.mesh import FloatArray, radau_rule
 from pyomo_quad.collocation.program.compiled import MappedFunction
 from pyomo_quad.collocation.program.definitions import definitions, with_defined
@@ -701,23 +702,12 @@ def violations(program: Transcription, samples: _Samples) -> tuple[FloatArray, .
     )
     is_limit = is_algebraic & ~compiled.is_equality
     low, high = MappedFunction(compiled.limits_over_time, len(variables))(data)
-    own = _outside(variables[:, n + compiled.limited], low, high)
+    own = outside(variables[:, n + compiled.limited], low, high)
     is_own = compiled.limited < n
-    rows = _outside(held, lower, upper)
+    rows = outside(held, lower, upper)
     limits = np.hstack([rows[:, is_limit & ~is_of_controls], own[:, is_own]])
     controls = np.hstack([own[:, ~is_own], rows[:, is_limit & is_of_controls]])
     return tuple(
         worst.max(axis=1, initial=0.0)
         for worst in (rows[:, is_algebraic & compiled.is_equality], limits, controls)
     )
-
-
-def _outside(values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Return by how much values lie outside their bounds, relative to max(1, abs(bound)).
-
-    The result is 0 inside the bounds.
-    """
-    with np.errstate(invalid="ignore"):
-        below = (lower - values) / np.maximum(1.0, np.abs(lower))
-        above = (values - upper) / np.maximum(1.0, np.abs(upper))
-    return np.nan_to_num(np.fmax(np.fmax(below, above), 0.0), nan=0.0)
