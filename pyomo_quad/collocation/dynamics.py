@@ -247,7 +247,7 @@ class Dynamics:
             model that is different in different parts of the horizon, a number that selects its
             form at this time.
         """
-        fraction = float(self.timeline.fraction(t))
+        fraction = self.timeline.fraction_at(float(t))
         return [fraction, *self._signals(fraction)]
 
     def symbol(self, name: str, size: int) -> Any:

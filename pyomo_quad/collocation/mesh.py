@@ -6,6 +6,7 @@ See docs/theory/transcription.md, eqs. (1) to (3) and (8).
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from bisect import bisect_left
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from html import escape
@@ -337,6 +338,33 @@ class Timeline:
         inside = (times - self.times[phase]) / np.diff(self.times)[phase] * (last - first)
         is_last = phase == len(self.times) - 2
         return np.where(is_last, first + inside, np.minimum(first + inside, last))
+
+    @cached_property
+    def _phases(self) -> tuple[list[float], list[tuple[float, float, float]]]:
+        """Times at which phases end; and start time, start fraction and slope of each phase.
+
+        The slope is the change of the fraction per unit of physical time.
+        """
+        slopes = np.diff(self.fractions) / np.diff(self.times)
+        columns = self.times[:-1].tolist(), self.fractions[:-1].tolist(), slopes.tolist()
+        return self.times[1:-1].tolist(), list(zip(*columns, strict=True))
+
+    def fraction_at(self, time: float) -> float:
+        """Return the fraction of the declared horizon at one physical time.
+
+        The result is that of `fraction`. For a single time, Python's numbers are several times
+        faster than arrays, and simulations need the fraction in each evaluation of the equations.
+
+        Parameters
+        ----------
+        time : float
+            Physical time.
+        """
+        ends, phases = self._phases
+        phase = bisect_left(ends, time)
+        start, first, slope = phases[phase]
+        fraction = first + (time - start) * slope
+        return min(fraction, phases[phase + 1][1]) if phase < len(ends) else fraction
 
 
 def by_element(mesh: Mesh, fractions: FloatArray) -> list[tuple[int, np.ndarray, FloatArray]]:

@@ -28,9 +28,9 @@ from pyomo_quad.flight.long_flight import fine_mesh, guess_of, is_long, rough_me
 from pyomo_quad.flight.mission_problem import MissionProblem
 from pyomo_quad.flight.plan import Plan
 from pyomo_quad.flight.route_flights import RouteFlights
-from pyomo_quad.flight.stricter_limits import mesh_where_broken, within_limits
+from pyomo_quad.flight.stricter_limits import broken_limits, mesh_where_broken, within_limits
 from pyomo_quad.flight.verdict import energy_of, plan_of, verified
-from pyomo_quad.flight.verification import BALANCE_TOLERANCE, shares_lacking
+from pyomo_quad.flight.verification import BALANCE_TOLERANCE, shares_lacking, tolerated
 from pyomo_quad.model.battery import GIVEN_SHARE
 from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 
@@ -48,8 +48,9 @@ _LIMITS = "limits."
 # Factor by which the tolerance is tightened if a simulated flight does not confirm the solution.
 _TIGHTER = 0.1
 # Factor on the tolerances of `MissionProblem.allowance` after each simulation that does not confirm
-# the solution.
-_FINER = 0.1
+# the solution: with the second factor, violations of limits in proportion to these tolerances would
+# fall to half of what is allowed; the first is its least value.
+_FINER, _HALF = 0.1, 0.5
 # Largest number of solves with limits that become stricter and stricter.
 _MOST_STRICTER = 4
 
@@ -122,6 +123,8 @@ class Candidate:
         self._began = time.perf_counter()
         # Factor on the tolerances of `MissionProblem.allowance`.
         self._share = 1.0
+        # The solution, unless it has stricter limits than the mission.
+        self._known: Solution | None = None
 
     @property
     def found(self) -> Solution:
@@ -510,7 +513,8 @@ class Candidate:
 
     def fly(self) -> None:
         """Verify the solution by simulating its controls."""
-        self.flown = verified(self.plan, self.found)
+        self.flown, self._known = verified(self.plan, self.found), self.found
+        self.search.keep(self.flown)
         # The time of the solve does not include that of the simulation.
         self._began += self.flown.timings.get("verify", 0.0)
 
@@ -539,10 +543,11 @@ class Candidate:
 
         for plan in within_limits(self.mission, relaxed, self.plan, asked, fly):
             self.flown, solves = plan, solves + 1
+            self.search.keep(plan)
             if plan.is_verified or solves == _MOST_STRICTER:
                 break
             if plan.solution is not None and self._is_better(plan, relaxed):
-                self.solution = plan.solution
+                self.solution, self._known = plan.solution, None
                 break
         return f"{solves} solves" if solves else None
 
@@ -582,7 +587,8 @@ class Candidate:
         """
         found, asked = self.found, self.scenario.solver.accuracy
         plan, allowed = self.plan, FIGURES[asked].energy
-        self._share *= _FINER
+        beyond = [b.size / tolerated(b, FIGURES[asked]) for b in broken_limits(plan, asked)]
+        self._share *= max(_FINER, _HALF / max(beyond)) if beyond else _FINER
         # With corrected controls, a coarse mesh costs no more energy than estimated.
         if asked is Accuracy.PROOF or plan.error_estimate > allowed:
             self.tolerance *= _TIGHTER
@@ -591,7 +597,7 @@ class Candidate:
             tolerance=self.tolerance,
             mesh=mesh,
             warm_start=found,
-            refinement=self.mission.stricter_refinement(self._share),
+            refinement=replace(self.mission.stricter_refinement(self._share), known=self._known),
         )
         if tighter.status is not Status.CONVERGED:
             return None

@@ -49,6 +49,9 @@ _ESTIMATED = 0.5
 # tolerance on it, up to which feedback and stricter limits make a solution flyable
 # (measured: docs/decisions/speed.md).
 _FOLLOWED, _CUT = 20.0, 20.0
+# Fewest meshes of a refinement after which its solution may be flyable, and largest number of
+# meshes on which a usable plan along a first route is sought.
+_FEWEST_MESHES, _MESHES_TO_USABLE = 2, 3
 
 
 class MissionProblem:
@@ -322,6 +325,46 @@ class MissionProblem:
         start, end = held.horizon
         return power * (end - start)
 
+    def until_usable(self, flown: Solution) -> Solution:
+        """Refine the mesh of a coarse solution until the search has a usable plan.
+
+        A usable plan is a plan that simulation confirms at lower accuracy than requested.
+
+        Parameters
+        ----------
+        flown : Solution
+            Converged solution on one coarse mesh.
+
+        Returns
+        -------
+        Solution
+            The converged solution on the last mesh; ``flown`` if no finer mesh was solved.
+        """
+        search, solved = self.search, [flown]
+        if search is None or search.usable is not None:
+            return flown
+
+        def is_needed(finished: Solution) -> bool:
+            solved.append(finished)
+            self.keep_usable(finished)
+            return search.usable is None
+
+        self.go_on(flown, max_meshes=_MESHES_TO_USABLE, on_mesh=is_needed)
+        return solved[-1]
+
+    def go_on(self, flown: Solution, **changed: Any) -> Solution:
+        """Continue the mesh refinement from a converged solution, without solving its mesh again.
+
+        Parameters
+        ----------
+        flown : Solution
+            Converged solution for the mission's own parameters.
+        **changed
+            Attributes of `RefinementOptions` that replace those of `arguments`.
+        """
+        refinement = replace(self.arguments["refinement"], known=flown, **changed)
+        return self.solve(mesh=flown.mesh, warm_start=flown, refinement=refinement)
+
     def keep_usable(self, finished: Solution) -> None:
         """Offer the solution on a finished mesh to the search as a usable plan.
 
@@ -335,7 +378,7 @@ class MissionProblem:
         def fly(solution: Solution, least_energy: float | None = None) -> Plan:
             timings = {"build": 0.0, "compile": 0.0, "solve": search.spent_s}
             plan = plan_of(self.told, solution, timings, self.hover_energy(solution))
-            found = verified(plan, solution, Accuracy.QUICK, least_energy)
+            found = verified(plan, solution, Accuracy.QUICK, least_energy, is_rough=True)
             return replace(found, status=PlanStatus.SOLVED)
 
         def flown() -> Iterator[Plan]:
@@ -343,4 +386,11 @@ class MissionProblem:
             yield plan
             yield from within_limits(self, finished, plan, Accuracy.QUICK, fly)
 
-        search.finished(finished, energy_of(self.told, finished), flown)
+        is_coarse = len(finished.history) < _FEWEST_MESHES
+        is_patient = self.told.solver.accuracy is Accuracy.PROOF
+        search.finished(
+            energy_of(self.told, finished),
+            flown,
+            points=finished.mesh.points,
+            is_early=is_coarse or (is_patient and search.is_early),
+        )

@@ -72,6 +72,8 @@ class RouteFlights:
         solver = self._scenario.solver
         self._mesh = Mesh.uniform(max(solver.elements, _ROUTE_ELEMENTS), solver.degree)
         self._is_plain, self._tolerance = False, solver.tolerance
+        # Solutions that were refined before the routes were compared, by number of the journey.
+        self._begun: dict[int, Solution] = {}
         if self._scenario.solver.accuracy is not Accuracy.PROOF:
             self._near_on_first *= _ALIKE
             self._is_pruned = True
@@ -123,6 +125,7 @@ class RouteFlights:
                 dominant.append(sides_touched(self._scenario, journey, solution))
             if not any(_is_same(solution, other) for _, other in flown):
                 flown.append((journey, solution))
+                self._begin(len(flown) - 1, solution)
         known = dict(enumerate(solution for _, solution in flown))
         near = self._near(known)
         refined = self._refined(known, near)
@@ -158,15 +161,34 @@ class RouteFlights:
             Numbers of the journeys whose cost is near the least, the cheapest first.
         """
         near = _nearest(known, self._near_on_first, self._most(_MOST_ON_NEXT, self._near_on_first))
+        improved = {k: self._begun[k] for k in near if k in self._begun}
+        known |= improved
         if len(near) < 2:
             return near
-        improved = {k: self.refine(known[k], _TO_THE_NEXT) for k in near}
+        improved |= {k: self.refine(known[k], _TO_THE_NEXT) for k in near if k not in improved}
         known |= {k: s for k, s in improved.items() if s.status.is_solved}
         for k in sorted(near, reverse=True):
             if any(_is_same(known[k], known[j]) for j in near if j < k):
                 del known[k]
         compared = {k: s for k, s in known.items() if k in near}
         return _nearest(compared, _NEAR_ON_NEXT, self._most(_MOST_REFINED, _NEAR_ON_NEXT))
+
+    def _begin(self, number: int, solution: Solution) -> None:
+        """Refine the first solution until a usable plan is found, before other routes are solved.
+
+        A usable plan is a plan that simulation confirms at lower accuracy than requested. The first
+        route is the shortest, so its refined solution is often needed later too.
+
+        Parameters
+        ----------
+        number : int
+            Number of the solution's journey (a route for each leg of the mission).
+        solution : Solution
+            Solution on one coarse mesh.
+        """
+        is_first = not self._begun and self._is_pruned and not self._mission.easier
+        if is_first and solution.status.is_solved and self._scenario.solver.max_refinements > 0:
+            self._begun[number] = self._mission.until_usable(solution)
 
     def _most(self, most: int, error: float) -> int:
         """Return the largest number of journeys to solve on a finer mesh: ``most``, or only one.
@@ -288,15 +310,17 @@ class RouteFlights:
         mission = self._mission
         if self._scenario.solver.max_refinements == 0 and not mission.easier:
             return flown
-        if mission.search is not None:
-            mission.keep_usable(flown)
         if meshes is None and mission.easier:
             return mission.solve_from(flown.trajectory, flown.mesh)
-        chosen: dict[str, Any] = {"mesh": flown.mesh, "warm_start": flown}
-        if meshes is None:
-            return mission.solve(**chosen)
-        few = replace(mission.arguments["refinement"], max_meshes=meshes)
-        return mission.solve(next(iter(mission.easier), None), refinement=few, **chosen)
+        few = {} if meshes is None else {"max_meshes": meshes}
+        if flown.status.is_solved and not mission.easier:
+            return mission.go_on(flown, **few)
+        return mission.solve(
+            next(iter(mission.easier), None) if few else None,
+            mesh=flown.mesh,
+            warm_start=flown,
+            refinement=replace(mission.arguments["refinement"], **few),
+        )
 
 
 # Relative excess over the least estimated cost above which a journey is not solved. The estimate by

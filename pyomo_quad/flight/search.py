@@ -18,7 +18,7 @@ from pyomo_quad.flight.plan import LEAST_ENERGY_J, PlanStatus
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from pyomo_quad.collocation import Iteration, Solution
+    from pyomo_quad.collocation import Iteration
     from pyomo_quad.flight.deadline import Deadline
     from pyomo_quad.flight.plan import Plan
 
@@ -30,10 +30,9 @@ USABLE_ENERGY = 0.1
 # spends on simulating the controls of finished meshes: before it has a usable plan, and afterwards,
 # to find a better usable plan.
 _PATIENCE, _SHARE, _SHARE_FOR_BETTER = 1.2e4, 0.2, 0.05
-# Simulating the controls of a mesh counts as the work of this number of iterations on the mesh.
-_ITERATIONS_OF_FLIGHT = 10
-# Fewest meshes of a refinement after which its solution may be flyable.
-_FEWEST_MESHES = 2
+# Correcting the controls of a mesh and simulating them counts as the work of this number of
+# iterations on the mesh.
+_ITERATIONS_OF_FLIGHT = 20
 # Largest number of plans that are made from one finished mesh, with stricter and stricter limits.
 _MOST_PLANS = 3
 
@@ -132,8 +131,13 @@ class Search:
         return self.work - self._effort_from
 
     @property
-    def _waited(self) -> int:
-        return self.work - self._patient_from
+    def is_early(self) -> bool:
+        """Whether the search has done too little work for the computation of usable plans.
+
+        A usable plan is a plan that simulation confirms at lower accuracy than requested. Where the
+        highest accuracy is requested, most searches end before a usable plan would save time.
+        """
+        return self.work - self._patient_from < _PATIENCE
 
     def restart_patience(self) -> None:
         """Reset the count of the work that a search does before it computes usable plans.
@@ -170,35 +174,40 @@ class Search:
         return self.deadline(iteration) and self.effort <= self._most_effort
 
     def finished(
-        self, solution: Solution, energy_J: float, flown: Callable[[], Iterator[Plan]]
+        self,
+        energy_J: float,
+        flown: Callable[[], Iterator[Plan]],
+        *,
+        points: int,
+        is_early: bool,
     ) -> None:
         """Try to make a usable plan from the solution on a finished mesh.
 
         A usable plan is a plan that simulation confirms at lower accuracy than requested; a search
-        that is stopped returns it. To save time, no usable plan is made early in a search.
+        that is stopped returns it.
 
         Parameters
         ----------
-        solution : Solution
-            Solution on the finished mesh.
         energy_J : float
             Energy of the solution [J].
         flown : callable
             Returns an iterator over plans, each with the result of its simulation. The first plan
             is made from the solution. Each further plan is made with stricter limits; further plans
             are tried only while the search has no usable plan.
+        points : int
+            Number of points of the mesh.
+        is_early : bool
+            Whether no usable plan is made, to save time.
         """
         self._note(energy_J)
         share = _SHARE if self.usable is None else _SHARE_FOR_BETTER
-        is_coarse = len(solution.history) < _FEWEST_MESHES
-        is_soon = self._waited < _PATIENCE or self._work_of_flights > share * self.work
-        if is_coarse or is_soon or self.deadline.is_over:
+        if is_early or self._work_of_flights > share * self.work or self.deadline.is_over:
             return
         before, stage = self.usable, self.stage
         self.stage = Stage.USABLE
         for plan in islice(flown(), _MOST_PLANS):
             self.keep(plan)
-            self._work_of_flights += _ITERATIONS_OF_FLIGHT * solution.mesh.points
+            self._work_of_flights += _ITERATIONS_OF_FLIGHT * points
             if before is not None or self.usable is not None:
                 break
         self.stage = stage

@@ -11,13 +11,15 @@ energy is close to the energy of the solution. Derivation and sources: docs/theo
 
 from __future__ import annotations
 
-from itertools import pairwise
+from dataclasses import dataclass, replace
+from itertools import count, pairwise
 from math import ceil
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pyomo_quad.collocation import ClosedLoop, control_polynomial, interpolate
+from pyomo_quad.collocation import ClosedLoop, SolveError, control_polynomial, interpolate
+from pyomo_quad.flight.displacement import displaced
 from pyomo_quad.flight.flight import (
     HELD_BREACH,
     POSITION_STATES,
@@ -31,6 +33,8 @@ from pyomo_quad.flight.verification import rates_in_element
 if TYPE_CHECKING:
     from pyomo_quad.arrays import FloatArray
     from pyomo_quad.collocation import Dynamics, Mesh
+    from pyomo_quad.flight.displacement import Displacement
+    from pyomo_quad.flight.integration import Rates
 
 # Interval between corrections of the feedback [s]: a tenth of the time in which the vehicle changes
 # its tilt.
@@ -44,16 +48,22 @@ _DEVIATIONS = {
     "rigid_body.psi": 0.05,
     "rigid_body.p": 0.3,
     "rigid_body.q": 0.3,
-    "rigid_body.r": 0.01,
+    "rigid_body.r": 1.0,
 }
 _ROTOR_SPEED, _ROTOR_DEVIATION = "rotors.omega[", 5.0
+# Roll and yaw angle, body rates about the other two axes; deviation of the rate of the yaw angle
+# [rad/s] that the regulator weighs like the deviations above, and the parameter of missions that
+# keep this angle.
+_ROLL, _YAW, _Q, _R = "rigid_body.phi", "rigid_body.psi", "rigid_body.q", "rigid_body.r"
+_TURNING, _KEPT_HEADING = 3e-3, "mission.turning_max"
 # Correction of a rotor's acceleration that the regulator weighs like the deviations above
 # [rad/s^2]; and factor on the weights of the states at the end, where the vehicle must be at its
 # goal.
 _CORRECTION, _AT_THE_END = 200.0, 50.0
 # Relative and absolute tolerance of the simulation; and the magnitude of a state, in its unit,
-# above which the vehicle is lost.
-_INTEGRATION, _LOST = 1e-10, 1e6
+# above which the vehicle is lost. So is one whose equations are evaluated more often in an element
+# than `_MOST_EVALUATIONS`, where some 100 evaluations suffice.
+_INTEGRATION, _LOST, _MOST_EVALUATIONS = 1e-10, 1e6, 5_000
 
 
 def can_be_tracked(dynamics: Dynamics) -> bool:
@@ -65,7 +75,12 @@ def can_be_tracked(dynamics: Dynamics) -> bool:
     return set(_DEVIATIONS) <= set(dynamics.state_names)
 
 
-def tracked(dynamics: Dynamics, coarse: Trajectories) -> Trajectories | None:
+def tracked(
+    dynamics: Dynamics,
+    coarse: Trajectories,
+    displacement: Displacement = (),
+    previous: Trajectories | None = None,
+) -> Trajectories | None:
     """Return the simulated flight of a vehicle that follows a coarse solution under feedback.
 
     In each element of the result, the controls are those of the solution plus a constant
@@ -77,6 +92,11 @@ def tracked(dynamics: Dynamics, coarse: Trajectories) -> Trajectories | None:
         Equations of the vehicle.
     coarse : Trajectories
         States and controls of a solution.
+    displacement : tuple of Push, optional
+        Displacement of the path that the vehicle follows.
+    previous : Trajectories, optional
+        An earlier result for the same solution, with any displacement. The corrections then
+        anticipate the deviations that this flight shows.
 
     Returns
     -------
@@ -87,14 +107,26 @@ def tracked(dynamics: Dynamics, coarse: Trajectories) -> Trajectories | None:
     Raises
     ------
     SolveError
-        If the integrator fails.
+        If the integrator fails, or if the vehicle tumbles far from its path.
     """
     start, end = coarse.horizon
     mesh = _split(coarse.mesh, end - start)
     borders = start + (end - start) * np.asarray(mesh.breakpoints)
-    gains = _gains(dynamics, coarse, borders)
     points = start + (end - start) * mesh.point_fractions
-    flown = _followed(dynamics, mesh, borders, points, coarse, gains)
+    path = _Path(
+        mesh=mesh,
+        borders=borders,
+        points=points,
+        states=coarse.states_at(borders),
+        controls=coarse.controls_at(points),
+    )
+    aside = _aside(dynamics, path, displacement)
+    regulator = _regulator(dynamics, coarse, borders)
+    disturbances = regulator.driven_by(aside)
+    if previous is not None:
+        disturbances += _disturbances(path, regulator, previous)
+    regulator = replace(regulator, commands=_anticipating(regulator, disturbances))
+    flown = _followed(dynamics, replace(path, states=path.states + aside), regulator)
     if flown is None:
         return None
     joint, controls = flown
@@ -116,6 +148,85 @@ def tracked(dynamics: Dynamics, coarse: Trajectories) -> Trajectories | None:
     )
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Path:
+    """Path that a simulated vehicle follows, on the mesh of its flight.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        Mesh of the flight.
+    borders, points : ndarray
+        Times of the element boundaries and of the collocation points of the mesh [s].
+    states : ndarray, shape (n_elements + 1, n_states)
+        States of the path at the element boundaries.
+    controls : ndarray, shape (n_points, n_controls)
+        Controls at the collocation points, before corrections.
+    """
+
+    mesh: Mesh
+    borders: FloatArray
+    points: FloatArray
+    states: FloatArray
+    controls: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Regulator:
+    """Linear-quadratic regulator that keeps a simulated vehicle on its path.
+
+    Each array has one entry for each of n mesh elements.
+
+    Attributes
+    ----------
+    transitions, driven : ndarray, shapes (n, n_states, n_states), (n, n_states, n_controls)
+        Matrices F and G of docs/theory/tracking.md, eq. (2).
+    gains : ndarray, shape (n, n_controls, n_states)
+        Feedback matrices K of eq. (4).
+    values : ndarray, shape (n, n_states, n_states)
+        Matrices P at the end of each element, of eq. (4).
+    inverses : ndarray, shape (n, n_controls, n_controls)
+        Inverses of the matrices in eq. (4).
+    commands : ndarray, shape (n, n_controls)
+        Corrections that anticipate known disturbances, eq. (8); 0 without known disturbances.
+    """
+
+    transitions: FloatArray
+    driven: FloatArray
+    gains: FloatArray
+    values: FloatArray
+    inverses: FloatArray
+    commands: FloatArray
+
+    def driven_by(self, aside: FloatArray) -> FloatArray:
+        """Return the disturbances that a displacement of the path's states is equivalent to.
+
+        `aside` has the displacement at the element boundaries, shape (n + 1, n_states). The result
+        has the shape (n, n_states).
+        """
+        carried = np.einsum("kij,kj->ki", self.transitions, aside[:-1])
+        return np.asarray(carried - aside[1:])
+
+
+def _aside(dynamics: Dynamics, path: _Path, displacement: Displacement) -> FloatArray:
+    """Return the displacement of all states of a path, shape (n_elements + 1, n_states).
+
+    Positions and velocities are displaced as given; the regulator finds the tilt that this takes.
+    Where the mission keeps the heading, which the coarse solution does at its points only, the yaw
+    rate is displaced so that the yaw angle does not change.
+    """
+    aside = np.zeros_like(path.states)
+    moved = displaced(path.borders, displacement)
+    for names, values in zip((POSITION_STATES, VELOCITY_STATES), moved, strict=True):
+        aside[:, [dynamics.state_names.index(name) for name in names]] = values
+    if _KEPT_HEADING in dynamics.parameter_names:
+        columns = [dynamics.state_names.index(name) for name in (_ROLL, _YAW, _Q, _R)]
+        roll, yaw, q, r = path.states[:, columns].T
+        aside[:, columns[1]] = yaw[0] - yaw
+        aside[:, columns[3]] = -q * np.tan(roll) - r
+    return aside
+
+
 def _split(mesh: Mesh, duration: float) -> Mesh:
     """Return a mesh in which each element longer than `_LONGEST_S` [s] is split into equal parts.
 
@@ -130,14 +241,11 @@ def _split(mesh: Mesh, duration: float) -> Mesh:
     )
 
 
-def _gains(dynamics: Dynamics, coarse: Trajectories, borders: FloatArray) -> FloatArray:
-    """Return the feedback matrices of the linear-quadratic regulator, one for each mesh element.
+def _regulator(dynamics: Dynamics, coarse: Trajectories, borders: FloatArray) -> _Regulator:
+    """Return the linear-quadratic regulator for the elements of a mesh, without known disturbances.
 
     Implements docs/theory/tracking.md, eqs. (2) to (4), by linearisation about the solution
-    `coarse`.
-
-    `borders` has the times of the element boundaries [s], shape (n_elements + 1,). The result has
-    shape (n_elements, n_controls, n_states).
+    `coarse`. `borders` has the times of the element boundaries [s], shape (n_elements + 1,).
     """
     n_states, n_controls = len(dynamics.state_names), len(dynamics.control_names)
     # The controls are declared as constant states of the control law, so that `slopes` also
@@ -157,15 +265,61 @@ def _gains(dynamics: Dynamics, coarse: Trajectories, borders: FloatArray) -> Flo
     transitions, driven = discrete(
         slopes[:, :n_states, :n_states], slopes[:, :n_states, inputs], steps
     )
-    weights = np.diag([_weight(name) for name in dynamics.state_names])
+    plain = np.diag([_weight(name) for name in dynamics.state_names])
+    # The rate of the yaw angle depends on all body rates of a tilted vehicle.
+    turning = slopes[:, dynamics.state_names.index(_YAW), :n_states] / _TURNING
+    weights = plain + turning[:, :, None] * turning[:, None, :]
     price = np.eye(n_controls) / _CORRECTION**2
-    value, gains = _AT_THE_END * weights, np.zeros((len(steps), n_controls, n_states))
+    gains, values = driven.transpose(0, 2, 1).copy(), np.zeros_like(transitions)
+    inverses = np.zeros((len(steps), n_controls, n_controls))
+    value = _AT_THE_END * plain
     for k in reversed(range(len(steps))):
         F, G = transitions[k], driven[k]
-        gains[k] = np.linalg.solve(steps[k] * price + G.T @ value @ G, G.T @ value @ F)
-        value = steps[k] * weights + F.T @ value @ (F - G @ gains[k])
+        values[k], inverses[k] = value, np.linalg.inv(steps[k] * price + G.T @ value @ G)
+        gains[k] = inverses[k] @ (G.T @ value @ F)
+        value = steps[k] * weights[k] + F.T @ value @ (F - G @ gains[k])
         value = 0.5 * (value + value.T)
-    return gains
+    return _Regulator(
+        transitions=transitions,
+        driven=driven,
+        gains=gains,
+        values=values,
+        inverses=inverses,
+        commands=np.zeros((len(steps), n_controls)),
+    )
+
+
+def _disturbances(path: _Path, regulator: _Regulator, previous: Trajectories) -> FloatArray:
+    """Return the disturbances in each element that a previous flight shows: (n_elements, n_states).
+
+    A disturbance is the part of the deviation at the end of an element that the linearised
+    equations do not explain by the deviation at its start and by the correction of the controls.
+    Implements docs/theory/tracking.md, eq. (7).
+    """
+    deviation = previous.states_at(path.borders) - path.states
+    corrections = (
+        np.add.reduceat(previous.controls - path.controls, path.mesh.first_node[:-1], axis=0)
+        / np.asarray(path.mesh.degrees)[:, None]
+    )
+    explained = np.einsum("kij,kj->ki", regulator.transitions, deviation[:-1])
+    explained += np.einsum("kij,kj->ki", regulator.driven, corrections)
+    return np.asarray(deviation[1:] - explained)
+
+
+def _anticipating(regulator: _Regulator, disturbances: FloatArray) -> FloatArray:
+    """Return the corrections that anticipate known disturbances, shape (n_elements, n_controls).
+
+    Implements docs/theory/tracking.md, eq. (8). `disturbances` has the shape (n_elements,
+    n_states).
+    """
+    commands = np.zeros_like(regulator.commands)
+    ahead = np.zeros(disturbances.shape[1])
+    for k in reversed(range(len(commands))):
+        F, G, K = regulator.transitions[k], regulator.driven[k], regulator.gains[k]
+        push = ahead + regulator.values[k] @ disturbances[k]
+        commands[k] = -regulator.inverses[k] @ (G.T @ push)
+        ahead = (F - G @ K).T @ push
+    return commands
 
 
 def _weight(name: str) -> float:
@@ -180,30 +334,35 @@ def _weight(name: str) -> float:
     return 1.0 / _DEVIATIONS[name] ** 2 if name in _DEVIATIONS else 0.0
 
 
+_REMEDY = "Ask for more solver.elements."
+
+
+def _limited(rates: Rates) -> Rates:
+    """Return a right-hand side that may be evaluated only as often as a vehicle on its path needs.
+
+    A vehicle that tumbles far from its path needs ever shorter steps, and would take minutes.
+
+    Raises
+    ------
+    SolveError
+        From the returned function, after `_MOST_EVALUATIONS` evaluations.
+    """
+    evaluations = count()
+
+    def limited(t: float, y: FloatArray) -> FloatArray:
+        if next(evaluations) >= _MOST_EVALUATIONS:
+            raise SolveError(f"tracking: the vehicle is lost at {t:.4g} s. {_REMEDY}")
+        return rates(t, y)
+
+    return limited
+
+
 def _followed(
-    dynamics: Dynamics,
-    mesh: Mesh,
-    borders: FloatArray,
-    points: FloatArray,
-    coarse: Trajectories,
-    gains: FloatArray,
+    dynamics: Dynamics, path: _Path, regulator: _Regulator
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Simulate the vehicle under feedback along a solution, one mesh element after the other.
+    """Simulate the vehicle under feedback along a path, one mesh element after the other.
 
     Implements docs/theory/tracking.md, eq. (1).
-
-    Parameters
-    ----------
-    dynamics : Dynamics
-        Equations of the vehicle.
-    mesh : Mesh
-        Mesh of the simulated flight.
-    borders, points : ndarray
-        Times of the element boundaries and of the collocation points of this mesh [s].
-    coarse : Trajectories
-        The solution that the vehicle follows.
-    gains : ndarray, shape (n_elements, n_controls, n_states)
-        Feedback matrices, from `_gains`.
 
     Returns
     -------
@@ -213,26 +372,26 @@ def _followed(
         Controls at the collocation points, with the corrections by feedback. None instead of both
         arrays if a state grows beyond `_LOST`.
     """
-    controls, wanted = coarse.controls_at(points), coarse.states_at(borders)
+    mesh, controls = path.mesh, path.controls.copy()
     limits, held = dynamics.control_limits(), dynamics.control_limits(HELD_BREACH)
     flow = ClosedLoop(
         dynamics, lambda command, _x, _own: (command, ()), n_command=controls.shape[1], n_own=0
     )
-    state = np.append(coarse.states[0], 0.0)
+    state = np.append(path.states[0], 0.0)
     nodes = [state[:, None]]
-    for e, (first, last) in enumerate(pairwise(borders.tolist())):
+    for e, (first, last) in enumerate(pairwise(path.borders.tolist())):
         own = slice(mesh.first_node[e], mesh.first_node[e + 1])
-        correction = gains[e] @ (wanted[e] - state[:-1])
+        correction = regulator.commands[e] - regulator.gains[e] @ (state[:-1] - path.states[e])
         controls[own] = np.clip(controls[own] + correction, *limits)
         polynomial = control_polynomial(mesh, controls, e, first, last, held)
         flown = integrate(
-            rates_in_element(flow, polynomial, dynamics.just_after(first)),
+            _limited(rates_in_element(flow, polynomial, dynamics.just_after(first))),
             (first, last),
             state,
-            np.append(points[own][:-1], last),
+            np.append(path.points[own][:-1], last),
             dynamics.steps_between(first, last),
             flight="tracking",
-            remedy="Ask for more solver.elements.",
+            remedy=_REMEDY,
             method="DOP853",
             rtol=_INTEGRATION,
             atol=_INTEGRATION,

@@ -10,8 +10,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pyomo_quad.collocation import SolveError, Status
+from pyomo_quad.flight.displacement import Displacement, pushes_out
 from pyomo_quad.flight.flight import HELD_BREACH, Flown
-from pyomo_quad.flight.plan import LEAST_ENERGY_J, Plan, PlanStatus, trajectories_of
+from pyomo_quad.flight.plan import (
+    LEAST_ENERGY_J,
+    Plan,
+    PlanStatus,
+    Trajectories,
+    trajectories_of,
+)
 from pyomo_quad.flight.tracking import can_be_tracked, tracked
 from pyomo_quad.flight.verification import (
     Verification,
@@ -28,9 +35,12 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation import Solution
     from pyomo_quad.scenario import Scenario
 
-# Violation of limits by the path of a solution, relative to the tolerance, above which the controls
-# are not simulated.
-_FLOWN = 10.0
+# Violation of a limit by the path of a solution, relative to the larger of 1 and the limit, above
+# which the controls are not simulated.
+_FLOWN = 0.6
+# Largest number of simulated flights in which the corrections of the controls are improved, and
+# violation above which they are not improved further.
+_MOST_FLIGHTS, _HOPELESS = 4, 1.0
 _STATUS = {
     Status.NOT_CONVERGED: PlanStatus.NOT_CONVERGED,
     Status.INFEASIBLE: PlanStatus.INFEASIBLE,
@@ -103,12 +113,15 @@ def verified(
     solution: Solution,
     accuracy: Accuracy | None = None,
     least_energy: float | None = None,
+    *,
+    is_rough: bool = False,
 ) -> Plan:
     """Return a plan with the result of its verification, by simulation of its controls.
 
     Unless the accuracy is the highest level, `proof`, feedback first corrects the controls
     (`flight.tracking`). Without this correction, the controls of a solution on a coarse mesh would
-    miss the goal.
+    miss the goal. If the corrected flight breaks limits, the corrections are computed again, with
+    the deviations of that flight and with the path pushed out of zones (`flight.displacement`).
 
     Parameters
     ----------
@@ -122,6 +135,9 @@ def verified(
         Least energy of the mission [J], with which the plan's energy is compared. It is given if
         the solution has stricter limits than the mission; by default it is the energy of the
         solution.
+    is_rough : bool, optional
+        Whether a usable plan is enough. A usable plan is a plan that simulation confirms at lower
+        accuracy than requested.
 
     Returns
     -------
@@ -136,9 +152,11 @@ def verified(
         if asked is not Accuracy.PROOF:
             verification, flown = _as_planned(plan, asked, wanted)
         # No simulation is needed if the planned path itself cuts through zones.
-        if asked is Accuracy.PROOF or verification.max_violation <= _FLOWN * FIGURES[asked].breach:
-            plan = _followed(plan, asked, plan.energy if least_energy is None else least_energy)
+        if asked is Accuracy.PROOF or not can_be_tracked(plan.dynamics):
             verification, flown = _flown(plan, asked, wanted)
+        elif verification.max_violation <= _FLOWN:
+            least = plan.energy if least_energy is None else least_energy
+            plan, verification, flown = _corrected(plan, asked, wanted, least, is_rough=is_rough)
     except SolveError as error:
         return replace(plan, status=PlanStatus.SOLVED, message=str(error))
     timings = dict(plan.timings) | {"verify": time.perf_counter() - started}
@@ -155,6 +173,52 @@ def verified(
         flown=flown,
         timings=timings,
     )
+
+
+def _corrected(
+    plan: Plan, accuracy: Accuracy, wanted: FloatArray, least_energy: float, *, is_rough: bool
+) -> tuple[Plan, Verification, Flown]:
+    """Correct a plan's controls by feedback until its flight keeps all limits, and simulate it.
+
+    The first flight follows the plan. Further flights anticipate the deviations of the flight
+    before them, and follow a path that is pushed out of the zones that flights entered.
+
+    Parameters
+    ----------
+    plan : Plan
+        Plan of a solution on a coarse mesh.
+    accuracy, wanted, least_energy, is_rough
+        As for `verified` and `_flown`.
+
+    Returns
+    -------
+    Plan
+        Plan with corrected controls; with its own controls if the vehicle cannot follow it.
+    Verification, Flown
+        Result of the simulation, as from `_flown`.
+    """
+    displacement: Displacement = ()
+    previous: Trajectories | None = None
+    found: list[tuple[Plan, Verification, Flown]] = []
+    while len(found) < _MOST_FLIGHTS:
+        try:
+            followed = _followed(plan, least_energy, displacement, previous)
+            verification, flown = _flown(followed, accuracy, wanted)
+        except SolveError:
+            if not found:
+                raise
+            break
+        found.append((followed, verification, flown))
+        is_enough = verification.is_verified or (is_rough and verification.is_usable)
+        pushes = pushes_out(plan.dynamics, flown)
+        is_repeated = previous is not None and not pushes
+        if is_enough or is_repeated or followed is plan:
+            break
+        if verification.max_violation > _HOPELESS:
+            break
+        displacement, previous = (*displacement, *pushes), followed.trajectories
+    usable = [one for one in found if one[1].is_usable]
+    return (usable or found)[-1]
 
 
 def _why_not(plan: Plan, found: Verification, accuracy: Accuracy) -> str:
@@ -205,7 +269,7 @@ def _flown(plan: Plan, accuracy: Accuracy, wanted: FloatArray) -> tuple[Verifica
     held = plan.trajectories
     if accuracy is not Accuracy.PROOF:
         found, path = _as_planned(plan, accuracy, wanted)
-        if not found.reached:
+        if not (found.reached or found.is_usable):
             return found, path
     return verify_controls(
         plan.dynamics,
@@ -221,18 +285,21 @@ def _flown(plan: Plan, accuracy: Accuracy, wanted: FloatArray) -> tuple[Verifica
     )
 
 
-def _followed(plan: Plan, accuracy: Accuracy, least_energy: float) -> Plan:
+def _followed(
+    plan: Plan,
+    least_energy: float,
+    displacement: Displacement,
+    previous: Trajectories | None,
+) -> Plan:
     """Return a plan whose controls are corrected by feedback, so that they fly the planned path.
 
     The corrected plan is a simulated flight that follows the plan (`flight.tracking`), with the
     energy of this flight. The difference between this energy and `least_energy`, the energy of the
     optimum [J], is part of the error estimate; see docs/theory/tracking.md, eq. (5). The plan is
-    returned unchanged for the highest accuracy, `proof`, for a model without the states of the
-    feedback, and if the vehicle cannot follow the plan.
+    returned unchanged if the vehicle cannot follow it. `displacement` and `previous` are arguments
+    of `tracked`.
     """
-    if accuracy is Accuracy.PROOF or not can_be_tracked(plan.dynamics):
-        return plan
-    followed = tracked(plan.dynamics, plan.trajectories)
+    followed = tracked(plan.dynamics, plan.trajectories, displacement, previous)
     if followed is None:
         return plan
     energy = float(followed.energy[-1])

@@ -46,6 +46,8 @@ class Figures:
     breach : float
         Largest violation of a limit between collocation points, divided by the limit's magnitude
         or by 1, whichever is larger.
+    turning : float
+        Largest rate of the yaw angle where the mission keeps the heading [rad/s].
     intrusion : float
         Intrusion into the clearance of a zone, and excess over floor, ceiling or fence [m]. A
         relative tolerance alone would allow half a metre at a ceiling of 50 m.
@@ -61,6 +63,7 @@ class Figures:
     energy: float
     miss: float
     breach: float
+    turning: float
     intrusion: float
     integration: float
     spacing: float
@@ -76,6 +79,7 @@ FIGURES: Mapping[Accuracy, Figures] = MappingProxyType(
             energy=1e-3,
             miss=0.1,
             breach=1e-2,
+            turning=1e-2,
             intrusion=2e-3,
             integration=1e-10,
             spacing=5e-2,
@@ -84,6 +88,7 @@ FIGURES: Mapping[Accuracy, Figures] = MappingProxyType(
             energy=1e-4,
             miss=1e-2,
             breach=1e-3,
+            turning=1e-3,
             intrusion=1e-3,
             integration=1e-11,
             spacing=1e-2,
@@ -92,12 +97,13 @@ FIGURES: Mapping[Accuracy, Figures] = MappingProxyType(
             energy=1e-6,
             miss=1e-4,
             breach=1e-4,
+            turning=1e-4,
             intrusion=inf,
             integration=1e-12,
             spacing=5e-3,
         ),
     }
 )
-#: Tolerances of a usable plan, which may end half a metre from the goal: feedback in flight
-#: corrects this error.
-USABLE = replace(FIGURES[Accuracy.QUICK], miss=0.5)
+#: Tolerances of a usable plan, which may end half a metre from the goal, and turn the heading at up
+#: to 6 degrees a second for a moment: feedback in flight corrects both.
+USABLE = replace(FIGURES[Accuracy.QUICK], miss=0.5, turning=0.1)

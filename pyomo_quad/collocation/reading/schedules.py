@@ -344,7 +344,8 @@ class Phases:
 
         The indicator is 1 for the phase that contains the time, and 0 for every other phase.
         """
-        return [float(k == self._clock.phase_of(time)) for k in range(len(self.slots))]
+        phase = self._clock.phase_of(time)
+        return [float(k == phase) for k in range(len(self.slots))]
 
 
 def _is_linear(expression: Any) -> bool:

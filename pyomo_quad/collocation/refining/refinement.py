@@ -99,7 +99,9 @@ def refine(
     going = _Refinement(
         solve, meshes, tolerance, refinement, start, past_the_barrier, before=(None,) * len(meshes)
     )
-    ended = None
+    known, ended = refinement.known, None
+    if known is not None and start.warm is not None and meshes == _meshes(known):
+        ended = going.continue_from(known)
     while ended is None:
         ended = going.with_next_meshes()
     return ended
@@ -170,6 +172,25 @@ class _Refinement(Generic[S]):
                 if has_failed
                 else solution
             )
+        return self._advanced(solution, errors)
+
+    def continue_from(self, known: S) -> S | None:
+        """Choose the next meshes after a solution that is known already, without a new solve.
+
+        `known` is a converged solution on the first meshes. The result is that of
+        `with_next_meshes`.
+        """
+        errors = self._errors(known)
+        error = max(e.largest for e in errors)
+        self.records.append(_record(known, error))
+        history = tuple(self.records)
+        return self._advanced(known.updated(error_estimate=error, history=history), errors)
+
+    def _advanced(self, solution: S, errors: tuple[ErrorEstimate, ...]) -> S | None:
+        """Choose the meshes after a converged solution; return the final result if there are none.
+
+        `errors` has the estimated errors of the solution, one for each horizon.
+        """
         error, is_damped = max(e.largest for e in errors), _are_damped(self.dampings)
         if self.reached is not None:
             self.reached.compare(solution, error)

@@ -60,6 +60,9 @@ class RefinementOptions:
         Called with the solution on each finished mesh, its error estimate and history included. If
         it returns False, the refinement ends with the status interrupted, and with the solution on
         the most accurate mesh.
+    known : Solution, optional
+        Converged solution for the same parameters, from which the refinement continues. If it is
+        also the warm start and its mesh is the first mesh, this mesh is not solved again.
     """
 
     first_elements: int = 10
@@ -74,6 +77,7 @@ class RefinementOptions:
     damping: float = 100.0
     limits_move: bool = False
     on_mesh: Callable[[Any], bool | None] | None = None
+    known: Any = None
 
     @property
     def breach_between_points(self) -> float:

@@ -1,0 +1,154 @@
+"""Displacements of a coarse path that lead it out of zones, so that its flight is a usable plan.
+
+Between its collocation points, the path of a solution on a coarse mesh may cut corners of keep-out
+zones. A vehicle that follows the path under feedback (`flight.tracking`) cuts them too. It flies
+outside them if the path that it follows is pushed outwards while it is inside a zone. This costs
+one simulated flight for each attempt, and no solve. See docs/theory/tracking.md, eq. (7).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pyomo_quad.flight.flight import POSITION_STATES
+from pyomo_quad.flight.references import quintic_progress
+
+if TYPE_CHECKING:
+    from pyomo_quad.arrays import FloatArray
+    from pyomo_quad.collocation import Dynamics
+    from pyomo_quad.flight.flight import Flown
+
+# Prefix of the limits that depend on the position only.
+_AIRSPACE = "airspace."
+# Time in which a path moves from its own place to its displaced place [s]: a push of half a metre
+# then takes an acceleration of 1 m/s^2.
+_RAMP_S = 1.7
+# Push relative to the depth of the path inside a zone, and its least length [m]: the vehicle
+# follows a push only in part, and edges of zones are rounded.
+_MORE, _LEAST_M = 1.3, 0.02
+# Step of the finite differences that give the direction out of a zone [m].
+_STEP_M = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Push:
+    """Displacement of a path by one vector during a time span, with smooth ramps before and after.
+
+    Attributes
+    ----------
+    first, last : float
+        Time span of the full displacement [s].
+    vector : ndarray, shape (3,)
+        Full displacement [m].
+    """
+
+    first: float
+    last: float
+    vector: FloatArray
+
+    def at(self, times: FloatArray) -> FloatArray:
+        """Return the displacement at n times [s], shape (n, 3) [m]."""
+        before = np.clip((times - self.first) / _RAMP_S + 1.0, 0.0, 1.0)
+        after = np.clip((self.last - times) / _RAMP_S + 1.0, 0.0, 1.0)
+        share = quintic_progress(before) * quintic_progress(after)
+        return np.asarray(share[:, None] * self.vector)
+
+
+Displacement = tuple[Push, ...]
+"""Sum of pushes by which a path is displaced."""
+
+
+def displaced(times: FloatArray, displacement: Displacement) -> tuple[FloatArray, FloatArray]:
+    """Return a displacement and its rate at n times.
+
+    Parameters
+    ----------
+    times : ndarray, shape (n,)
+        Times [s].
+    displacement : tuple of Push
+        The displacement; no pushes for a path that stays in its place.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        Displacement [m].
+    ndarray, shape (n, 3)
+        Its time derivative [m/s].
+    """
+    step = 1e-4 * _RAMP_S
+    none = np.zeros((len(times), 3))
+    early, late = (sum((p.at(times + s) for p in displacement), none) for s in (-step, step))
+    return 0.5 * (early + late), (late - early) / (2.0 * step)
+
+
+def pushes_out(dynamics: Dynamics, flown: Flown) -> Displacement:
+    """Return the pushes that lead a flight out of the zones that it enters.
+
+    Parameters
+    ----------
+    dynamics : Dynamics
+        Equations of the vehicle, with the limits of the airspace.
+    flown : Flown
+        Samples of the flight, dense near zones.
+
+    Returns
+    -------
+    tuple of Push
+        One for each time span inside a zone, away from it at the deepest place.
+    """
+    columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
+    found: list[Push] = []
+    for name, depth in _depths(dynamics, flown).items():
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], (depth > 0.0).astype(int), [0]])))
+        for first, after in zip(edges[::2], edges[1::2], strict=True):
+            deepest = first + int(np.argmax(depth[first:after]))
+            one = _part(flown, slice(deepest, deepest + 1))
+            slope = np.array([_slope(dynamics, one, name, column) for column in columns])
+            steepness = float(np.linalg.norm(slope))
+            if steepness > 0.0:
+                length = _MORE * float(depth[deepest]) / steepness + _LEAST_M
+                span = float(flown.t[first]), float(flown.t[after - 1])
+                vector = -length * slope / steepness
+                found.append(Push(first=span[0], last=span[1], vector=vector))
+    return tuple(found)
+
+
+def _depths(dynamics: Dynamics, flown: Flown) -> dict[str, FloatArray]:
+    """Return how deep the samples of a flight violate the limits of the airspace, by their names.
+
+    Depths are positive inside a zone and negative outside, in the unit of the limit.
+    """
+    instants = dynamics.solved(flown.t, flown.states, flown.controls)
+    return {
+        limit.name: np.fmax(limit.lower - limit.values, limit.values - limit.upper)
+        for limit in dynamics.limits_of(instants)
+        if limit.name.startswith(_AIRSPACE)
+    }
+
+
+def _part(flown: Flown, chosen: slice) -> Flown:
+    """Return a part of the samples of a flight."""
+    return replace(
+        flown,
+        t=flown.t[chosen],
+        states=flown.states[chosen],
+        controls=flown.controls[chosen],
+        energy=flown.energy[chosen],
+    )
+
+
+def _slope(dynamics: Dynamics, one: Flown, name: str, column: int) -> float:
+    """Return the derivative of the depth inside a zone with respect to one coordinate.
+
+    `one` is a single sample of a flight, `name` the limit of the zone, and `column` the column of
+    the coordinate among the states.
+    """
+    depths = []
+    for step in (-_STEP_M, _STEP_M):
+        states = one.states.copy()
+        states[:, column] += step
+        depths.append(float(_depths(dynamics, replace(one, states=states))[name][0]))
+    return (depths[1] - depths[0]) / (2.0 * _STEP_M)
