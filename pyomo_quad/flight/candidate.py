@@ -541,7 +541,7 @@ class Candidate:
             plan = replace(self.plan_of(solution), routes=self.routes)
             return verified(plan, solution, asked, least_energy)
 
-        for plan in within_limits(self.mission, relaxed, self.plan, asked, fly):
+        for plan in within_limits(self.mission, relaxed, self.plan, FIGURES[asked], fly):
             self.flown, solves = plan, solves + 1
             self.search.keep(plan)
             if plan.is_verified or solves == _MOST_STRICTER:
@@ -586,13 +586,13 @@ class Candidate:
             The new tolerance, as text; None if the solve does not converge.
         """
         found, asked = self.found, self.scenario.solver.accuracy
-        plan, allowed = self.plan, FIGURES[asked].energy
-        beyond = [b.size / tolerated(b, FIGURES[asked]) for b in broken_limits(plan, asked)]
+        plan, figures = self.plan, FIGURES[asked]
+        beyond = [b.size / tolerated(b, figures) for b in broken_limits(plan, figures)]
         self._share *= max(_FINER, _HALF / max(beyond)) if beyond else _FINER
         # With corrected controls, a coarse mesh costs no more energy than estimated.
-        if asked is Accuracy.PROOF or plan.error_estimate > allowed:
+        if asked is Accuracy.PROOF or found.error_estimate > figures.energy:
             self.tolerance *= _TIGHTER
-        mesh = mesh_where_broken(found, self.plan, asked)
+        mesh = mesh_where_broken(found, plan, figures)
         tighter = self.mission.solve(
             tolerance=self.tolerance,
             mesh=mesh,

@@ -27,7 +27,7 @@ from pyomo_quad.flight.steady import SteadyFlight
 from pyomo_quad.flight.stricter_limits import within_limits
 from pyomo_quad.flight.verdict import energy_of, horizon_of, plan_of, verified
 from pyomo_quad.model.power import wider_smoothings
-from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
+from pyomo_quad.scenario.accuracy import FIGURES, USABLE, Accuracy
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -384,7 +384,7 @@ class MissionProblem:
         def flown() -> Iterator[Plan]:
             plan = fly(finished)
             yield plan
-            yield from within_limits(self, finished, plan, Accuracy.QUICK, fly)
+            yield from within_limits(self, finished, plan, USABLE, fly)
 
         is_coarse = len(finished.history) < _FEWEST_MESHES
         is_patient = self.told.solver.accuracy is Accuracy.PROOF

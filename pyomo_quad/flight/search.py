@@ -14,6 +14,7 @@ from math import inf, isfinite
 from typing import TYPE_CHECKING
 
 from pyomo_quad.flight.plan import LEAST_ENERGY_J, PlanStatus
+from pyomo_quad.scenario.accuracy import USABLE_ENERGY
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -22,14 +23,11 @@ if TYPE_CHECKING:
     from pyomo_quad.flight.deadline import Deadline
     from pyomo_quad.flight.plan import Plan
 
-#: Largest relative uncertainty of a usable plan's energy: a flyable trajectory near a coarse
-#: optimum spends a few per cent more than the optimum.
-USABLE_ENERGY = 0.1
 # Work of a search (the sum over Ipopt's iterations of the number of mesh points) before it computes
 # usable plans, about two seconds of a processor; and the largest fractions of its work that it
 # spends on simulating the controls of finished meshes: before it has a usable plan, and afterwards,
 # to find a better usable plan.
-_PATIENCE, _SHARE, _SHARE_FOR_BETTER = 1.2e4, 0.2, 0.05
+_PATIENCE, _SHARE, _SHARE_FOR_BETTER = 1.2e4, 0.3, 0.05
 # Correcting the controls of a mesh and simulating them counts as the work of this number of
 # iterations on the mesh.
 _ITERATIONS_OF_FLIGHT = 20

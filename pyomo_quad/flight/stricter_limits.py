@@ -22,7 +22,7 @@ import numpy as np
 from pyomo_quad.flight.limit_words import excess
 from pyomo_quad.flight.verdict import energy_of
 from pyomo_quad.flight.verification import tolerated
-from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
+from pyomo_quad.scenario.accuracy import USABLE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation import Mesh, Solution, Violation
     from pyomo_quad.flight.plan import Plan
     from pyomo_quad.scenario import Scenario
+    from pyomo_quad.scenario.accuracy import Figures
 
 # Name of a limit without its index -> the parameter that sets the limit, and the sign of the change
 # that makes the limit stricter. Braces in the name of a parameter stand for the index of the limit.
@@ -46,7 +47,11 @@ _STRICTER = {
     "mission.hold_speed": ("mission.hovering_speed_max", -1.0),
     "mission.passing_near": ("mission.passing_radius[{}]", -1.0),
     "mission.passing_speed": ("mission.passing_speed_max[{}]", -1.0),
+    "limits.rotor_speed_limit": ("limits.rotor_speed_max", -1.0),
+    "limits.thrust_limit": ("limits.thrust_max", -1.0),
 }
+# Limits of which a margin of a thousandth costs about a thousandth of the energy.
+_DEAR = ("limits.rotor_speed_limit", "limits.thrust_limit")
 # Parameters of the heights at which a mission starts and ends.
 _ENDS = ("mission.start_z", "mission.goal_z")
 # Violation of a limit, relative to the larger of 1 and the limit, above which a stricter limit is
@@ -92,7 +97,7 @@ def within_limits(
     mission: Mission,
     relaxed: Solution,
     plan: Plan,
-    accuracy: Accuracy,
+    figures: Figures,
     fly: Callable[[Solution, float], Plan],
 ) -> Iterator[Plan]:
     """Yield plans with stricter limits, for a plan whose simulated flight breaks limits slightly.
@@ -111,8 +116,8 @@ def within_limits(
         Solution within the original limits of the mission, from which `plan` was made.
     plan : Plan
         Plan with the result of its simulation.
-    accuracy : Accuracy
-        Required accuracy, which sets the tolerance on violations of limits.
+    figures : Figures
+        Tolerances of the required accuracy.
     fly : callable
         Takes a solution and an estimate of the least energy of the mission [J]; returns the plan
         made from the solution, with the result of its simulation.
@@ -130,23 +135,23 @@ def within_limits(
     last, has_relaxed = relaxed, False
     while True:
         strict = _changed(numbers, margins)
-        windows = _windows(plan, accuracy, {name: strict[name] for name in margins})
-        broken = broken_limits(plan, accuracy)
+        windows = _windows(plan, figures, {name: strict[name] for name in margins})
+        broken = broken_limits(plan, figures)
         denser = _DENSER
         if broken and has_relaxed:
             return
         if broken:
-            found_now = _by_parameter(plan, broken, numbers, accuracy)
+            found_now = _by_parameter(plan, broken, numbers, figures)
             for name, (violation, change) in found_now.items():
                 cuts.setdefault(name, violation)
                 margins[name] = margins.get(name, 0.0) + change
-        elif margins and plan.error_estimate > FIGURES[accuracy].energy:
+        elif margins and plan.error_estimate > figures.energy and figures is not USABLE:
             denser, has_relaxed = _DENSEST, True
             for name in margins:
                 margins[name] *= _LESS
         else:
             return
-        if not all(_helps(breach) for breach in broken):
+        if not all(_helps(breach, figures) for breach in broken):
             return
         found = mission.solve(
             _changed(numbers, margins),
@@ -190,30 +195,32 @@ def _least_energy(
     return high - max(shares, default=0.0) * (high - low)
 
 
-def broken_limits(plan: Plan, accuracy: Accuracy) -> tuple[Violation, ...]:
+def broken_limits(plan: Plan, figures: Figures) -> tuple[Violation, ...]:
     """Return the violations of limits in a plan's simulated flight that exceed a tolerance.
 
-    The tolerance on the relative violation is that of the `accuracy`. The result is empty if the
+    The tolerances are those of an accuracy, `figures`. The result is empty if the
     plan was not simulated.
     """
     if plan.flown is None:
         return ()
-    flown, figures = plan.flown, FIGURES[accuracy]
+    flown = plan.flown
     found = plan.dynamics.violations(flown.t, flown.states, flown.controls)
     return tuple(breach for breach in found if breach.size > tolerated(breach, figures))
 
 
-def _helps(breach: Violation) -> bool:
-    """Return whether a violated limit has a parameter in `_STRICTER`, and is violated slightly.
+def _helps(breach: Violation, figures: Figures) -> bool:
+    """Return whether a violated limit has a parameter that sets it, and is violated slightly.
 
-    Otherwise only a finer mesh helps. So it does for the rotors' speed and thrust, although they
-    have parameters: a margin of a thousandth costs more energy than the accuracy allows.
+    Otherwise only a finer mesh helps. So it does for the rotors' speed and thrust, whose margins
+    cost more energy than any accuracy allows, but a usable plan: `figures` are then `USABLE`.
     """
-    return breach.name.partition("[")[0] in _STRICTER and breach.relative <= _SLIGHT
+    name = breach.name.partition("[")[0]
+    is_affordable = name not in _DEAR or figures is USABLE
+    return name in _STRICTER and is_affordable and breach.relative <= _SLIGHT
 
 
 def _by_parameter(
-    plan: Plan, broken: Iterable[Violation], numbers: Mapping[str, float], accuracy: Accuracy
+    plan: Plan, broken: Iterable[Violation], numbers: Mapping[str, float], figures: Figures
 ) -> dict[str, tuple[float, float]]:
     """Return the violation of each broken limit, and the change that makes the limit stricter.
 
@@ -225,8 +232,8 @@ def _by_parameter(
         Violation of each broken limit.
     numbers : mapping
         Full name of a parameter -> value in the mission.
-    accuracy : Accuracy
-        Required accuracy, which sets the tolerance on violations.
+    figures : Figures
+        Tolerances of the required accuracy.
 
     Returns
     -------
@@ -240,7 +247,7 @@ def _by_parameter(
         parameter, sign = _STRICTER.get(limit, ("", 0.0))
         name = parameter.format(index.removesuffix("]"))
         size = excess(breach, plan.dynamics.unit(breach.name))[0]
-        rest = 1.0 - _ALLOWED * tolerated(breach, FIGURES[accuracy]) / breach.size
+        rest = 1.0 - _ALLOWED * tolerated(breach, figures) / breach.size
         for own in numbers:
             if name and (own == name or (name.endswith(",") and own.startswith(name))):
                 found[own] = max(found.get(own, (0.0, 0.0)), (size, sign * _MORE * rest * size))
@@ -266,7 +273,7 @@ def _changed(numbers: Mapping[str, float], changes: Mapping[str, float]) -> dict
     return found
 
 
-def mesh_where_broken(solution: Solution, plan: Plan, accuracy: Accuracy) -> Mesh:
+def mesh_where_broken(solution: Solution, plan: Plan, figures: Figures) -> Mesh:
     """Return a solution's mesh, finer where its simulated flight cuts through a keep-out zone.
 
     Parameters
@@ -275,10 +282,10 @@ def mesh_where_broken(solution: Solution, plan: Plan, accuracy: Accuracy) -> Mes
         Solution whose mesh is refined.
     plan : Plan
         Plan made from the solution, with the result of its simulation.
-    accuracy : Accuracy
-        Required accuracy, which sets the tolerance on violations.
+    figures : Figures
+        Tolerances of the required accuracy.
     """
-    return _denser_mesh(solution, _windows(plan, accuracy, {}), _DENSER)
+    return _denser_mesh(solution, _windows(plan, figures, {}), _DENSER)
 
 
 def _denser_mesh(solution: Solution, windows: Iterable[tuple[float, float]], denser: int) -> Mesh:
@@ -308,7 +315,7 @@ def _denser_mesh(solution: Solution, windows: Iterable[tuple[float, float]], den
 
 
 def _windows(
-    plan: Plan, accuracy: Accuracy, numbers: Mapping[str, float]
+    plan: Plan, figures: Figures, numbers: Mapping[str, float]
 ) -> list[tuple[float, float]]:
     """Return the periods in which the mesh is refined, because a flight cuts through a zone.
 
@@ -320,8 +327,8 @@ def _windows(
     ----------
     plan : Plan
         Plan with the result of its simulation.
-    accuracy : Accuracy
-        Required accuracy, which sets the tolerance on violations.
+    figures : Figures
+        Tolerances of the required accuracy.
     numbers : mapping
         Full name of a parameter -> value of the stricter limit, which replaces the plan's value.
 
@@ -333,7 +340,7 @@ def _windows(
     if plan.flown is None:
         return []
     flown, dynamics, found = plan.flown, plan.dynamics, list[tuple[float, float]]()
-    allowed = min(FIGURES[accuracy].breach, FIGURES[accuracy].intrusion)
+    allowed = min(figures.breach, figures.intrusion)
     instants = dynamics.solved(flown.t, flown.states, flown.controls, numbers)
     for limit in dynamics.limits_of(instants):
         if not limit.name.startswith(_CORNERS):

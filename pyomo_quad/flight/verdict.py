@@ -37,10 +37,10 @@ if TYPE_CHECKING:
 
 # Violation of a limit by the path of a solution, relative to the larger of 1 and the limit, above
 # which the controls are not simulated.
-_FLOWN = 0.6
+_FLOWN = 1.5
 # Largest number of simulated flights in which the corrections of the controls are improved, and
 # violation above which they are not improved further.
-_MOST_FLIGHTS, _HOPELESS = 4, 1.0
+_MOST_FLIGHTS, _HOPELESS = 4, 1.5
 _STATUS = {
     Status.NOT_CONVERGED: PlanStatus.NOT_CONVERGED,
     Status.INFEASIBLE: PlanStatus.INFEASIBLE,
@@ -203,22 +203,23 @@ def _corrected(
     while len(found) < _MOST_FLIGHTS:
         try:
             followed = _followed(plan, least_energy, displacement, previous)
-            verification, flown = _flown(followed, accuracy, wanted)
+            verification, path = _as_planned(followed, accuracy, wanted)
         except SolveError:
             if not found:
                 raise
             break
-        found.append((followed, verification, flown))
+        found.append((followed, verification, path))
         is_enough = verification.is_verified or (is_rough and verification.is_usable)
-        pushes = pushes_out(plan.dynamics, flown)
+        pushes = pushes_out(plan.dynamics, path)
         is_repeated = previous is not None and not pushes
-        if is_enough or is_repeated or followed is plan:
-            break
-        if verification.max_violation > _HOPELESS:
+        is_hopeless = verification.max_violation > _HOPELESS or followed is plan
+        if is_enough or is_repeated or is_hopeless:
             break
         displacement, previous = (*displacement, *pushes), followed.trajectories
-    usable = [one for one in found if one[1].is_usable]
-    return (usable or found)[-1]
+    usable = [one for one in found if one[1].reached or one[1].is_usable]
+    if not usable:
+        return found[-1]
+    return usable[-1][0], *_flown(usable[-1][0], accuracy, wanted)
 
 
 def _why_not(plan: Plan, found: Verification, accuracy: Accuracy) -> str:
@@ -241,10 +242,6 @@ def _why_not(plan: Plan, found: Verification, accuracy: Accuracy) -> str:
 def _flown(plan: Plan, accuracy: Accuracy, wanted: FloatArray) -> tuple[Verification, Flown]:
     """Simulate a plan's controls in open loop, and compare the flight with the plan.
 
-    Unless the accuracy is the highest level, `proof`, the planned path is checked first. If it
-    misses the tolerances of every accuracy, it is not simulated, and the result describes the
-    planned path.
-
     Parameters
     ----------
     plan : Plan
@@ -259,7 +256,7 @@ def _flown(plan: Plan, accuracy: Accuracy, wanted: FloatArray) -> tuple[Verifica
     Verification
         Comparison with the plan, the limits and the final states.
     Flown
-        Samples of the simulated flight or, without simulation, of the planned path.
+        Samples of the simulated flight.
 
     Raises
     ------
@@ -267,10 +264,6 @@ def _flown(plan: Plan, accuracy: Accuracy, wanted: FloatArray) -> tuple[Verifica
         If the integrator fails.
     """
     held = plan.trajectories
-    if accuracy is not Accuracy.PROOF:
-        found, path = _as_planned(plan, accuracy, wanted)
-        if not (found.reached or found.is_usable):
-            return found, path
     return verify_controls(
         plan.dynamics,
         held.mesh,

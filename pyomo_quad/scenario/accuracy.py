@@ -47,7 +47,9 @@ class Figures:
         Largest violation of a limit between collocation points, divided by the limit's magnitude
         or by 1, whichever is larger.
     turning : float
-        Largest rate of the yaw angle where the mission keeps the heading [rad/s].
+        Largest rate of the yaw angle where the mission keeps the heading [rad/s]. A heading that
+        turns by half a degree or a few degrees a second, for a moment, changes neither the path nor
+        the energy.
     intrusion : float
         Intrusion into the clearance of a zone, and excess over floor, ceiling or fence [m]. A
         relative tolerance alone would allow half a metre at a ceiling of 50 m.
@@ -79,7 +81,7 @@ FIGURES: Mapping[Accuracy, Figures] = MappingProxyType(
             energy=1e-3,
             miss=0.1,
             breach=1e-2,
-            turning=1e-2,
+            turning=5e-2,
             intrusion=2e-3,
             integration=1e-10,
             spacing=5e-2,
@@ -88,7 +90,7 @@ FIGURES: Mapping[Accuracy, Figures] = MappingProxyType(
             energy=1e-4,
             miss=1e-2,
             breach=1e-3,
-            turning=1e-3,
+            turning=1e-2,
             intrusion=1e-3,
             integration=1e-11,
             spacing=1e-2,
@@ -104,6 +106,9 @@ FIGURES: Mapping[Accuracy, Figures] = MappingProxyType(
         ),
     }
 )
-#: Tolerances of a usable plan, which may end half a metre from the goal, and turn the heading at up
-#: to 6 degrees a second for a moment: feedback in flight corrects both.
+#: Tolerances of a usable plan. It may end half a metre from the goal, and turn the heading at up to
+#: 6 degrees a second for a moment: feedback in flight corrects both.
 USABLE = replace(FIGURES[Accuracy.QUICK], miss=0.5, turning=0.1)
+#: Largest fraction of the energy of a usable plan that a better plan may save: a flyable trajectory
+#: near a coarse optimum spends a few per cent more than the optimum.
+USABLE_ENERGY = 0.1

@@ -70,23 +70,9 @@ def test_usable_plans_are_made_after_work_whatever_the_clock_says(monkeypatch, s
 
     made = []
     looking = search.Search(Deadline())
-    finished = SimpleNamespace(history=(None, None), mesh=SimpleNamespace(points=100))
     for _ in range(200):
         looking(SimpleNamespace(mesh_points=100))
         if not made:
-            looking.finished(finished, 1.0, lambda: made.append(looking.work) or iter(()))
+            told = {"points": 100, "is_early": looking.is_early}
+            looking.finished(1.0, lambda: made.append(looking.work) or iter(()), **told)
     assert search._PATIENCE <= made[0] <= search._PATIENCE + 100
-
-
-def test_no_usable_plan_is_made_from_a_first_mesh():
-    class Deadline:
-        limit_s, is_over = math.inf, False
-
-        def __call__(self, _iteration):
-            return True
-
-    looking = search.Search(Deadline())
-    for _ in range(20):
-        looking(SimpleNamespace(mesh_points=1000))
-    first = SimpleNamespace(history=(None,), mesh=SimpleNamespace(points=100))
-    looking.finished(first, 1.0, lambda: pytest.fail("the mesh is too coarse"))

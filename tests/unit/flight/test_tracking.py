@@ -117,10 +117,10 @@ def test_a_flight_that_breaks_a_limit_slightly_is_solved_again_within_a_stricter
         return verified(plan_of(told, solution, {}, 0.0), solution, asked, least)
 
     before = fly(own)
-    (breach,) = broken_limits(before, asked)
+    (breach,) = broken_limits(before, FIGURES[asked])
     assert breach.name.startswith("limits.speed_limit")
-    after = next(within_limits(mission, own, before, asked, fly))
-    assert not broken_limits(after, asked)
+    after = next(within_limits(mission, own, before, FIGURES[asked], fly))
+    assert not broken_limits(after, FIGURES[asked])
     assert after.verification.is_usable
 
 

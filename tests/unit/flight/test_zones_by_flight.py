@@ -9,7 +9,7 @@ from pyomo_quad.flight.flight import POSITION_STATES
 from pyomo_quad.flight.mission_problem import MissionProblem
 from pyomo_quad.flight.stricter_limits import mesh_where_broken
 from pyomo_quad.flight.verification import verify_controls
-from pyomo_quad.scenario.accuracy import Accuracy
+from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 from tests.declared_model import scenario
 from tests.flights import PLANNER
 
@@ -64,7 +64,7 @@ def test_the_mesh_is_finer_only_where_the_path_cuts_a_zone(planned):
     place = place_between_samples(plan)
     moved = {"airspace.keep_out[0].centre": [place, 0.0], "airspace.keep_out[0].radius": 0.5}
     blocked = plan.scenario.with_values(moved)
-    asked, solution = Accuracy.STANDARD, plan.solution
+    asked, solution = FIGURES[Accuracy.STANDARD], plan.solution
     assert mesh_where_broken(solution, plan, asked) == solution.mesh
     own = replace(solution, instance=own_instance(planner, blocked))
     seen = replace(plan, scenario=blocked, solution=own)
