@@ -3,7 +3,7 @@
 Between its collocation points, the path of a solution on a coarse mesh may cut corners of keep-out
 zones. A vehicle that follows the path under feedback (`flight.tracking`) cuts them too. It flies
 outside them if the path that it follows is pushed outwards while it is inside a zone. This costs
-one simulated flight for each attempt, and no solve. See docs/theory/tracking.md, eq. (7).
+one simulated flight for each attempt, and no solve. See docs/theory/tracking.md, eq. (8).
 """
 
 from __future__ import annotations
@@ -86,6 +86,8 @@ def displaced(times: FloatArray, displacement: Displacement) -> tuple[FloatArray
 
 def pushes_out(dynamics: Dynamics, flown: Flown) -> Displacement:
     """Return the pushes that lead a flight out of the zones that it enters.
+
+    Implements docs/theory/tracking.md, eq. (8).
 
     Parameters
     ----------

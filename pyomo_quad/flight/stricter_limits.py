@@ -7,7 +7,7 @@ path between the points just satisfies the limit of the mission.
 
 A stricter limit costs energy. The least energy of the mission itself, which the plan is compared
 with, is estimated from the solution with the original limits and the solution with stricter limits.
-See docs/theory/tracking.md, eq. (6).
+See docs/theory/tracking.md, eq. (9).
 """
 
 from __future__ import annotations
@@ -186,7 +186,7 @@ def _least_energy(
     The flight of the solution `relaxed`, which has the limits of the mission, breaks these limits
     by the amounts `cuts`. The flight of the solution `strict`, whose limits are stricter by the
     amounts `margins`, satisfies them. To first order, the least energy changes in proportion to the
-    limits. Implements docs/theory/tracking.md, eq. (6).
+    limits. Implements docs/theory/tracking.md, eq. (9).
 
     `margins` and `cuts` map the full name of a parameter to an amount in its unit.
     """

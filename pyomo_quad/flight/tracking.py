@@ -188,7 +188,7 @@ class _Regulator:
     inverses : ndarray, shape (n, n_controls, n_controls)
         Inverses of the matrices in eq. (4).
     commands : ndarray, shape (n, n_controls)
-        Corrections that anticipate known disturbances, eq. (8); 0 without known disturbances.
+        Corrections that anticipate known disturbances, eq. (7); 0 without known disturbances.
     """
 
     transitions: FloatArray
@@ -294,7 +294,7 @@ def _disturbances(path: _Path, regulator: _Regulator, previous: Trajectories) ->
 
     A disturbance is the part of the deviation at the end of an element that the linearised
     equations do not explain by the deviation at its start and by the correction of the controls.
-    Implements docs/theory/tracking.md, eq. (7).
+    Implements docs/theory/tracking.md, eq. (6).
     """
     deviation = previous.states_at(path.borders) - path.states
     corrections = (
@@ -309,7 +309,7 @@ def _disturbances(path: _Path, regulator: _Regulator, previous: Trajectories) ->
 def _anticipating(regulator: _Regulator, disturbances: FloatArray) -> FloatArray:
     """Return the corrections that anticipate known disturbances, shape (n_elements, n_controls).
 
-    Implements docs/theory/tracking.md, eq. (8). `disturbances` has the shape (n_elements,
+    Implements docs/theory/tracking.md, eq. (7). `disturbances` has the shape (n_elements,
     n_states).
     """
     commands = np.zeros_like(regulator.commands)

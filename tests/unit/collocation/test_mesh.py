@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pyomo_quad.collocation import Mesh, TranscriptionError, control_polynomial
+from pyomo_quad.collocation import Mesh, Timeline, TranscriptionError, control_polynomial
 from pyomo_quad.collocation.mesh import interpolation_matrix, radau_rule
 from tests.agreement.stock import radau_points, radau_weights
 
@@ -175,3 +175,12 @@ def test_degree_below_one_is_refused(degree):
 def test_rules_cannot_be_changed_behind_the_cache():
     with pytest.raises(ValueError, match="read-only"):
         radau_rule(3).points[0] = 0.5
+
+
+def test_the_fraction_at_one_time_is_that_of_many_times():
+    times = np.array([2.0, 3.5, 4.0, 9.0])
+    for kept in (slice(None), slice(0, 4, 3)):
+        timeline = Timeline(fractions=np.array([0.0, 0.25, 0.5, 1.0])[kept], times=times[kept])
+        asked = np.sort(np.append(np.linspace(2.0, 9.0, 50), times))
+        found = [timeline.fraction_at(float(time)) for time in asked]
+        assert found == pytest.approx(timeline.fraction(asked), rel=1e-14, abs=1e-15)

@@ -342,6 +342,7 @@ def test_ways_that_become_one_flight_on_the_second_mesh_are_refined_once():
     class Flights(RouteFlights):
         def __init__(self):
             """Need no mission."""
+            self._begun = {}
 
         def fly(self, _journey):
             return flown(next(heights), 100.0, Mesh.uniform(4, 3))

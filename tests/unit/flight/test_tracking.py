@@ -49,7 +49,7 @@ def test_the_regulator_is_the_least_squares_solution_of_all_corrections_at_once(
     _, _, plan = coarse
     dynamics, path = plan.dynamics, plan.trajectories
     borders = np.linspace(*path.horizon, 9)
-    gains = tracking._gains(dynamics, path, borders)
+    regulator = tracking._regulator(dynamics, path, borders)
     middle, steps = 0.5 * (borders[1:] + borders[:-1]), np.diff(borders)
     states, controls = path.states_at(middle), path.controls_at(middle)
     pairs = zip(middle, states, controls, strict=True)
@@ -58,26 +58,49 @@ def test_the_regulator_is_the_least_squares_solution_of_all_corrections_at_once(
     n_x, n_u, n = A.shape[1], B.shape[2], len(steps)
     weight = np.sqrt([tracking._weight(name) for name in dynamics.state_names])
     start = np.where(weight > 0.0, 0.3 / np.maximum(weight, 1e-12), 0.0)
+    random = np.random.default_rng(5)
+    disturbances = 0.1 * start * random.normal(size=(n, n_x))
+    commands = tracking._anticipating(regulator, disturbances)
     # All deviations are linear in the start and in the stacked corrections.
     free, forced = [start], [np.zeros((n_x, n * n_u))]
     for k, (F, G) in enumerate(zip(transitions, driven, strict=True)):
-        free.append(F @ free[-1])
+        free.append(F @ free[-1] + disturbances[k])
         moved = F @ forced[-1]
         moved[:, k * n_u : (k + 1) * n_u] += G
         forced.append(moved)
     shares = np.sqrt(np.append(steps, tracking._AT_THE_END))
     rows = [s * weight[:, None] * m for s, m in zip(shares, forced, strict=True)]
     wanted = [-s * weight * f for s, f in zip(shares, free, strict=True)]
+    # The rate of the yaw angle is linear in the deviation, too.
+    turning = A[:, dynamics.state_names.index("rigid_body.psi")] / tracking._TURNING
+    turned = zip(shares, turning, forced, free, strict=False)
+    for s, a, m, f in turned:
+        rows.append(s * (a @ m)[None, :])
+        wanted.append(-s * np.array([a @ f]))
     price = np.repeat(np.sqrt(steps), n_u) / tracking._CORRECTION
     best, *_ = np.linalg.lstsq(
         np.vstack([*rows, np.diag(price)]), np.append(np.concatenate(wanted), np.zeros(n * n_u))
     )
     deviation = start
     for k, (F, G) in enumerate(zip(transitions, driven, strict=True)):
-        correction = -gains[k] @ deviation
+        correction = commands[k] - regulator.gains[k] @ deviation
         expected = best[k * n_u : (k + 1) * n_u]
         assert correction == pytest.approx(expected, rel=1e-4, abs=1e-4 * np.abs(best).max())
-        deviation = F @ deviation + G @ correction
+        deviation = F @ deviation + G @ correction + disturbances[k]
+
+
+def test_a_flight_that_anticipates_its_deviations_keeps_nearer_to_its_path(coarse):
+    _, _, plan = coarse
+    dynamics, path = plan.dynamics, plan.trajectories
+    first = tracking.tracked(dynamics, path)
+    second = tracking.tracked(dynamics, path, previous=first)
+    weights = np.array([tracking._weight(name) for name in dynamics.state_names])
+    borders = np.asarray(first.mesh.breakpoints) * (path.horizon[1] - path.horizon[0])
+    costs = [
+        np.sum(weights * (flown.states_at(borders) - path.states_at(borders)) ** 2)
+        for flown in (first, second)
+    ]
+    assert costs[1] < 0.8 * costs[0]
 
 
 def test_a_coarse_solution_can_be_flown_once_feedback_corrects_it(coarse):

@@ -170,3 +170,36 @@ def test_a_warm_mesh_begins_with_a_barrier_that_leaves_what_the_objective_may_ch
         left = now.iterations[0].barrier * now.bounds.sides / now.scaling.objective
         changed = abs(last.objective - before.objective)
         assert left <= 1.001 * max(changed, tolerance * abs(now.objective))
+
+
+def test_a_refinement_continues_from_a_known_solution_without_solving_its_mesh_again():
+    problem, mesh = collocation.compile(bryson_denham.build()), Mesh.uniform(3, 3)
+    known = problem.solve(mesh=mesh)
+    solved = []
+    continued = problem.solve(
+        mesh=mesh,
+        warm_start=known,
+        tolerance=1e-6,
+        refinement=RefinementOptions(known=known),
+        progress=lambda line: solved.append(line.mesh_points),
+    )
+    assert continued.status is Status.CONVERGED
+    assert continued.objective == pytest.approx(4.0 / (9.0 * bryson_denham.WALL), rel=1e-5)
+    first, *rest = continued.history
+    assert (first.points, first.objective) == (mesh.points, known.objective)
+    assert set(solved) == {record.points for record in rest}
+
+
+def test_a_known_solution_within_the_tolerance_is_the_result():
+    problem = collocation.compile(double_integrator.build())
+    known = problem.solve(tolerance=1e-7)
+    solved = []
+    again = problem.solve(
+        mesh=known.mesh,
+        warm_start=known,
+        tolerance=1e-5,
+        refinement=RefinementOptions(known=known),
+        progress=solved.append,
+    )
+    assert (again.objective, again.mesh) == (known.objective, known.mesh)
+    assert not solved
