@@ -14,11 +14,14 @@ from pyomo_quad.scenario.accuracy import FIGURES, USABLE, Accuracy
 from tests.command import PAPER_CALM
 
 MAST = {"centre": (4.0, 0.2), "radius": 0.5, "clearance": 0.3}
+ZONE = (
+    f"{{name='mast', shape='cylinder', centre={list(MAST['centre'])}, "
+    f"radius={MAST['radius']}, bottom=0.0, top=50.0}}"
+)
 AROUND = [
     "mission.goal.position=[8.0, 0.0, 1.0]",
     "mission.duration=8.0",
-    f"airspace.keep_out=[{{name='mast', shape='cylinder', centre=[{MAST['centre'][0]}, "
-    f"{MAST['centre'][1]}], radius={MAST['radius']}, bottom=0.0, top=50.0}}]",
+    f"airspace.keep_out=[{ZONE}]",
     f"airspace.clearance={MAST['clearance']}",
     "solver.accuracy=quick",
 ]
