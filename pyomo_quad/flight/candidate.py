@@ -284,7 +284,9 @@ class Candidate:
         duration = (guess or {}).get("duration", told.nominal_duration)
         rough = mission.solve(mesh=rough_mesh(duration), tolerance=None, guess=guess)
         self.solution = rough
-        if rough.status.is_solved:
+        if rough.status.is_solved and told.solver.accuracy is not Accuracy.PROOF:
+            self.solution = mission.go_on(rough)
+        elif rough.status.is_solved:
             self.solution = mission.solve(
                 mesh=fine_mesh(rough.horizon[1], told.solver.degree),
                 options=mission.arguments["options"].for_small_changes(),
@@ -568,7 +570,8 @@ class Candidate:
         simulated flight, because a finer mesh does not help then.
         """
         plan = self.flown
-        if plan is None or plan.is_verified or self.found.status is not Status.CONVERGED:
+        is_over = self.search.deadline.is_over
+        if plan is None or plan.is_verified or is_over or not self.found.is_converged:
             return False
         # A finer mesh does not help if the battery lacks power.
         return plan.verification is None or plan.verification.is_fed

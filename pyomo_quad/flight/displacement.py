@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 # Prefix of the limits that depend on the position only.
 _AIRSPACE = "airspace."
+# Name of the limits on the speed during hovers at waypoints.
+_HOVER = "mission.hold_speed"
 # Time in which a path moves from its own place to its displaced place [s]: a push of half a metre
 # then takes an acceleration of 1 m/s^2.
 _RAMP_S = 1.7
@@ -116,6 +118,16 @@ def pushes_out(dynamics: Dynamics, flown: Flown) -> Displacement:
                 vector = -length * slope / steepness
                 found.append(Push(first=span[0], last=span[1], vector=vector))
     return tuple(found)
+
+
+def moves_in_hovers(dynamics: Dynamics, flown: Flown, allowed: float) -> bool:
+    """Return whether a flight exceeds the limit on the speed during hovers at waypoints.
+
+    `flown` has samples of the flight, and `allowed` the largest violation of the limit, relative to
+    the larger of 1 and the limit.
+    """
+    found = dynamics.violations(flown.t, flown.states, flown.controls)
+    return any(breach.name.startswith(_HOVER) and breach.relative > allowed for breach in found)
 
 
 def _depths(dynamics: Dynamics, flown: Flown) -> dict[str, FloatArray]:

@@ -27,7 +27,7 @@ from pyomo_quad.flight.steady import SteadyFlight
 from pyomo_quad.flight.stricter_limits import within_limits
 from pyomo_quad.flight.verdict import energy_of, horizon_of, plan_of, verified
 from pyomo_quad.model.power import wider_smoothings
-from pyomo_quad.scenario.accuracy import FIGURES, USABLE, Accuracy
+from pyomo_quad.scenario.accuracy import FIGURES, USABLE, USABLE_ENERGY, Accuracy
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -49,9 +49,8 @@ _ESTIMATED = 0.5
 # tolerance on it, up to which feedback and stricter limits make a solution flyable
 # (measured: docs/decisions/speed.md).
 _FOLLOWED, _CUT = 20.0, 20.0
-# Fewest meshes of a refinement after which its solution may be flyable, and largest number of
-# meshes on which a usable plan along a first route is sought.
-_FEWEST_MESHES, _MESHES_TO_USABLE = 2, 3
+# Largest number of meshes on which a usable plan along a first route is sought.
+_MESHES_TO_USABLE = 3
 
 
 class MissionProblem:
@@ -386,7 +385,7 @@ class MissionProblem:
             yield plan
             yield from within_limits(self, finished, plan, USABLE, fly)
 
-        is_coarse = len(finished.history) < _FEWEST_MESHES
+        is_coarse = len(finished.history) == 1 and finished.error_estimate > USABLE_ENERGY
         is_patient = self.told.solver.accuracy is Accuracy.PROOF
         search.finished(
             energy_of(self.told, finished),

@@ -6,7 +6,7 @@ from collections.abc import Mapping  # noqa: TC003  read by pydantic
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
-from math import inf, isfinite
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, BinaryIO, Final, Literal, NoReturn, Self, overload
 from zipfile import ZipFile
@@ -583,13 +583,13 @@ class Plan(Summarised):
         For a verified plan this is the error estimate, which covers the error of the energy. For
         any other plan it is the relative change of the energy from the second last to the last
         mesh. If this change is smaller than the energy tolerance of the lowest accuracy, `quick`,
-        this tolerance replaces it, because two meshes may agree by chance. The uncertainty is
-        infinite if there was only one mesh.
+        this tolerance replaces it, because two meshes may agree by chance. If there was only one
+        mesh, its estimated error takes the place of the change; it is infinite if it is unknown.
         """
         if self.is_verified:
             return min(self.error_estimate, self.scenario.solver.tolerance)
         if len(self.history) < 2:
-            return inf
+            return max(self.error_estimate, FIGURES[Accuracy.QUICK].energy)
         last, now = self.history[-2:]
         change = abs(now.objective - last.objective) / max(abs(now.objective), LEAST_ENERGY_J)
         return max(change, FIGURES[Accuracy.QUICK].energy)

@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from itertools import count, pairwise
 from math import ceil
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -31,6 +31,8 @@ from pyomo_quad.flight.plan import Trajectories
 from pyomo_quad.flight.verification import rates_in_element
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from pyomo_quad.arrays import FloatArray
     from pyomo_quad.collocation import Dynamics, Mesh
     from pyomo_quad.flight.displacement import Displacement
@@ -51,10 +53,14 @@ _DEVIATIONS = {
     "rigid_body.r": 1.0,
 }
 _ROTOR_SPEED, _ROTOR_DEVIATION = "rotors.omega[", 5.0
+# Difference below which two times are equal [s].
+_SAME_S = 1e-9
 # Roll and yaw angle, body rates about the other two axes; deviation of the rate of the yaw angle
 # [rad/s] that the regulator weighs like the deviations above, and the parameter of missions that
 # keep this angle.
 _ROLL, _YAW, _Q, _R = "rigid_body.phi", "rigid_body.psi", "rigid_body.q", "rigid_body.r"
+# Deviation of a velocity during a hover at a waypoint [m/s], whose limit is 0.1 m/s.
+_AT_REST = 0.02
 _TURNING, _KEPT_HEADING = 3e-3, "mission.turning_max"
 # Correction of a rotor's acceleration that the regulator weighs like the deviations above
 # [rad/s^2]; and factor on the weights of the states at the end, where the vehicle must be at its
@@ -80,6 +86,7 @@ def tracked(
     coarse: Trajectories,
     displacement: Displacement = (),
     previous: Trajectories | None = None,
+    rests: Sequence[tuple[float, float]] = (),
 ) -> Trajectories | None:
     """Return the simulated flight of a vehicle that follows a coarse solution under feedback.
 
@@ -97,6 +104,8 @@ def tracked(
     previous : Trajectories, optional
         An earlier result for the same solution, with any displacement. The corrections then
         anticipate the deviations that this flight shows.
+    rests : sequence of (float, float), optional
+        Start and end times of hovers at waypoints [s], during which the vehicle is to be at rest.
 
     Returns
     -------
@@ -120,8 +129,8 @@ def tracked(
         states=coarse.states_at(borders),
         controls=coarse.controls_at(points),
     )
-    aside = _aside(dynamics, path, displacement)
-    regulator = _regulator(dynamics, coarse, borders)
+    aside = _aside(dynamics, path, displacement, rests)
+    regulator = _regulator(dynamics, coarse, borders, rests)
     disturbances = regulator.driven_by(aside)
     if previous is not None:
         disturbances += _disturbances(path, regulator, previous)
@@ -208,17 +217,32 @@ class _Regulator:
         return np.asarray(carried - aside[1:])
 
 
-def _aside(dynamics: Dynamics, path: _Path, displacement: Displacement) -> FloatArray:
+def _are_within(times: FloatArray, rests: Sequence[tuple[float, float]]) -> Any:
+    """Return for each time [s] whether it is within one of the spans of time, ends included."""
+    inside = [(times >= a - _SAME_S) & (times <= b + _SAME_S) for a, b in rests]
+    return np.any(inside, axis=0) if inside else np.zeros(len(times), dtype=bool)
+
+
+def _aside(
+    dynamics: Dynamics,
+    path: _Path,
+    displacement: Displacement,
+    rests: Sequence[tuple[float, float]],
+) -> FloatArray:
     """Return the displacement of all states of a path, shape (n_elements + 1, n_states).
 
     Positions and velocities are displaced as given; the regulator finds the tilt that this takes.
     Where the mission keeps the heading, which the coarse solution does at its points only, the yaw
-    rate is displaced so that the yaw angle does not change.
+    rate is displaced so that the yaw angle does not change. During `rests`, the velocity is
+    displaced to zero. The arguments are those of `tracked`.
     """
     aside = np.zeros_like(path.states)
     moved = displaced(path.borders, displacement)
     for names, values in zip((POSITION_STATES, VELOCITY_STATES), moved, strict=True):
         aside[:, [dynamics.state_names.index(name) for name in names]] = values
+    at_rest = np.flatnonzero(_are_within(path.borders, rests))[:, None]
+    speeds = [dynamics.state_names.index(name) for name in VELOCITY_STATES]
+    aside[at_rest, speeds] = -path.states[at_rest, speeds]
     if _KEPT_HEADING in dynamics.parameter_names:
         columns = [dynamics.state_names.index(name) for name in (_ROLL, _YAW, _Q, _R)]
         roll, yaw, q, r = path.states[:, columns].T
@@ -241,7 +265,12 @@ def _split(mesh: Mesh, duration: float) -> Mesh:
     )
 
 
-def _regulator(dynamics: Dynamics, coarse: Trajectories, borders: FloatArray) -> _Regulator:
+def _regulator(
+    dynamics: Dynamics,
+    coarse: Trajectories,
+    borders: FloatArray,
+    rests: Sequence[tuple[float, float]] = (),
+) -> _Regulator:
     """Return the linear-quadratic regulator for the elements of a mesh, without known disturbances.
 
     Implements docs/theory/tracking.md, eqs. (2) to (4), by linearisation about the solution
@@ -269,6 +298,9 @@ def _regulator(dynamics: Dynamics, coarse: Trajectories, borders: FloatArray) ->
     # The rate of the yaw angle depends on all body rates of a tilted vehicle.
     turning = slopes[:, dynamics.state_names.index(_YAW), :n_states] / _TURNING
     weights = plain + turning[:, :, None] * turning[:, None, :]
+    speeds = [dynamics.state_names.index(name) for name in VELOCITY_STATES]
+    resting = np.flatnonzero(_are_within(borders[:-1], rests))[:, None]
+    weights[resting, speeds, speeds] += 1.0 / _AT_REST**2
     price = np.eye(n_controls) / _CORRECTION**2
     gains, values = driven.transpose(0, 2, 1).copy(), np.zeros_like(transitions)
     inverses = np.zeros((len(steps), n_controls, n_controls))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pyomo_quad.collocation import SolveError, Status
-from pyomo_quad.flight.displacement import Displacement, pushes_out
+from pyomo_quad.flight.displacement import Displacement, moves_in_hovers, pushes_out
 from pyomo_quad.flight.flight import HELD_BREACH, Flown
 from pyomo_quad.flight.plan import (
     LEAST_ENERGY_J,
@@ -31,6 +31,8 @@ from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 from pyomo_quad.scenario.mission import Aim
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from pyomo_quad.arrays import FloatArray
     from pyomo_quad.collocation import Solution
     from pyomo_quad.scenario import Scenario
@@ -181,7 +183,8 @@ def _corrected(
     """Correct a plan's controls by feedback until its flight keeps all limits, and simulate it.
 
     The first flight follows the plan. Further flights anticipate the deviations of the flight
-    before them, and follow a path that is pushed out of the zones that flights entered.
+    before them, and follow a path that is pushed out of the zones that flights entered, and at rest
+    in the hovers at waypoints if flights moved there.
 
     Parameters
     ----------
@@ -199,10 +202,11 @@ def _corrected(
     """
     displacement: Displacement = ()
     previous: Trajectories | None = None
+    rests: list[tuple[float, float]] = []
     found: list[tuple[Plan, Verification, Flown]] = []
     while len(found) < _MOST_FLIGHTS:
         try:
-            followed = _followed(plan, least_energy, displacement, previous)
+            followed = _followed(plan, least_energy, displacement, previous, rests)
             verification, path = _as_planned(followed, accuracy, wanted)
         except SolveError:
             if not found:
@@ -212,6 +216,9 @@ def _corrected(
         is_enough = verification.is_verified or (is_rough and verification.is_usable)
         pushes = pushes_out(plan.dynamics, path)
         is_repeated = previous is not None and not pushes
+        if moves_in_hovers(plan.dynamics, path, FIGURES[accuracy].breach) and not rests:
+            begun = zip(plan.scenario.mission.waypoints, plan.passing_times_s, strict=True)
+            rests, is_repeated = [(start, start + w.hold) for w, start in begun if w.hold], False
         is_hopeless = verification.max_violation > _HOPELESS or followed is plan
         if is_enough or is_repeated or is_hopeless:
             break
@@ -283,16 +290,17 @@ def _followed(
     least_energy: float,
     displacement: Displacement,
     previous: Trajectories | None,
+    rests: Sequence[tuple[float, float]],
 ) -> Plan:
     """Return a plan whose controls are corrected by feedback, so that they fly the planned path.
 
     The corrected plan is a simulated flight that follows the plan (`flight.tracking`), with the
     energy of this flight. The difference between this energy and `least_energy`, the energy of the
     optimum [J], is part of the error estimate; see docs/theory/tracking.md, eq. (5). The plan is
-    returned unchanged if the vehicle cannot follow it. `displacement` and `previous` are arguments
-    of `tracked`.
+    returned unchanged if the vehicle cannot follow it. `displacement`, `previous` and `rests` are
+    arguments of `tracked`.
     """
-    followed = tracked(plan.dynamics, plan.trajectories, displacement, previous)
+    followed = tracked(plan.dynamics, plan.trajectories, displacement, previous, rests)
     if followed is None:
         return plan
     energy = float(followed.energy[-1])

@@ -184,7 +184,8 @@ class _Refinement(Generic[S]):
         error = max(e.largest for e in errors)
         self.records.append(_record(known, error))
         history = tuple(self.records)
-        return self._advanced(known.updated(error_estimate=error, history=history), errors)
+        solution = self._shown(known.updated(error_estimate=error, history=history))
+        return self._advanced(solution, errors) if solution.status is Status.CONVERGED else solution
 
     def _advanced(self, solution: S, errors: tuple[ErrorEstimate, ...]) -> S | None:
         """Choose the meshes after a converged solution; return the final result if there are none.
