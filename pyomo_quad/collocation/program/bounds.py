@@ -295,9 +295,10 @@ _ROW_RANGE = (1e-8, 1e8)
 def scaling_of(program: Transcription, bounds: Bounds, z: FloatArray) -> Scaling:
     """Return scaling factors of a nonlinear program at a point.
 
-    The factor of an unknown is the inverse of its magnitude: the magnitude that the model declares
-    for the variable, else the largest absolute value among the variable's values at the point `z`
-    and its `bounds`. The factors of constraints and objective follow from their derivatives at `z`.
+    The factor of an unknown is the inverse of its magnitude. The magnitude is the one that the
+    model declares for the variable, else the largest absolute value among the variable's values at
+    the point `z` and its `bounds` below 1e6 (see `nominal_magnitudes`). The factors of constraints
+    and objective follow from their derivatives at `z`.
     """
     return scaling_by(program, nominal_magnitudes(program, bounds, z), z)
 
