@@ -112,10 +112,10 @@ class BernsteinRows:
     elements: NDArray[np.intp]
 
     def added_to(self, program: NonlinearProgram) -> ExtendedProgram:
-        """Return a copy of a nonlinear program with further constraints.
+        """Return a nonlinear program that also imposes these bounds on Bernstein coefficients.
 
-        The further constraints are the bounds on Bernstein coefficients. They follow the
-        constraints of the program.
+        The result has the unknowns and the constraints of `program`, followed by one linear
+        constraint for each coefficient.
         """
         rows = self.coefficients
         starts = np.append(np.zeros(program.n_rows, dtype=rows.indptr.dtype), rows.indptr)
@@ -126,9 +126,9 @@ class BernsteinRows:
     def scales(self, own: Scaling) -> FloatArray:
         """Return scaling factors of the bounds on coefficients, shape (n_coefficients,).
 
-        `own` is the scaling of the program. If the unknowns are scaled by its factors, and each
-        bound on a coefficient by the result, the largest entry of each row of the scaled constraint
-        matrix is 1.
+        `own` is the scaling of the program to which the bounds are added. If the unknowns are
+        scaled by its factors, and each bound on a coefficient by the result, the largest absolute
+        entry in each of the bounds' rows of the scaled constraint matrix is 1.
         """
         rows = self.coefficients
         entries = np.abs(rows.data) / own.unknowns[rows.indices]
@@ -150,6 +150,11 @@ class BernsteinRows:
             Complementarity gap of that solution, in the unit of the objective.
         elements : int
             Number of elements of the mesh.
+
+        Returns
+        -------
+        Restraint
+            The estimated increase in each element, with the complementarity gap.
         """
         pull = result.multipliers.rows[-self.lower.size :]
         beyond = self.coefficients @ result.z - self.values @ result.z
@@ -231,8 +236,9 @@ def bounded(
 def _limits(bounds: Bounds, columns: NDArray[np.intp]) -> tuple[float, float]:
     """Return the lower and the upper bound of one variable in one element.
 
-    `columns` are the positions of the variable's unknowns in the element. A bound that differs
-    between these unknowns counts as absent (infinite).
+    `bounds` are the bounds of all unknowns, and `columns` are the positions of the variable's
+    unknowns in the element. A bound that differs between these unknowns counts as absent
+    (infinite).
     """
     low, high = bounds.lower[columns], bounds.upper[columns]
     return (
@@ -242,11 +248,12 @@ def _limits(bounds: Bounds, columns: NDArray[np.intp]) -> tuple[float, float]:
 
 
 def _is_near(values: FloatArray, low: float, high: float) -> bool:
-    """Return whether a Bernstein coefficient in one element is near a bound or violates it.
+    """Return whether a variable's trajectory in one element is near one of its bounds.
 
-    `values` are the coefficients of one variable, `low` and `high` its bounds. Near means closer
-    than 0.45 times the distance between the bounds, or than 0.45 max(1, abs(bound)) if only one
-    bound is finite.
+    `values` are the Bernstein coefficients of the variable in the element, `low` and `high` its
+    bounds. The trajectory is near a bound if any of the coefficients violates the bound, or is
+    closer to it than 0.45 times the distance between the bounds (0.45 max(1, abs(bound)) if only
+    one bound is finite).
     """
     sides = [side for side in (low, high) if np.isfinite(side)]
     if not sides:
@@ -258,8 +265,9 @@ def _is_near(values: FloatArray, low: float, high: float) -> bool:
 def _assembled(parts: list[tuple[NDArray[np.intp], FloatArray]], width: int) -> csr_array:
     """Assemble a sparse matrix from dense blocks of rows, one block below the other.
 
-    `parts` has a pair for each block: the columns of the matrix that the block fills, and the dense
-    block. `width` is the number of columns of the matrix.
+    `parts` has a pair for each block: the column of the assembled matrix to which each column of
+    the block belongs, and the dense block itself. `width` is the number of columns of the assembled
+    matrix.
     """
     data = np.concatenate([block.ravel() for _, block in parts])
     columns = np.concatenate([np.tile(at, len(block)) for at, block in parts])

@@ -106,8 +106,13 @@ def limits_of(
 
     Parameters
     ----------
-    program, start_data, fixed
-        As in `bounds_of`.
+    program : Transcription
+        Nonlinear program on one mesh, with parameter values.
+    start_data : ndarray, shape (1 + n_jumps, n_data)
+        Fraction of the horizon, time-dependent parameters and constant parameters, at the start of
+        the horizon and just after each jump of a parameter.
+    fixed : dict
+        Values of variables fixed at declared times, by (variable name, fraction of the horizon).
 
     Returns
     -------
@@ -138,8 +143,10 @@ def _rows(program: Transcription) -> tuple[FloatArray, FloatArray]:
 def _over_time(program: Transcription, start_data: FloatArray) -> Iterator[Limit]:
     """Yield the bounds of states and algebraic variables at all nodes, as `Limit` objects.
 
-    A constraint over time on a single variable counts as a bound of that variable. `start_data` is
-    as in `bounds_of`.
+    A constraint over time on a single variable counts as a bound of that variable. `start_data` has
+    one row for the start of the horizon, and one for each jump of a parameter, with the values just
+    after the jump: the fraction of the horizon, the time-dependent parameters and the constant
+    parameters.
     """
     layout, compiled = program.layout, program.compiled
     mapped = MappedFunction(compiled.limits_over_time, layout.points + 1)
@@ -217,8 +224,9 @@ def limits_at_points(program: Transcription) -> Iterator[Limit]:
 def _refuse_crossed(program: Transcription, lower: FloatArray, upper: FloatArray) -> None:
     """Raise an error if the lower bound of an unknown exceeds its upper bound.
 
-    The message names the variable whose bounds cross most. Bounds that cross by rounding errors
-    only are made equal, in place.
+    `lower` and `upper` are the bounds of all unknowns of the program. The message names the
+    variable whose lower bound exceeds its upper bound most. Where the excess is only a rounding
+    error, the entry of `upper` is set to the lower bound, in place.
     """
     gap = lower - upper
     scale = 1e-9 * (1.0 + np.minimum(np.abs(lower), np.abs(upper)))
@@ -252,7 +260,11 @@ def _refuse_crossed_times(program: Transcription) -> None:
 
 
 def _refuse_crossed_rows(program: Transcription, lower: FloatArray, upper: FloatArray) -> None:
-    """Raise an error if the lower bound of a constraint exceeds its upper bound."""
+    """Raise an error if the lower bound of a constraint exceeds its upper bound.
+
+    `lower` and `upper` are the bounds of all constraints of the program, shape (n_rows,). The
+    message names the first such constraint.
+    """
     rows = np.flatnonzero(lower > upper)
     if rows.size:
         row = int(rows[0])
@@ -262,7 +274,7 @@ def _refuse_crossed_rows(program: Transcription, lower: FloatArray, upper: Float
 def crossed(place: object, lower: float, upper: float) -> TranscriptionError:
     """Return the error for a lower bound that exceeds the upper bound of the same quantity.
 
-    `place` is the variable or constraint with its time, for the message.
+    `place` is the variable or constraint with its time, which begins the message.
     """
     return TranscriptionError(
         f"{place}: lower bound {lower:g} is above upper bound {upper:g}; relax one of the two."
@@ -283,8 +295,10 @@ _ROW_RANGE = (1e-8, 1e8)
 def scaling_of(program: Transcription, bounds: Bounds, z: FloatArray) -> Scaling:
     """Return scaling factors of a nonlinear program at a point.
 
-    The factor of an unknown is the inverse of its magnitude, as `nominal_magnitudes` returns it.
-    The factors of constraints and objective follow from their derivatives at the point `z`.
+    The factor of an unknown is the inverse of its magnitude. The magnitude is the one that the
+    model declares for the variable, else the largest absolute value among the variable's values at
+    the point `z` and its `bounds` below 1e6 (see `nominal_magnitudes`). The factors of constraints
+    and objective follow from their derivatives at `z`.
     """
     return scaling_by(program, nominal_magnitudes(program, bounds, z), z)
 
@@ -350,9 +364,9 @@ def nominal_magnitudes(program: Transcription, bounds: Bounds, z: FloatArray) ->
 def _magnitude(slot: Slot, bounds: Bounds, z: FloatArray, columns: Any) -> float:
     """Return the magnitude of one variable, on which the scaling of its unknowns depends.
 
-    The result is the magnitude that the model declares, if any; else the largest absolute value
-    among the variable's values in `z` and its bounds below 1e6; else 1. `columns` are the positions
-    of the variable's unknowns.
+    `slot` is the variable, and `columns` are the positions of its unknowns. The result is the
+    magnitude that the model declares, if any; else the largest absolute value among the variable's
+    values in the unknowns `z` and its bounds below 1e6; else 1.
     """
     if slot.nominal is not None:
         return slot.nominal
@@ -424,8 +438,10 @@ _AGREED, _REGULAR = 1e-7, 1e-12
 def _is_contradictory(program: NonlinearProgram, bounds: Bounds, z: FloatArray) -> bool:
     """Return whether the equations are linear and have no solution.
 
-    A least-squares step is computed for the linearised equations. The equations are linear if the
-    full step leaves exactly the predicted residual, and contradictory if this residual is not zero.
+    The equations are the constraints with equal bounds. They are linearised at the unknowns `z`,
+    and a least-squares step of the free unknowns (unknowns with unequal bounds) is computed. The
+    equations are linear if the full step leaves exactly the predicted residual, and contradictory
+    if this residual is not zero.
     """
     rows, columns = program.jacobianstructure()
     slopes = coo_array((program.jacobian(z), (rows, columns)), shape=(program.n_rows, z.size))
@@ -454,10 +470,11 @@ _ROUNDING = 1e-9
 def without_settled_rows(program: NonlinearProgram, bounds: Bounds, z: FloatArray) -> Bounds:
     """Return bounds without those of satisfied constraints that involve fixed unknowns only.
 
-    The bounds of such a constraint are infinite in the result, because the constraint is redundant.
-    An example is a path equality at a point where all states in the equality are fixed. The
-    equality has no derivatives with respect to free unknowns, which would make the equations appear
-    linearly dependent. The constraints are evaluated at the point `z`.
+    The result is a copy of `bounds`, in which the bounds of such constraints are infinite, because
+    these constraints are redundant. An example is a path equality at a point where all states in
+    the equality are fixed. The equality has no derivatives with respect to free unknowns, which
+    would make the equations appear linearly dependent. The constraints are evaluated at the
+    unknowns `z`.
     """
     rows, columns = program.jacobianstructure()
     is_free = bounds.lower < bounds.upper
@@ -477,7 +494,7 @@ def without_settled_rows(program: NonlinearProgram, bounds: Bounds, z: FloatArra
 def is_defined(program: Transcription, z: FloatArray) -> bool:
     """Return whether constraints, objective gradient and Jacobian contain no NaN at a point.
 
-    Infinite values count as defined.
+    `z` are the unknowns at this point. Infinite values count as defined.
     """
     with np.errstate(invalid="ignore"):
         parts = (program.constraints(z), program.jacobian(z), program.gradient(z))
@@ -486,6 +503,8 @@ def is_defined(program: Transcription, z: FloatArray) -> bool:
 
 def refuse_not_finite(program: Transcription, z: FloatArray) -> None:
     """Raise an error if an equation, the objective or a derivative is not finite at a point.
+
+    `z` are the unknowns at this point, which is the initial guess.
 
     Raises
     ------

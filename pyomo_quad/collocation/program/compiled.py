@@ -221,7 +221,7 @@ class SimpleBound:
 
 
 def _own_limits(slot: Slot) -> SimpleBound:
-    """Return a variable's declared bounds in the form of a `SimpleBound`."""
+    """Return the bounds that a variable (`slot`) declares, in the form of a `SimpleBound`."""
     return SimpleBound(
         name=slot.name, variable=slot.name, slope=1.0, lower=slot.lower, upper=slot.upper
     )
@@ -264,9 +264,11 @@ def _as_simple_bound(
 ) -> SimpleBound | None:
     """Return a constraint on a single variable as a `SimpleBound`, else None.
 
-    The result is None if the constraint contains several variables, is nonlinear in its variable,
-    or is an equality over time, or if the variable is no unknown of the nonlinear program (is not
-    in `candidates`). `variables` and `candidates` are as in `split_simple_bounds`.
+    `relation` is the constraint, over time or at declared times. `variables` are all variable
+    symbols by name, and `candidates` the names of the variables that are unknowns of the nonlinear
+    program. The result is None if the constraint contains several variables, is nonlinear in its
+    variable, or is an equality over time, or if its variable is no unknown of the nonlinear
+    program.
     """
     if isinstance(relation, PathEquation) and relation.is_equality:
         return None
@@ -291,6 +293,10 @@ IndexArray = NDArray[np.intp]
 @dataclass(frozen=True, kw_only=True)
 class DerivedFunctions:
     """CasADi functions of a vector of expressions, its sparse Jacobian, and a weighted Hessian.
+
+    The inputs of the functions are columns of numbers: the variables, with respect to which the
+    expressions are differentiated, and the data, which are not differentiated (parameters, and for
+    equations over time the fraction of the horizon).
 
     Attributes
     ----------
@@ -405,7 +411,10 @@ class CompiledModel:
     static_of_integral: dict[int, int] = field(default_factory=dict)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle all expressions as one text, because they share symbols."""
+        """Pickle the model, with all its CasADi expressions serialised into one text.
+
+        In a single text, the symbols that several expressions share remain the same symbols.
+        """
         parts = {item.name: getattr(self, item.name) for item in fields(self)}
         return _unpacked, (packed(parts),)
 
@@ -416,9 +425,9 @@ class CompiledModel:
     def scaled(self, magnitudes: Mapping[str, float]) -> CompiledModel:
         """Return a copy of the model with given magnitudes of its variables, for the scaling.
 
-        `magnitudes` maps names of variables or components to magnitudes. A variable has no declared
-        magnitude in the copy if the mapping contains neither its name nor the name of its
-        component.
+        `magnitudes` maps names to magnitudes. A name is that of a variable, or of the Pyomo
+        component of which the variable is a member. A variable whose names are both missing has no
+        declared magnitude in the copy.
         """
         d = self.declared
         kinds = (d.states, d.algebraics, d.statics)
@@ -438,9 +447,10 @@ class CompiledModel:
 
     @cached_property
     def limited(self) -> IndexArray:
-        """Position of the variable that each entry of `limits` bounds, shape (n_limits,).
+        """Position of the bounded variable for each bound over time, shape (n_limits,).
 
-        The positions refer to the states followed by the algebraic variables.
+        The bounds are those of the attribute `limits`. The positions refer to the states followed
+        by the algebraic variables.
         """
         names = [s.name for s in (*self.declared.states, *self.declared.algebraics)]
         return np.array([names.index(limit.variable) for limit in self.limits], dtype=np.intp)
@@ -452,7 +462,10 @@ class CompiledModel:
 
 
 def _unpacked(parts: Packed) -> CompiledModel:
-    """Restore a compiled model from the parts that its pickle contains."""
+    """Restore a compiled model from its pickle.
+
+    `parts` are the model's attributes by name, with their CasADi expressions serialised as text.
+    """
     return CompiledModel(**parts.unpacked())
 
 
@@ -519,7 +532,7 @@ def _times(declared: Declarations, parameters: Any) -> Any:
 
     The function maps (static variables, parameters) to the start of the horizon, its free interior
     times (times that the solve determines) and its end. A phase lies between two consecutive times
-    of this list.
+    of this list. The argument `parameters` is the column of the parameters' symbols.
     """
     inputs = [_symbols(declared.statics), parameters]
     return casadi.Function("times", inputs, [stacked(declared.clock.times)])
@@ -528,10 +541,11 @@ def _times(declared: Declarations, parameters: Any) -> Any:
 def with_moving_limits(declared: Declarations) -> Declarations:
     """Return a copy of the declarations, in which all bounds depend on data alone.
 
-    If times are free (determined by the solve), the time t in a rule such as `m.x[t] <= t` depends
-    on static variables (variables without time). The bounds of a constraint or variable, however,
-    may depend only on data: the fraction of the horizon and the parameters. The limit is therefore
-    subtracted from the body of the constraint, whose bound becomes zero.
+    The data are the fraction of the horizon and the parameters. If times are free (determined by
+    the solve), the time t in a rule such as `m.x[t] <= t` depends on static variables (variables
+    without time), and so does the limit of the constraint. Such a limit is subtracted from both
+    sides of the constraint, whose bound becomes zero. If a variable declares such a limit, the
+    limit becomes a constraint.
     """
     statics = symbol_names(_symbols(declared.statics))
 
@@ -562,11 +576,12 @@ def with_moving_limits(declared: Declarations) -> Declarations:
 
 
 def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> list[PathEquation]:
-    """Return constraints equivalent to a path equation, with sides that depend on data alone.
+    """Return constraints equivalent to a path equation, with limits that depend on data alone.
 
-    The data are the fraction of the horizon and the parameters. `moves` returns whether a given
-    side depends on static variables (variables without time). Each side that depends on static
-    variables becomes a separate constraint.
+    `equation` is a constraint over time, with a lower and an upper limit. The data are the fraction
+    of the horizon and the parameters. `moves` returns whether a given limit depends on static
+    variables (variables without time). Each limit that does becomes a separate constraint, in which
+    the limit is subtracted from the constraint's expression.
     """
     below, above = moves(equation.lower), moves(equation.upper)
     if not (below or above):
@@ -604,6 +619,7 @@ def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> l
 def _infinite_where(unbounded: Any, none: Any) -> Any:
     """Return an expression that is infinite where a limit is absent, and 0 elsewhere.
 
+    The expression is the bound of a constraint from whose body the limit has been subtracted.
     `unbounded` is a CasADi expression that is 1 where the limit is absent, else 0. `none` is the
     infinite value: positive for an upper limit, negative for a lower limit.
     """
@@ -614,14 +630,15 @@ def _infinite_where(unbounded: Any, none: Any) -> Any:
 def _moving_side(side: Any) -> tuple[Any, Any]:
     """Split a limit into its finite value and an indicator of its absence.
 
-    `side` is the lower or upper side of a constraint. If the constraint's rule skips the limit in a
-    part of the horizon, the side is infinite there. The side is a sum of terms, one for each
-    alternative of the rule, and each term is zero at times of the other alternatives.
+    `side` is the lower or the upper limit of a constraint over time, as a CasADi expression. The
+    model may declare different limits in different parts of the horizon, and none in some of them,
+    where the expression is infinite. The expression is then a sum with one term for each part of
+    the horizon, and each term is zero outside its part.
 
     Returns
     -------
     casadi.SX, casadi.SX
-        The side, with zero in place of an infinite value; and an expression that is 1 where the
+        The limit, with zero in place of an infinite value; and an expression that is 1 where the
         limit is absent, else 0.
     """
     zero = casadi.SX(0)
@@ -676,16 +693,20 @@ def _fingerprint(declared: Declarations, functions: list[Any]) -> str:
 
 
 def _values(name: str, rows: Any, variables: Any, data: Any) -> Any:
-    """Return the CasADi function (variables, data) -> dense column of the expressions `rows`."""
+    """Return the CasADi function (variables, data) -> dense column of the expressions `rows`.
+
+    `variables` and `data` are columns of the symbols that the expressions contain, and `name` is
+    the name of the function.
+    """
     return casadi.Function(name, [variables, data], [casadi.densify(rows)])
 
 
 def _anonymous(function: Any) -> str:
     """Return the code of a CasADi function as text, with neutral names of its symbols.
 
-    The names of the model's symbols contain members of its continuous set, as ``x[0.5]``. The text
-    must not depend on these times, because it determines the hash that identifies the model's
-    equations.
+    `function` is the CasADi function. The names of the model's symbols contain members of its
+    continuous set, as ``x[0.5]``. The text must not depend on these times, because it determines
+    the hash that identifies the model's equations. The neutral names are therefore numbered.
     """
     symbols = [casadi.SX.sym(f"i{k}", function.size1_in(k)) for k in range(function.n_in())]
     return str(casadi.Function("f", symbols, function.call(symbols)).serialize())
@@ -694,15 +715,16 @@ def _anonymous(function: Any) -> str:
 def _limits(name: str, data: Any, items: tuple[Any, ...]) -> Any:
     """Return the CasADi function from data to the lower and upper bounds of `items`.
 
-    The items are constraints or variables. `data` are the symbols of which their bounds are
-    expressions, and `name` is the name of the function.
+    The items are constraints or variables, each with a lower and an upper bound. `data` is the
+    column of the symbols (such as parameters) that these bounds contain, and `name` is the name of
+    the function.
     """
     sides = [stacked([i.lower for i in items]), stacked([i.upper for i in items])]
     return casadi.Function(name, [data], sides)
 
 
 def stacked(expressions: Any) -> Any:
-    """Return CasADi expressions as a column vector, which may be empty."""
+    """Return a sequence of CasADi expressions as one column vector, which may be empty."""
     return casadi.vertcat(casadi.SX(0, 1), *[casadi.SX(e) for e in expressions])
 
 
@@ -739,10 +761,9 @@ def _point_symbols(declared: Declarations) -> dict[str, Any]:
 def _boundable_at_points(declared: Declarations) -> frozenset[str]:
     """Return the names of quantities in conditions that are unknowns of the nonlinear program.
 
-    A condition is a constraint at declared times (members of the continuous set).
-
-    The quantities are values of states at declared times, and static variables (variables without
-    time). A condition that contains only one of these quantities becomes a bound of the unknown.
+    A condition is a constraint at declared times (members of the continuous set). The quantities
+    are values of states at declared times, and static variables (variables without time). A
+    condition that contains only one of these quantities becomes a bound of the unknown.
     """
     states = {s.name for s in declared.states}
     at_points = {

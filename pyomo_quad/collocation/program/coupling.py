@@ -112,9 +112,9 @@ class CouplingWriter(TemplateWriter):
     def leaf(self, data: Any) -> Any:
         """Return the symbol for a Pyomo variable or parameter that couples several horizons.
 
-        The variable or parameter appears in the objective or in a constraint on several horizons.
-        If it is a value of one horizon, the result is the symbol of a static variable (a variable
-        without time) that equals this value.
+        The variable or parameter `data` appears in the objective or in a constraint on several
+        horizons. If it is a value of one horizon, the result is the symbol of a static variable (a
+        variable without time) that equals this value.
         """
         over = self.copy.other_of(data.parent_component())
         if over is None:
@@ -167,10 +167,9 @@ class CouplingWriter(TemplateWriter):
     def named(self, expression: Any) -> Any:
         """Return the symbol that replaces a named Pyomo expression, None if it is not replaced.
 
-        The expression appears in the objective or in a constraint on several horizons.
-
-        Only the integrals over the horizons are replaced. Any other named expression is translated
-        like an unnamed expression.
+        The expression appears in the objective or in a constraint on several horizons. Only the
+        integrals over the horizons are replaced. Any other named expression is translated like an
+        unnamed expression.
         """
         component = expression.parent_component()
         if component is not None and component.ctype is PyomoIntegral:
@@ -331,9 +330,8 @@ def _integrals_in(reader: ModelReader, names: frozenset[str]) -> list[Slot]:
     """Return static variables for a horizon's integrals that are used outside the horizon.
 
     A static variable is a variable without time; each of the returned variables stands for one
-    integral.
-
-    `names` are the names of the symbols in objective and constraints on several horizons.
+    integral. `reader` is the reader of the horizon's declarations, with the integrals over the
+    horizon. `names` are the names of the symbols in objective and constraints on several horizons.
     """
     return [
         integral.slot
@@ -343,7 +341,11 @@ def _integrals_in(reader: ModelReader, names: frozenset[str]) -> list[Slot]:
 
 
 def _with(declared: Declarations, statics: list[Slot]) -> Declarations:
-    """Return a copy of a horizon's declarations with additional static variables (without time)."""
+    """Return a copy of the declarations of a horizon, or of the coupling, with more variables.
+
+    `declared` are the declarations, and `statics` the additional variables, which are static
+    (without time).
+    """
     return replace(declared, statics=(*declared.statics, *statics))
 
 
@@ -387,7 +389,7 @@ class Union:
     unknowns : int
         Number of unknowns of the joint program.
     statics : dict
-        Position of each static variable by name.
+        Position, by name, of each static variable that shares no unknown with a state.
     places : list of ndarray of int
         Positions of each program's unknowns in the joint program.
     rows : list of slice
@@ -424,8 +426,9 @@ class Union:
     def joined(self, parts: Sequence[FloatArray]) -> FloatArray:
         """Return the unknowns of the joint program from the unknowns of the separate programs.
 
-        `parts` has the unknowns of each program. A shared unknown (for example, a static variable
-        that appears in several programs) takes its value from the first program that contains it.
+        `parts` has the array of unknowns of each program, in the order of the programs. A shared
+        unknown (for example, a static variable that appears in several programs) takes its value
+        from the first program that contains it.
         """
         whole = np.zeros(self.unknowns)
         for places, part in reversed(list(zip(self.places, parts, strict=True))):
@@ -434,6 +437,8 @@ class Union:
 
     def bounds(self, parts: Sequence[Bounds]) -> Bounds:
         """Return the bounds of the joint program; a shared unknown has the tightest of its bounds.
+
+        `parts` are the bounds of each program, in the order of the programs.
 
         Raises
         ------
@@ -458,16 +463,17 @@ class Union:
     def part(self, whole: Part, k: int) -> Part:
         """Return the part of bounds, scaling or Ipopt's result that belongs to the k-th program.
 
-        `whole` holds the bounds, scaling or result of the joint program.
+        `whole` is the bounds, the scaling or the result of the joint program, and `k` counts from
+        0. The result has the same type as `whole`.
         """
         return whole.part(self.places[k], self.rows[k])
 
     def nominal(self, whole: Bounds, z: FloatArray) -> FloatArray:
         """Return the magnitudes of the joint program's unknowns, shape (n_unknowns,).
 
-        The scaling depends on the magnitudes. The magnitude of an unknown follows from its declared
-        scaling factor, else from its bounds and its value. `whole` has the bounds of the joint
-        program, and `z` the values.
+        The scaling divides each unknown by its magnitude, which follows from the declared scaling
+        factor of the variable, else from its bounds and its values. `whole` has the bounds of the
+        joint program, and `z` the values of its unknowns.
         """
         return self.joined(
             [
@@ -477,7 +483,11 @@ class Union:
         )
 
     def multipliers(self, parts: Sequence[Multipliers]) -> Multipliers:
-        """Return the multipliers of the joint program, given the multipliers of each program."""
+        """Return the multipliers of the joint program, given the multipliers of each program.
+
+        `parts` has the multipliers of each program, in the order of the programs. The multipliers
+        of a shared unknown's bounds are those of the first program that contains the unknown.
+        """
         return Multipliers(
             rows=np.concatenate([part.rows for part in parts]),
             lower=self.joined([part.lower for part in parts]),
@@ -528,14 +538,14 @@ class CoupledProgram:
         return sum(program.objective(own) for program, own in self._parts(z))
 
     def gradient(self, z: FloatArray) -> FloatArray:
-        """Return the gradient of the objective to minimise, shape (n_unknowns,)."""
+        """Return the gradient of the objective to minimise at `z`, shape (n_unknowns,)."""
         gradient = np.zeros(self.union.unknowns)
         for places, (program, own) in zip(self.union.places, self._parts(z), strict=True):
             gradient[places] += program.gradient(own)
         return gradient
 
     def constraints(self, z: FloatArray) -> FloatArray:
-        """Return the values of the constraints, shape (n_rows,)."""
+        """Return the values of the constraints at the unknowns `z`, shape (n_rows,)."""
         return np.concatenate([program.constraints(own) for program, own in self._parts(z)])
 
     @cached_property
@@ -555,7 +565,10 @@ class CoupledProgram:
         return self._jacobian
 
     def jacobian(self, z: FloatArray) -> FloatArray:
-        """Return the nonzeros of the constraints' Jacobian, in the order of `jacobianstructure`."""
+        """Return the nonzeros of the constraints' Jacobian at the unknowns `z`.
+
+        Their order is that of `jacobianstructure`.
+        """
         return np.concatenate([program.jacobian(own) for program, own in self._parts(z)])
 
     @cached_property
@@ -574,7 +587,11 @@ class CoupledProgram:
         return self._hessian
 
     def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
-        """Return the nonzeros of the Hessian of factor * objective + multipliers . constraints."""
+        """Return the nonzeros of the Hessian of factor * objective + multipliers . constraints.
+
+        The nonzeros are those of the lower triangle at the unknowns `z`, in the order of
+        `hessianstructure`. `multipliers` has one value per constraint.
+        """
         return np.concatenate(
             [
                 program.hessian(own, multipliers[rows], factor)

@@ -85,11 +85,11 @@ def _solved(
 ) -> IpoptResult:
     """Solve an elastic program by Ipopt, starting from a point of the original program.
 
-    An elastic program is the original program with slacks that permit violations of its
-    constraints. The initial slacks equal the violations at the point `near`, plus a margin.
-    `bounds` and `scaling` are the bounds and scaling of the original program. `options` are
-    settings of Ipopt, and `progress` is called at each iteration. The unknowns of the result are
-    those of the original program, then the slacks.
+    The program `elastic` is the original program with slacks that permit violations of its
+    constraints. The initial slacks equal the violations at the point `near` (the unknowns of the
+    original program), plus a margin. `bounds` and `scaling` are the bounds and scaling of the
+    original program. `options` are settings of Ipopt, and `progress` is called at each iteration.
+    The unknowns of the result are those of the original program, then the slacks.
     """
     values = elastic.program.constraints(near)
     by_slack = elastic.terms[:, near.size :].tocoo()
@@ -113,10 +113,10 @@ def _solved(
 def priced(program: Transcription, scaling: Scaling, z: FloatArray) -> ExtendedProgram:
     """Return a program whose equations over time may be violated by slacks at a penalty.
 
-    The slacks are in units of each equation's scale. The penalty per unit of slack is weighted by
-    the quadrature weight of the collocation point, so that it does not depend on the mesh.
-
-    The shape of the point `z` gives the number of unknowns; its values have no effect.
+    One unit of slack changes the value of an equation by the equation's scale, which is the inverse
+    of its factor in `scaling`. The penalty per unit of slack is weighted by the quadrature weight
+    of the collocation point, so that it does not depend on the mesh. The shape of the point `z`
+    gives the number of unknowns; its values have no effect.
     """
     is_equality, mesh = program.compiled.is_equality, program.mesh
     rows = np.flatnonzero(np.tile(is_equality, program.n_points))

@@ -217,20 +217,22 @@ class SolverOptions:
         return replace(self, extra=(("mu_init", begun), *inside, *self.extra))
 
     def for_moving_limits(self) -> SolverOptions:
-        """Return the settings for warm starts after which limits become active at other times.
+        """Return the settings for warm starts after which limits may become active at other times.
 
-        On a new mesh, a collocation point may lie on the other side of the time at which a limit
-        becomes active. If the start lies on its bounds, these bounds then block Ipopt's first dozen
-        steps. The settings therefore move the start slightly inside the bounds.
+        On a new mesh, a collocation point may lie on the other side of the time at which a limit (a
+        bound of a variable or constraint) becomes active. If the start lies on its bounds, these
+        bounds then block Ipopt's first dozen steps. The settings therefore move the start slightly
+        inside the bounds.
         """
         pushes = dict.fromkeys(_PUSHES, _INSIDE) | {"warm_start_mult_bound_push": _BEGUN}
         return replace(self, extra=(*pushes.items(), *self.extra))
 
     def for_other_limits(self) -> SolverOptions:
-        """Return the settings for a warm start from a solution whose limits were different.
+        """Return the settings for a warm start from the solution of a problem with other limits.
 
-        The start breaks the new limits. Begun well inside its bounds, with a larger barrier
-        parameter, the solve takes fewer iterations to leave the former limits.
+        The start violates the limits of the new problem. With these settings, Ipopt moves the start
+        well inside its bounds, and begins with a larger barrier parameter than in other warm
+        starts. The solve then takes fewer iterations to leave the limits that were active before.
         """
         pushes = dict.fromkeys(_PUSHES, _FAR_INSIDE) | {"warm_start_mult_bound_push": _BEGUN_FAR}
         return replace(self, extra=(*self.extra, ("mu_init", _BEGUN_FAR), *pushes.items()))
@@ -249,10 +251,11 @@ class SolverOptions:
     def for_small_changes(self) -> SolverOptions:
         """Return the settings for a warm start on a mesh that differs in few elements.
 
-        With the usual barrier parameter, the iterates would first move away from a start that is
-        nearly optimal. With a smaller parameter, controls on which the objective hardly depends
-        stay near their values on the previous mesh. The smaller value was tested on a flight of 1
-        km against the wind, whose mesh was refined to five times as many points.
+        With the usual initial barrier parameter of a warm start, the iterates would first move away
+        from a start that is nearly optimal. With a smaller parameter, controls on which the
+        objective hardly depends stay near their values on the previous mesh. The smaller value was
+        tested on a flight of 1 km against the wind, whose mesh was refined to five times as many
+        points.
         """
         pushes = tuple((name, _WELL_INSIDE) for name in _PUSHES)
         return replace(self, extra=(*self.extra, ("mu_init", _LOW_BARRIER), *pushes))
@@ -355,7 +358,7 @@ class IpoptResult:
     multipliers : Multipliers
         Multipliers of constraints and bounds, for the unscaled program.
     iterations : int
-        Number of iterations of the last solve.
+        Number of iterations; of the last solve, if Ipopt solved the program several times.
     history : tuple of Iteration
         Progress report of each iteration.
     wall_s : float
@@ -377,7 +380,11 @@ class IpoptResult:
         return self.status is Status.CONVERGED
 
     def part(self, columns: Any, rows: Any) -> IpoptResult:
-        """Return the result restricted to chosen unknowns (`columns`) and constraints (`rows`)."""
+        """Return the result restricted to chosen unknowns and constraints.
+
+        `columns` are the positions of the chosen unknowns (indices or a slice), `rows` those of the
+        constraints.
+        """
         return replace(self, z=self.z[columns], multipliers=self.multipliers.part(columns, rows))
 
 
@@ -443,10 +450,11 @@ class _Callbacks:
         }
 
     def _guarded(self, name: str, z: FloatArray, *more: Any) -> FloatArray:
-        """Evaluate a function of the program at `z`; return NaN once any evaluation has raised.
+        """Evaluate a function of the program at the unknowns `z`, and catch its exceptions.
 
         `name` is the name of the program's method, and `more` are its further arguments. An
-        exception is stored in `error`.
+        exception is stored in the attribute `error`. Once any evaluation has raised one, the result
+        is an array of NaN.
         """
         if self.error is None:
             try:
@@ -456,15 +464,15 @@ class _Callbacks:
         return np.full(self._sizes.get(name, z.size), np.nan)
 
     def objective(self, z: FloatArray) -> float:
-        """Return the objective to minimise, for Ipopt."""
+        """Return the objective to minimise at the unknowns `z`, for Ipopt."""
         return float(self._guarded("objective", z).flat[0])
 
     def gradient(self, z: FloatArray) -> FloatArray:
-        """Return the gradient of the objective to minimise, for Ipopt."""
+        """Return the gradient of the objective to minimise at the unknowns `z`, for Ipopt."""
         return self._guarded("gradient", z)
 
     def constraints(self, z: FloatArray) -> FloatArray:
-        """Return the values of the constraints, for Ipopt."""
+        """Return the values of the constraints at the unknowns `z`, for Ipopt."""
         return self._guarded("constraints", z)
 
     def jacobianstructure(self) -> tuple[Any, Any]:
@@ -472,7 +480,11 @@ class _Callbacks:
         return self.program.jacobianstructure()
 
     def jacobian(self, z: FloatArray) -> FloatArray:
-        """Return the nonzeros of the constraints' Jacobian, and record the iterate."""
+        """Return the nonzeros of the constraints' Jacobian at the unknowns `z`, for Ipopt.
+
+        Ipopt evaluates the Jacobian at its iterates only, so that `z` is stored as the current
+        iterate.
+        """
         self.iterate = np.array(z)
         return self._guarded("jacobian", z)
 
@@ -481,7 +493,11 @@ class _Callbacks:
         return self.program.hessianstructure()
 
     def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
-        """Return the nonzeros of the Lagrangian's Hessian, for Ipopt."""
+        """Return the nonzeros of the Hessian of factor * objective + multipliers . constraints.
+
+        The nonzeros are those of the lower triangle at the unknowns `z`. `multipliers` has one
+        value per constraint.
+        """
         return self._guarded("hessian", z, multipliers, factor)
 
     def intermediate(
@@ -496,8 +512,11 @@ class _Callbacks:
     ) -> bool:
         """Record an iteration and the best iterate; return False to stop Ipopt.
 
-        Ipopt stops after an exception, at the request of the caller's callback, or if the problem
-        is unbounded.
+        Ipopt calls this method at each iteration. `iteration` is its number, `objective` the
+        objective to minimise, `infeasibility` and `dual_infeasibility` are the largest violations
+        of the scaled constraints and of the scaled stationarity conditions, and `barrier` is the
+        barrier parameter. Further arguments of Ipopt are not used. Ipopt stops after an exception,
+        at the request of the caller's callback, or if the problem is unbounded.
         """
         if self.error is not None:
             return False
@@ -684,8 +703,10 @@ def barrier_gap(
 ) -> float:
     """Return the complementarity gap: the sum of multipliers times slacks of all inequalities.
 
-    The gap is in the unit of the objective. For a convex program it bounds the difference of the
-    objective between the point `z` and the optimum.
+    The inequalities are all finite bounds of the unknowns and constraints; their slacks are the
+    distances from these bounds at the unknowns `z`. The gap is in the unit of the objective. For a
+    convex program it is an upper bound of the amount by which the objective at `z` exceeds the
+    optimum.
     """
     rows, pull = program.constraints(z), multipliers.rows
     parts = (
@@ -708,7 +729,7 @@ def run_past_the_barrier(
     multipliers: Multipliers | None = None,
     progress: Progress | None = None,
 ) -> IpoptResult:
-    """Solve as `run` does, and continue until the complementarity gap is negligible.
+    """Solve a program as `run` does, and continue until the complementarity gap is negligible.
 
     Ipopt stops when complementarity gap and gradients are small relative to the scaled objective.
     If the objective is steep at the initial point, its scaling factor becomes so small that the gap
@@ -717,10 +738,16 @@ def run_past_the_barrier(
 
     Parameters
     ----------
-    program, bounds, scaling, start, options, multipliers, progress
-        As in `run`.
+    program, bounds, scaling, start
+        The nonlinear program with the bounds of its unknowns and constraints, its scaling factors,
+        and the initial point.
     size : callable
         Unknowns -> magnitude of the objective, as the sum of the magnitudes of its parts.
+    options : SolverOptions
+    multipliers : Multipliers, optional
+        Initial multipliers of a warm start.
+    progress : callable, optional
+        Called at each iteration; returning False stops the solve.
 
     Returns
     -------
@@ -755,6 +782,9 @@ def run_past_the_barrier(
 
 def _set_options(problem: Any, options: SolverOptions, *, is_warm: bool) -> None:
     """Pass options to Ipopt: default settings, the caller's options, settings for a warm start.
+
+    `problem` is cyipopt's problem object, which receives the options. `is_warm` is true for a solve
+    that starts from given multipliers.
 
     Raises
     ------

@@ -47,6 +47,8 @@ sys.exit(problem.solve(numpy.ones(1))[1]["status"] != 0)
 def refuse_absent_solver(options: Mapping[str, Any]) -> None:
     """Raise an error if Ipopt's options name a linear solver that Ipopt cannot load.
 
+    `options` maps the names of Ipopt's options to their values.
+
     Raises
     ------
     TranscriptionError
@@ -66,7 +68,8 @@ def refuse_absent_solver(options: Mapping[str, Any]) -> None:
 def _is_loaded(options: str) -> bool:
     """Return whether Ipopt solves a small problem with the given options, in a separate process.
 
-    `options` is a JSON text of option names and values.
+    A solve shows that Ipopt can load the linear solver in the options. `options` is a JSON text of
+    option names and values.
     """
     try:
         probe = subprocess.run(  # noqa: S603  our own interpreter and program

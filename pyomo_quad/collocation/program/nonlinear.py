@@ -55,7 +55,11 @@ class Bounds:
         )
 
     def part(self, columns: Any, rows: Any) -> Bounds:
-        """Return the bounds of chosen unknowns (`columns`) and constraints (`rows`)."""
+        """Return the bounds of chosen unknowns and constraints.
+
+        `columns` are the positions of the chosen unknowns (indices or a slice), `rows` those of the
+        constraints.
+        """
         return Bounds(
             lower=self.lower[columns],
             upper=self.upper[columns],
@@ -70,7 +74,8 @@ class Bounds:
     ) -> Bounds:
         """Return these bounds, followed by bounds of additional unknowns and constraints ("rows").
 
-        Both arguments are pairs (lower bounds, upper bounds).
+        `unknowns` and `rows` are pairs of arrays: the lower bounds and the upper bounds of the
+        additional unknowns, and of the additional constraints.
         """
         return Bounds(
             lower=np.append(self.lower, unknowns[0]),
@@ -106,7 +111,11 @@ class Scaling:
         )
 
     def part(self, columns: Any, rows: Any) -> Scaling:
-        """Return the factors of chosen unknowns (`columns`) and constraints (`rows`)."""
+        """Return the scaling of chosen unknowns and constraints; the objective keeps its factor.
+
+        `columns` are the positions of the chosen unknowns (indices or a slice), `rows` those of the
+        constraints.
+        """
         return replace(self, unknowns=self.unknowns[columns], rows=self.rows[rows])
 
     def extended(self, unknowns: int = 0, rows: FloatArray = _NONE) -> Scaling:
@@ -129,9 +138,10 @@ class Multipliers:
     Attributes
     ----------
     rows : ndarray, shape (n_rows,)
-        Multipliers of the constraints.
+        Multipliers of the constraints: positive where an upper bound is active, negative where a
+        lower bound is active.
     lower, upper : ndarray, shape (n_unknowns,)
-        Multipliers of the bounds, not negative.
+        Multipliers of the lower and of the upper bounds of the unknowns, not negative.
     """
 
     rows: FloatArray
@@ -139,7 +149,11 @@ class Multipliers:
     upper: FloatArray
 
     def part(self, columns: Any, rows: Any) -> Multipliers:
-        """Return the multipliers of chosen unknowns (`columns`) and constraints (`rows`)."""
+        """Return the multipliers of chosen unknowns' bounds and of chosen constraints.
+
+        `columns` are the positions of the chosen unknowns (indices or a slice), `rows` those of the
+        constraints.
+        """
         return Multipliers(
             rows=self.rows[rows], lower=self.lower[columns], upper=self.upper[columns]
         )
@@ -175,22 +189,29 @@ class NonlinearProgram(Protocol):
         """Return the objective to minimise at the unknowns `z`."""
 
     def gradient(self, z: FloatArray) -> FloatArray:
-        """Return the gradient of the objective to minimise, shape (n_unknowns,)."""
+        """Return the gradient of the objective to minimise at `z`, shape (n_unknowns,)."""
 
     def constraints(self, z: FloatArray) -> FloatArray:
-        """Return the values of the constraints, shape (n_rows,)."""
+        """Return the values of the constraints at the unknowns `z`, shape (n_rows,)."""
 
     def jacobianstructure(self) -> tuple[Any, Any]:
         """Return row and column indices of the nonzeros of the constraints' Jacobian."""
 
     def jacobian(self, z: FloatArray) -> FloatArray:
-        """Return the nonzeros of the constraints' Jacobian, in the order of `jacobianstructure`."""
+        """Return the nonzeros of the constraints' Jacobian at the unknowns `z`.
+
+        Their order is that of `jacobianstructure`.
+        """
 
     def hessianstructure(self) -> tuple[Any, Any]:
         """Return row and column indices of the lower triangle of the Lagrangian's Hessian."""
 
     def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
-        """Return the nonzeros of the Hessian of factor * objective + multipliers . constraints."""
+        """Return the nonzeros of the Hessian of factor * objective + multipliers . constraints.
+
+        The nonzeros are those of the lower triangle at the unknowns `z`, in the order of
+        `hessianstructure`. `multipliers` has one value per constraint.
+        """
 
 
 def _no_columns() -> NDArray[np.intp]:
@@ -246,7 +267,10 @@ class ExtendedProgram:
         return bool(self.share and self.program.is_negated)
 
     def split(self, w: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the unknowns of the original program, and the added unknowns."""
+        """Return the unknowns of the original program, and the added unknowns.
+
+        `w` has both, one after the other.
+        """
         own = w.size - self.prices.size
         return w[:own], w[own:]
 
@@ -258,7 +282,11 @@ class ExtendedProgram:
         return own + float(self.prices @ more + 0.5 * (self.weights @ away**2))
 
     def gradient(self, w: FloatArray) -> FloatArray:
-        """Return the gradient of the objective to minimise, shape (n + n_more,)."""
+        """Return the gradient of the objective to minimise at `w`, shape (n + n_more,).
+
+        `w` are all unknowns: the n unknowns of the original program, then the n_more added
+        unknowns.
+        """
         z, _ = self.split(w)
         own = self.share * self.program.gradient(z) if self.share else np.zeros(z.size)
         gradient = np.append(own, self.prices)
@@ -266,7 +294,10 @@ class ExtendedProgram:
         return gradient
 
     def constraints(self, w: FloatArray) -> FloatArray:
-        """Return the values of the constraints, shape (n_rows,)."""
+        """Return the values of all constraints at the unknowns `w`, shape (n_rows,).
+
+        The constraints of the original program come first, then the added constraints.
+        """
         own = self.program.constraints(self.split(w)[0])
         if self.terms is None:
             return np.asarray(own)
@@ -283,7 +314,10 @@ class ExtendedProgram:
         return np.append(own[0], more.row), np.append(own[1], more.col)
 
     def jacobian(self, w: FloatArray) -> FloatArray:
-        """Return the nonzeros of the constraints' Jacobian, in the order of `jacobianstructure`."""
+        """Return the nonzeros of the constraints' Jacobian at the unknowns `w`.
+
+        Their order is that of `jacobianstructure`.
+        """
         own = self.program.jacobian(self.split(w)[0])
         return np.asarray(own if self.terms is None else np.append(own, self.terms.data))
 
@@ -295,7 +329,9 @@ class ExtendedProgram:
     def hessian(self, w: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
         """Return the nonzeros of the Hessian of factor * objective + multipliers . constraints.
 
-        The added linear terms do not contribute to the Hessian.
+        The nonzeros are those of the lower triangle at the unknowns `w`, in the order of
+        `hessianstructure`. `multipliers` has one value per constraint. The added linear terms do
+        not contribute to the Hessian.
         """
         own = multipliers[: self.program.n_rows]
         held = self.program.hessian(self.split(w)[0], own, self.share * factor)

@@ -72,7 +72,8 @@ def _candidates(
 
     A condition is a constraint at declared times, or a value fixed at a declared time. Conditions
     that fix a single state at the start of the horizon are not yielded, because they are never left
-    out. `fixed` maps (variable name, fraction of the horizon) to the fixed value.
+    out. `program` is the nonlinear program on one mesh, `bounds` are its bounds, and `fixed` maps
+    (variable name, fraction of the horizon) to the fixed value.
     """
     conditions = program.compiled.declared.conditions
     for k, condition in enumerate(conditions):
@@ -100,12 +101,11 @@ def redundant_conditions(
     fixed: dict[tuple[str, float], float],
     z: FloatArray,
 ) -> tuple[Candidate, ...]:
-    """Return the conditions whose gradient depends linearly on the gradients of earlier equations.
+    """Return the conditions that are redundant, because they follow from other equations.
 
-    These conditions are redundant.
-
-    A condition is a constraint at declared times, or a value fixed at a declared time. In the order
-    of this test, all equations over time come first, and the conditions follow one by one.
+    A condition is a constraint at declared times, or a value fixed at a declared time. A condition
+    counts as redundant if its gradient depends linearly on the gradients of all equations over time
+    and of the conditions tested before it. The conditions are tested one by one.
 
     Parameters
     ----------
@@ -114,10 +114,16 @@ def redundant_conditions(
     bounds : Bounds
         Bounds with all conditions imposed.
     scaling : Scaling
+        Factors by which the gradients are scaled.
     fixed : dict
         Values of variables fixed at declared times, by (name, fraction of the horizon).
     z : ndarray, shape (n_unknowns,)
         Point at which the gradients are evaluated.
+
+    Returns
+    -------
+    tuple of Candidate
+        The redundant conditions.
     """
     candidates = list(_candidates(program, bounds, fixed))
     if not candidates:
@@ -150,9 +156,11 @@ def _slopes_of(
 ) -> list[FloatArray]:
     """Return the scaled gradients of conditions with respect to the free unknowns.
 
-    A condition is a constraint at a declared time. Each gradient has the shape (n_free,); the
-    gradient of a condition that fixes an unknown is a unit vector. `slopes` is the scaled Jacobian
-    of all constraints with respect to the free unknowns, whose positions are `free`.
+    `candidates` are the conditions: constraints at declared times, or values fixed at declared
+    times. `slopes` is the scaled Jacobian of all constraints with respect to the free unknowns, and
+    `free` are the positions of the free unknowns among all unknowns. There is one gradient for each
+    condition, with the shape (n_free,); the gradient of a condition that fixes an unknown is a unit
+    vector.
     """
     at = {int(column): k for k, column in enumerate(free)}
     found = []
@@ -169,9 +177,9 @@ def _slopes_of(
 def _orthogonal_parts(equations: coo_array, vectors: list[FloatArray]) -> list[FloatArray]:
     """Return the component of each vector orthogonal to the span of the equations' gradients.
 
-    `equations` is a sparse matrix with one gradient per row. If `vectors` holds the gradients of
-    conditions, a small component shows that the condition follows from the equations (is
-    redundant).
+    `equations` is a sparse matrix with the gradient of one equation per row. `vectors` are the
+    gradients of conditions: a small component shows that the condition follows from the equations
+    (is redundant).
     """
     m, n = equations.shape
     system = block_array(
@@ -202,7 +210,7 @@ def misses(
     scaling: Scaling,
     z: FloatArray,
 ) -> list[float]:
-    """Return the relative violations, at a solved point, of conditions left out of the solve.
+    """Return by how much a solution violates the conditions that were left out of its solve.
 
     Parameters
     ----------
@@ -211,15 +219,18 @@ def misses(
     program : Transcription
         Program of the last mesh.
     bounds, fixed : Bounds, dict
-        Bounds and fixed values of the program with these conditions imposed.
+        Bounds of the program, and values fixed at declared times by (variable name, fraction of the
+        horizon), both with these conditions imposed.
     scaling : Scaling
+        Factors of the constraints and the unknowns.
     z : ndarray, shape (n_unknowns,)
         The solution without these conditions.
 
     Returns
     -------
     list of float
-        Violations in units of the conditions' scales.
+        Absolute violation of each condition, multiplied by the scaling factor of its constraint or
+        fixed unknown.
     """
     values, keys = program.constraints(z), {candidate.key for candidate in left_out}
     found = []

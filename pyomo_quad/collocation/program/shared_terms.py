@@ -47,7 +47,12 @@ class WithoutCalls:
         rows : casadi.SX
             Dense column of expressions.
         inputs : sequence of casadi.SX
-            Columns of symbols, which are all symbols of the expressions.
+            Columns that together contain every symbol of the expressions.
+
+        Returns
+        -------
+        WithoutCalls
+            The expressions without calls, and the calls that the symbols replace.
         """
         function = casadi.Function("rows", list(inputs), [rows])
         steps = range(function.n_instructions())
@@ -85,7 +90,13 @@ class WithoutCalls:
         Parameters
         ----------
         column : casadi.SX
-            Expressions derived from `rows`, such as the nonzeros of their Jacobian.
+            Expressions derived from `rows`, such as the nonzeros of their Jacobian, in which
+            symbols stand for the results of calls.
+
+        Returns
+        -------
+        casadi.SX
+            The same column with the calls in place of these symbols.
         """
         found = casadi.cse(column)
         for results, called, arguments in reversed(self.calls):

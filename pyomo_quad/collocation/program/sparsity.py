@@ -73,9 +73,10 @@ class Layout:
 
     @cached_property
     def state_columns(self) -> IndexArray:
-        """Positions of the states at the nodes among the program's unknowns.
+        """Positions of the states among the program's unknowns, shape (n_points + 1, n_states).
 
-        The shape is (n_points + 1, n_states).
+        There is one row per node; the nodes are the start of the horizon and the collocation
+        points.
         """
         if self.mesh is None:
             return np.zeros((0, 0), dtype=np.intp)
@@ -85,9 +86,8 @@ class Layout:
     def state_column(self, name: str, fraction: float) -> int:
         """Return the position, among the unknowns, of a state at the node nearest to a given time.
 
-        `name` is the name of the state, and `fraction` the time as a fraction of the horizon.
-
-        The result is -1 if no state has the name, or the model has no time.
+        `name` is the name of the state, and `fraction` the time as a fraction of the horizon. The
+        result is -1 if no state has the name, or the model has no time.
         """
         states = [slot.name for slot in self.declared.states]
         if self.mesh is None or name not in states:
@@ -97,9 +97,9 @@ class Layout:
 
     @cached_property
     def algebraic_columns(self) -> IndexArray:
-        """Positions of the algebraic variables at the points among the program's unknowns.
+        """Positions of the algebraic variables among the unknowns, shape (n_points, n_algebraics).
 
-        The shape is (n_points, n_algebraics).
+        There is one row per collocation point.
         """
         if self.mesh is None:
             return np.zeros((0, 0), dtype=np.intp)
@@ -122,10 +122,10 @@ class Layout:
 
     @cached_property
     def slope_matrix(self) -> csr_matrix:
-        """Differentiation matrix from states at the nodes to rates at the collocation points.
+        """Differentiation matrix from a state at the nodes to its rate at the collocation points.
 
-        Sparse, shape (n_points, n_points + 1); rates are derivatives with respect to the fraction
-        of the horizon.
+        Sparse, shape (n_points, n_points + 1); the nodes are the start of the horizon and the
+        collocation points. The rate is the derivative with respect to the fraction of the horizon.
         """
         if self.mesh is None:
             return csr_matrix((0, 1))
@@ -145,9 +145,10 @@ class Layout:
     def path_variables(self) -> csr_matrix:
         """Matrix from the unknowns to rates, states, algebraic and static variables at the points.
 
-        The points are the collocation points. Rates are derivatives with respect to the fraction of
-        the horizon; static variables do not depend on time. The rows of the first point come first,
-        then the rows of the second point, and so on.
+        The points are the collocation points. Rates are derivatives of the states with respect to
+        the fraction of the horizon; static variables do not depend on time. The shape is (n_points
+        * n_variables, n_unknowns): the rows of the first point come first, then the rows of the
+        second point, and so on.
         """
         slopes, n = self.slope_matrix, self.n_states
         rates = kron(slopes, np.eye(n)) @ _chosen(self.state_columns.ravel(), self.unknowns)
@@ -167,7 +168,8 @@ class Layout:
         """Matrix from the unknowns to the values at declared times and the static variables.
 
         Conditions (constraints at declared times, the members of the continuous set) and the
-        objective contain these values. Static variables do not depend on time.
+        objective contain these values. Static variables do not depend on time. The matrix has one
+        row per value, and one column per unknown.
         """
         statics = _chosen(self.static_columns, self.unknowns)
         return vstack([self.point_values, statics], format="csr")
@@ -177,9 +179,8 @@ class Layout:
         """Matrix from the unknowns to the values at declared times in conditions and objective.
 
         Declared times are members of the continuous set; conditions are constraints at these times.
-
-        A value at a time between nodes is interpolated, so that its row has one weight per node of
-        the element.
+        The matrix has one row per value, and one column per unknown. A value at a time between
+        nodes is interpolated, so that its row has one weight per node of the element.
         """
         rows: list[int] = []
         columns: list[int] = []
@@ -195,8 +196,9 @@ class Layout:
     def _at_point(self, symbol: PointSymbol) -> tuple[IndexArray, FloatArray]:
         """Return the positions and weights of the unknowns that give a value at a declared time.
 
-        The value is the sum of the weights times the unknowns. `symbol` identifies the variable, or
-        its derivative, and the declared time (a member of the continuous set).
+        The value is the sum of the weights times the unknowns at these positions. `symbol`
+        identifies the variable, or its derivative, and the declared time (a member of the
+        continuous set).
         """
         if self.mesh is None:
             return np.zeros(0, dtype=np.intp), np.zeros(0)
@@ -275,6 +277,9 @@ class Contributions:
         self, variables: csr_matrix, rows: Any, of: IndexArray, sources: Any, weights: Any
     ) -> None:
         """Add derivatives with respect to variables that are linear combinations of the unknowns.
+
+        By the chain rule, each derivative contributes to the columns of all unknowns from which its
+        variable is combined.
 
         Parameters
         ----------
@@ -374,7 +379,9 @@ class JacobianScatter:
     """Assembly of the constraints' Jacobian and the objective's gradient from point derivatives.
 
     The inputs of the assembly are called sources: a source is a number that a CasADi function
-    returns at each evaluation, such as the derivative of a path equation at a collocation point.
+    returns at each evaluation, such as the derivative of a path equation at a collocation point. An
+    integral enters the objective directly if no static variable (variable without time) stands for
+    it.
 
     Attributes
     ----------
@@ -385,8 +392,9 @@ class JacobianScatter:
     integrals : tuple of Scatter
         Gradients of the integrals that enter the objective directly.
     slope_sources, slope_integrals : ndarray of int
-        Positions of the sources that are derivatives of the objective with respect to integrals
-        that enter it directly, and the positions of these integrals.
+        Positions, among the sources from conditions and objective, of the derivatives of the
+        objective with respect to integrals that enter it directly; and the positions of these
+        integrals among all integrals that enter it directly.
     n_integrals : int
         Number of integrals that enter the objective directly.
     n_path_sources : int
@@ -419,8 +427,9 @@ class JacobianScatter:
     def gradient(self, sources: FloatArray, slopes: FloatArray) -> FloatArray:
         """Return the dense gradient of the objective, shape (n_unknowns,).
 
-        `sources` are the values that CasADi returned. `slopes` are the derivatives of the objective
-        with respect to integrals that enter it directly.
+        `sources` are the values that CasADi returned, among them all first derivatives. `slopes`
+        are the derivatives of the objective with respect to the integrals that enter it directly
+        (no static variable stands for them).
         """
         dense = np.zeros(self.unknowns)
         dense[self.objective.columns] = self.objective.values(sources)
@@ -432,10 +441,12 @@ class JacobianScatter:
 def jacobian_scatter(compiled: CompiledModel, layout: Layout) -> JacobianScatter:
     """Return the linear maps that assemble Jacobian and gradient from derivatives at points.
 
-    Their inputs (sources) are the values that CasADi returns at each evaluation: the nonzeros of
-    the Jacobian of path equations and integrands, point by point, then the nonzeros of the Jacobian
-    of conditions (constraints at declared times) and objective, and a final 1 (the derivative of a
-    constraint that makes a static variable equal to an integral, with respect to that variable).
+    `compiled` has the functions that give these derivatives, and `layout` the positions of the
+    unknowns. The inputs of the maps (sources) are the values that CasADi returns at each
+    evaluation: the nonzeros of the Jacobian of path equations and integrands, point by point, then
+    the nonzeros of the Jacobian of conditions (constraints at declared times) and objective, and a
+    final 1 (the derivative of a constraint that makes a static variable equal to an integral, with
+    respect to that variable).
     """
     path, points = compiled.path, compiled.points
     n_path = layout.points * len(path.jacobian_rows)
@@ -486,10 +497,11 @@ def jacobian_scatter(compiled: CompiledModel, layout: Layout) -> JacobianScatter
 def hessian_scatter(compiled: CompiledModel, layout: Layout) -> Scatter:
     """Return the linear map that assembles the Lagrangian's Hessian from derivatives at points.
 
-    The map gives the nonzeros of the lower triangle. Its inputs (sources) are the values that
-    CasADi returns at each evaluation: the nonzeros of the Hessians of the path equations, point by
-    point, then the nonzeros of the Hessian of conditions (constraints at declared times) and
-    objective.
+    `compiled` has the functions that give these derivatives, and `layout` the positions of the
+    unknowns. The map gives the nonzeros of the lower triangle. Its inputs (sources) are the values
+    that CasADi returns at each evaluation: the nonzeros of the Hessians of path equations and
+    integrands, point by point, then the nonzeros of the Hessian of conditions (constraints at
+    declared times) and objective.
     """
     into, path, points = Contributions(), compiled.path, compiled.points
     n_path, count = layout.points * len(path.hessian_rows), len(path.hessian_rows)

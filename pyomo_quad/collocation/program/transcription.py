@@ -56,7 +56,10 @@ class Place:
 
 
 def _at_point(program: Transcription, name: str, point: int) -> Place:
-    """Return the `Place` of a component at a collocation point, given the point's index."""
+    """Return the `Place` of an equation or variable at a collocation point.
+
+    `name` is the name of the equation or variable, and `point` the index of the point on the mesh.
+    """
     mesh = program.mesh
     if mesh is None:
         return Place(name=name)
@@ -178,7 +181,7 @@ class Transcription:
         return other
 
     def _hold(self, data: Data) -> None:
-        """Set the parameter values, and discard results cached for earlier values."""
+        """Set the parameter values to `data`, and discard results cached for earlier values."""
         self.data = data
         self._path_data = data.at_points()
         self._point_data = data.parameters[None, :]
@@ -219,10 +222,10 @@ class Transcription:
 
     @property
     def first_integral_row(self) -> int:
-        """Position, among the constraints, of the first that equates a variable to an integral.
+        """Position of the first constraint that sets a static variable equal to an integral.
 
-        The variable is static (it does not depend on time), and stands for the integral in
-        conditions and objective.
+        The position is among all constraints. The static variable (a variable that does not depend
+        on time) stands for the integral in conditions and objective.
         """
         return self.first_condition_row + len(self.compiled.declared.conditions)
 
@@ -257,9 +260,11 @@ class Transcription:
         return np.array(self.compiled.times(statics, self.data.parameters)).ravel()
 
     def path_variables(self, z: FloatArray) -> FloatArray:
-        """Return rates, states, algebraic and static variables at the points, one row per point.
+        """Return the variables at the collocation points, one row per point.
 
-        Rates are derivatives with respect to the fraction of the horizon.
+        The columns are the rates (derivatives of the states with respect to the fraction of the
+        horizon), the states, the algebraic variables and the static variables (without time). `z`
+        are the unknowns of the program.
         """
         layout = self.layout
         states = z[layout.state_columns]
@@ -269,9 +274,10 @@ class Transcription:
         )
 
     def rows_at_points(self, z: FloatArray) -> FloatArray:
-        """Return path equations, then integrands, at the points: (n_points, n_expressions).
+        """Return the values of path equations and integrands at the collocation points.
 
-        The values at the most recent unknowns are cached.
+        The shape is (n_points, n_equations + n_integrals): the path equations, then the integrands
+        of all integrals, at the unknowns `z`. The values at the most recent unknowns are cached.
         """
         if self._seen is None or not np.array_equal(self._seen, z):
             if self.layout.points:
@@ -282,24 +288,34 @@ class Transcription:
         return self._rows
 
     def integrals(self, z: FloatArray) -> FloatArray:
-        """Return the value of every integral, by Radau quadrature, shape (n_integrals,)."""
+        """Return the value of every integral, by Radau quadrature, shape (n_integrals,).
+
+        The integrals are those over the horizon, which the model declares. `z` are the unknowns.
+        """
         densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
         return self._weights() @ densities
 
     def objective_density(self, z: FloatArray) -> FloatArray:
-        """Return the integrand of the minimised objective at the points, shape (n_points,).
+        """Return the running cost of the objective at the collocation points, shape (n_points,).
 
-        An integral contributes only if no static variable (a variable without time) stands for it
-        in the objective. The integrand is per unit of the fraction of the horizon.
+        The objective may contain integrals over the horizon, each multiplied by a coefficient. The
+        running cost is the sum of their integrands, multiplied by the same coefficients, and by -1
+        if the objective is maximised. Its integral over the fraction of the horizon (from 0 to 1)
+        is therefore the part of the minimised objective that these integrals contribute. Integrals
+        for which a static variable (a variable without time) stands are left out, for example
+        integrals that enter the objective nonlinearly. `z` are the unknowns of the program.
         """
         densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
         direct = densities[:, list(self.compiled.row_integrals)]
         return self._sign * direct @ self._objective_slopes(z)
 
     def objective_size(self, z: FloatArray) -> float:
-        """Return the magnitude of the objective, computed from absolute values of its integrands.
+        """Return the magnitude of the objective, as a reference for its relative errors.
 
-        Positive and negative parts of an integrand therefore do not cancel.
+        The magnitude is the larger of two numbers: the absolute value of the objective at the
+        unknowns `z`, and the integral of the absolute value of its running cost
+        (`objective_density`). In the latter, positive and negative parts of the running cost do not
+        cancel.
         """
         parts = float(self._weights() @ np.abs(self.objective_density(z)))
         return max(abs(self.objective(z)), parts)
@@ -308,21 +324,26 @@ class Transcription:
         """Return derivatives of the objective with respect to integrals that enter it directly.
 
         An integral enters the objective directly if no static variable (a variable without time)
-        stands for it in the objective.
+        stands for it in the objective. The derivatives are those of the objective as declared, at
+        the unknowns `z`; there is one for each of these integrals.
         """
         sources = self._point[1](self.point_variables(z), self._point_data)[0].ravel()
         return self._jacobian.objective_slopes(sources)
 
     def _weights(self) -> FloatArray:
-        """Return the quadrature weights of the points, empty for a model without time."""
+        """Return the quadrature weights of the collocation points, shape (n_points,).
+
+        The weights are for integrals over the fraction of the horizon. The result is empty for a
+        model without time.
+        """
         return self.mesh.quadrature_weights if self.mesh else np.zeros(0)
 
     def point_variables(self, z: FloatArray) -> FloatArray:
-        """Return the variables of conditions and objective as one row.
+        """Return the variables of conditions and objective as an array with one row.
 
         A condition is a constraint at declared times (members of the continuous set). The variables
         are values at declared times, static variables, and the integrals that enter the objective
-        directly, without a static variable that equals them.
+        directly, without a static variable that equals them. `z` are the unknowns of the program.
         """
         layout = self.layout
         direct = self.integrals(z)[list(self.compiled.row_integrals)]
@@ -330,7 +351,10 @@ class Transcription:
         return np.concatenate([values, z[layout.static_columns], direct])[None, :]
 
     def user_objective(self, z: FloatArray) -> float:
-        """Return the objective as the user declared it, not negated if it is maximised."""
+        """Return the objective as the user declared it, not negated if it is maximised.
+
+        `z` are the unknowns of the program.
+        """
         return float(self._point[0](self.point_variables(z), self._point_data)[0][0, -1])
 
     def objective(self, z: FloatArray) -> float:
@@ -338,7 +362,7 @@ class Transcription:
         return self._sign * self.user_objective(z)
 
     def constraints(self, z: FloatArray) -> FloatArray:
-        """Return the values of the constraints, shape (n_rows,)."""
+        """Return the values of the constraints at the unknowns `z`, shape (n_rows,)."""
         n = self.compiled.n_equations
         conditions = self._point[0](self.point_variables(z), self._point_data)[0][0, :-1]
         integrals = self.integrals(z)
@@ -351,8 +375,8 @@ class Transcription:
     def _derivative_sources(self, z: FloatArray) -> FloatArray:
         """Return the derivatives from which gradient and Jacobian are assembled, cached for `z`.
 
-        The derivatives are the values of CasADi functions, in the order that `jacobian_scatter`
-        expects.
+        The derivatives are the values of CasADi functions at the unknowns `z`, as one array, in the
+        order that `jacobian_scatter` expects.
         """
         if self._differentiated is None or not np.array_equal(self._differentiated, z):
             path = np.zeros(0)
@@ -364,7 +388,7 @@ class Transcription:
         return self._sources
 
     def gradient(self, z: FloatArray) -> FloatArray:
-        """Return the gradient of the objective to minimise, shape (n_unknowns,)."""
+        """Return the gradient of the objective to minimise at `z`, shape (n_unknowns,)."""
         sources = self._derivative_sources(z)
         slopes = self._jacobian.objective_slopes(sources[self._jacobian.n_path_sources :])
         return self._sign * self._jacobian.gradient(sources, slopes)
@@ -374,7 +398,10 @@ class Transcription:
         return self._jacobian.rows.rows, self._jacobian.rows.columns
 
     def jacobian(self, z: FloatArray) -> FloatArray:
-        """Return the nonzeros of the constraints' Jacobian, in the order of `jacobianstructure`."""
+        """Return the nonzeros of the constraints' Jacobian at the unknowns `z`.
+
+        Their order is that of `jacobianstructure`.
+        """
         return self._jacobian.rows.values(self._derivative_sources(z))
 
     def hessianstructure(self) -> tuple[Any, Any]:
@@ -382,7 +409,12 @@ class Transcription:
         return self._hessian.rows, self._hessian.columns
 
     def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
-        """Return the nonzeros of the Hessian of factor * objective + multipliers . constraints."""
+        """Return the nonzeros of the Hessian of factor * objective + multipliers . constraints.
+
+        The objective is the one to minimise. The nonzeros are those of the lower triangle at the
+        unknowns `z`, in the order of `hessianstructure`. `multipliers` has one value per
+        constraint.
+        """
         factor = self._sign * factor
         path = np.zeros(0)
         if self.layout.points:
@@ -396,13 +428,15 @@ class Transcription:
     def path_weights(
         self, z: FloatArray, multipliers: FloatArray, factor: float | None = None
     ) -> FloatArray:
-        """Return the multiplier of each path equation and integrand at each point.
+        """Return the weights of path equations and integrands in the Lagrangian, at each point.
 
-        Shape (n_points, n_equations + n_integrals). The multiplier of an integrand is its weight in
-        the Lagrangian: the quadrature weight times the weight of its integral.
+        The shape is (n_points, n_equations + n_integrals), with one row per collocation point. The
+        weight of a path equation is its multiplier. The weight of an integrand is the quadrature
+        weight of the point times the weight of its integral in the Lagrangian (`integral_weights`).
 
-        `multipliers` are the multipliers of all constraints of the program. `factor` multiplies the
-        declared objective; by default 1, or -1 if it is maximised.
+        `z` are the unknowns, and `multipliers` the multipliers of all constraints of the program.
+        `factor` multiplies the declared objective in the Lagrangian; by default 1, or -1 if it is
+        maximised.
         """
         n, points = self.compiled.n_equations, self.layout.points
         on_integral = self.integral_weights(z, multipliers, factor)
@@ -415,8 +449,13 @@ class Transcription:
     ) -> FloatArray:
         """Return the weight of each integral in the Lagrangian, shape (n_integrals,).
 
-        `multipliers` are the multipliers of all constraints of the program. `factor` multiplies the
-        declared objective; by default 1, or -1 if it is maximised.
+        The weight is `factor` times the derivative of the objective with respect to the integral,
+        or, if a static variable (a variable without time) stands for the integral, minus the
+        multiplier of the constraint that makes both equal.
+
+        `z` are the unknowns, and `multipliers` the multipliers of all constraints of the program.
+        `factor` multiplies the declared objective in the Lagrangian; by default 1, or -1 if it is
+        maximised.
         """
         factor = self._sign if factor is None else factor
         weights = np.zeros(len(self.compiled.declared.integrals))
@@ -428,12 +467,12 @@ class Transcription:
     def path_curvatures(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
         """Return the second derivatives of the Lagrangian with respect to each variable of a point.
 
-        They are the diagonals of the Hessians that `path_hessians` returns. `multipliers` are the
-        multipliers of all constraints of the program.
-
         The result has the shape (n_points, n_variables). Entry (i, j) is the second derivative with
-        respect to variable j at point i, per unit of the fraction of the horizon. The variables are
-        in the order of `path_variables`.
+        respect to variable j at collocation point i, per unit of the fraction of the horizon
+        (divided by the quadrature weight of the point). The variables are in the order of
+        `path_variables`. The entries are the diagonals of the Hessians that `path_hessians`
+        returns. `z` are the unknowns, and `multipliers` the multipliers of all constraints of the
+        program.
         """
         path = self.compiled.path
         held = self._path_hessian(z, multipliers)
@@ -445,9 +484,11 @@ class Transcription:
     def path_hessians(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
         """Return the Hessian of the Lagrangian with respect to the variables of each point.
 
-        Shape (n_points, n_variables, n_variables), in the order of `path_variables`, per unit of
-        the fraction of the horizon. `multipliers` are the multipliers of all constraints of the
-        program.
+        The result has the shape (n_points, n_variables, n_variables), with one Hessian per
+        collocation point, per unit of the fraction of the horizon (divided by the quadrature weight
+        of the point). It contains the terms of path equations and integrands. The variables are in
+        the order of `path_variables`. `z` are the unknowns, and `multipliers` the multipliers of
+        all constraints of the program.
         """
         path = self.compiled.path
         held, n = self._path_hessian(z, multipliers), path.values.size1_in(0)
@@ -459,8 +500,10 @@ class Transcription:
     def _path_hessian(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
         """Return the nonzeros of the Lagrangian's Hessian at each point: (n_points, n_nonzeros).
 
-        The Hessian is taken with respect to the variables of the point, per unit of the fraction of
-        the horizon. `multipliers` are the multipliers of all constraints of the program.
+        The Hessian is taken with respect to the variables of a collocation point, per unit of the
+        fraction of the horizon (divided by the quadrature weight of the point); the nonzeros are
+        those of its lower triangle. `z` are the unknowns, and `multipliers` the multipliers of all
+        constraints of the program.
         """
         weights = self.path_weights(z, multipliers)
         held = self._path[2](self.path_variables(z), self._path_data, weights)[0]
@@ -477,13 +520,17 @@ class Transcription:
             Rates (derivatives of the states with respect to the fraction of the horizon), states,
             algebraic and static variables at n points.
         data : ndarray, shape (n, n_data)
-            Fraction of the horizon and parameters.
-        rows, columns : ndarray of int
-            Positions of the equations and of the variables, in rising order.
+            Fraction of the horizon and parameters at these points.
+        rows : ndarray of int, shape (n_rows,)
+            Positions of the chosen equations among the path equations, in increasing order.
+        columns : ndarray of int, shape (n_columns,)
+            Positions of the chosen variables among the columns of `variables`, in increasing
+            order.
 
         Returns
         -------
         ndarray, shape (n, n_rows, n_columns)
+            Derivative of each chosen equation with respect to each chosen variable, at each point.
         """
         path, count = self.compiled.path, len(variables)
         mapped = self._path[1] if count == self.n_points else MappedFunction(path.jacobian, count)
@@ -498,9 +545,10 @@ class Transcription:
     def lagrangian_density(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
         """Return the integrands' contribution to the Lagrangian at the points, shape (n_points,).
 
-        The contribution is the sum of all integrands, each multiplied by the weight of its integral
-        in the Lagrangian (`integral_weights`), per unit of the fraction of the horizon.
-        `multipliers` are the multipliers of all constraints of the program.
+        The contribution at a collocation point is the sum of all integrands, each multiplied by the
+        weight of its integral in the Lagrangian (`integral_weights`). Its integral over the
+        fraction of the horizon is the contribution of all integrals to the Lagrangian. `z` are the
+        unknowns, and `multipliers` the multipliers of all constraints of the program.
         """
         densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
         return np.asarray(densities @ self.integral_weights(z, multipliers))
@@ -554,13 +602,16 @@ def rate_corrections(
 ) -> FloatArray:
     """Return the changes of the rates after which the differential equations are satisfied.
 
-    Rates are the derivatives of the states with respect to the fraction of the horizon.
+    Rates are the derivatives of the states with respect to the fraction of the horizon; an equality
+    that contains a rate is a differential equation.
 
     Parameters
     ----------
     program : Transcription
-    variables, data : ndarray
-        Variables and data of n points, as in `linearised`.
+    variables : ndarray, shape (n_points, n_variables)
+        Rates, states, algebraic and static variables at the points.
+    data : ndarray, shape (n_points, n_data)
+        Fraction of the horizon and parameters at these points.
     rows : ndarray, shape (n_points, n_equations)
         Values of the path equations at these points.
 
