@@ -618,7 +618,7 @@ class ModelReader:
         of this derivative is in the result too.
 
         `states` are the states whose time derivatives appear in no equation. `read` has one item
-        per equation of the model: the names of the symbols in it.
+        per equality over time: the names of the symbols in it.
         """
         rates = {s.rate.name() for s in self.symbols.states.values()}
         algebraic = [names for names in read if not names & rates]
