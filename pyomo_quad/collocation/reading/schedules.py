@@ -270,7 +270,7 @@ class Schedule:
         return _remembered(self._rows, self._place(time), self._row)
 
     def _row(self, time: float) -> list[float]:
-        """Return the result of the method `row` at a time by calling the rule, without the cache."""
+        """Return the result of `row` at a time by calling the rule, without use of the cache."""
         found = self._read(time)
         row = [float(key == found.key) for key in list(self._forms)[: len(self._chosen)]]
         for key, form in self._forms.items():

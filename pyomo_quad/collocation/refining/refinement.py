@@ -268,9 +268,9 @@ class _Refinement(Generic[S]):
         """Prepare the next solve of the refinement, after a solution that is not accurate enough.
 
         The warm start, the meshes and the damping of the next solve are stored in this object.
-        Damping is a penalty on the distance of controls that enter linearly from the controls of
-        the present solution; it is increased if the present solve with damping took many
-        iterations, or if the objective has hardly changed on several meshes.
+        Damping is a penalty on the distance of controls that enter linearly from the smoothed
+        controls of the present solution; it is increased if the present solve with damping took
+        many iterations, or if the objective has hardly changed on several meshes.
 
         Parameters
         ----------
