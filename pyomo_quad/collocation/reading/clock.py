@@ -219,7 +219,8 @@ def free_times(
 def _only(sets: tuple[Any, ...], argument: str) -> Any:
     """Return the only continuous set; raise an error if there are none or several.
 
-    `argument` is the name of the argument that requires a single set, for the message.
+    `sets` are the continuous sets of the model. `argument` is the name of the argument, given by
+    the user, that requires a single set, for the message.
     """
     if not sets:
         raise TranscriptionError(
@@ -235,7 +236,10 @@ def _only(sets: tuple[Any, ...], argument: str) -> Any:
 
 
 def _set_named(sets: tuple[Any, ...], name: str) -> Any:
-    """Return the continuous set of the given name; raise an error if the model has none."""
+    """Return the continuous set of the given name; raise an error if the model has none.
+
+    `sets` are the continuous sets of the model, and `name` is the full name that a user gave.
+    """
     for time in sets:
         if time.name == name:
             return time
@@ -248,6 +252,8 @@ def _set_named(sets: tuple[Any, ...], name: str) -> Any:
 
 def _declared(time: Any, at: Any) -> float:
     """Return the member of the continuous set `time` that equals the number `at`.
+
+    `at` is a time that a user gave; it must be a declared time, which is a member of the set.
 
     Raises
     ------

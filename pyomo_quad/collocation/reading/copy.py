@@ -80,8 +80,10 @@ class WorkingCopy:
         A working copy represents one horizon of the model, or the coupling of its horizons: the
         constraints that do not belong to one horizon alone.
 
-        A constraint with values of exactly one horizon belongs to that horizon. A constraint with
-        values of several horizons, or with values of no horizon, belongs to the coupling.
+        A constraint indexed by the time of a horizon belongs to that horizon. So does a constraint
+        whose variables and parameters over time are all over the time of this one horizon. A
+        constraint that contains variables or parameters over the times of several horizons, or none
+        over time, belongs to the coupling.
 
         Parameters
         ----------
@@ -179,7 +181,10 @@ _INSTEAD_OVER_TIME = {
 
 
 def _refuse_unknown(model: Any) -> None:
-    """Raise an error for active components of types that the transcription cannot handle."""
+    """Raise an error for active components of types that the transcription cannot handle.
+
+    `model` is the user's model.
+    """
     for block in model.block_data_objects(active=True, descend_into=True):
         for component in block.component_objects(active=True, descend_into=False):
             if isinstance(component, ActiveComponent) and component.ctype not in _UNDERSTOOD:
@@ -198,7 +203,8 @@ def _drop_unexpanded(copy: Any, time: Any) -> None:
     """Delete components over time for which Pyomo cannot make a member at an added time.
 
     Active blocks and objectives over time have been refused before, so that the deleted components
-    do not contribute to the nonlinear program. `time` is the continuous set.
+    do not contribute to the nonlinear program. `copy` is the clone of the user's model from which
+    they are deleted, and `time` is its continuous set.
     """
     for component in list(copy.component_objects(descend_into=True)):
         is_unknown = isinstance(component, IndexedComponent) and component.ctype not in _EXPANDED
@@ -210,6 +216,8 @@ def _refuse_piecewise(model: Any, times: tuple[Any, ...]) -> None:
     """Raise an error for piecewise functions that need integers or are indexed by time.
 
     All other piecewise functions consist of linear constraints, and are accepted.
+
+    `model` is the user's model, and `times` are its continuous sets.
     """
     for block in model.component_objects(Block, active=True, descend_into=True):
         if isinstance(block, Piecewise) and (
@@ -227,7 +235,8 @@ def _refuse_unsupported(model: Any, times: tuple[Any, ...]) -> None:
     """Raise an error for declarations that the engine cannot transcribe.
 
     These are components of unknown types, integer variables, blocks and objectives indexed by time,
-    and derivatives of higher order. `times` are the continuous sets.
+    and derivatives of higher order. `model` is the user's model, and `times` are its continuous
+    sets.
     """
     _refuse_piecewise(model, times)
     _refuse_unknown(model)
@@ -259,6 +268,9 @@ def _keep_parameters(copy: Any, time: Any) -> None:
 
     Pyomo writes the number of an immutable parameter into an expression, but the symbol of a
     mutable parameter, which can be translated to a function of time.
+
+    `copy` is the clone of the user's model that is changed, and `time` the continuous set by which
+    the parameters are indexed.
     """
     for parameter in copy.component_objects(Param, descend_into=True):
         if parameter.mutable or not is_over(parameter, time):
@@ -315,8 +327,8 @@ def copies_with_template_times(model: Any) -> tuple[WorkingCopy, ...]:
 def _culprit(error: Exception, copies: list[WorkingCopy]) -> str:
     """Return the name of the component whose rule raised an error, for the error message.
 
-    If the traceback does not show the component, the names of the continuous sets of the working
-    copies `copies` are returned.
+    The component is found in the traceback of `error`. If it is not there, the result has the names
+    of the continuous sets of the working copies `copies`, one per horizon.
     """
     frames = [frame for frame, _ in walk_tb(error.__traceback__)]
     made = [frame.f_locals.get("self") for frame in frames]

@@ -84,8 +84,9 @@ class LocalSpline:
         knots : sequence of ndarray
             Knots along each axis.
         coefficients : ndarray
-            One axis per argument.
+            B-spline coefficients, with one array axis per argument of the spline.
         degree : int
+            Degree of the B-spline along every axis.
         """
         place: Any = casadi.MX.sym("place", len(knots))
         found = _jet(place, knots, coefficients, degree)
@@ -134,7 +135,10 @@ class LocalSpline:
 
 
 def _pairs(count: int) -> list[tuple[int, int]]:
-    """Return the pairs (i, j) with i <= j: the upper triangle of a Hessian, row after row."""
+    """Return the pairs (i, j) with i <= j < count: the upper triangle of a Hessian, row after row.
+
+    `count` is the number of rows of the Hessian.
+    """
     return list(combinations_with_replacement(range(count), 2))
 
 
@@ -324,17 +328,22 @@ def _powers(at: Any, anchor: Any, per_width: Any, degree: int) -> Any:
 
 
 def _looked_up(place: Any, breaks: Sequence[FloatArray], table: FloatArray) -> Any:
-    """Return the table's entry for the grid cell that contains a point, as a CasADi column.
+    """Return the numbers that a table stores for the grid cell that contains a point.
 
     Parameters
     ----------
     place : casadi.MX
-        The point.
+        Coordinates of the point, one per axis of the grid.
     breaks : sequence of ndarray
         Ends of the cells along each axis.
     table : ndarray
-        Entries: first one axis per axis of the grid, then the axes of an entry itself, of which the
-        first varies fastest in the result.
+        Array of numbers for each cell. The first axes of the table count the cells along each axis
+        of the grid; the further axes belong to the array of a single cell.
+
+    Returns
+    -------
+    casadi.MX
+        Column of the numbers of the cell. The first axis of the cell's array varies fastest.
     """
     count = len(breaks)
     values = np.moveaxis(table, range(count, table.ndim), range(table.ndim - count))
@@ -369,7 +378,10 @@ class _Pieces:
     def of(cls, knots: FloatArray, degree: int) -> Self:
         """Return the polynomial pieces of the B-spline basis with given knots, in each cell.
 
-        The first and last cell continue value and slope of their neighbours linearly.
+        `knots` are the knots along one axis in rising order, and `degree` is the degree of the
+        basis functions. The spline is extrapolated linearly: in the first and the last cell, a
+        basis function is the straight line with its value and slope at the boundary to the
+        neighbouring cell.
         """
         from scipy.interpolate import BSpline  # noqa: PLC0415  few models have tables
 

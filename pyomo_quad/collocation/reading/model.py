@@ -133,8 +133,8 @@ class RelationReader:
         """Raise an error for a constraint without a rule whose members are alike at all times.
 
         Members are alike if they differ in their times only. The constraint is probably meant for
-        all times, but the engine imposes it at the declared times only. `instances` are the
-        members.
+        all times, but the engine imposes it at the declared times only. `component` is the
+        constraint, and `instances` are its members.
         """
         if all(self._is_alike(instances[0], other) for other in instances[1:]):
             raise TranscriptionError(
@@ -146,7 +146,7 @@ class RelationReader:
         """Raise an error for a ConstraintList on an algebraic variable at every declared time.
 
         A declared time is a member of the continuous set. The list is probably meant for all times,
-        but the engine imposes it at the declared times only.
+        but the engine imposes it at the declared times only. `component` is the ConstraintList.
         """
         members = [data for data in component.values() if data.active]
         if self.copy.time is None or len(members) != len(self.copy.declared_times):
@@ -177,18 +177,23 @@ class RelationReader:
         )
 
     def _condition(self, data: Any) -> PointCondition:
-        """Return a constraint's member at a single time as a `PointCondition`."""
+        """Return a constraint's member at a single time as a `PointCondition`.
+
+        `data` is the member, a Pyomo data object. A `PointCondition` has the form lower <=
+        expression <= upper.
+        """
         expression, lower, upper = self._relation(self._writer.at_instant(data), data.name)
         return PointCondition(name=data.name, expression=expression, lower=lower, upper=upper)
 
     def _imposed(self, condition: PointCondition) -> PointCondition:
-        """Check a condition (a constraint at single times), and return it unchanged.
+        """Check whether a condition is supported, and return it unchanged.
+
+        `condition` is a constraint at single times.
 
         Raises
         ------
         TranscriptionError
-            If the condition contains the value of a time-dependent parameter at a single time,
-            which is not supported.
+            If the condition contains a time-dependent parameter, which is not supported.
         """
         signals = {symbol.name() for symbol in self.symbols.signal_points.values()}
         read = signals & symbol_names(condition.expression)
@@ -246,7 +251,10 @@ class RelationReader:
         return added
 
     def _is_alike(self, first: Any, second: Any) -> bool:
-        """Return whether two members of a constraint are identical except for their times."""
+        """Return whether two members of a constraint are identical except for their times.
+
+        `first` and `second` are the members, Pyomo data objects.
+        """
         pairs = [(first.expr, second.expr)]
         while pairs:
             a, b = pairs.pop()
@@ -543,9 +551,10 @@ class ModelReader:
         )
 
     def _read_expressions(self) -> None:
-        """Translate every named expression over time once, so that its parameters are registered.
+        """Translate every named expression over time once, although no equation may contain it.
 
-        A solution can then evaluate expressions that no equation uses.
+        The parameters in these expressions thus become known to the compiled program, and a
+        solution can evaluate the expressions later.
         """
         for component in self.copy.model.component_objects(
             Expression, active=True, descend_into=True
@@ -579,7 +588,10 @@ class ModelReader:
             )
 
     def _require_dynamics(self, equations: list[PathEquation]) -> None:
-        """Raise an error for a state whose derivative appears in no equation."""
+        """Raise an error for a state whose derivative appears in no equation.
+
+        `equations` are the equations over time.
+        """
         read = [symbol_names(e.expression) for e in equations if e.is_equality]
         used = frozenset[str]().union(*read)
         states = self.symbols.states.values()
@@ -601,10 +613,12 @@ class ModelReader:
         """Return the names of the states that equations without time derivatives determine.
 
         Each equation determines at most one state. If the model has derivatives in space, the
-        discretisation in space has added one equation for each derivative in space. An added
+        discretisation in space has added one equation for each of these derivatives. An added
         equation determines the derivative for which it was added, and therefore no state; the name
-        of such a derivative is in the result too. `states` are the states to be determined, and
-        `read` has the names of the symbols in each equation.
+        of this derivative is in the result too.
+
+        `states` are the states whose time derivatives appear in no equation. `read` has one item
+        per equality over time: the names of the symbols in it.
         """
         rates = {s.rate.name() for s in self.symbols.states.values()}
         algebraic = [names for names in read if not names & rates]
@@ -621,7 +635,7 @@ class ModelReader:
         return frozenset(name for name, row in zip(wanted, found, strict=True) if row >= 0)
 
     def _derivative_name(self, state: Slot) -> str:
-        """Return the name of a state's derivative, for messages.
+        """Return the name of the time derivative of a state, for messages.
 
         The name is the name of the Pyomo component, with the index of the state.
         """
@@ -631,7 +645,10 @@ class ModelReader:
         return f"derivative of {state.name}"
 
     def _bounds(self, slot: Slot) -> tuple[Any, Any]:
-        """Return lower and upper bound of a variable without time as CasADi expressions."""
+        """Return lower and upper bound of a variable without time as CasADi expressions.
+
+        `slot` is the variable.
+        """
         return (
             self.writer.bound(slot.lower, -casadi.inf, slot.name),
             self.writer.bound(slot.upper, casadi.inf, slot.name),

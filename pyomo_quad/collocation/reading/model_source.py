@@ -58,7 +58,11 @@ def family_name(name: str) -> str:
 
 
 def declared_unit(model: Any, name: str) -> str:
-    """Return the unit of a constraint's body or of a variable, by name; "" if it has none."""
+    """Return the unit of a constraint's body or of a variable, by name; "" if it has none.
+
+    `model` is the Pyomo model, and `name` the name of the constraint or variable. The unit is a
+    text such as "m/s".
+    """
     component = model.find_component(family_name(name))
     data: Any = None if component is None else next(iter(component.values()), None)
     try:
@@ -72,6 +76,7 @@ def _spelled(unit: Any) -> str:
     """Return a unit as an engineer writes it: Pyomo's N*rad**2 of a thrust becomes N.
 
     Angles count as dimensionless, and a compound unit that equals a named unit gets its name.
+    `unit` is a Pyomo unit; the result is a text.
     """
     text = str(unit)
     if "*" not in text and "/" not in text:
@@ -114,8 +119,10 @@ class LiveModel:
     time : ContinuousSet or None
         The model's continuous set.
     schedules : tuple of Schedule or Phases
-        Functions of time that return the data of rules that branch on time, and the indicators of
-        the phases of the horizon. These data are the quantities `Declarations.scheduled`.
+        Functions of time for quantities that the model does not state as expressions of time. A
+        `Schedule` returns the branch that a rule takes at a time, and the numbers that it then
+        uses. `Phases` returns which phase of the horizon contains the time. The quantities are
+        those of `Declarations.scheduled`.
     """
 
     def __init__(self, model: Any, time: Any, schedules: tuple[Schedule | Phases, ...]) -> None:
@@ -143,7 +150,10 @@ class LiveModel:
         return declared_unit(self.model, name)
 
     def parameter(self, slot: Slot) -> float | None:
-        """Return the value of a parameter without time, or of a fixed variable; None if unset."""
+        """Return the value of a parameter without time, or of a fixed variable; None if unset.
+
+        `slot` is the parameter or variable.
+        """
         component = self.model.find_component(slot.component)
         member = self._member(component, slot)
         if slot.name == member.name and self._addresses.of(member).time is not None:
@@ -154,7 +164,8 @@ class LiveModel:
     def _refuse_other_values(self, variable: Any, index: tuple[Any, ...]) -> None:
         """Raise an error for a variable that is fixed to different values at the declared times.
 
-        The declared times are the members of the continuous set.
+        The declared times are the members of the continuous set. `variable` is the Pyomo variable,
+        and `index` the index of its member without the time: (i,) for ``x[i, t]``.
         """
         held = {variable[self._addresses.join(variable, index, t)].value for t in self.times}
         if len(held) > 1:
@@ -167,8 +178,8 @@ class LiveModel:
     def variable(self, slot: Slot, time: float | None = None) -> float | None:
         """Return a variable's value in the model, None if it is unset or the component is no Var.
 
-        `time` is a member of the continuous set (a declared time), None for a variable without
-        time.
+        `slot` is the variable. `time` is a member of the continuous set (a declared time), None for
+        a variable without time.
         """
         component = self.model.find_component(slot.component)
         if component.ctype is not Var:
@@ -181,6 +192,8 @@ class LiveModel:
 
         The result is None if the variable has no `initialize` rule, or if the values in the model
         differ from the values of the rule.
+
+        `slot` is the variable.
 
         Raises
         ------
@@ -233,6 +246,7 @@ class LiveModel:
     def _member(self, component: Any, slot: Slot, time: float | None = None) -> Any:
         """Return the Pyomo data object of a variable or parameter.
 
+        `component` is the Pyomo variable or parameter, and `slot` one of its members for all times.
         `time` is the declared time (member of the continuous set) of the data object, None for a
         variable or parameter without time.
         """
@@ -244,6 +258,8 @@ class LiveModel:
 
     def signal(self, slot: Slot) -> Callable[[float], float]:
         """Return a parameter over time as a function of time.
+
+        `slot` is the parameter.
 
         Raises
         ------
@@ -388,9 +404,9 @@ class LiveModel:
     ) -> Interpolant:
         """Return a parameter over time as an `Interpolant`, which can be pickled.
 
-        The interpolant has no pieces if the parameter cannot be approximated by polynomials.
-        `horizon` has the start and the end of the approximation, and `asked` the times between
-        which jumps are searched.
+        The interpolant has no pieces if the parameter cannot be approximated by polynomials. `slot`
+        is the parameter. `horizon` has the start and the end of the approximation, and `asked` the
+        times between which jumps are searched.
         """
         try:
             return _as_interpolant(slot, self.signal(slot), horizon, asked)
@@ -449,7 +465,10 @@ class ModelSnapshot:
     schedules: tuple[Interpolant, ...]
 
     def _refuse(self, *_given: Any) -> NoReturn:
-        """Raise an error for operations that need the Pyomo model, which is not pickled."""
+        """Raise an error for operations that need the Pyomo model, which is not pickled.
+
+        The arguments of the operation are ignored.
+        """
         raise TranscriptionError(
             "model: a pickled problem keeps the model's equations and numbers, not the model; "
             "compile the model again to load values into it."
@@ -467,23 +486,32 @@ class ModelSnapshot:
         return self.units.get(family_name(name), "")
 
     def parameter(self, slot: Slot) -> float | None:
-        """Return the value of a parameter without time, None if it had none."""
+        """Return the value of a parameter without time, None if it had none.
+
+        `slot` is the parameter.
+        """
         return self.parameters[slot.name]
 
     def variable(self, slot: Slot, time: float | None = None) -> float | None:
         """Return a variable's stored value, None if it was unset or the component was no Var.
 
-        `time` is a member of the continuous set (a declared time), None for a variable without
-        time.
+        `slot` is the variable. `time` is a member of the continuous set (a declared time), None for
+        a variable without time.
         """
         return self.variables[slot.name, time]
 
     def first_guess(self, slot: Slot) -> Interpolant | None:
-        """Return a variable's `initialize` rule as a function of time, None if it had none."""
+        """Return a variable's `initialize` rule as a function of time, None if it had none.
+
+        `slot` is the variable.
+        """
         return self.guesses.get(slot.name)
 
     def signal(self, slot: Slot) -> Interpolant:
-        """Return a parameter over time as piecewise polynomials of time, from the pickle."""
+        """Return a parameter over time as piecewise polynomials of time, from the pickle.
+
+        `slot` is the parameter.
+        """
         return self.signals[slot.name]
 
     def snapshot(self, declared: Declarations, horizon: tuple[float, float]) -> ModelSnapshot:  # noqa: ARG002

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 def objective_of(copy: WorkingCopy) -> Any:
     """Return the active objective of a model, None if the model declares only equations.
 
+    `copy` is the clone of the user's model with the time at which equations are read.
+
     Raises
     ------
     TranscriptionError
@@ -48,6 +50,9 @@ def _refuse_sum(objective: Any, time: Any, copy: WorkingCopy) -> None:
     is recognised by terms that are the same function of the variables at all declared times. A sum
     over a state is accepted: the sum may be a fit to data, whose terms differ from time to time, or
     a cost at start and end of the horizon.
+
+    `objective` is the Pyomo objective, `time` the continuous set, and `copy` the clone of the
+    user's model to which they belong.
     """
     addresses = AddressBook(time)
     states = {d.get_state_var().name for d in copy.model.component_objects(DerivativeVar)}

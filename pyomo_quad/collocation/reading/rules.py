@@ -54,14 +54,20 @@ def transfer_rules(model: Any, copy: Any) -> None:
 
 
 def _innermost(rule: Any) -> Any:
-    """Return the innermost of nested Pyomo initializers, which holds the user's function."""
+    """Return the innermost of nested Pyomo initializers, which holds the user's function.
+
+    Pyomo wraps a function in initializers, one inside the other. `rule` is the outermost of them.
+    """
     while hasattr(rule, _INNER):
         rule = getattr(rule, _INNER)
     return rule
 
 
 def function_of(component: Any) -> Any:
-    """Return the user's function that makes a component's members: (block, index) -> expression."""
+    """Return the user's function that makes a component's members: (block, index) -> expression.
+
+    The function is found in the rule of `component`, a Pyomo constraint or other component.
+    """
     return getattr(_innermost(component._rule), _FUNCTION)  # noqa: SLF001
 
 
@@ -125,6 +131,9 @@ def refuse_changed_members(copy: Any) -> None:
     The engine reads an equation over time from its rule, so it would overlook a member that was
     changed by `set_value` after the rule ran.
 
+    `copy` is the clone of the user's model. Its constraints and named expressions with a rule are
+    checked.
+
     Raises
     ------
     TranscriptionError
@@ -179,7 +188,11 @@ class _PrefixNotation(PrefixVisitor):
 
 
 def _with_rules(copy: Any) -> Iterator[tuple[Any, Any]]:
-    """Yield the indexed constraints and expressions that have a rule, each with its rule."""
+    """Yield the indexed constraints and expressions that have a rule, each with its rule.
+
+    `copy` is the clone of the user's model that contains them. A rule is the Pyomo initializer that
+    makes the members.
+    """
     for component in copy.component_objects((Constraint, Expression), descend_into=True):
         if component.is_indexed() and rule_of(component) is not None:
             yield component, rule_of(component)
@@ -256,7 +269,8 @@ class _Translator:
     def _global(self, value: Any, function: FunctionType) -> Any:
         """Return the value of a global variable, translated to refer to the clone.
 
-        `value` is the value that the function reads. Imported functions are returned unchanged.
+        `value` is the value of the variable, which the function `function` reads. A function that
+        was imported from another module is returned unchanged.
         """
         is_foreign = isinstance(value, FunctionType) and (
             value.__globals__ is not function.__globals__
@@ -271,7 +285,11 @@ def _global_names(code: CodeType) -> set[str]:
 
 
 def refusal(name: str, error: Exception) -> TranscriptionError:
-    """Return the error for a rule that fails at a time that the model did not declare."""
+    """Return the error for a rule that fails at a time that the model did not declare.
+
+    `name` is the name of the component whose rule fails, and `error` the exception that the rule
+    raised; both appear in the message.
+    """
     return TranscriptionError(
         f"{name}: its rule fails at a time that the model did not declare ({raised(error)}); let "
         "it read nothing but its time and components of the model."

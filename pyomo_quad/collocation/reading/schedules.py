@@ -126,7 +126,10 @@ class _Form:
     varying: list[int] = field(default_factory=list)
 
     def compare(self, numbers: tuple[float, ...]) -> None:
-        """Record the positions of numbers that differ from the numbers in the first result."""
+        """Record the positions of numbers that differ from the numbers in the first result.
+
+        `numbers` are the numbers in another result of this form, in the order of their appearance.
+        """
         for k, (first, number) in enumerate(zip(self.numbers, numbers, strict=True)):
             if number != first and k not in self.varying:
                 self.varying.append(k)
@@ -191,8 +194,8 @@ class Schedule:
     def _slot(self, what: str) -> Slot:
         """Return a new quantity over time, with its CasADi symbol, as data for compiled equations.
 
-        `what` completes the name of the quantity: the form that the quantity selects, or the number
-        that it supplies.
+        `what` says in words what the quantity is: the factor that selects a form of the rule's
+        result, or one of the numbers in it. It completes the name of the quantity.
         """
         name = f"{self.name} ({what})"
         return Slot(name=name, component=self.name, index=(), symbol=casadi.SX.sym(name))
@@ -258,11 +261,16 @@ class Schedule:
             )
 
     def row(self, time: float) -> list[float]:
-        """Return the values of `slots` at a time: 1 or 0 to select the form, then the numbers."""
+        """Return the data at a time that the compiled forms of the rule's result read.
+
+        First come the factors that select a form: 1 for the form that applies at the time, and 0
+        for the others. The numbers that vary in the forms follow. The order is that of the
+        attribute `slots`. The result comes from a cache if the time was evaluated before.
+        """
         return _remembered(self._rows, self._place(time), self._row)
 
     def _row(self, time: float) -> list[float]:
-        """Return the values of `slots` at a time, from a call of the rule instead of the cache."""
+        """Return the result of `row` at a time by calling the rule, without use of the cache."""
         found = self._read(time)
         row = [float(key == found.key) for key in list(self._forms)[: len(self._chosen)]]
         for key, form in self._forms.items():
@@ -271,17 +279,27 @@ class Schedule:
         return row
 
     def written(self, write: Callable[[Any, Iterator[Any]], Any], absent: Sequence[Any]) -> Any:
-        """Return the parts of the rule's result as CasADi expressions of the slots.
+        """Return the parts of the rule's result as CasADi expressions that hold at all times.
 
-        The slots are data that select the form of the result and supply its numbers.
+        The parts are lower bound, body and upper bound of a constraint, or a single expression. A
+        result has one of a few forms, which differ in more than their numbers. In the returned
+        expressions, symbols (the attribute `slots`) select the form that applies and stand for the
+        numbers that vary; the values of the symbols are data over time.
 
         Parameters
         ----------
         write : callable
-            (part, numbers) -> CasADi expression of a part of a `Statement`, with its numbers
-            replaced by the given symbols, in their order.
+            (part, numbers) -> CasADi expression of a Pyomo expression `part`. The iterator
+            `numbers` yields what replaces the numbers in `part`, in the order in which they appear:
+            symbols for numbers that vary, and the other numbers themselves.
         absent : sequence
-            Default of each part, for parts that are missing.
+            For each part, the value that replaces it where the rule returns None instead, for
+            example minus infinity for an absent lower bound.
+
+        Returns
+        -------
+        list of casadi.SX
+            One expression per part.
         """
         forms = []
         for k, form in enumerate(self._forms.values()):
@@ -549,7 +567,8 @@ class Interpolant:
         Raises
         ------
         TranscriptionError
-            If the time is outside the edges.
+            If the time is outside the range of the polynomials, or the interpolant has no
+            polynomials.
         """
         if not self.pieces or not self.edges[0] <= time <= self.edges[-1]:
             raise TranscriptionError(self.refusal)
@@ -588,7 +607,7 @@ def interpolant(
     row : callable
         Time -> values of the functions.
     horizon : (float, float)
-        Start and end.
+        Times at which the approximation starts and ends.
     jumps : sequence of float
         Times at which the functions jump, in rising order.
 

@@ -132,7 +132,11 @@ class TimeSymbol:
 
 
 def _of_parameter(operation: str) -> Callable[..., Any]:
-    """Return a method that applies an arithmetic operation to the parameter of a time symbol."""
+    """Return a method that applies an arithmetic operation to the parameter of a time symbol.
+
+    `operation` is the name of the method of Pyomo expressions, such as ``__add__``. The returned
+    function becomes the method of this name in `TimeSymbol`.
+    """
 
     def operate(symbol: TimeSymbol, *others: Any) -> Any:
         return getattr(symbol.parameter, operation)(*others)
@@ -195,7 +199,10 @@ class _TrapezoidProbe:
         self._symbol = symbol
 
     def find_component(self, name: str) -> Any:
-        """Return two equal times for the name of the continuous set, else the block's component."""
+        """Return a list of two equal times if `name` is the name of the continuous set.
+
+        For any other name the result is the component of this name in the block of the integral.
+        """
         if name == self._set_name:
             return [self._symbol, self._symbol]
         return self._block.find_component(name)
@@ -287,7 +294,7 @@ class AddressBook:
         return self._known[key]
 
     def _find(self, component: Any) -> int | None:
-        """Return the position of time in a component's index, or None.
+        """Return the position of time in a component's index, None if the component has no time.
 
         Raises
         ------
@@ -325,7 +332,11 @@ class AddressBook:
         return Address(name, rest, whole[position])
 
     def join(self, component: Any, index: tuple[Any, ...], time: Any) -> Any:
-        """Return a component's full index at a time, the inverse of `split`."""
+        """Return a component's full index at a time, the inverse of `split`.
+
+        `index` is the index without the time, (i,) for ``x[i, t]``. The time is ignored if the
+        component is not indexed by time.
+        """
         position = self.time_position(component)
         if position is None:
             return index[0] if len(index) == 1 else (index or None)
@@ -368,8 +379,8 @@ class Slot:
     def scaled(self, magnitudes: Mapping[str, float]) -> Slot:
         """Return the variable with its magnitude (for scaling) from a mapping of magnitudes.
 
-        The mapping is searched for the name of the variable, then for the name of its component.
-        The magnitude is None if the mapping has neither name.
+        `magnitudes` maps names to magnitudes. The mapping is searched for the name of the variable,
+        then for the name of its component. The magnitude is None if the mapping has neither name.
         """
         return replace(self, nominal=magnitudes.get(self.name, magnitudes.get(self.component)))
 
@@ -598,10 +609,11 @@ class SymbolTable:
         )
 
     def _horizon(self, name: str, time: float) -> Any:
-        """Return the symbol of the parameter for start or end of the horizon.
+        """Return the symbol of the parameter for the physical time at start or end of the horizon.
 
-        `name` is the name of the parameter, which is added to the table of parameters. For a model
-        without time, the number `time` is returned.
+        The parameter is new, and is added to the parameters of the model. `name` is its name, and
+        `time` is the first or last member of the continuous set. A model without time needs no
+        parameter: the result is then the number `time`.
         """
         if self._copy.time is None:
             return casadi.SX(time)
@@ -610,7 +622,10 @@ class SymbolTable:
         return symbol
 
     def leaf(self, data: Any) -> Any:
-        """Return the CasADi symbol of a Pyomo variable or mutable parameter."""
+        """Return the CasADi symbol of a Pyomo variable or mutable parameter.
+
+        `data` is the variable or parameter, a Pyomo data object.
+        """
         address = self._addresses.of(data)
         self._refuse_other_horizon(data)
         if data.is_variable_type():
@@ -622,7 +637,12 @@ class SymbolTable:
         return self._signal(data, address)
 
     def _refuse_other_horizon(self, data: Any) -> None:
-        """Raise an error if a component over this horizon uses a value of another horizon."""
+        """Raise an error if a variable or parameter is indexed by the time of another horizon.
+
+        A model may have several horizons, each with a continuous set. Equations over the time of
+        one horizon must not contain values over the time of another. `data` is the Pyomo variable
+        or parameter in an expression over this horizon.
+        """
         other = self._copy.other_of(data.parent_component()) if self._copy.others else None
         if other is not None:
             raise TranscriptionError(
@@ -633,8 +653,9 @@ class SymbolTable:
     def _scalar(self, table: dict[str, Slot], data: Any, name: str, **more: Any) -> Any:
         """Return the symbol of a variable or parameter without time, made at first use.
 
-        `table` is the dictionary, by name, of the `Slot` objects with the symbols. `more` are
-        further attributes of a new `Slot`, such as bounds.
+        `data` is the variable or parameter, a Pyomo data object, and `name` the name under which it
+        is stored. `table` is the dictionary, by name, of the `Slot` objects with the symbols.
+        `more` are further attributes of a new `Slot`, such as bounds.
         """
         if name not in table:
             address = self._addresses.of(data)
@@ -650,14 +671,15 @@ class SymbolTable:
     def fixed_value(self, data: Any) -> Any:
         """Return the symbol of a new parameter that holds the value of a fixed variable.
 
-        The value can then change between solves without another compilation.
+        The value can then change between solves without another compilation. `data` is the
+        variable, a Pyomo data object.
         """
         return self._scalar(self.parameters, data, f"{data.name} (fixed)")
 
     def _static(self, data: Any) -> Any:
         """Return the symbol of a variable without time.
 
-        A fixed variable becomes a parameter.
+        A fixed variable becomes a parameter. `data` is the variable, a Pyomo data object.
         """
         if data.fixed:
             return self._scalar(self.parameters, data, data.name)
@@ -685,9 +707,11 @@ class SymbolTable:
         return said is symbol
 
     def _signal(self, data: Any, address: Any) -> Any:
-        """Return the symbol of a parameter over time.
+        """Return the symbol of a parameter over time, or of its value at a declared time.
 
-        For a parameter that is time itself, the result is the expression of physical time.
+        A declared time is a member of the continuous set. For a parameter that is time itself, the
+        result is the expression of physical time. `data` is the Pyomo data object, and `address`
+        its component, index and time.
         """
         if self._is_clock(data):
             return self._physical_time(address.time)
@@ -742,7 +766,8 @@ class SymbolTable:
         """Return the `Slot` of a variable over time, made at first use.
 
         The result is None for an algebraic variable that is fixed at all declared times (members of
-        the continuous set), because it becomes a parameter. `address` identifies the variable.
+        the continuous set), because it becomes a parameter. `variable` is the Pyomo component.
+        `address` has the index of the member without the time.
         """
         name = indexed_name(variable.name, address.index)
         for table in (self.states, self.algebraics):
@@ -766,7 +791,10 @@ class SymbolTable:
         return slot
 
     def _is_fixed_throughout(self, variable: Any, index: tuple[Any, ...]) -> bool:
-        """Return whether a variable over time is fixed at all members of the continuous set."""
+        """Return whether a variable over time is fixed at all members of the continuous set.
+
+        `index` is the index of the variable's member without the time: (i,) for ``x[i, t]``.
+        """
         return all(
             variable[self._addresses.join(variable, index, t)].fixed
             for t in self._copy.declared_times

@@ -78,13 +78,18 @@ class Spline:
         return cls(knots=tuple(knots), coefficients=held, degree=degree, ranges=ranges)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        """Return the spline itself, since it is immutable."""
+        """Return the spline itself, since it is immutable.
+
+        `memo` is Python's record of copied objects, which is not needed.
+        """
         return self
 
     def written(self, arguments: Sequence[Any]) -> Any:
         """Return the value of the spline as a CasADi expression of its arguments.
 
         The cost of an evaluation does not depend on the size of the table.
+
+        `arguments` are CasADi expressions, one for each axis of the spline.
         """
         return self._local.written([casadi.SX(argument) for argument in arguments])
 
@@ -185,9 +190,11 @@ class Table(PythonCallbackFunction):
         return super().__call__(*arguments)
 
     def _at(self, arguments: Any, _order: int, _fixed: Any) -> tuple[float, list[float], Any]:
-        """Return the table's value, gradient and Hessian at numbers, in the form Pyomo expects.
+        """Return the table's value, gradient and Hessian at given arguments, as Pyomo requires.
 
-        The Hessian is given by its upper triangle.
+        `arguments` are numbers, one for each argument of the table. Pyomo also passes the order of
+        the derivatives that it needs, and which arguments are constant; both are ignored. The
+        Hessian is returned as its upper triangle, column after column.
         """
         value, gradient, hessian = self.spline.function(arguments)
         upper = [float(hessian[i, j]) for j in range(len(arguments)) for i in range(j + 1)]
@@ -318,7 +325,10 @@ def _symbolic(function: Any, inputs: Sequence[Any], stated: Sequence[Any]) -> An
 
 
 def _bounds(argument: Any) -> tuple[float | None, float | None]:
-    """Return lower and upper bound of a Pyomo expression, None where it has none."""
+    """Return lower and upper bound of a Pyomo expression, None where it has none.
+
+    `argument` is the expression.
+    """
     from pyomo.contrib.fbbt.fbbt import compute_bounds_on_expr  # noqa: PLC0415  as above
 
     lower, upper = compute_bounds_on_expr(argument)
@@ -395,9 +405,10 @@ def _sampled(function: Any, stated: Sequence[Any], owner: str) -> Spline:
 
 
 def _on_grid(call: Callable[..., float], points: Sequence[FloatArray]) -> FloatArray:
-    """Return a function's values on a grid, with one axis per argument.
+    """Return a function's values on a grid, with one array axis per argument of the function.
 
-    `points` are the grid points along each axis.
+    `call` is the function, which takes one number per argument. `points` are the grid points along
+    each axis.
     """
     values = [call(*numbers) for numbers in product(*(at.tolist() for at in points))]
     return np.array(values).reshape([at.size for at in points])

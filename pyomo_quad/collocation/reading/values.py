@@ -76,8 +76,8 @@ class Instance:
     ) -> float | Interpolant | Steps:
         """Return a parameter's value in a form that can be pickled.
 
-        A function of time becomes piecewise polynomials over the horizon; a number is returned
-        unchanged.
+        `name` is the name of the parameter, and `given` its value from the caller. A function of
+        time becomes piecewise polynomials over the horizon; a number is returned unchanged.
         """
         if not callable(given) or isinstance(given, Interpolant | Steps):
             return given
@@ -167,8 +167,9 @@ class ModelValues:
     def _parameter(self, slot: Slot, named: dict[str, Any], ends: dict[str, float]) -> float:
         """Return the value of one parameter without time.
 
-        The value comes from `ends` (start and end of the horizon, by parameter name), from `named`
-        (values given by the caller, by full name), or from the model, in this order.
+        `slot` is the parameter. The value comes from `ends` (start and end of the horizon, by
+        parameter name), from `named` (values given by the caller, by full name), or from the model,
+        in this order.
         """
         if slot.name in ends:
             return ends[slot.name]
@@ -247,8 +248,8 @@ class ModelValues:
     def _signal(self, slot: Slot, named: dict[str, Any]) -> Callable[[float], float]:
         """Return a parameter over time as a function of time.
 
-        `named` has the values and functions given by the caller, by full name, which take
-        precedence over the rules in the model.
+        `slot` is the parameter. `named` has the values and functions given by the caller, by full
+        name, which take precedence over the rules in the model.
         """
         if slot.name in named:
             given = named[slot.name]
@@ -273,7 +274,8 @@ class ModelValues:
     def _declared_time(self, first: float, last: float, fraction: float) -> float:
         """Return the member of the continuous set nearest to a fraction of the horizon.
 
-        `first` and `last` are the first and the last member of the set.
+        `first` and `last` are the first and the last member of the set; `fraction` is 0 at the
+        first member and 1 at the last.
         """
         wanted = first + (last - first) * fraction
         return min(self._source.times, key=lambda t: abs(t - wanted))
@@ -281,8 +283,8 @@ class ModelValues:
     def initial_values(self, slot: Slot) -> list[tuple[float, float]]:
         """Return a variable's values in the model, as pairs (fraction of the horizon, value).
 
-        The pairs belong to the members of the continuous set (declared times) at which the variable
-        has a value.
+        `slot` is the variable. The pairs belong to the members of the continuous set (declared
+        times) at which the variable has a value.
         """
         first, last = self.declared_horizon
         pairs = []
@@ -295,9 +297,10 @@ class ModelValues:
     def first_guesses(self, slot: Slot, fractions: FloatArray) -> FloatArray | None:
         """Return the values of a variable's `initialize` rule at fractions of the horizon.
 
-        The result is None if the variable has no such rule, if its values in the model differ from
-        the values of the rule, or if the rule fails or is not finite at one of the fractions (for
-        example, because it looks up values at members of the continuous set).
+        `slot` is the variable. The result is None if the variable has no such rule, if its values
+        in the model differ from the values of the rule, or if the rule fails or is not finite at
+        one of the fractions (for example, because it looks up values at members of the continuous
+        set).
         """
         first, last = self.declared_horizon
         guess = self._source.first_guess(slot)
@@ -310,7 +313,10 @@ class ModelValues:
         return found if np.all(np.isfinite(found)) else None
 
     def static_value(self, slot: Slot) -> float | None:
-        """Return the value in the model of a variable without time, None if it has none."""
+        """Return the value in the model of a variable without time, None if it has none.
+
+        `slot` is the variable.
+        """
         return self._source.variable(slot)
 
     def declared_fractions(self) -> list[float]:
@@ -321,8 +327,9 @@ class ModelValues:
     def load(self, slot: Slot, fraction: float | None, number: float) -> None:
         """Set the model's variable to a solved value, unless a user fixed the variable there.
 
-        `fraction` is a declared time (member of the continuous set) as a fraction of the horizon,
-        None for a static variable (a variable without time).
+        `slot` is the variable, and `number` the solved value. `fraction` is a declared time (member
+        of the continuous set) as a fraction of the horizon, None for a static variable (a variable
+        without time).
         """
         time = None
         if fraction is not None:
@@ -354,7 +361,11 @@ class ModelValues:
 
 
 def _present(name: str, number: float | None) -> float:
-    """Return the value of a component; raise an error that names it if it has no value."""
+    """Return the value of a component, or raise an error if it has no value.
+
+    `number` is the value, None if there is none. `name` is the name of the component, for the
+    message.
+    """
     if number is None:
         raise TranscriptionError(f"{name}: has no value; give it one before the solve.")
     return number

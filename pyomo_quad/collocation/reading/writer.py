@@ -341,7 +341,10 @@ class TemplateWriter:
         )
 
     def bounds_over_time(self, slot: Slot) -> tuple[Any, Any]:
-        """Return lower and upper bound of a variable over time as CasADi expressions."""
+        """Return lower and upper bound of a variable over time as CasADi expressions.
+
+        `slot` is the variable.
+        """
         variable = self.copy.model.find_component(slot.component)
         rule, changed = bounds_rule_of(variable), self.changed_bounds(slot)
         if rule is None or changed is not None:
@@ -365,8 +368,9 @@ class TemplateWriter:
     def changed_bounds(self, slot: Slot) -> tuple[Any, Any] | None:
         """Return the bounds for all times that a user assigned after a variable's declaration.
 
-        A user may assign bounds to a variable's members at the declared times, the members of the
-        continuous set. Bounds that were changed at every declared time are treated as follows:
+        `slot` is the variable. A user may assign bounds to a variable's members at the declared
+        times, the members of the continuous set. Bounds that were changed at every declared time
+        are treated as follows:
 
         - algebraic variable, or state with a fixed member: equal bounds apply at all times, and are
           returned; bounds that differ from time to time are refused;
@@ -399,7 +403,10 @@ class TemplateWriter:
         )
 
     def declared_bounds(self, data: Any) -> tuple[float | None, float | None]:
-        """Return the bounds of a variable's member according to the variable's declaration."""
+        """Return the bounds of a variable's member according to the variable's declaration.
+
+        `data` is the member, a Pyomo data object. A bound is None where the declaration gives none.
+        """
         variable, address = data.parent_component(), self.addresses.of(data)
         rule = bounds_rule_of(variable)
         if rule is None:
@@ -411,7 +418,10 @@ class TemplateWriter:
         return tuple(member.bounds)
 
     def _member(self, slot: Slot, time: float) -> Any:
-        """Return the member (Pyomo data object) of a variable over time at a given time."""
+        """Return the member (Pyomo data object) of a variable over time at a given time.
+
+        `slot` is the variable. `time` is a member of the continuous set.
+        """
         variable = self.copy.model.find_component(slot.component)
         return variable[self.addresses.join(variable, slot.index, time)]
 
@@ -448,6 +458,9 @@ class TemplateWriter:
 
     def _statement_at(self, name: str, say: Callable[[Any], Statement], time: float) -> Statement:
         """Call a component's rule at one time, and return its result as a `Statement`.
+
+        `name` is the name of the component, for messages. `say` calls the rule: time ->
+        `Statement`.
 
         Raises
         ------
@@ -504,12 +517,15 @@ class TemplateWriter:
         return any(s.name == name for s in self.schedules)
 
     def scheduled_beside(self, time: float, side: int = -1) -> dict[str, tuple[Any, float]]:
-        """Return symbols, and values just before or after a time, of quantities without a formula.
+        """Return values just before or after a time of data that only Python functions can supply.
 
-        The quantities are the data of rules that branch on time, and the indicators of the phases
-        of the horizon: their values over time are given by functions, not by expressions of time.
-        `side` is -1 for values just before `time`, 1 for values just after it. The result maps
-        names to (symbol, value).
+        Two kinds of data over time are no CasADi expressions of time: the branch that a rule takes
+        and the numbers that it then uses, for rules that branch on time; and the indicators of the
+        phases of the horizon. Equations contain symbols for these data. The result maps the name of
+        each symbol to (symbol, value).
+
+        `time` is a time in the range of the continuous set. `side` is -1 for values just before the
+        time, 1 for values just after it.
         """
         first, last = self.copy.declared_times[0], self.copy.declared_times[-1]
         near = BESIDE * (last - first)
@@ -534,15 +550,16 @@ class TemplateWriter:
     def _part(self, part: Any, name: str, absent: Any) -> Any:
         """Return the CasADi expression of a part of a rule's result: a bound, or a body.
 
-        `absent` is the value of a part that is missing (None). `name` is the name of the component.
+        `part` is the Pyomo expression. `absent` is the result for a part that is missing (None),
+        for example infinity for an upper bound. `name` is the name of the component.
         """
         return casadi.SX(absent if part is None else self.write(part, name, over_time=True))
 
     def _with_numbers(self, part: Any, numbers: Iterator[Any], name: str) -> Any:
         """Translate an expression to CasADi, with symbols in place of its numbers.
 
-        `numbers` yields the symbol or value for each number, in the order in which the numbers
-        appear. `name` is the name of the component.
+        `part` is the Pyomo expression. `numbers` yields the symbol or value for each number, in the
+        order in which the numbers appear. `name` is the name of the component.
         """
         if part.__class__ in native_types:
             return next(numbers)
@@ -552,10 +569,11 @@ class TemplateWriter:
         return self._writer.apply(part, arguments, name)
 
     def over_time(self, name: str, index: tuple[Any, ...]) -> Any:
-        """Return a component as a CasADi expression that holds at any time, by full name.
+        """Return a variable or expression over time as a CasADi expression that holds at any time.
 
-        The result is None if the model has no component over time of this name. `index` is the
-        index without the time: (i,) for ``x[i, t]``.
+        `name` is the full name of the component, and `index` the index of its member without the
+        time: (i,) for ``x[i, t]``. The result is None if the model has no component over time of
+        this name.
 
         Raises
         ------
@@ -583,8 +601,9 @@ class TemplateWriter:
     def write_at_template(self, component: Any, index: tuple[Any, ...]) -> Any:
         """Return a variable or expression over time as a CasADi expression that holds at any time.
 
-        `index` is the index without the time: (i,) for ``x[i, t]``. The expression is read at the
-        template time, the interior time that was added for this purpose.
+        `component` is the Pyomo component, and `index` is the index without the time: (i,) for
+        ``x[i, t]``. The expression is read at the template time, the interior time that was added
+        for this purpose.
         """
         position = self.addresses.join(component, index, self.copy.template_time)
         return casadi.SX(self.write(component[position], component.name, over_time=True))
@@ -612,6 +631,8 @@ class TemplateWriter:
 
         Integrals are replaced by their symbols, and expressions over time by the result of their
         rules in CasADi symbols.
+
+        `expression` is the named expression or integral, a Pyomo data object.
         """
         component = expression.parent_component()
         if component is None:
@@ -629,6 +650,9 @@ class TemplateWriter:
 
         The rule is called when the expression is needed for the first time. The result is cached by
         name.
+
+        `component` is the named expression, and `index` the index of its member without the time:
+        (i,) for ``x[i, t]``. `rule` is the Pyomo initializer that makes the members.
         """
         name, block = indexed_name(component.name, index), component.parent_block()
         if name in self._by_rule:
@@ -643,8 +667,11 @@ class TemplateWriter:
     def _parameter_over_time(self, data: Any, address: Address) -> Any:
         """Return a parameter over time as a differentiable CasADi expression of time.
 
-        If times are free (determined by the solve), the value of the parameter depends on the free
-        times, and its derivative with respect to time is required.
+        This is used if times are free (determined by the solve): the value of the parameter then
+        depends on the free times, and its derivative with respect to time is required. `data` is
+        the Pyomo data object, and `address` its component, index and time. At a declared time (a
+        member of the continuous set), the result is the value at that time. A parameter without a
+        rule, or without time, is returned as its symbol.
         """
         component = data.parent_component()
         rule = rule_of(component)
@@ -699,8 +726,8 @@ def _attempt(say: Callable[[Any], Statement], symbol: TimeSymbol) -> Statement |
 def _refuse_number(name: str, error: Exception | None = None) -> NoReturn:
     """Raise the error for a rule that uses a free time as a number.
 
-    A free time is determined by the solve, so that it has no number when the rule is called.
-    `error` is the exception of the rule, if any.
+    A free time is determined by the solve, so that it has no number when the rule is called. `name`
+    is the name of the component with the rule. `error` is the exception of the rule, if any.
     """
     told = "" if error is None else f" ({raised(error)})"
     raise TranscriptionError(
@@ -710,7 +737,11 @@ def _refuse_number(name: str, error: Exception | None = None) -> NoReturn:
 
 
 def _as_numeric(statement: Statement) -> Statement:
-    """Return a rule's result, in which the symbol of time is replaced by a Pyomo parameter."""
+    """Return a rule's result with a Pyomo parameter in place of the symbol for time.
+
+    `statement` is the result. A part of it may be the symbol itself, for example a bound that
+    equals the time; only such parts are replaced.
+    """
     parts = (p.as_numeric() if isinstance(p, TimeSymbol) else p for p in statement.parts)
     return replace(statement, parts=tuple(parts))
 

@@ -30,6 +30,8 @@ def junction_elements(solution: Solution) -> frozenset[int]:
 
     A limit that becomes active or inactive at a breakpoint that the problem requires, for example
     where a parameter jumps, is not counted.
+
+    `solution` is the solution on one mesh, whose elements have these indices.
     """
     active = active_limits(solution)
     return _changing(solution, np.ones(active.shape[1], dtype=bool), active)

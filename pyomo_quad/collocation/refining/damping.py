@@ -78,13 +78,17 @@ class Damping:
 
         The new damping is towards the previous controls smoothed within each element (`is_still`).
         The complementarity gap (the sum over all limits of multiplier times distance to the limit)
-        that the next solve leaves is at least `gap` times the reference magnitude of the objective.
+        that the next solve leaves is at least `gap` times the nominal magnitude of the objective
+        (`Solution.nominal_objective`).
         """
         gap = max(gap * self.solution.nominal_objective, self.gap)
         return replace(self, prices=factor * self.prices, gap=gap, is_still=True)
 
     def applied_to(self, program: Transcription) -> ExtendedProgram:
-        """Return a program of the same model with the penalty added to its objective."""
+        """Return a program of the same model with the penalty added to its objective.
+
+        `program` is the nonlinear program of the model on the next mesh, without the penalty.
+        """
         mesh = program.mesh or self.solution.mesh
         return ExtendedProgram(
             program=program,

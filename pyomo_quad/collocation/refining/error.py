@@ -68,8 +68,9 @@ def _transition(solution: Solution, equations: Linearised, e: int) -> FloatArray
     """Return the state transition matrix of an element, with the controls unchanged.
 
     The matrix has the derivatives of the states at the element's end with respect to the states at
-    its start, shape (n_states, n_states). `equations` is the linearised model, `e` the index of the
-    element.
+    its start, shape (n_states, n_states). `solution` has the mesh. `equations` has the derivatives
+    of the differential equations with respect to rates and states at the collocation points. `e` is
+    the index of the element.
     """
     mesh = solution.mesh
     first, last = mesh.first_node[e], mesh.first_node[e + 1]
@@ -296,10 +297,11 @@ _LEAST_UNIT = 1e-4
 
 
 def _unit(solution: Solution) -> float:
-    """Return the reference magnitude for relative errors of the objective, in its unit.
+    """Return the magnitude by which errors of the objective are divided, in its unit.
 
     The result is the largest of three numbers: the magnitude of the objective; min(1, s), for an
-    objective near zero; and 1e-4 s. Here s is the inverse of the objective's scaling factor.
+    objective near zero; and 1e-4 s. Here s is the inverse of the factor by which the objective is
+    multiplied in the scaled nonlinear program.
     """
     scaled = 1.0 / solution.scaling.objective
     return max(abs(solution.objective), min(1.0, scaled), _LEAST_UNIT * scaled)
@@ -326,13 +328,18 @@ class _Samples:
     Attributes
     ----------
     variables : ndarray, shape (n, n_variables)
-        Rates, states, algebraic and static variables.
+        Values of the model's variables at each sample time. The columns are, in this order: rates
+        (derivatives of the states with respect to the fraction of the horizon), states, algebraic
+        variables and static variables.
     data : ndarray, shape (n, n_data)
-        Fraction of the horizon and parameters.
+        What the path equations need besides the variables, at each sample time: the sample time as
+        a fraction of the horizon, and the values of the model's parameters.
     rows : ndarray, shape (n, n_expressions)
-        Values of the path equations, then of the integrands.
+        Values of the model's expressions over time at each sample time: first the body of every
+        path equation and path inequality (one column each), then every integrand.
     first_of_element : ndarray of int, shape (n_elements,)
-        Position of each element's first sample among the n samples.
+        The samples are ordered by element. Position of the first sample of each element, from 0 to
+        n - 1.
     """
 
     variables: FloatArray
@@ -345,9 +352,9 @@ class _Samples:
 def _panelled(degree: int) -> tuple[FloatArray, FloatArray]:
     """Return points and weights of a quadrature rule that is finer than the collocation points.
 
-    The element, from 0 to 1, is divided into four panels of equal width. Each panel has the points
-    of a Gauss rule with degree + 1 points. The element's right end is added as the last point, with
-    weight 0.
+    `degree` is the degree of the element. The element, from 0 to 1, is divided into four panels of
+    equal width. Each panel has the points of a Gauss rule with degree + 1 points. The element's
+    right end is added as the last point, with weight 0.
     """
     points, weights = leggauss(degree + 1)
     inner = (np.arange(_PANELS)[:, None] + 0.5 * (1.0 + points)) / _PANELS
@@ -358,8 +365,9 @@ def _panelled(degree: int) -> tuple[FloatArray, FloatArray]:
 def densely_sampled(solution: Solution) -> _Samples:
     """Evaluate the path constraints of a solution at many times between the collocation points.
 
-    The samples show violations between the points, where the polynomials may have maxima. Each
-    element has 4 (degree + 1) + 1 samples.
+    The samples show violations between the points, where the polynomials may have maxima. An
+    element of a given degree has 4 (degree + 1) + 1 samples. The result holds the sampled variables
+    and the values of the path constraints.
     """
     (samples,) = _sampled(solution, _dense_places)
     return samples
@@ -377,7 +385,8 @@ def _dense_places(degree: int) -> FloatArray:
 def _finer_places(degree: int) -> FloatArray:
     """Return the Radau points of the next higher degree in an element that goes from 0 to 1.
 
-    The states are re-integrated at these points to estimate their errors.
+    The states are re-integrated at these points to estimate their errors. `degree` is the degree of
+    the element.
     """
     return radau_rule(degree + 1).points
 
@@ -385,7 +394,8 @@ def _finer_places(degree: int) -> FloatArray:
 def _panelled_places(degree: int) -> FloatArray:
     """Return the points of the finer quadrature rule in an element that goes from 0 to 1.
 
-    The rule is `_panelled`; integrals are recomputed with it to estimate their errors.
+    The rule is `_panelled`; integrals are recomputed with it to estimate their errors. `degree` is
+    the degree of the element.
     """
     return _panelled(degree)[0]
 
@@ -469,8 +479,10 @@ def _clipped(
 ) -> _Samples:
     """Return samples in which each control outside its limits is set to the limit.
 
-    The path equations are evaluated again with the clipped controls.
-    `limits` are lower and upper limits of the algebraic variables, shape (n_algebraics,) each.
+    `samples` has the variables of a solution at many times. In the result, the path equations of
+    `program` are evaluated with the clipped controls. `limits` are lower and upper limits of the
+    algebraic variables, shape (n_algebraics,) each; a variable that is no control has infinite
+    limits.
     """
     layout, variables = program.layout, samples.variables.copy()
     chosen = slice(2 * layout.n_states, 2 * layout.n_states + layout.n_algebraics)
@@ -482,11 +494,25 @@ def _clipped(
 
 
 def _state_corrections(solution: Solution, slopes: FloatArray) -> list[FloatArray]:
-    """Return the state errors in each element, by integration of the errors of the derivatives.
+    """Return the errors of the states in each element, as integrals of the errors of their rates.
 
-    The integration begins at the element's left end. `slopes` are the corrections of the states'
-    time derivatives with which the equations hold, at the Radau points of the next higher degree.
-    The result has for each element an array of shape (degree + 1, n_states).
+    Rates are the derivatives of the states with respect to the fraction of the horizon. In each
+    element, the errors are integrated from the left end of the element, where the error is taken as
+    zero.
+
+    Parameters
+    ----------
+    solution : Solution
+        Solution whose mesh has the elements.
+    slopes : ndarray, shape (sum of (degree + 1) over the elements, n_states)
+        Errors of the rates: the changes of the rates with which the differential equations hold.
+        They are given at the Radau points of the next higher degree in each element.
+
+    Returns
+    -------
+    list of ndarray, shape (degree + 1, n_states)
+        For each element, the errors of the states at the same Radau points. The last of these
+        points is the element's right end.
     """
     mesh, first, moved = solution.mesh, 0, []
     for e, degree in enumerate(mesh.degrees):
@@ -501,18 +527,25 @@ def _clipping_corrections(
 ) -> dict[int, FloatArray]:
     """Return, by element, the change of the states if controls are clipped to their limits.
 
-    Only elements in which a control is clipped have an entry: the change of the states at the
-    element's end, shape (n_states,). A control that is clipped in a part of an element is not a
-    polynomial. The change of the derivatives is therefore integrated over the dense samples by the
-    trapezoidal rule, which overestimates a peak at an element's end.
+    A control of the solution may exceed its limits between the collocation points; in a simulation
+    it is set to the limit there. A control that is clipped in a part of an element is not a
+    polynomial. The change of the rates by clipping is therefore integrated over the dense samples
+    by the trapezoidal rule, which overestimates a peak at an element's end.
 
     Parameters
     ----------
     solution : Solution
     free, clipped : _Samples
-        Dense samples with the polynomials, and with the clipped controls.
+        Dense samples of the solution: `free` with the controls as they are, `clipped` with each
+        control set to its limit where it exceeds the limit.
     is_clipped : ndarray of bool, shape (n_elements,)
         Whether a control is clipped in the element.
+
+    Returns
+    -------
+    dict
+        Index of each element with a clipped control -> change of the states at the element's end,
+        shape (n_states,).
     """
     if not np.any(is_clipped):
         return {}
@@ -529,8 +562,9 @@ def _clipping_corrections(
 def _relative(solution: Solution, moved: list[FloatArray]) -> FloatArray:
     """Return the largest error of each state in each element, relative to the state's magnitude.
 
-    `moved` has the errors in each element, from `_state_corrections`: an array of shape (degree +
-    1, n_states) per element. The result has shape (n_elements, n_states).
+    `moved` has the errors of the states in each element, from `_state_corrections`: an array of
+    shape (degree + 1, n_states) per element, with one row per Radau point. The result has shape
+    (n_elements, n_states).
     """
     return np.array([np.abs(m).max(axis=0) / state_sizes(solution) for m in moved])
 
@@ -549,8 +583,10 @@ def _objective_errors(solution: Solution, moved: list[FloatArray]) -> FloatArray
     """Return the effect of each element's state errors on the objective, shape (n_elements,).
 
     The errors of the states at the element's end are multiplied by the costates there. The effect
-    is relative to the objective, and extrapolated to the whole horizon by `_of_all`. `moved` has
-    the state errors, from `_state_corrections`.
+    is relative to the objective's nominal magnitude. It is extrapolated to the whole horizon: the
+    effect of the element times the number of elements, but at most the sum over all elements.
+    `moved` has the errors of the states in each element, from `_state_corrections`: an array of
+    shape (degree + 1, n_states), whose last row belongs to the element's end.
     """
     mesh = solution.mesh
     if not solution.problem.compiled.declared.states:
@@ -563,8 +599,12 @@ def _objective_errors(solution: Solution, moved: list[FloatArray]) -> FloatArray
 def _restraints(solution: Solution) -> FloatArray:
     """Return the cost of the bounds that are imposed between the collocation points.
 
-    The cost of each element is relative to the objective, extrapolated to the whole horizon by
-    `_of_all`, and divided by the fraction of the tolerance that it may use. Shape (n_elements,).
+    The cost is the increase of the objective by these bounds, estimated element by element, shape
+    (n_elements,). It is divided by the nominal magnitude of the objective, and extrapolated to the
+    whole horizon: the cost of the element times the number of elements, but at most the sum over
+    all elements. This cost may use up half of the tolerance only. It is therefore also divided by
+    0.5, so that the result can be compared with the whole tolerance. It is zero if no bounds are
+    imposed between the points.
     """
     if solution.restraint is None:
         return np.zeros(solution.mesh.elements)
@@ -574,10 +614,10 @@ def _restraints(solution: Solution) -> FloatArray:
 def _of_all(shares: FloatArray) -> FloatArray:
     """Extrapolate the error of each element to the whole horizon, for errors that add up.
 
-    The result for an element is its error times the number of elements, but at most the sum of the
-    errors of all elements. The result can be compared with the tolerance for the whole horizon.
-    `shares` are the errors of the elements. `shares` and the result have one entry per element
-    along the first axis.
+    `shares` are the errors of the elements, with one entry per element along the first axis; the
+    result has the same shape. The result for an element is its error times the number of elements,
+    but at most the sum of the errors of all elements. It can be compared with the tolerance for the
+    whole horizon.
     """
     return np.asarray(np.minimum(len(shares) * shares, shares.sum(axis=0)))
 
@@ -586,7 +626,8 @@ def _quadrature_errors(solution: Solution, samples: _Samples) -> FloatArray:
     """Return the largest relative quadrature error of each element, shape (n_elements,).
 
     The errors of the objective and of all integrals are considered, by comparison with a finer
-    quadrature rule. `samples` has the integrands at the points of this rule (`_panelled`).
+    quadrature rule. `solution` is the solution on one mesh, and `samples` has the integrands at the
+    points of this rule (`_panelled`).
     """
     program, mesh = solution.program, solution.mesh
     first = program.compiled.n_equations
@@ -606,10 +647,12 @@ def _quadrature_errors(solution: Solution, samples: _Samples) -> FloatArray:
 
 
 def _integrands(program: Transcription, samples: _Samples) -> FloatArray:
-    """Return the integrands at samples, shape (n_samples, n_integrals).
+    """Return the values of all integrands at sample times, shape (n_samples, n_integrals).
 
-    If an integrand is not finite at a sample, the variables are clipped to their limits, because
-    the integrand may be undefined outside them.
+    `samples` has the variables of a solution at these times, and `program` its nonlinear program.
+    If an integrand is not finite at any sample, all integrands are evaluated again with the
+    variables clipped to their limits, because the integrand may be undefined outside them. A value
+    that is still undefined is returned as infinite.
     """
     compiled, n = program.compiled, program.layout.n_states
     densities = samples.rows[:, compiled.n_equations :]
@@ -633,8 +676,9 @@ def _missed(solution: Solution, moved: list[FloatArray], weight: float) -> Float
     Only the final state with the largest error counts. The element that contributes most to this
     error is assigned the whole error. Every other element is assigned a part of the error, in
     proportion to the element's contribution. The errors are multiplied by `weight`, the tolerance
-    divided by the allowed error of the final states. `moved` has the state errors in each element,
-    from `_state_corrections`.
+    divided by the allowed error of the final states; a weight of 0 means that any error is allowed.
+    `moved` has the errors of the states in each element, from `_state_corrections`: an array of
+    shape (degree + 1, n_states), whose last row belongs to the element's end.
     """
     if weight == 0.0:
         return np.zeros(solution.mesh.elements)
@@ -654,8 +698,9 @@ def _breaches(
     estimated from the multipliers of the bounds on states. If a violation exceeds its tolerance in
     `Allowance`, the violation itself counts.
 
-    `weight` is 1, or less if `Allowance.state_error` is larger than the tolerance of the
-    refinement.
+    `samples` has the variables of `solution` at many times in each element, with controls clipped
+    to their limits if `Allowance.control_breach` is finite. `weight` is 1, or less if
+    `Allowance.state_error` is larger than the tolerance of the refinement.
     """
     mesh = solution.mesh
     residuals, limits, controls = (
@@ -673,8 +718,8 @@ def _prices(solution: Solution) -> FloatArray:
     """Return for each element the sum of the multipliers of all bounds on states.
 
     The multiplier of a bound is the change of the objective per unit of the bound. `_breaches`
-    multiplies the violation of limits by the sum, to estimate the effect on the objective. Shape
-    (n_elements,).
+    multiplies the violation of limits by the sum, to estimate the effect on the objective. The
+    result has shape (n_elements,).
     """
     program, multipliers = solution.program, solution.multipliers
     columns = program.layout.state_columns[1:]
@@ -684,6 +729,16 @@ def _prices(solution: Solution) -> FloatArray:
 
 def violations(program: Transcription, samples: _Samples) -> tuple[FloatArray, ...]:
     """Return the worst relative violations of equations and limits at each sample.
+
+    A violation is positive, or zero where an equation or limit is satisfied. It is relative to
+    max(1, abs(bound)).
+
+    Parameters
+    ----------
+    program : Transcription
+        Nonlinear program of the model, with its equations and limits.
+    samples : _Samples
+        Variables and values of the path equations at n_samples times.
 
     Returns
     -------

@@ -190,7 +190,8 @@ class _Refinement(Generic[S]):
     def _advanced(self, solution: S, errors: tuple[ErrorEstimate, ...]) -> S | None:
         """Choose the meshes after a converged solution; return the final result if there are none.
 
-        `errors` has the estimated errors of the solution, one for each horizon.
+        `solution` is the converged solution on the present meshes, and `errors` has its estimated
+        errors, one for each horizon. The result is None if the refinement continues.
         """
         error, is_damped = max(e.largest for e in errors), _are_damped(self.dampings)
         if self.reached is not None:
@@ -215,6 +216,7 @@ class _Refinement(Generic[S]):
         Returns
         -------
         Solution or JointSolution
+            The solution, converged or not.
         tuple of ErrorEstimate
             One for each horizon.
         bool
@@ -264,15 +266,22 @@ class _Refinement(Generic[S]):
         *,
         is_damped: bool,
     ) -> None:
-        """Set warm start, damping and meshes of the next solve, given the present solution.
+        """Prepare the next solve of the refinement, after a solution that is not accurate enough.
+
+        The warm start, the meshes and the damping of the next solve are stored in this object.
+        Damping is a penalty on the distance of controls that enter linearly from the smoothed
+        controls of the present solution; it is increased if the present solve with damping took
+        many iterations, or if the objective has hardly changed on several meshes.
 
         Parameters
         ----------
         solution : Solution or JointSolution
-            Solution on the present meshes.
+            Solution on the present meshes, from which the next solve starts.
         errors : tuple of ErrorEstimate
+            Its estimated errors, one for each horizon. The complementarity gap that the next solve
+            may leave depends on them.
         finer : tuple of Mesh
-            The next meshes.
+            The next meshes, one for each horizon.
         is_damped : bool
             Whether controls were damped on the present meshes.
         """
@@ -303,7 +312,8 @@ class _Refinement(Generic[S]):
         Damping is a penalty on the distance from the controls of the solution. `parts` has the
         solutions, one for each horizon.
 
-        `how` has the keyword arguments `gap` and `is_still` of `damping_of`.
+        `how` has the keyword arguments `gap` (complementarity gap that the next solve leaves) and
+        `is_still` (whether the objective hardly changes any more) of the function `damping_of`.
         """
         weight = self.firmness * self.options.damping * self.tolerance
         return tuple(damping_of(part, weight, **how) for part in parts)
@@ -311,10 +321,12 @@ class _Refinement(Generic[S]):
     def _measured(self, solved: S) -> tuple[S, tuple[ErrorEstimate, ...]]:
         """Return a solution and its estimated errors, with a smaller complementarity gap if needed.
 
-        The gap is the error that Ipopt's barrier leaves in the objective. If the gap is the largest
-        error, the solve is continued until the gap is smaller. A solve with damping may leave a gap
-        on purpose, which solves on later meshes reduce. Such a gap is therefore reduced on the
-        present mesh only if all other errors meet the tolerance.
+        The gap is the error that Ipopt's barrier leaves in the objective. `solved` is a solution on
+        the present meshes. If its gap is the largest error, the solve is continued until the gap is
+        smaller, and the new solution is returned instead. A solve with damping may leave a gap on
+        purpose, which solves on later meshes reduce. Such a gap is therefore reduced on the present
+        mesh only if all other errors meet the tolerance. The errors in the result are one estimate
+        for each horizon.
         """
         errors = self._errors(solved)
         is_left = any(d is not None and d.gap > 0.0 for d in self.dampings)
@@ -330,6 +342,8 @@ class _Refinement(Generic[S]):
         With several horizons, the complementarity gap (the error that Ipopt's barrier leaves in the
         objective) is set to 0 in each estimate, because the gap is a property of all horizons
         together.
+
+        `solution` is a solution for all horizons.
         """
         how: dict[str, Any] = {"tolerance": self.tolerance, "allowance": self.options.allowance}
         errors = tuple(estimate_error(part, **how) for part in solution.parts)
@@ -339,8 +353,8 @@ class _Refinement(Generic[S]):
         """Return a solution whose attribute `state_error` is set, the largest over all horizons.
 
         The state error is the estimated distance of the states from the optimal states, relative to
-        their magnitudes. `errors` are the error estimates of the solution, one for each horizon,
-        from which it is computed.
+        their magnitudes. `solution` is the solution to which the error is added. The error is
+        computed from `errors`, the error estimates of the solution, one for each horizon.
         """
         change = _objective_change(solution.parts[0], self.tolerance)
         change = change if np.isfinite(change) else 0.0
@@ -403,8 +417,8 @@ class _Refinement(Generic[S]):
     def _given_up(self, solution: S, error: float) -> S:
         """Return a solution whose status and message state that the tolerance was not met.
 
-        `error` is the estimated error that was reached. The message gives the reason why the
-        refinement stops, and advice.
+        `solution` is the last solution, and `error` the estimated error that was reached. The
+        message gives the reason why the refinement stops, and advice.
         """
         records = self.records
         why = "allow more meshes, elements or a higher degree, or ask for less."
@@ -425,7 +439,9 @@ class _Refinement(Generic[S]):
     def _shown(self, solution: S) -> S:
         """Pass a converged solution to the caller's callback `on_mesh`, and return the solution.
 
-        If the callback returns False, the returned solution has the status interrupted.
+        `solution` is the solution on the present meshes; a solution that has not converged is
+        returned without a call. If the callback returns False, the returned solution has the status
+        interrupted.
         """
         is_finished = solution.status is Status.CONVERGED
         if is_finished and self.options.on_mesh and self.options.on_mesh(solution) is False:
@@ -433,9 +449,10 @@ class _Refinement(Generic[S]):
         return solution
 
     def _expected_change(self) -> float | None:
-        """Return the last change of the objective, in its unit, as an estimate of the next one.
+        """Return the expected change of the objective from the present meshes to the next ones.
 
-        The result is None if the change is unknown.
+        The last change of the objective, in its unit, serves as the estimate. The result is None if
+        that change is unknown.
         """
         last = self.before[0]
         if last is None:
@@ -447,11 +464,14 @@ class _Refinement(Generic[S]):
         """Return the complementarity gap at which the next solve may stop, over the objective.
 
         The gap is the error that Ipopt's barrier leaves in the objective; the result is relative to
-        the objective.
+        the objective. `solution` is the solution on the present meshes, and `errors` has its
+        estimated errors, one for each horizon.
 
-        The result is a fraction of the relative error that objective and integrals have on the
-        present mesh, as estimated in `errors`, within fixed limits. A smaller gap is not useful
-        while the times at which limits become active change from mesh to mesh.
+        The result is 0.3 times the relative error that objective and integrals have on the present
+        meshes, as estimated in `errors`. If bounds are imposed between the collocation points, the
+        relative change of the objective since the previous mesh counts instead, if it is larger.
+        The result is at most 1e-3, but not less than 0.2 times the tolerance. A smaller gap is not
+        useful while the times at which limits become active change from mesh to mesh.
         """
         unknown = max(e.of_integrals for e in errors)
         if any(part.restraint is not None for part in solution.parts):
@@ -461,7 +481,7 @@ class _Refinement(Generic[S]):
 
 
 def _firmer(firmness: float, settled: int) -> float:
-    """Return the next factor on the penalty by which controls are damped.
+    """Return an increased factor on the penalty by which controls are damped.
 
     `firmness` is the present factor. It is multiplied by 5 up to a limit, which increases with
     `settled`, the number of meshes on which the objective hardly changed.
@@ -506,10 +526,10 @@ class _MeshSolve(Search[S], Generic[S]):
     def holds(self, fact: Fact) -> bool:
         """Return whether a condition that a strategy requires is true at this stage of the search.
 
-        The conditions are that there is a warm start (`Fact.WARM_START`), and that the next
-        solution is expected near the previous one (`Fact.KEPT_NEAR`) or not (`Fact.FREE`). It is
-        expected near if controls are damped, or if the change of the objective is known, so that
-        Ipopt starts with a small barrier parameter.
+        `fact` is the condition. The conditions are that there is a warm start (`Fact.WARM_START`),
+        and that the next solution is expected near the previous one (`Fact.KEPT_NEAR`) or not
+        (`Fact.FREE`). It is expected near if controls are damped, or if the change of the objective
+        is known, so that Ipopt starts with a small barrier parameter.
         """
         is_kept_near = self.change is not None or _are_damped(self.dampings)
         has_warm = self.start.warm is not None
@@ -608,6 +628,8 @@ class _Reached(Generic[S]):
         """Return the improvement of the objective in another solution, relative to the objective.
 
         The improvement is negative if the other solution is worse than the kept solution.
+
+        `other` is the other solution, found after the restart.
         """
         first = self.solution.parts[0]
         earned = self.solution.objective - other.objective
@@ -637,7 +659,7 @@ def _result_above_tolerance(ended: S, reached: _Reached[S] | None, tolerance: fl
     `ended` is the last solution. If the refinement had been restarted from other controls, the
     result is instead `reached`, the solution that met the tolerance before the restart. If the
     restart has shown that a better solution exists, or has led to no solution, the status and
-    message of the result state this.
+    message of the result state this. `tolerance` is the required relative error.
     """
     if reached is None:
         return ended
@@ -646,10 +668,11 @@ def _result_above_tolerance(ended: S, reached: _Reached[S] | None, tolerance: fl
 
 
 def _cut_off(reached: _Reached[S]) -> S:
-    """Return the solution before a restart that used up the allowed number of meshes.
+    """Return the kept solution if a restart of the refinement used up the allowed number of meshes.
 
-    A restart begins the refinement again from better controls. Status and message of the returned
-    solution state that better controls exist. If the solution is itself the result of an earlier
+    A restart begins the refinement again from better controls. `reached` holds the solution that
+    met the tolerance before the restart; this solution is returned. Its status and message are
+    changed to state that better controls exist. If the solution is itself the result of an earlier
     restart, its estimated error is at least the improvement of the objective by that restart.
     """
     own = reached.solution.parts[0].error_estimate
@@ -661,6 +684,8 @@ def _doubted(solution: S) -> S:
 
     By Pontryagin's principle, other controls improve the objective, but the refinement has not
     found an optimum with them.
+
+    `solution` is the solution, of which a changed copy is returned.
     """
     return solution.updated(
         status=Status.TOLERANCE_NOT_MET,
@@ -683,6 +708,9 @@ def _objective_change(solution: Solution, tolerance: float) -> float:
     If the change since an earlier mesh that met the tolerance is smaller, that smaller change is
     returned, because the objective on a mesh in between that did not meet the tolerance may be
     inaccurate.
+
+    `solution` holds the history of the refinement. A mesh met the tolerance if its estimated error
+    is at most `tolerance`. The change is relative to the objective's nominal magnitude.
     """
     *before, now = solution.history
     accepted = [record for record in before[:-1] if record.error <= tolerance]
@@ -695,6 +723,9 @@ def _gains_too_little(records: Sequence[MeshRecord]) -> bool:
 
     True if each of the last two solves took more than 150 iterations, and the error after the
     second solve is more than half the error after the first solve.
+
+    `records` has one record per mesh solved so far, in order. The result is False for fewer than
+    three records.
     """
     if len(records) < 3:
         return False
@@ -707,7 +738,8 @@ def _most_moved(solution: Outcome, before: tuple[Solution | None, ...]) -> str:
     """Return a phrase, for a message, on the control that changed most since the previous mesh.
 
     The phrase gives the name of the control, and the time and size of its largest change. It is
-    empty if there is no control. `before` has the solution on the previous mesh for each horizon.
+    empty if there is no control. `solution` is the present solution, and `before` has the solution
+    on the previous mesh for each horizon.
     """
     found = []
     for part, last in zip(solution.parts, before, strict=True):

@@ -222,8 +222,9 @@ def _lowered(
     """Return an element as it is kept for the next mesh, with its degree lowered if possible.
 
     The degree is lowered only if the element's error is far below the tolerance, and as long as the
-    highest Legendre coefficients of the states are negligible. `e` is the index of the element,
-    `error` its estimated error.
+    highest Legendre coefficients of the states are negligible. `e` is the index of the element in
+    the mesh of `solution`, and `error` its estimated relative error. `tolerance` is the required
+    relative error; `options` limits the degree from below.
     """
     mesh = solution.mesh
     degree = mesh.degrees[e]
@@ -278,7 +279,7 @@ def _isolated(mesh: Mesh, e: int, jump: float, size: float) -> list[_Piece]:
     jump : float
         Time of the jump or kink as a fraction of the horizon.
     size : float
-        Error of the element.
+        Estimated relative error of the element, which is recorded for its parts.
     """
     start, end, degree = mesh.breakpoints[e], mesh.breakpoints[e + 1], mesh.degrees[e]
     if 1 in (mesh.degrees[max(e - 1, 0)], mesh.degrees[min(e + 1, mesh.elements - 1)]):
@@ -303,7 +304,21 @@ def _finer(
     """Return the elements of the next mesh that replace an element whose error is too large.
 
     If the solution is smooth in the element, the result is one element with a higher degree;
-    otherwise the element is split. `e` is the index of the element.
+    otherwise the element is split.
+
+    Parameters
+    ----------
+    solution : Solution
+        Solution on the present mesh.
+    e : int
+        Index of the element.
+    error : ErrorEstimate
+        Estimated errors of the solution. The kind of the element's largest error decides how the
+        element is refined.
+    tolerance : float
+        Required relative error.
+    options : RefinementOptions
+        Limits of degrees and widths of elements.
     """
     mesh = solution.mesh
     degree, size = mesh.degrees[e], float(error.per_element[e])
@@ -336,7 +351,8 @@ def _finer(
 def _parts(mesh: Mesh, e: int, count: int, degree: int, size: float) -> list[_Piece]:
     """Split an element into `count` equally wide elements of the given degree.
 
-    `e` is the index of the element, and `size` its error, which is recorded for each part.
+    `e` is the index of the element in `mesh`, and `size` its error, which is recorded for each
+    part.
     """
     edges = np.linspace(mesh.breakpoints[e], mesh.breakpoints[e + 1], count + 1)
     ends = [*(float(b) for b in edges[1:-1]), mesh.breakpoints[e + 1]]
