@@ -46,6 +46,7 @@ class Costates:
     Attributes
     ----------
     mesh : Mesh
+        Mesh of the solution.
     starts : ndarray, shape (n_elements, n_states)
         Costates just after the left end of each element, where a costate may jump.
     at_points : ndarray, shape (n_points, n_states)
@@ -184,15 +185,17 @@ def costates_of(
 def _products(
     program: Transcription, z: FloatArray, weights: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the gradient of a weighted sum of the path equations, at each collocation point.
+    """Return the gradient of a weighted sum of path equations and integrands, at each point.
 
     The adjoint equations, by which costates are computed, contain these gradients. A path equation
-    is a constraint that is imposed at every collocation point.
+    is a constraint that is imposed at every collocation point; the integrands are those of the
+    model's integrals.
 
     Parameters
     ----------
     program : Transcription
-    z : ndarray
+        Nonlinear program of the optimal control problem on one mesh.
+    z : ndarray, shape (n_unknowns,)
         Unknowns of the program.
     weights : ndarray, shape (n_points, n_path_rows)
         Weight of each path equation and integrand at each collocation point.
@@ -214,11 +217,14 @@ def _products(
 def _bound_multipliers(
     program: Transcription, multipliers: Multipliers, bounds: Bounds
 ) -> FloatArray:
-    """Return the multipliers of the bounds on states, shape (n_points, n_states).
+    """Return the multipliers of the bounds on states at the collocation points.
 
-    An entry is the multiplier of the upper bound minus the multiplier of the lower bound. The entry
-    is 0 for a fixed state and for a bound that holds at a single time only, such as an end
-    condition.
+    The result has shape (n_points, n_states). An entry is the multiplier of the upper bound minus
+    the multiplier of the lower bound. It is 0 for a fixed state and for a bound that holds at a
+    single time only, such as an end condition.
+
+    `program` is the nonlinear program of the problem on one mesh. `multipliers` and `bounds` are
+    the multipliers and the bounds of its unknowns and constraints.
     """
     is_held = bounds.lower == bounds.upper
     for limit in limits_at_points(program):

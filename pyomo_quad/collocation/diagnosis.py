@@ -128,8 +128,9 @@ def _soft_unknowns(limits: list[Limit], scaling: Scaling) -> Iterator[_SoftRow]:
 
     `limits` are the declared limits on unknowns. A limit with a lower and an upper side gives two
     one-sided limits for each unknown. The reference magnitude of a limit follows from the unknown's
-    scaling factor in `scaling`. The items are tuples (name of the declaring component, -1, index of
-    the unknown, sign, value of the limit, reference magnitude).
+    scaling factor in `scaling`. The items are tuples (name of the declaring component, -1 in place
+    of the index of a constraint, index of the unknown, 1 for an upper or -1 for a lower limit,
+    value of the limit, reference magnitude).
     """
     for limit in limits:
         for k, column in enumerate(limit.columns):
@@ -144,11 +145,12 @@ def _soft_program_rows(
 ) -> Iterator[_SoftRow]:
     """Yield the one-sided limits on constraints of the nonlinear program, for `SoftRows.of`.
 
-    The constraints are the path inequalities at each collocation point, and the constraints that
-    are imposed at single times, such as boundary conditions. `bounds` has their lower and upper
-    limits, and the reference magnitudes follow from `scaling`. The items are tuples (name of the
-    declaring component, index of the constraint, -1, sign, value of the limit, reference
-    magnitude).
+    The constraints of the nonlinear program `program` that count here are the path inequalities at
+    each collocation point, and the constraints that are imposed at single times, such as boundary
+    conditions. `bounds` has their lower and upper limits, and the reference magnitudes follow from
+    the scaling factors in `scaling`. The items are tuples (name of the declaring component, index
+    of the constraint, -1 in place of the index of an unknown, 1 for an upper or -1 for a lower
+    limit, value of the limit, reference magnitude).
     """
     equations = program.compiled.declared.equations
     rows = [
@@ -361,10 +363,18 @@ def diagnose(
 def _least_slacks(solution: Solution, soft: SoftRows, progress: Progress | None) -> IpoptResult:
     """Solve the elastic program: minimise the sum of the slacks by which limits are violated.
 
-    All limits that one component of the model declares (a family) have a single slack, an upper
-    bound on the relative violation of every limit in the family. The solve starts at the unknowns
-    of the failed `solution`. `soft` has the limits that may be violated; those of them that are
-    bounds on unknowns become constraints.
+    All limits that one component of the model declares (a family) share a single slack, an upper
+    bound on the relative violation of every limit in the family.
+
+    Parameters
+    ----------
+    solution : Solution
+        Result of the failed solve. The elastic program is that of this solve, with relaxed limits,
+        and its solve starts at the unknowns of this result.
+    soft : SoftRows
+        Limits that may be violated; those of them that are bounds on unknowns become constraints.
+    progress : callable or None
+        Called at each iteration of Ipopt; returning False stops the solve.
 
     Returns
     -------
@@ -421,9 +431,9 @@ def _least_slacks(solution: Solution, soft: SoftRows, progress: Progress | None)
 def _residuals(solution: Solution) -> tuple[Residual, ...]:
     """Return the ten equations with the largest scaled violations at the best iterate.
 
-    The best iterate is the point with the least constraint violation that the solve found.
-
-    The largest violation comes first. Equations that are satisfied are left out.
+    The best iterate is the point with the least constraint violation that the failed solve found;
+    it is the point of `solution`, the result of that solve. The largest violation comes first.
+    Equations that are satisfied are left out.
     """
     program, bounds = solution.program, solution.bounds
     values = program.constraints(solution.unknowns)
@@ -446,10 +456,11 @@ def _residuals(solution: Solution) -> tuple[Residual, ...]:
 
 
 def _active(solution: Solution, soft: SoftRows) -> tuple[ActiveLimit, ...]:
-    """Return the limits that are active at the best iterate, one entry per component.
+    """Return the limits that are active at the best iterate, one item per model component.
 
-    The best iterate is the point with the least constraint violation that the solve found. `soft`
-    has the one-sided limits to examine. Limits on unknowns with a fixed value are left out.
+    The best iterate is the point with the least constraint violation that the failed solve found;
+    it is the point of `solution`, the result of that solve. `soft` has the one-sided limits to
+    examine. Limits on unknowns with a fixed value are left out.
     """
     values = solution.program.constraints(solution.unknowns)
     held = np.where(soft.row >= 0, values[soft.row], solution.unknowns[soft.column])
@@ -476,8 +487,11 @@ def _active(solution: Solution, soft: SoftRows) -> tuple[ActiveLimit, ...]:
 def _relaxations(solution: Solution, soft: SoftRows, slacks: FloatArray) -> tuple[Relaxation, ...]:
     """Return the relaxations that a diagnosis reports, the largest relative relaxation first.
 
-    `slacks` has for each family of limits (all limits of one component) the relative amount by
-    which its limits must be relaxed. Each positive slack is converted to the unit of its limits.
+    A relaxation is the amount by which the limits of one model component (a family of limits) must
+    be relaxed to make the problem feasible. `solution` is the result of the failed solve, from
+    which units are read. `soft` has the limits of all families. `slacks` has one number per family,
+    the amount relative to the reference magnitude of the family's limits. Each positive slack is
+    converted to the unit of its limits; families with a negligible slack are left out.
     """
     found = []
     for k in np.argsort(-slacks):

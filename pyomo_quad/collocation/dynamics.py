@@ -123,11 +123,13 @@ class Dynamics:
     def _compile(self, states: tuple[Slot, ...]) -> Any:
         """Return the CasADi function of the right-hand side.
 
-        Its inputs are states, controls, static variables and data (fraction of the horizon and
-        parameters). Its first output holds the rates (derivatives of the states) and the algebraic
-        variables that equations determine. Its second output holds the objective's integrand and
-        the span, the derivative of time with respect to the fraction of the horizon. Rates and
-        integrand are per unit of the fraction; dividing by the span makes them per unit of time.
+        `states` are all states of the model, output states (states that nothing depends on)
+        included. The function's inputs are states, controls, static variables and data (fraction of
+        the horizon and parameters). Its first output holds the rates (derivatives of the states)
+        and the algebraic variables that equations determine. Its second output holds the
+        objective's integrand and the span, the derivative of time with respect to the fraction of
+        the horizon. Rates and integrand are per unit of the fraction; dividing by the span makes
+        them per unit of time.
         """
         declared = self._formulation.compiled.declared
         equations = [e for e in declared.equations if e.is_equality]
@@ -152,10 +154,14 @@ class Dynamics:
         return casadi.Function("right_hand_side", inputs, [casadi.densify(o) for o in outputs])
 
     def _implicit_side(self, core: _Core, inputs: list[Any]) -> Any:
-        """Return the right-hand side of implicit equations, solved by CasADi's Newton method.
+        """Return the right-hand side as a CasADi function that runs CasADi's Newton method.
 
-        The result is a CasADi function of the symbols `inputs`. `core` holds the equations, split
-        into a nonlinear part, which Newton's method solves, and a linear part.
+        It is used for implicit equations, those in which rates (derivatives of the states) or
+        algebraic variables enter nonlinearly. `core` holds the equations, split into a nonlinear
+        part, which Newton's method solves, and a linear part. `inputs` are the symbols of the
+        function's inputs: columns of states, controls, static variables and data (fraction of the
+        horizon and parameters). The outputs of the function are those of `_compile`: rates with
+        algebraic variables, and the objective's integrand with the time per unit of the fraction.
         """
         newton = casadi.rootfinder("slopes", "newton", core.residual, {"abstol": _NEWTON_TOLERANCE})
         symbols = [casadi.MX.sym(f"i{k}", i.shape[0]) for k, i in enumerate(inputs)]
@@ -164,7 +170,7 @@ class Dynamics:
         return casadi.Function("right_hand_side", symbols, list(core.known(found, stacked)))
 
     def without_iterations(self) -> Dynamics:
-        """Return the same right-hand side with implicit equations solved by fixed Newton steps.
+        """Return the same right-hand side with implicit equations solved by 20 Newton steps.
 
         The returned right-hand side consists of CasADi's fast scalar expressions (SX). Where
         equations are implicit, CasADi's Newton iteration costs ten times as much as the evaluation
@@ -180,7 +186,7 @@ class Dynamics:
         Parameters
         ----------
         breach : float, default 0
-            Both limits are widened by breach * max(1, abs(limit)).
+            Allowed violation: both limits are widened by breach * max(1, abs(limit)).
 
         Returns
         -------
@@ -251,13 +257,15 @@ class Dynamics:
         return [fraction, *self._signals(fraction)]
 
     def symbol(self, name: str, size: int) -> Any:
-        """Return a column of CasADi symbols of the type that the method `written` accepts.
+        """Return a column of CasADi symbols, from which the right-hand side can be written.
 
-        The type is `casadi.SX` if the right-hand side is explicit, otherwise `casadi.MX`.
+        The symbols are arguments for the method `written`, which returns dx/dt as an expression.
+        Their type is `casadi.SX` if the right-hand side is explicit, otherwise `casadi.MX`.
 
         Parameters
         ----------
         name : str
+            Name that CasADi prints for the symbols.
         size : int
             Number of symbols.
         """
@@ -324,7 +332,12 @@ class Dynamics:
             Physical time at which time-dependent parameters are evaluated.
         values : mapping
             States and algebraic variables by full name, as symbols or numbers; all other states and
-            algebraic variables, and all rates, are zero.
+            algebraic variables, and all rates (derivatives of the states), are zero.
+
+        Returns
+        -------
+        list of casadi.SX
+            One expression for each of `keys`.
         """
         declared, evaluator = self._formulation.compiled.declared, self._formulation.evaluator
         columns = [
@@ -344,7 +357,12 @@ class Dynamics:
         return casadi.vertsplit(found)
 
     def _row(self, t: float) -> FloatArray:
-        """Return the data of the equations at a time: time-dependent inputs, then parameters."""
+        """Return the data input of the compiled right-hand side at the physical time `t`.
+
+        The data are the time-dependent inputs of the equations (fraction of the horizon,
+        time-dependent parameters), followed by the constant parameters; shape (n_data,). The next
+        call overwrites the returned array.
+        """
         moment = self.moment(t)
         self._data[: len(moment)] = moment
         return self._data
@@ -448,9 +466,11 @@ class Dynamics:
         return Instants(inputs=inputs, read=self._formulation.evaluator, numbers=self._with_numbers)
 
     def _with_numbers(self, data: FloatArray, numbers: Mapping[str, ArrayLike]) -> FloatArray:
-        """Return a copy of a table of data, with new values of the parameters in `numbers`.
+        """Return a copy of the equations' data at n times, with new values of some parameters.
 
-        The table has one row per time; `numbers` has full names of parameters as keys.
+        `data` has one row per time; its columns are the fraction of the horizon, the time-dependent
+        parameters and the constant parameters. `numbers` maps the full name of a constant parameter
+        to its new value, a number or an array of shape (n,).
         """
         names = self.parameter_names
         changed = data.copy()
@@ -459,10 +479,11 @@ class Dynamics:
         return changed
 
     def _algebraics(self, determined: FloatArray, controls: FloatArray) -> FloatArray:
-        """Return all algebraic variables in their declared order, one row per time.
+        """Merge controls and computed variables into one array of all algebraic variables.
 
         `determined` are the algebraic variables that equations determine, and `controls` the
-        remaining algebraic variables; both have one row per time.
+        remaining algebraic variables; both have one row per time. The result has one row per time,
+        and one column per algebraic variable in the order of their declaration.
         """
         names = [s.name for s in self._determined]
         columns = [
@@ -625,7 +646,10 @@ class Dynamics:
         ]
 
     def limits_of(self, instants: Instants) -> list[LimitValues]:
-        """Return values and bounds of each path inequality and bound over time along a flight.
+        """Return values and bounds of each limited quantity along a flight.
+
+        Limited quantities are the expressions of path inequalities, and the states and algebraic
+        variables that have bounds over time.
 
         Parameters
         ----------
@@ -708,15 +732,17 @@ def control_limits(
     Parameters
     ----------
     formulation : Formulation
+        A compiled problem.
     instance : Instance
         Parameter values on which the limits depend.
     breach : float
-        Both limits are widened by breach * max(1, abs(limit)).
+        Allowed violation: both limits are widened by breach * max(1, abs(limit)).
 
     Returns
     -------
     ndarray, ndarray
-        Shape (n_algebraics,) each, infinite for variables that equations determine.
+        Lower and upper limits, shape (n_algebraics,) each; infinite for variables that equations
+        determine, and where a control has no limit or a limit that varies with time.
     """
     controls = {slot.name for slot in split_algebraics(formulation)[0]}
     is_control = np.array([s.name in controls for s in formulation.compiled.declared.algebraics])
@@ -727,9 +753,10 @@ def control_limits(
 
 
 def _objective_density(formulation: Formulation) -> Any:
-    """Return the integrand of the declared objective, as a CasADi expression.
+    """Return the integrand of the objective of a compiled problem, as a CasADi expression.
 
-    The integrand is per unit of the fraction of the horizon.
+    The objective is the declared one, also if it is maximised. The integrand is per unit of the
+    fraction of the horizon.
     """
     declared = formulation.compiled.declared
     density = casadi.SX(0)
@@ -759,7 +786,8 @@ def _solve_linear(matrix: Any, right: Any) -> Any:
 def _solved_for(rows: Any, unknowns: Any) -> Any:
     """Solve equations symbolically for unknowns that enter them linearly.
 
-    `rows` are the residuals of the equations. The result is a CasADi column of the unknowns.
+    `rows` is the CasADi column of the equations' residuals, and `unknowns` the column of the
+    unknowns' symbols. The result is the column of expressions that the unknowns equal.
     """
     offset = casadi.substitute(rows, unknowns, casadi.DM.zeros(unknowns.shape[0]))
     return _solve_linear(casadi.jacobian(rows, unknowns), -offset)
@@ -831,7 +859,9 @@ class _WithoutIterations(Dynamics):
     def _implicit_side(self, core: _Core, inputs: list[Any]) -> Any:
         """Return the right-hand side with 20 Newton steps written out as CasADi expressions.
 
-        `core` and `inputs` are as in `Dynamics._implicit_side`.
+        `core` holds the implicit equations, split into a nonlinear part, which the Newton steps
+        solve, and a linear part. `inputs` are the symbols of the function's inputs: columns of
+        states, controls, static variables and data (fraction of the horizon and parameters).
         """
         stacked = casadi.vertcat(*inputs)
         residual = core.residual(core.inner, stacked)
@@ -915,6 +945,10 @@ class Symbol(NDArrayOperatorsMixin):
     def __array_ufunc__(self, function: np.ufunc, method: str, *numbers: Any, **_: Any) -> Symbol:
         """Apply a NumPy function to symbols, as a CasADi expression.
 
+        NumPy calls this method when a control law applies the function `function` to a symbol.
+        `method` is "__call__" for a plain call, the only accepted kind; `numbers` are the arguments
+        of the function, symbols or ordinary numbers.
+
         Raises
         ------
         TranscriptionError
@@ -925,14 +959,14 @@ class Symbol(NDArrayOperatorsMixin):
         return Symbol(_OPERATIONS[function](*map(_expression, numbers)))
 
     def __bool__(self) -> bool:
-        """Raise an error: a control law must not branch on a symbol."""
+        """Raise an error, because a control law must not branch (`if`) on a symbol."""
         raise _refusal("a branch on a number known in flight only")
 
 
 def _refusal(what: str) -> TranscriptionError:
-    """Return the error for a control law with an operation that cannot be compiled.
+    """Return the error to raise for a control law with an operation that cannot be compiled.
 
-    `what` is the operation, for the message.
+    `what` is the operation as text, for the error's message.
     """
     known = ", ".join(sorted(f"np.{function.__name__}" for function in _FUNCTIONS))
     return TranscriptionError(
@@ -947,7 +981,10 @@ def _expression(number: Any) -> Any:
 
 
 class Law(Protocol):
-    """Feedback control law, written with NumPy's functions for scalars, so that it compiles."""
+    """Type of a feedback control law: a function of numbers that can be compiled to CasADi.
+
+    The law must consist of arithmetic and of NumPy's functions of single numbers.
+    """
 
     def __call__(
         self, command: Sequence[Any], x: Sequence[Any], own: Sequence[Any], /
@@ -1010,10 +1047,10 @@ def joint_sizes(dynamics: Dynamics, n_command: int, n_own: int) -> tuple[int, in
     """Return the three dimensions of a closed loop of vehicle and control law.
 
     They are the numbers of time-dependent inputs of the equations (see `Dynamics.moment`), of joint
-    states, and of components of the command that the control law follows.
+    states, and of components of the command that the control law follows, which is `n_command`.
 
-    The joint state consists of the vehicle's states, the n_own states of the law, and the integral
-    of the objective's integrand.
+    The joint state consists of the states of the vehicle `dynamics`, the `n_own` states of the law,
+    and the integral of the objective's integrand.
     """
     moment = len(dynamics.moment(dynamics.start))
     return moment, len(dynamics.state_names) + n_own + 1, n_command

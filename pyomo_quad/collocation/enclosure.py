@@ -192,14 +192,21 @@ class _Steps:
         self._steps = list(map(self._step, range(function.n_instructions())))
 
     def _step(self, k: int) -> tuple[int, list[int], list[int], float]:
-        """Return the k-th elementary operation of the CasADi function.
+        """Return the elementary operation number `k` of the CasADi function, counted from 0.
+
+        CasADi stores intermediate results in a work array. An operation reads its arguments from
+        this array, and writes its results to it.
 
         Returns
         -------
         int
-            CasADi's code of the operation, as `casadi.OP_ADD`.
-        list of int, list of int
-            Positions in the work array of the operation's arguments, and of its results.
+            CasADi's code of the operation, such as `casadi.OP_ADD`.
+        list of int
+            Positions of the arguments in the work array. For an input of the function: the number
+            of the input, and the position of the value in it.
+        list of int
+            Positions of the results in the work array. For an output of the function: the number of
+            the output, and the position of the value in it.
         float
             Value of a constant; 0 for other operations.
         """
@@ -217,8 +224,10 @@ class _Steps:
     def over(self, low: FloatArray, high: FloatArray, numbers: ArrayLike) -> tuple[Interval, ...]:
         """Return lower and upper bounds of the function's outputs over n boxes.
 
-        `low` and `high` are the corners of the boxes, shape (n_variables, n); `numbers` are the
-        values of the function's second argument, which are not intervals.
+        `low` and `high` are the lower and upper corners of the boxes of the function's first
+        argument, shape (n_variables, n). `numbers` are the values of its second argument, which are
+        not intervals. The result has for each output a pair of lower and upper bounds, each with
+        one row per component of the output and one column per box.
         """
         given = np.asarray(numbers, dtype=float)
         held: dict[int, Interval] = {}

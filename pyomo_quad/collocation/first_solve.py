@@ -98,7 +98,7 @@ class FirstSolve(Search[S], Generic[S]):
         return self.first
 
     def holds(self, fact: Fact) -> bool:
-        """Return whether a condition that a strategy requires is true at this stage of the search.
+        """Return whether the condition `fact` of a strategy is true at this stage of the search.
 
         This class evaluates two conditions: whether the feasibility of the failed solve's problem
         has been examined (`Fact.JUDGED`), and whether that examination has not found the problem
@@ -127,30 +127,37 @@ class FirstSolve(Search[S], Generic[S]):
         return found
 
     def begun(self, first: First, own: Callable[..., S], mesh: Any) -> S | None:
-        """Solve from the kind of initial point that a strategy requires, and return the result.
+        """Solve from the initial point that a fallback strategy prescribes; return the result.
 
-        This class solves problems with several horizons, and always begins at the initial point
-        that the caller requested. The subclass `FirstSolveOfOne` provides further kinds of initial
-        points, and returns None if the problem has no initial point of the required kind.
+        This class solves problems with several horizons. It ignores `first`, and always begins at
+        the warm start or guess that the caller gave. The subclass `FirstSolveOfOne`, for one
+        horizon, distinguishes the kinds of initial points.
 
         Parameters
         ----------
         first : First
-            Kind of initial point.
+            Kind of initial point, for example a simulation or the optimum on a coarse mesh.
         own : callable
-            Function (mesh, start) -> solution on one mesh, with the strategy's settings.
+            Function (mesh, start) -> solution of the nonlinear program on that one mesh, with the
+            strategy's settings of Ipopt.
         mesh : Mesh, list of Mesh, or None
-            Initial mesh.
+            Initial mesh; a list for several horizons, None for a model without time.
+
+        Returns
+        -------
+        Solution, JointSolution or None
+            Result, on refined meshes if a tolerance is given. None, from a subclass, if the problem
+            has no initial point of this kind.
         """
         del first
         return self.finish(own, mesh, self.start)
 
     def is_final(self, found: S) -> bool:
-        """Return whether a result ends the search.
+        """Return whether `found`, the result of the last strategy, ends the search.
 
-        Any successful result ends it. A failed solve ends it only if it is the solve that the
-        caller requested, and if that solve diverged (the problem is unbounded) or the caller allows
-        few iterations only.
+        Any successful result ends it. A failed result ends it only if it comes from the solve that
+        the caller requested, and if that solve diverged (the problem is unbounded) or the caller
+        allows few iterations only.
         """
         is_hasty = self.options.max_iterations < PATIENCE
         is_first = found is self.first
@@ -201,10 +208,10 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     is_mesh_free: bool
 
     def holds(self, fact: Fact) -> bool:
-        """Return whether a condition that a strategy requires is true at this stage of the search.
+        """Return whether the condition `fact` of a strategy is true at this stage of the search.
 
-        The conditions of this class concern the numbers of equations and unknowns, and whether the
-        caller gave a mesh or a guess. Other conditions are evaluated by the base class.
+        The conditions of this class concern the numbers of horizons, equations and unknowns, and
+        whether the caller gave a mesh or a guess. Other conditions are evaluated by the base class.
         """
         known = {
             Fact.ONE_HORIZON: True,
@@ -217,27 +224,37 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
         return known[fact] if fact in known else super().holds(fact)
 
     def begun(self, first: First, own: Callable[..., Solution], mesh: Any) -> Solution | None:
-        """Solve from the kind of initial point that a strategy requires.
+        """Solve from the initial point that a fallback strategy prescribes; return the result.
 
-        The kinds are: the start that the caller gave; a trajectory simulated from the initial
-        states; the point of least constraint violation near the last iterate of the failed solve;
-        the optimum on a coarse mesh; and the optimum of the elastic program, whose equations may be
-        violated at a penalty. One further kind, `First.REDUCED`, also leaves redundant conditions
-        out of the problem.
+        The kinds of initial points are:
+
+        - `First.GIVEN`: the warm start or guess that the caller gave;
+        - `First.SIMULATED`: a trajectory simulated from the initial states;
+        - `First.LEAST_VIOLATION`: the point of least constraint violation near the last iterate of
+          the failed solve;
+        - `First.COARSE`: the optimum on a coarse mesh;
+        - `First.PRICED`: the optimum of the elastic program, in which the equations over time may
+          be violated at a penalty;
+        - `First.REDUCED`: the point of least constraint violation near the caller's warm start or
+          guess. The solve from this point leaves out redundant conditions, constraints at single
+          times that follow from the other equations.
 
         Parameters
         ----------
         first : First
             Kind of initial point.
         own : callable
-            Function (mesh, start) -> solution on one mesh, with the strategy's settings.
+            Function (mesh, start) -> solution of the nonlinear program on that one mesh, with the
+            strategy's settings of Ipopt.
         mesh : Mesh or None
             Initial mesh; None for a model without time.
 
         Returns
         -------
         Solution or None
-            None if no initial point of the required kind exists.
+            Result, on refined meshes if a tolerance is given. None if the problem has no initial
+            point of this kind; for `First.REDUCED` also if the solve fails, or if its solution
+            violates a condition that was left out.
         """
         if first is First.GIVEN:
             return self._ended(self.finish(own, mesh, self.start))
@@ -261,11 +278,11 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
         return self.simulate and self.simulate()
 
     def _ended(self, found: Solution) -> Solution:
-        """Complete the message of a solve that diverged, or that has more equations than unknowns.
+        """Return the result `found` of a solve, with an added message in two special cases.
 
-        A diverged solve gets a message that names the unbounded variable; a successful solve of an
-        over-determined model gets a note on its redundant equations. Other results are returned
-        unchanged.
+        A solve that diverged gets a message that names the unbounded variable. A successful solve
+        of a model with more equations than free unknowns gets a note on its redundant equations. In
+        all other cases `found` is returned unchanged.
         """
         diverged = found.status.has_failed and found.ipopt_code == DIVERGED_CODE
         return without_bound(found) if diverged else with_surplus(found)
@@ -275,9 +292,9 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
 
         A condition is a constraint at a single time. It is redundant if it follows from the other
         equations: for example an end condition on a conserved quantity. Redundant conditions are
-        detected at the point of least constraint violation near the guess. With the redundant
-        conditions imposed, the problem on a coarse mesh might have no solution, or spurious
-        solutions.
+        detected at the point of least constraint violation near the warm start or guess that the
+        caller gave, and the solve starts from this point. With the redundant conditions imposed,
+        the problem on a coarse mesh might have no solution, or spurious solutions.
 
         Parameters
         ----------

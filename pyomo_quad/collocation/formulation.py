@@ -226,7 +226,8 @@ class Evaluator:
             For each component: its full name, and its index without the time (i for ``x[i, t]``,
             None for ``x[t]``).
         inputs : ndarray, shape (n, k)
-            Rates, states, algebraic variables, static variables and data, one row per point each.
+            Five arrays with one row per point: rates, states, algebraic variables, static variables
+            and data.
 
         Returns
         -------
@@ -236,7 +237,11 @@ class Evaluator:
 
 
 def _unpacked(kept: Packed) -> Evaluator:
-    """Return the evaluator that a pickle contains; the inverse of `Evaluator.__reduce__`."""
+    """Return the evaluator that a pickle contains; the inverse of `Evaluator.__reduce__`.
+
+    `kept` is the content of the pickle: the symbols of the evaluator's inputs and the expressions
+    of all model components, serialised into one text.
+    """
     inputs, written = kept.unpacked()
     return Evaluator(inputs, WrittenComponents(written))
 
@@ -366,8 +371,8 @@ class OutputStates:
     def _blocks(values: FloatArray, n: int) -> csr_matrix:
         """Return a block-diagonal sparse matrix with an n x n block per collocation point.
 
-        `values` has a row for each point, with the entries of the point's block in CasADi's order,
-        column by column.
+        `n` is the number of output states. `values`, shape (n_points, n * n), has in each row the
+        entries of one point's block, column by column as CasADi stores them.
         """
         matrices = values.reshape(-1, n, n).transpose(0, 2, 1)
         count = len(matrices)
@@ -401,10 +406,11 @@ class Formulation:
         Parameters
         ----------
         model : ConcreteModel
+            The Pyomo model.
         declared : Declarations
-            The model's declarations.
+            The model's variables, equations and limits, as they were read from the model.
         reader : ModelReader
-            The reader that read them.
+            The object that read them; it also translates the model's components to CasADi.
         """
         formulation = object.__new__(cls)
         formulation._hold(*_compiled(model, declared, reader))
@@ -511,10 +517,11 @@ class Formulation:
         )
 
     def signals(self, instance: Instance, fractions: FloatArray) -> FloatArray:
-        """Return the time-dependent parameters at fractions of the horizon.
+        """Return the time-dependent parameters at the given fractions of the horizon.
 
-        Shape (n_fractions, 1 + n_signals). The first column repeats the fractions; each further
-        column is one time-dependent parameter.
+        `instance` holds the parameter values of one solve. The result has shape (n_fractions, 1 +
+        n_signals). The first column repeats `fractions`; each further column is one time-dependent
+        parameter.
         """
         if not self.compiled.declared.has_signals:
             return fractions[:, None]
@@ -534,9 +541,9 @@ class Formulation:
 
         A jump is a discontinuity of a time-dependent parameter. The values at the collocation
         points do not include these times; the bounds of variables at these times are evaluated from
-        this result (`program.bounds.bounds_of`). The result has shape (1 + n_jumps, n_data). Its
-        columns are the fraction of the horizon, the time-dependent parameters and the constant
-        parameters.
+        this result (`program.bounds.bounds_of`). `instance` holds the parameter values of one
+        solve. The result has shape (1 + n_jumps, n_data). Its columns are the fraction of the
+        horizon, the time-dependent parameters and the constant parameters.
         """
         after = np.array(instance.jumps) + 2.0 * BESIDE
         return self.data_of(instance, np.concatenate([np.zeros(1), after])).at_points()
@@ -545,7 +552,8 @@ class Formulation:
         """Return the nonlinear program on a mesh, with the data of one solve.
 
         The structure of the program (sparsity, index arrays) is cached for the last four meshes.
-        `mesh` is None for a model without time.
+        `mesh` is None for a model without time. `instance` holds the data of the solve: parameter
+        values, horizon and fixed variables.
         """
         data = self.data_of(instance, mesh.point_fractions if mesh else np.zeros(0))
         if mesh not in self._programs:
@@ -574,7 +582,8 @@ class Formulation:
     def algebraic_limits(self, instance: Instance) -> tuple[FloatArray, FloatArray]:
         """Return lower and upper limits of the algebraic variables, shape (n_algebraics,) each.
 
-        A limit is infinite where none is declared, or where it varies with time.
+        A limit is infinite where none is declared, or where it varies with time. `instance` holds
+        the parameter values on which the limits depend.
         """
         compiled, first = self.compiled, len(self.compiled.declared.states)
         data = self.data_of(instance, np.array(_LOOKED_AT)).at_points()
@@ -591,14 +600,17 @@ class Formulation:
 def _compiled(
     model: Any, declared: Declarations, reader: ModelReader
 ) -> tuple[CompiledModel, LiveModel, Evaluator]:
-    """Compile declarations that were read from a model.
+    """Translate the declarations of a Pyomo model to CasADi functions.
 
-    A DAE of index above 2 is refused with a `TranscriptionError`.
+    `model` is the Pyomo model; `declared` are its variables, equations and limits; `reader` is the
+    object that read them from the model, and that translates its components to CasADi. A DAE of
+    index above 2 is refused with a `TranscriptionError`.
 
     Returns
     -------
     CompiledModel, LiveModel, Evaluator
-        The compiled equations, the source of the model's data, and the evaluator of components.
+        The compiled equations, the source of the model's data (parameter values, bounds, initial
+        values), and the evaluator of the model's components.
     """
     refuse_high_index(declared)
     compiled = compile_declarations(declared)
@@ -616,7 +628,9 @@ def _restored(
 ) -> Formulation:
     """Return the formulation that a pickle contains; the inverse of `Formulation.__reduce__`.
 
-    The formulation has no Pyomo model. `kind` is its class.
+    `kind` is the formulation's class. `compiled` are its equations as CasADi functions, `source` is
+    the stored data of the Pyomo model, and `evaluator` evaluates the model's components. The
+    formulation has no Pyomo model.
     """
     formulation = object.__new__(kind)
     formulation._hold(compiled, source, evaluator)
@@ -654,8 +668,8 @@ def structural_index(declared: Declarations) -> StructuralIndex:
     obtain an ODE; it is 0 for an ODE. The result is also 0 where the method does not apply: there
     are no equations, more equations than variables, or no assignment of equations to variables.
     Controls count as unknowns, like all algebraic variables. An equation that contains states only
-    therefore raises the index, even if controls drive these states. Source: Pryce (2001), BIT
-    Numerical Mathematics 41, 364-394.
+    therefore raises the index, even if controls drive these states. `declared` are the declarations
+    of the model, with its equations. Source: Pryce (2001), BIT Numerical Mathematics 41, 364-394.
     """
     equations = [e for e in declared.equations if e.is_equality]
     names = [s.name for s in (*declared.states, *declared.algebraics)]
@@ -688,6 +702,8 @@ def structural_index(declared: Declarations) -> StructuralIndex:
 
 def refuse_high_index(declared: Declarations) -> None:
     """Raise an error for a DAE of index above 2, which collocation cannot solve as declared.
+
+    `declared` are the declarations of the model, with its equations.
 
     Raises
     ------

@@ -33,7 +33,10 @@ Guess: TypeAlias = "Mapping[str, Any] | pd.DataFrame | Trajectory"
 
 
 def point_from_trajectory(program: Transcription, trajectory: Trajectory) -> FloatArray:
-    """Interpolate a trajectory from any mesh to the unknowns of a program, shape (n_unknowns,)."""
+    """Interpolate a trajectory from any mesh to the unknowns of a nonlinear program.
+
+    `program` is the nonlinear program on its own mesh. The result has shape (n_unknowns,).
+    """
     layout, mesh, z = program.layout, program.mesh, np.zeros(program.layout.unknowns)
     if mesh is not None:
         same, path = trajectory.mesh == mesh, trajectory
@@ -59,6 +62,7 @@ def initial_point(
     program : Transcription
         Nonlinear program on one mesh.
     bounds : Bounds
+        Bounds of the program's unknowns.
     values : ModelValues
         Reader of the values in the Pyomo model.
     guess : mapping, DataFrame or Trajectory, optional
@@ -136,7 +140,9 @@ class _Known:
     Attributes
     ----------
     program : Transcription
+        Nonlinear program on one mesh, for which the initial point is made.
     bounds : Bounds
+        Bounds of the program's unknowns; equal bounds give an unknown a known value.
     values : ModelValues
         Reader of the values in the Pyomo model.
     given : mapping or DataFrame
@@ -266,8 +272,9 @@ def with_consistent_algebraics(program: Transcription, bounds: Bounds, z: FloatA
     """Adjust the algebraic variables so that the equations nearly hold at each collocation point.
 
     Three Gauss-Newton steps are taken in the algebraic variables alone, with the states unchanged:
-    the controls become approximately the controls that the given states require. `z` is the given
-    point. The result has shape (n_unknowns,) and lies inside the bounds.
+    the controls become approximately the controls that the given states require. `program` is a
+    nonlinear program, `bounds` are the bounds of its unknowns, and `z` is the given point, shape
+    (n_unknowns,). The result is the adjusted point, of the same shape and inside the bounds.
     """
     columns, n = program.layout.algebraic_columns, program.layout.n_states
     if program.mesh is None or not columns.size:
@@ -296,8 +303,11 @@ def on_path_equalities(program: Transcription, bounds: Bounds, z: FloatArray) ->
     contains neither rates nor controls. The derivatives of the equation therefore give Ipopt little
     information on the rates and controls with which the states would satisfy it. The states are
     moved by Gauss-Newton steps, each the shortest in units of the states' magnitudes. The algebraic
-    variables are then adjusted to the moved states. The result has shape (n_unknowns,) and lies
-    inside the bounds. If the residual does not decrease, the given point `z` is returned.
+    variables are then adjusted to the moved states.
+
+    `program` is a nonlinear program, `bounds` are the bounds of its unknowns, and `z` is the given
+    point, shape (n_unknowns,). The result has the same shape and lies inside the bounds. If the
+    residual does not decrease, the given point itself is returned.
     """
     compiled, layout = program.compiled, program.layout
     path, n = compiled.path, layout.n_states
@@ -341,8 +351,10 @@ def scattered(program: Transcription, bounds: Bounds, z: FloatArray, seed: int) 
     linearly. If both bounds of the variable are less than 1e6 in magnitude, the random values are
     uniformly distributed between the bounds. Otherwise they are added to the given point `z`, and
     are normally distributed with mean 0; their standard deviation is the largest magnitude of the
-    variable in `z`, at least 1. `seed` is the seed of the random numbers. The result has shape
-    (n_unknowns,) and lies inside the bounds.
+    variable in `z`, at least 1.
+
+    `program` is a nonlinear program, `bounds` are the bounds of its unknowns, and `seed` is the
+    seed of the random numbers. The result has shape (n_unknowns,) and lies inside the bounds.
     """
     generator = np.random.default_rng(seed)
     layout, moved = program.layout, np.array(z)
@@ -370,8 +382,9 @@ def scattered(program: Transcription, bounds: Bounds, z: FloatArray, seed: int) 
 def _inside(number: float, bounds: Bounds, column: int) -> float:
     """Return the initial value `number` of an unknown, moved inside the unknown's bounds.
 
-    `column` is the position of the unknown. A value outside the bounds, or NaN, becomes the middle
-    of the bounds if both are finite, and otherwise the only finite bound.
+    `bounds` are the bounds of all unknowns, and `column` is the position of this unknown among
+    them. A value outside its bounds, or NaN, becomes the middle of the bounds if both are finite,
+    and otherwise the only finite bound.
     """
     lower, upper = bounds.lower[column], bounds.upper[column]
     if lower <= number <= upper:
@@ -382,12 +395,19 @@ def _inside(number: float, bounds: Bounds, column: int) -> float:
 
 
 def known_names(declared: Declarations) -> set[str]:
-    """Return the names that a user's guess may contain: "time", and the names of all variables."""
+    """Return the names that a user's guess may contain: "time", and the names of all variables.
+
+    `declared` are the declarations of the model, with its variables.
+    """
     return {TIME_COLUMN, *(slot.name for slot in (*declared.varying, *declared.statics))}
 
 
 def _refuse_unknown_names(program: Transcription, guess: Mapping[str, Any] | pd.DataFrame) -> None:
-    """Raise an error if a guess contains a name that is no variable of the model."""
+    """Raise an error if a user's guess contains a name that is no variable of the model.
+
+    `guess` has names of variables as keys or columns; "time", for the times of samples, is also
+    allowed. `program` is a nonlinear program of the model, from which the names are read.
+    """
     known = known_names(program.compiled.declared)
     for name in guess:
         if name not in known:

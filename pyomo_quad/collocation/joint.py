@@ -359,7 +359,11 @@ class JointProblem(Summarised):
             )
 
     def _meshes(self, mesh: Mesh | Mapping[str, Mesh] | None) -> list[Mesh | None]:
-        """Return the mesh of each horizon, None for each if no mesh is given."""
+        """Return a list with the mesh of each horizon, in the order of the horizons.
+
+        `mesh` is the user's argument: one mesh for all horizons, a mapping from the names of the
+        horizons to meshes, or None, for which the list contains None for each horizon.
+        """
         if mesh is None or isinstance(mesh, Mesh):
             return [mesh] * len(self.horizons)
         if mesh.keys() != self.horizons.keys():
@@ -379,7 +383,11 @@ class JointProblem(Summarised):
         return [*self.horizons.values(), self.coupling]
 
     def _guesses(self, guess: Mapping[str, Any] | None) -> list[Any]:
-        """Return a guess for each horizon's variables, and a guess for variables of no horizon.
+        """Split the user's guess into one guess per horizon, and one for variables of no horizon.
+
+        The keys of `guess` are names of variables, or names of horizons with a guess for all
+        variables of that horizon. The result is a list in the order of the horizons; the guess for
+        the variables of no horizon comes last.
 
         Raises
         ------
@@ -434,14 +442,25 @@ class JointProblem(Summarised):
         Parameters
         ----------
         meshes : sequence of Mesh
+            One mesh for each horizon.
         start : Start
+            Initial point: a guess or a warm start.
         dampings : tuple of Damping or None
             For each horizon, penalty on the distance of the controls from the controls that were
             found on the previous mesh; None for no penalty.
         instances : list of Instance
             Parameter values, for each horizon and the coupling of the horizons.
-        options, progress, is_scaled, change, iteration_limit
-            As in `Problem.solve_on_mesh`.
+        options : SolverOptions
+            Settings of Ipopt.
+        progress : callable or None
+            Called at each iteration; returning False stops the solve.
+        is_scaled : bool, default True
+            Whether Ipopt solves the scaled program; otherwise the program as declared.
+        change : float, optional
+            Expected difference between the objective and its value at the warm start, in the unit
+            of the objective. The expected difference determines the initial barrier parameter.
+        iteration_limit : float, optional
+            Limit of Ipopt's iterations; the limit in `options` holds too.
         """
         parts = self._parts
         chosen = [
@@ -483,7 +502,8 @@ class JointProblem(Summarised):
         """Return a failed solution with a verdict on the feasibility of its problem.
 
         The verdict follows from the least sum of constraint violations that is found near the last
-        iterate.
+        iterate of `failed`. `options` are the settings of Ipopt for this computation. The function
+        `progress`, if given, is called at each of its iterations, and stops it by returning False.
         """
         parts = [*failed.horizons.values(), failed.coupling]
         union = Union([part.program for part in parts], self._states)
@@ -529,8 +549,10 @@ class JointProblem(Summarised):
     ) -> JointSolution:
         """Return the `JointSolution` of Ipopt's result, with a solution on each horizon.
 
-        `union` locates the unknowns of each horizon in the joint nonlinear program, to which
-        `result`, `bounds` and `scaling` belong.
+        `union` locates the unknowns of each horizon in the joint nonlinear program. `result` is
+        Ipopt's result on this program, and `bounds` and `scaling` are the program's bounds and
+        scaling factors. `instances` holds the parameter values for each horizon, and for the
+        coupling of the horizons.
         """
         found = [
             solution_from(
@@ -562,7 +584,9 @@ class JointProblem(Summarised):
     ) -> tuple[FloatArray, Multipliers | None]:
         """Return the initial point of the joint program, and the multipliers of a warm start.
 
-        The multipliers are None without a warm start.
+        `union` joins the nonlinear programs of all horizons, `bounds` are the bounds of its
+        unknowns, and `start` is the warm start or guess that the caller gave. The point has shape
+        (n_unknowns,) and lies inside the bounds. The multipliers are None without a warm start.
         """
         if start.warm is not None:
             starts = zip(start.warm, union.programs, strict=True)
@@ -610,7 +634,8 @@ class JointProblem(Summarised):
         """Raise an error if the joint program is not finite at the point `z`, or over-determined.
 
         A program is over-determined if it has more equations than free unknowns, and if these
-        equations are linear and contradict each other.
+        equations are linear and contradict each other. `union` joins the nonlinear programs of all
+        horizons to the joint program, and `bounds` are the bounds of its unknowns and constraints.
         """
         held = set()
         for k, program in enumerate(union.programs):

@@ -41,7 +41,9 @@ class Violation:
 def outside(values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
     """Return by how much values lie outside their bounds, relative to max(1, abs(bound)).
 
-    The result is 0 inside the bounds.
+    `values`, `lower` and `upper` are arrays of the same shape: values, their lower and their upper
+    bounds, infinite where there is none. The result has this shape; `bound` is the violated one of
+    the two bounds, and the result is 0 where none is violated.
     """
     with np.errstate(invalid="ignore"):
         below = (lower - values) / np.maximum(1.0, np.abs(lower))

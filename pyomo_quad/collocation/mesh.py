@@ -92,7 +92,10 @@ def interpolation_matrix(nodes: FloatArray, targets: FloatArray) -> FloatArray:
 
 
 def _square_differentiation(nodes: FloatArray) -> FloatArray:
-    """Return the matrix from values at nodes to the polynomial's slopes at the same nodes."""
+    """Return the matrix that maps a polynomial's values at nodes to its slopes at the same nodes.
+
+    `nodes` are n distinct points in the unit interval; the matrix has shape (n, n).
+    """
     weights = barycentric_weights(nodes)
     difference = nodes[:, None] - nodes[None, :]
     np.fill_diagonal(difference, 1.0)
@@ -203,6 +206,7 @@ class Trajectory:
     Attributes
     ----------
     mesh : Mesh
+        Mesh to which the values belong.
     states : ndarray, shape (n_points + 1, n_states)
         Values at the nodes: start of the horizon and collocation points.
     algebraics : ndarray, shape (n_points, n_algebraics)

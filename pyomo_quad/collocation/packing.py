@@ -69,8 +69,8 @@ def packed(data: Any) -> Packed:
 def _changed(data: Any, kind: type, change: Callable[[Any], Any]) -> Any:
     """Return a copy of nested data in which each object of the type `kind` is replaced.
 
-    The function `change` takes the object and returns its replacement. Data classes, tuples and
-    dictionaries are searched recursively.
+    `data` may consist of data classes, tuples and dictionaries, which are searched recursively. The
+    function `change` takes an object of the type `kind` and returns its replacement.
     """
     if isinstance(data, kind):
         return change(data)

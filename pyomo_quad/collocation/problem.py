@@ -195,8 +195,30 @@ class Problem(Summarised, Formulation):
     ) -> Solution:
         """Solve from one starting point (warm start or guess), with mesh refinement if required.
 
-        The arguments have the meaning that they have in `solve`, but no default values; `instance`
-        holds the parameter values and the horizon of this solve.
+        Parameters
+        ----------
+        start : Start
+            Warm start or guess.
+        progress : callable
+            Called at each iteration of Ipopt; returning False stops the solve.
+        options : SolverOptions
+            Settings of Ipopt.
+        tolerance : float or None
+            Required relative error of the states; None for a solve on one mesh.
+        refinement : RefinementOptions
+            Settings of the mesh refinement.
+        mesh : Mesh or None
+            Initial mesh; None if the caller gave none.
+        starts : int
+            Number of initial points on the first mesh: `start`, and random points. The optimum with
+            the best objective becomes the starting point.
+        instance : Instance
+            Parameter values, horizon and fixed variables of this solve.
+
+        Returns
+        -------
+        Solution
+            Result on the last mesh.
         """
         if self.has_horizon and tolerance is not None:
             options = options.suiting(tolerance)
@@ -288,8 +310,9 @@ class Problem(Summarised, Formulation):
     def _best_of(starts: int, solve: Callable[..., Solution], first: Start) -> Solution | None:
         """Solve from the given start and from `starts` - 1 random points; return the best optimum.
 
-        `solve` maps a start to a solution. The result is None if no solve converges. An
-        interruption ends the search.
+        `first` is the given start, and `solve` is a function from a start to the solution on the
+        first mesh. Random points at which an equation is undefined are skipped. If a solve is
+        interrupted, no further points are tried. The result is None if no solve converged.
         """
         found = []
         for seed in range(starts):

@@ -180,10 +180,11 @@ class PyomoSolver:
 
 
 def _refuse_unknown(arguments: dict[str, Any], problem: Problem | JointProblem) -> None:
-    """Raise an error for an argument of `PyomoSolver.solve` that no method accepts.
+    """Raise an error if `PyomoSolver.solve` was called with an unknown keyword argument.
 
-    `arguments` are the keyword arguments that are passed on to the method `solve` of the compiled
-    problem.
+    `arguments` are the keyword arguments that it does not use itself, and passes on to the method
+    `solve` of the compiled problem `problem`. An argument is unknown if that method does not accept
+    it either.
     """
     known = {*signature(PyomoSolver.solve).parameters, *signature(problem.solve).parameters}
     taken = known - {"self", "model", "arguments", "progress"}
@@ -194,7 +195,10 @@ def _refuse_unknown(arguments: dict[str, Any], problem: Problem | JointProblem) 
 
 
 def _results(problem: Problem | JointProblem, solution: Solution | JointSolution) -> SolverResults:
-    """Convert a solution to Pyomo's `SolverResults`, with Pyomo's termination condition."""
+    """Convert a solution to Pyomo's `SolverResults`, with Pyomo's termination condition.
+
+    `problem` is the compiled problem that was solved, and `solution` is its solution.
+    """
     results = SolverResults()
     results.solver.name = "pyomo_quad"
     ended = _TERMINATION[solution.status]

@@ -88,7 +88,10 @@ def hamiltonian_warnings(solution: Solution) -> tuple[str, ...]:
 
 
 def _reads_time(compiled: CompiledModel) -> bool:
-    """Return whether an equation, integrand or limit of a model depends explicitly on time."""
+    """Return whether an equation, integrand or limit of a model depends explicitly on time.
+
+    `compiled` are the equations of the model as CasADi functions.
+    """
     declared = compiled.declared
     parts = [part for e in declared.equations for part in (e.expression, e.lower, e.upper)]
     parts += [side for limit in compiled.limits for side in (limit.lower, limit.upper)]
@@ -116,7 +119,7 @@ class MeshRecord:
     objective : float
         Objective as declared.
     error : float
-        Estimated largest relative error.
+        Estimated largest relative error of the states.
     wall_s : float
         Wall-clock time of Ipopt [s].
     """
@@ -136,6 +139,7 @@ class Outcome(Summarised):
     Attributes
     ----------
     status : Status
+        How the solve ended, for example converged or infeasible.
     ipopt_code : int
         Ipopt's own return code of the last solve.
     message : str

@@ -70,7 +70,7 @@ class _WholeSolve(Search[S], Generic[S]):
     has_ended: bool = False
 
     def holds(self, fact: Fact) -> bool:
-        """Return whether a condition that a strategy requires is true at this stage of the search.
+        """Return whether the condition `fact` of a strategy is true at this stage of the search.
 
         `Fact.WARM_START` is true if the caller gave a warm start. `Fact.COLD_FAILED` is true if the
         solve from the warm start exceeded its budget, and the solve from the guess that followed
@@ -117,10 +117,10 @@ class _WholeSolve(Search[S], Generic[S]):
         return cold.updated(cold_start=took, message=message)
 
     def is_final(self, found: S) -> bool:
-        """Return whether a result ends the search.
+        """Return whether the result of the last strategy ends the search.
 
-        Every result ends the search, unless the solve stopped because it exceeded its budget of
-        iterations.
+        Every result ends the search, unless its solve stopped because it exceeded its budget of
+        iterations. The attribute `has_ended` records this; the result `found` itself is not used.
         """
         del found
         return self.has_ended
@@ -269,7 +269,8 @@ def _finished_of(finished: list[S], ended: S) -> S:
 def _in_time(solution: S, deadline: Effort) -> S:
     """Return a solution, with a message on the time limit if that limit interrupted the solve.
 
-    `deadline` measures the wall-clock time of the solve.
+    `solution` is the result of the solve; it is returned unchanged if the time limit did not
+    interrupt it. `deadline` measured the wall-clock time of the solve.
     """
     if not deadline.is_over or solution.status is not Status.INTERRUPTED:
         return solution

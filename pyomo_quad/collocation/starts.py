@@ -255,6 +255,7 @@ def warm_start_of(
     program : Transcription
         The nonlinear program on its mesh.
     z : ndarray, shape (n_unknowns,)
+        Unknowns of the program.
     multipliers : Multipliers
         Multipliers of the program's bounds and constraints.
     cold_start : ColdStart or None
@@ -279,6 +280,13 @@ def transfer(start: WarmStart, program: Transcription) -> tuple[FloatArray, Mult
 
     The fractions of the horizon are kept: a value at half of the warm start's horizon becomes a
     value at half of the program's horizon.
+
+    Parameters
+    ----------
+    start : WarmStart
+        Trajectory and multipliers of another solution of the same model, on any mesh.
+    program : Transcription
+        Nonlinear program on its own mesh.
 
     Returns
     -------
@@ -336,7 +344,8 @@ class Start:
         """Return the `Start` of a solve from its arguments `warm_start` and `guess`.
 
         `given` is the argument `warm_start`: None, a warm start, or an object with an attribute
-        `warm_start`, such as a solution or a flight plan.
+        `warm_start`, such as a solution or a flight plan. `guess` is the argument of that name, the
+        initial values of the variables.
         """
         return cls(warm=getattr(given, "warm_start", given), guess=guess)
 

@@ -95,8 +95,8 @@ class SteppedLoops:
         command : callable
             Time [s] -> command of the law, the same for all vehicles.
         numbers : sequence of ndarray, shape (n,) or (n_steps, n)
-            Values of each parameter that differs between the vehicles: one number for the whole
-            flight, or one for each step.
+            Values of each parameter that differs between the vehicles, in the order of `varied`:
+            for each vehicle one number for the whole flight, or one for each step.
         sampled : ndarray of bool, shape (n_steps + 1,)
             Whether the flights are stored at each time.
 
@@ -141,10 +141,17 @@ class SteppedLoops:
     def _around(
         self, begin: float, end: float, command: Callable[[float], Sequence[float]]
     ) -> list[FloatArray]:
-        """Return the inputs of a step from time `begin` to time `end` that all vehicles share.
+        """Return those inputs of one Runge-Kutta step that are the same for all vehicles.
 
-        The list holds the length of the step [s]; then the time-dependent inputs of the equations
-        at the start, the middle and the end of the step; then the commands at these three times.
+        The step leads from the time `begin` to the time `end` [s]. The function `command` maps a
+        time [s] to the command that the control law follows, for example a reference position.
+
+        Returns
+        -------
+        list of ndarray
+            Seven arrays: the length of the step [s], shape (1,); the time-dependent inputs of the
+            vehicle's equations (see `Dynamics.moment`) at the start, the middle and the end of the
+            step; and the commands at these three times.
         """
         middle = 0.5 * (begin + end)
         # If the equations jump, a step starts after the jump and the previous step ends before it.
@@ -162,6 +169,7 @@ def _step(flow: Any, dynamics: Dynamics, sizes: tuple[int, int, int], n_varied: 
         (time-dependent inputs, joint state of vehicle and control law, command, varied parameters)
         -> time derivative of the joint state.
     dynamics : Dynamics
+        Right-hand side of the vehicle's equations; it only creates the symbols of the inputs.
     sizes : (int, int, int)
         Numbers of time-dependent inputs, joint states and components of a command.
     n_varied : int

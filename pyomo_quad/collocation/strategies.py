@@ -140,7 +140,7 @@ class Strategy:
     times: int = 1
 
     def settings(self, options: SolverOptions) -> SolverOptions:
-        """Return the caller's settings of Ipopt with the changes that the strategy makes."""
+        """Return `options`, the caller's settings of Ipopt, with the strategy's changes."""
         if self.barrier is None:
             return options
         limited = options.at_most(self.iterations or inf)
@@ -218,7 +218,7 @@ class Search(ABC, Generic[S]):
 
     @abstractmethod
     def holds(self, fact: Fact) -> bool:
-        """Return whether a condition that a strategy requires is true at this stage of the search.
+        """Return whether the condition `fact` of a strategy is true at this stage of the search.
 
         The condition is checked immediately before the strategy is tried.
         """
@@ -231,7 +231,7 @@ class Search(ABC, Generic[S]):
         """
 
     def is_final(self, found: S) -> bool:
-        """Return whether the result of a strategy ends the search.
+        """Return whether `found`, the result of the last strategy, ends the search.
 
         By default, every result ends the search whose status is not a failure.
         """
@@ -240,7 +240,7 @@ class Search(ABC, Generic[S]):
     def failure(self, last: S) -> S:
         """Return the result to report if all strategies have failed.
 
-        By default, this is the result of the strategy that was tried last.
+        By default, this is `last`, the result of the strategy that was tried last.
         """
         return last
 
@@ -248,11 +248,10 @@ class Search(ABC, Generic[S]):
 def first_success(scope: Scope, search: Search[S]) -> S:
     """Try solution strategies in the order of their table, until one gives a final result.
 
-    Only the strategies for one part of a solve, `scope`, are tried.
-
     Parameters
     ----------
     scope : Scope
+        Part of a solve, such as the first mesh; only the strategies for this part are tried.
     search : Search
         Object that carries the strategies out, and decides which results are final.
 

@@ -109,11 +109,12 @@ def _costate(solution: Solution, state: int, sign: float) -> Callable[[float], f
 
 
 def _function(solution: Solution, density: FloatArray) -> Callable[[float], float]:
-    """Return the piecewise polynomial through values at the collocation points, as a function.
+    """Return the multiplier of a constraint or bound per unit of time, as a function of time.
 
-    The suffixes store multipliers over time as such functions. `density` are the values, the
-    multipliers of a constraint or bound per unit of time, shape (n_points,). The argument of the
-    function is a time within the range of the model's continuous set.
+    The suffixes store multipliers over time as such functions. `density` are the values of the
+    multiplier per unit of time at the collocation points of `solution`, shape (n_points,); the
+    function is the piecewise polynomial through them. The argument of the function is a time within
+    the range of the model's continuous set.
     """
 
     def at(time: float) -> float:
@@ -172,9 +173,10 @@ def _assign_bounds(
 ) -> None:
     """Convert the multipliers of bounds to derivatives for the components that declare the bounds.
 
-    A bound may come from the bounds of a variable or from a constraint on a single variable. The
-    derivatives are added to `reduced` for variables, and to `dual` for constraints; `sign` is -1 if
-    the objective is maximised.
+    The derivatives are those of the objective with respect to the values of the bounds. A bound may
+    come from the bounds of a variable, whose derivative is added to `reduced`, or from a constraint
+    on a single variable, whose derivative is added to `dual`; both are changed in place. `solution`
+    has the multipliers. `sign` is -1 if the objective is maximised, and 1 otherwise.
     """
     program, bounds = solution.program, solution.bounds
     compiled = program.compiled

@@ -61,7 +61,10 @@ def violation_of(
 ) -> LeastViolation | None:
     """Find the point of least constraint violation near the last iterate of a failed solve.
 
-    The result is None if the last iterate or its constraints are not finite.
+    `failed` is the result of that solve, and `options` are the settings of Ipopt for the
+    minimisation of the violation. The function `progress`, if given, is called at each iteration of
+    the minimisation, and stops it by returning False. The result is None if the last iterate or its
+    constraints are not finite.
     """
     z = failed.unknowns
     if not np.all(np.isfinite(z)) or not np.all(np.isfinite(failed.program.constraints(z))):
@@ -74,9 +77,11 @@ def violation_of(
 def verdict_on(failed: Solution, options: SolverOptions, progress: Progress | None) -> Solution:
     """Return a failed solution with a verdict on the feasibility of its problem.
 
-    The point of least constraint violation near the last iterate is computed. The violation there
-    decides whether the status becomes infeasible, and which equations the message names. If the
-    user stops this computation, the status becomes interrupted.
+    The point of least constraint violation near the last iterate of `failed` is computed by Ipopt
+    with the settings `options`. The violation there decides whether the status becomes infeasible,
+    and which equations the message names. The function `progress`, if given, is called at each
+    iteration of this computation; if it returns False, the computation stops and the status becomes
+    interrupted.
     """
     found = violation_of(failed, options, progress)
     if found is not None and found.result.status is Status.INTERRUPTED:
