@@ -102,9 +102,10 @@ def start_state(scenario: Scenario, dynamics: Dynamics, plan: Plan | None = None
 
 
 def _filters_at_start(dynamics: Dynamics) -> dict[str, float]:
-    """Return the initial states of the filters that model turbulence: name -> value.
+    """Return the initial states of the filters that model turbulence: state name -> value.
 
-    The result is empty for dynamics without turbulence.
+    `dynamics` has the equations of the simulated vehicle. The result is empty if they include no
+    turbulence.
     """
     if not set(FILTER_STATES) <= set(dynamics.state_names):
         return {}
@@ -114,6 +115,13 @@ def _filters_at_start(dynamics: Dynamics) -> dict[str, float]:
 
 def declared_start(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
     """Return the initial states that the mission defines: hover at the start, and battery states.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission and its vehicle.
+    dynamics : Dynamics
+        Simulated vehicle, which defines the states; battery states are included if it has them.
 
     Returns
     -------
@@ -131,6 +139,13 @@ def wanted_at_goal(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
     """Return the final values of the states that the mission requires: hover at the goal.
 
     The rotor speeds are those of a vehicle that has released its payloads.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission and its vehicle.
+    dynamics : Dynamics
+        Simulated vehicle, which defines the states.
 
     Returns
     -------
@@ -152,7 +167,11 @@ def _hovering(
 
 
 def _charge_drawn(scenario: Scenario, dynamics: Dynamics) -> float:
-    """Return the charge already drawn from the full battery at the start of the flight [A h]."""
+    """Return the charge already drawn from the full battery at the start of the flight [A h].
+
+    It follows from the initial state of charge in `scenario`, and from the equation in `dynamics`
+    for the state of charge as a linear function of the charge drawn.
+    """
     states = np.zeros((2, len(dynamics.state_names)))
     states[1, dynamics.state_names.index(CHARGE_STATE)] = 1.0
     controls = np.zeros((2, len(dynamics.control_names)))
@@ -193,7 +212,12 @@ class TumblingGuard:
         self._most = _MOST_EVALUATIONS_PER_SECOND * max(1.0, duration)
 
     def evaluated(self, t: float) -> None:
-        """Count an evaluation of the right-hand side at time t [s]; raise an error above a limit.
+        """Count an evaluation of the right-hand side; raise an error if there are too many.
+
+        Parameters
+        ----------
+        t : float
+            Time in flight of the evaluation [s], for the error message.
 
         Raises
         ------
@@ -231,7 +255,7 @@ class ClosedLoopFlight:
     flown : Flown
         Samples of the vehicle; its controls are the rotor accelerations applied.
     controller_states : ndarray, shape (n, 22)
-        The `CONTROLLER_STATES` at the n times of `flown`.
+        States of the controller, in the order of `CONTROLLER_STATES`, at the n times of `flown`.
     evaluations : int
         Number of evaluations of the right-hand side by the integrator.
     """
@@ -306,7 +330,9 @@ def fly(
 class _Loop:
     """Closed loop of vehicle and controller as a system of differential equations.
 
-    Its joint state holds the states of the vehicle, of the controller, and the energy spent.
+    Its joint state holds the states of the vehicle, of the controller, and the energy spent. The
+    vehicle is given by `dynamics`; `controller` follows the path `reference`. `duration` is the
+    duration of the flight [s], for the limit above which the vehicle counts as tumbling.
     """
 
     def __init__(
@@ -338,7 +364,10 @@ class _Loop:
         return np.array([*state, *own, 0.0])
 
     def rates(self, t: float, joint: FloatArray) -> FloatArray:
-        """Return the time derivative of the joint state of vehicle, controller and energy."""
+        """Return the time derivative of the joint state of vehicle, controller and energy.
+
+        `joint` is the joint state at time `t` [s], shape (n_joint,).
+        """
         self._guard.evaluated(t)
         return self._system.rates(t, joint, self._controller.command(self._reference, t))
 
@@ -382,7 +411,7 @@ _INSTANT = 1e-4
 
 
 def baseline_name(reference: Reference, speed: float | None = None) -> str:
-    """Return the name of a flight in which the controller follows a reference.
+    """Return the name, in comparisons, of a flight whose controller follows a reference.
 
     Examples of names are "adaptive/quintic" and "adaptive/cruise 6 m/s". `speed` [m/s] is the
     cruise speed of an autopilot; it is given for the reference `CRUISE` only.
@@ -668,8 +697,10 @@ class _Missed:
 def _missed_waypoints(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> Iterator[_Missed]:
     """Yield a record for each violated limit on distance or speed at a waypoint.
 
-    Only waypoints with given times are checked. Within the tolerances of an arrival
-    (`ARRIVAL_DISTANCE_M`, `ARRIVAL_SPEED_M_PER_S`), a limit counts as kept.
+    `flown` has the samples of the flight, `dynamics` the order of their states, and `scenario` the
+    waypoints. Only waypoints with given times are checked. A limit counts as kept if it is exceeded
+    by no more than the distance and the speed with which a flight may arrive at its goal
+    (`ARRIVAL_DISTANCE_M`, `ARRIVAL_SPEED_M_PER_S`).
     """
     states = [dynamics.state_names.index(name) for name in (*POSITION_STATES, *VELOCITY_STATES)]
     for k, waypoint in enumerate(scenario.mission.waypoints):
@@ -743,8 +774,9 @@ def _yaw_acceleration(
 ) -> FloatArray:
     """Return the time derivative of the planned yaw rate by central differences [rad/s^2].
 
-    `states` and `controls` are the plan's values at the n `times` [s]. The result, shape (n,), is
-    the yaw acceleration of the reference path that the controller follows.
+    `dynamics` has the plan's equations; `states` and `controls` are the plan's values at the n
+    `times` [s]. The result, shape (n,), is the yaw acceleration of the reference path that the
+    controller follows.
     """
     steps = _INSTANT * np.array(
         [dynamics.rates(t, x, u) for t, x, u in zip(times.tolist(), states, controls, strict=True)]
@@ -759,9 +791,10 @@ def _doubts(
 ) -> Iterator[str]:
     """Yield the reasons, in words, why a simulated flight is not verified.
 
-    `flown_twice` has each part of the flight as simulated by two integrators; `flown` is the whole
-    flight. Possible reasons are that the two integrators differ in final position or energy, and
-    that the battery cannot supply the power, the charge or the voltage.
+    `flown_twice` has, for each part of the flight, its two simulations by different integrators.
+    `flown` is the whole flight as the first integrator gives it, `dynamics` the simulated vehicle.
+    Possible reasons are that the two integrators differ in final position or energy, and that the
+    battery cannot supply the power, the charge or the voltage.
     """
     columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
     ends = np.array([[flown.states[-1, columns] for flown in pair] for pair in flown_twice])
@@ -799,8 +832,9 @@ def _doubts(
 def _joined(parts: Sequence[Flown]) -> Flown:
     """Join consecutive parts of a simulated flight into one flight.
 
-    The sample at the end of a part, which is also the first sample of the next part, is included
-    once. The energy is accumulated over the parts.
+    `parts` has the samples of each part, whose energy counts from the start of the part. In the
+    result, the energy counts from the start of the flight. The last sample of a part, which is also
+    the first sample of the next part, is included once.
     """
     spent = np.cumsum([0.0, *(part.energy[-1] for part in parts)])
     kept = [slice(0, None), *(slice(1, None) for _ in parts[1:])]

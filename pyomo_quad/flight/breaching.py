@@ -72,23 +72,32 @@ class LimitDistance:
 
     @property
     def present_probability(self) -> float:
-        """Probability that a flight that follows the present plan breaks the limit at some time."""
+        """Probability that a flight breaks the limit at some time.
+
+        The flight follows the plan for which these statistics were computed.
+        """
         return _crossing(self.distance, self.deviation, self.correlation)
 
     def probability(self, present: float = 0.0, changed: float = 0.0) -> float:
         """Predict the probability that a flight breaks the limit, for a plan with another margin.
 
-        A margin is the amount by which a plan must stay inside the limit. The prediction assumes
-        that the plan moves to the new margin at two kinds of times: where it is close to the
-        present margin (the tightened limit is active), and where it is nearer to the limit than the
-        new margin. At other times the plan is assumed unchanged.
+        A margin is the amount by which a plan must stay inside the limit. The present plan is the
+        plan for which these statistics were computed. The prediction assumes that a plan with the
+        new margin stays exactly this far inside the limit at two kinds of times: where the present
+        plan is close to its own margin (the tightened limit is active), and where the present plan
+        is nearer to the limit than the new margin. At other times the plan is assumed unchanged.
 
         Parameters
         ----------
         present : float
             Margin of the present plan, in the unit of the limit.
         changed : float
-            Margin of the changed plan, in the unit of the limit.
+            New margin, in the unit of the limit.
+
+        Returns
+        -------
+        float
+            Probability that a flight along the plan with the new margin breaks the limit.
         """
         is_active = self.planned <= present + _ACTIVE * max(present, self.deviation.max())
         to_come = np.where(is_active, changed, np.maximum(self.planned, changed))
@@ -99,8 +108,8 @@ class LimitDistance:
 
         A violation means that a flight breaks the limit. A margin is the amount by which a plan
         must stay inside the limit, in the unit of the limit. `present` is the margin of the present
-        plan. `largest` is the largest margin considered; it is returned if no smaller margin makes
-        the probability small enough.
+        plan, for which these statistics were computed. `largest` is the largest margin considered;
+        it is returned if no smaller margin makes the probability small enough.
         """
         if self.probability(present, 0.0) <= share:
             return 0.0
@@ -190,7 +199,7 @@ def limit_distances(
 def _gradients(spread: Spread) -> dict[str, FloatArray]:
     """Return the derivatives of all path constraints with respect to the states.
 
-    They are central differences about the mean flight of the spread.
+    They are central differences about the mean flight of `spread`, the distribution of flights.
 
     Returns
     -------
@@ -263,8 +272,8 @@ class Miss:
     def excess(self, share: float) -> float:
         """Return how much smaller the distances [m] or speeds [m/s] must be to keep the limit.
 
-        If all samples were smaller by the result, a flight would break the limit with at most the
-        probability `share`. The result is at least zero.
+        If all samples were smaller by the returned amount, a flight would break the limit with at
+        most the probability `share`. The amount is zero if this is the case already.
         """
         most = np.quantile(self.off, 1.0 - share / len(self.off), axis=1).max()
         return max(float(most) - self.within, 0.0)

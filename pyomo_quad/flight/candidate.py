@@ -57,10 +57,12 @@ _MOST_STRICTER = 4
 
 @dataclass(frozen=True)
 class AlongShortest:
-    """Starting point of a search for a plan: a solution along the shortest route.
+    """Starting point of a search for a plan: a known solution of the mission on a coarse mesh.
 
-    The search for the best order of the waypoints computes this solution, `flight`, on a single
-    mesh. The search for a plan still has to compare the solutions along other routes with it.
+    The solution, `flight`, leads along the shortest route round keep-out zones or through a wind
+    field. It was computed, on a single mesh, by the preceding search for the best order of the
+    waypoints. The search for a plan does not repeat this solve, but still compares the solutions
+    along other routes with it.
     """
 
     flight: Solution
@@ -147,7 +149,10 @@ class Candidate:
         return replace(self.plan_of(self.found), routes=self.routes, failure=self.failure)
 
     def plan_of(self, solution: Solution) -> Plan:
-        """Return an unverified plan of the mission made from a solution."""
+        """Return the plan of the mission that consists of a solution, not verified by simulation.
+
+        `solution` is a solution of the mission's problem, converged or not.
+        """
         seconds = time.perf_counter() - self._began
         timings = self.mission.timings | {"solve": seconds}
         return plan_of(self.scenario, solution, timings, self.mission.hover_energy(solution))
@@ -198,8 +203,9 @@ class Candidate:
     def _in_order_of_mission(mission: MissionProblem, similar: Solution) -> Trajectory:
         """Return the trajectory of a similar problem, for use as an initial guess of the mission.
 
-        Its static variables (those that are constant in time) are sorted by name into the order of
-        the mission's problem.
+        `mission` is the problem to solve, `similar` the solution of the similar problem. The static
+        variables of that solution (those that are constant in time) are sorted by name into the
+        order of the mission's problem.
         """
         slots = similar.problem.compiled.declared.statics
         held = dict(zip((slot.name for slot in slots), similar.trajectory.statics, strict=True))
@@ -212,10 +218,11 @@ class Candidate:
         return start if isinstance(start, WarmStart) else None
 
     def starts_warm(self) -> bool:
-        """Return whether the search was given a warm start that fits the mission's problem.
+        """Return whether the search can start from the variables and multipliers of a solve.
 
-        A warm start holds the variables and the multipliers of an earlier solve. It fits a compiled
-        problem with the same equations.
+        These values are a warm start, given to the search by itself or as a part of a plan. They
+        come from an earlier solve and can be used only if that solve had the same variables and
+        equations as the mission's problem.
         """
         start = self._warm_start
         return start is not None and start.fits(self.mission.problem.compiled)
@@ -223,8 +230,9 @@ class Candidate:
     def from_warm_start(self) -> str | None:
         """Solve the mission from a warm start: variables and multipliers of an earlier solve.
 
-        Without regeneration, the power has a corner at zero. In this case a solve that does not
-        converge is discarded, so that other strategies are tried.
+        If the solve does not converge, its result is kept as a failed solution. Only for missions
+        without regeneration is it discarded, so that other strategies are tried: their power has a
+        corner at zero, which makes the problem hard to solve directly.
 
         Returns
         -------
@@ -239,7 +247,10 @@ class Candidate:
         return self._outcome()
 
     def starts_at_plan(self) -> bool:
-        """Return whether the search was given a plan whose trajectory has not been tried yet."""
+        """Return whether the search starts from a plan and no strategy has made a solution yet.
+
+        The plan's trajectory is then used as an initial guess (`from_plan`).
+        """
         return self.solution is None and isinstance(self.start, Plan)
 
     def from_plan(self) -> str | None:
@@ -313,20 +324,25 @@ class Candidate:
         return self._outcome()
 
     def _outcome(self) -> str | None:
-        """Return the solver's status of the solution if the solve failed, None otherwise."""
+        """Return the solver's status as text if the last solve of the mission failed, else None."""
         status = self.found.status
         return status.value if status.has_failed else None
 
     # Retries of a solution that failed
 
     def has_failed(self) -> bool:
-        """Return whether the solve failed, although keep-out zones leave a route to the goal."""
+        """Return whether the mission's solve failed although a route to the goal exists.
+
+        Without a route, because keep-out zones block every one, solving again is useless.
+        """
         return self.found.status.has_failed and not self.is_closed
 
     def has_failed_at_waypoints(self) -> bool:
-        """Return whether the solve failed, and an easier mission exists from which to try again.
+        """Return whether the mission's solve failed, and an easier mission may help it.
 
-        In the easier mission, the vehicle passes each waypoint exactly and at any speed.
+        In the easier mission, the vehicle passes each waypoint exactly and at any speed. Its
+        solution serves as initial guess of another attempt. There is such a mission if a waypoint
+        has a radius or a speed limit.
         """
         return self.has_failed() and self.mission.past_waypoints is not None
 
@@ -410,7 +426,7 @@ class Candidate:
         return "none found" if self.shortest is None else f"{self.shortest.objective:.4g} s"
 
     def has_shorter(self) -> bool:
-        """Return whether the solve failed although the mission's duration is long enough.
+        """Return whether the mission's solve failed although its duration is long enough.
 
         The duration is long enough if it is not below the least duration found by `find_shortest`.
         """
@@ -431,7 +447,9 @@ class Candidate:
         return self._retried(self.mission.in_own_variables(self.shortest, self.found))
 
     def _retried(self, trajectory: Trajectory) -> str:
-        """Solve the mission from a trajectory; keep the solution if the solve succeeds.
+        """Solve the failed mission again from a trajectory; keep the solution if this succeeds.
+
+        `trajectory` is the initial guess; the first mesh is its mesh.
 
         Returns
         -------
@@ -469,9 +487,9 @@ class Candidate:
     def _doubt(self) -> str:
         """Return a reason to believe that the mission is possible although all solves failed.
 
-        The result is empty if there is no such reason. One reason is a flight along a route that
-        keeps all limits on a coarse mesh. Another reason is a wind field, in which a flight may
-        exist along a corridor that was not tried.
+        The reason is a text for the user, empty if there is none. One reason is that a solve along
+        some route met all limits on a coarse mesh, and failed only on finer meshes. Another reason
+        is a wind field, in which a flight may exist along a route that was not tried.
         """
         met = sum(route.energy_J is not None for route in self.routes)
         if met:
@@ -493,8 +511,9 @@ class Candidate:
         """Return the single limits whose relaxation alone would make the mission feasible.
 
         `diagnosis` is the result of the elastic problem, in which limits may be violated at a
-        penalty. For each limit that it violates, and each that is active in it, the elastic problem
-        is solved again with this limit alone relaxed.
+        penalty. For each limit that this solution violates, and each that is active in it, the
+        elastic problem is solved again with this limit alone relaxed. Only the first few are tried.
+        Each limit is returned with its necessary relaxation.
         """
         candidates = [r.name for r in diagnosis.relaxations] + [a.name for a in diagnosis.active]
         limits = [name for name in dict.fromkeys(candidates) if name.startswith(_LIMITS)]
@@ -514,7 +533,10 @@ class Candidate:
         return self.found.status.is_solved
 
     def fly(self) -> None:
-        """Verify the solution by simulating its controls."""
+        """Simulate the controls of the solution, to verify the plan that is made from it.
+
+        The plan, verified or not, becomes the attribute `flown`.
+        """
         self.flown, self._known = verified(self.plan, self.found), self.found
         self.search.keep(self.flown)
         # The time of the solve does not include that of the simulation.
@@ -531,6 +553,9 @@ class Candidate:
 
     def keep_limits(self) -> str | None:
         """Make the limits that the simulated flight breaks stricter, and solve again.
+
+        This is repeated until a simulated flight keeps the mission's limits, for a few solves at
+        most. The last plan becomes the attribute `flown`.
 
         Returns
         -------
@@ -556,9 +581,11 @@ class Candidate:
     def _is_better(self, plan: Plan, relaxed: Solution) -> bool:
         """Return whether a plan with stricter limits costs less than the solution without them.
 
-        Stricter limits cannot reduce the energy of an optimum. If the energy is nevertheless lower
-        by more than the tolerance, the solution `relaxed` is only a local optimum, and the plan is
-        near a better one. The search then continues from the plan's solution.
+        `plan` is the plan with stricter limits, `relaxed` the solution with the mission's own
+        limits. Stricter limits cannot reduce the energy of a global optimum. If the plan's energy
+        is nevertheless lower, by more than the solver's relative tolerance, `relaxed` is only a
+        local optimum, and the plan is near a better one. The search then continues from the plan's
+        solution.
         """
         least, tolerance = energy_of(self.mission.told, relaxed), self.scenario.solver.tolerance
         return least - plan.energy > tolerance * abs(least)
@@ -627,9 +654,10 @@ class Candidate:
         return plan.energy <= GIVEN_SHARE * greatest * plan.duration_s
 
     def hold_pack(self, carry_out: Callable[[Candidate], None]) -> str:
-        """Plan the mission again with a limit on the battery's power.
+        """Plan the mission again with an upper limit on the power that the battery supplies.
 
-        The new plan replaces the present plan if it is verified.
+        The new plan replaces the present plan if it is verified. The limit is a fixed fraction of
+        the greatest power that the battery can give.
 
         Parameters
         ----------

@@ -95,9 +95,11 @@ class Column:
 
 
 def _of(block: str) -> Callable[..., Column]:
-    """Return a function that makes columns for the variables of one block of the model.
+    """Return a function that makes table columns for the variables of one block of the model.
 
-    `block` is the name of the block, such as "rotors".
+    `block` is the name of the block in the Pyomo model, such as "rotors". The returned function
+    takes the name of a column, the name of the variable within the block, and the further
+    attributes of `Column`.
     """
     return lambda name, shown, *printed: Column(name, f"{block}.{shown}", *printed)
 

@@ -98,7 +98,8 @@ class EulerRates:
     def angle_rates(self, attitude: Vector, body_rates: Vector) -> Vector:
         """Return the rates of roll, pitch and yaw for given body rates, all in rad/s.
 
-        They are singular at a pitch of 90 degrees. `attitude` holds roll, pitch and yaw [rad].
+        They are singular at a pitch of 90 degrees. `attitude` holds roll, pitch and yaw [rad],
+        `body_rates` the angular velocities about the body axes.
         """
         roll, pitch, _ = attitude
         p, q, r = body_rates
@@ -126,8 +127,9 @@ class EulerRates:
     ) -> Vector:
         """Return the angular accelerations about the body axes for given angle accelerations.
 
-        The angle accelerations are the second time derivatives of roll, pitch and yaw. All
-        accelerations are in rad/s^2.
+        `attitude` holds roll, pitch and yaw [rad], `body_rates` the angular velocities about the
+        body axes [rad/s], and `angle_accelerations` the second time derivatives of roll, pitch and
+        yaw. All accelerations are in rad/s^2.
         """
         roll, pitch, _ = attitude
         turning = self._turning(attitude, body_rates)
@@ -145,7 +147,8 @@ class EulerRates:
         """Return the second derivatives of roll, pitch and yaw at constant body rates [rad/s^2].
 
         They are not zero, because the relation between angle rates and body rates depends on the
-        attitude.
+        attitude. `attitude` holds roll, pitch and yaw [rad], `body_rates` the angular velocities
+        about the body axes [rad/s].
         """
         pitch = attitude[1]
         rolling, pitching, yawing = self.angle_rates(attitude, body_rates)
@@ -365,8 +368,8 @@ def braking_rate(error: float, gain: float, acceleration_max: float) -> float:
 
     Notes
     -----
-    Along the returned curve the deceleration r dr/de equals a/2 q (2 + q) / (1 + q)^2 with q =
-    gain^2 |e| / a: for every gain it is less than half of the available deceleration.
+    If the error decreases at the rate r(e), its deceleration is r dr/de = a/2 q (2 + q) / (1 + q)^2
+    with q = gain^2 |e| / a. For every gain it is less than half of the available deceleration a.
     """
     return gain * error / np.sqrt(1 + gain**2 * np.abs(error) / acceleration_max)
 
@@ -411,7 +414,8 @@ STATES_PER_LOOP = 3 * _AXES
 class BacksteppingLoop:
     """Adaptive backstepping controller of three double integrators, for position or attitude.
 
-    Law and proof: see docs/theory/controller.md, eqs. (1) to (7).
+    The three axes are x, y and z, or roll, pitch and yaw. Law and proof: see
+    docs/theory/controller.md, eqs. (1) to (7).
 
     The nine states of the loop are, in order, xi_p (3) and xi_v (3), the effects of the actuators'
     lag on the error and on the error rate, and d_hat (3), the estimated disturbance (an
@@ -524,8 +528,8 @@ class BacksteppingLoop:
 def _shrink(vector: Sequence[float], reach: float) -> float:
     """Return the factor 1 / sqrt(1 + |v|^2 / reach^2), which limits the length of a vector v.
 
-    The product of factor and vector is always shorter than `reach`. The vector has three
-    components.
+    `vector` is v, with three components. The product of factor and vector is always shorter than
+    the length `reach`, in the unit of the vector.
     """
     a, b, c = vector
     return 1 / np.sqrt(1 + (a * a + b * b + c * c) / reach**2)
@@ -589,9 +593,10 @@ def _size(vector: Sequence[float]) -> float:
 def followed_tilt(believed: Scenario) -> float:
     """Return the largest tilt that the controller of a scenario commands [rad].
 
-    A scenario may give this tilt as `baseline.gains.tilt_max`. Otherwise it is the tilt at which
-    the largest commanded thrust still balances the weight. In both cases the limits on roll and
-    pitch bound it.
+    `believed` is the scenario, with the vehicle, limits and gains that the controller assumes. It
+    may give this tilt as `baseline.gains.tilt_max`. Otherwise it is the tilt at which the largest
+    commanded thrust still balances the weight. In both cases it is at most the tilt that the limits
+    on roll and pitch allow.
     """
     limits, gains, gravity = believed.limits, believed.baseline.gains, believed.gravity
     spare = limits.thrust_max / believed.vehicle.total_mass - gravity
@@ -657,7 +662,8 @@ class ThrustEnvelope:
         """Return the largest acceleration in a direction that thrust and tilt allow [m/s^2].
 
         `along` and `upward` are the horizontal and vertical components of the unit vector in this
-        direction. The set of allowed accelerations includes the acceleration `planned`.
+        direction. `planned` is the acceleration of the plan; if it needs more thrust or tilt than
+        the limits, these are widened until they allow it.
         """
         gravity = self._gravity
         level, lift = _size(planned[:2]), planned[2] + gravity
@@ -904,9 +910,10 @@ class AdaptiveController:
 
         The command filter smooths the roll and pitch that point the thrust along ``force`` [N] at
         yaw ``yaw`` [rad]. ``states`` holds its four states, the commanded roll and pitch and their
-        rates. ``command`` is the controller's input, which gives the planned rates of roll and
-        pitch. The first result has the accelerations of the commanded roll and pitch [rad/s^2],
-        which the attitude loop follows.
+        rates. ``command`` is the controller's input, which gives the planned rates and
+        accelerations of roll and pitch. The first result has the accelerations of the commanded
+        roll and pitch [rad/s^2], which the attitude loop follows; the second has the time
+        derivatives of the four states.
         """
         angles, angle_rates = states[:2], states[2:]
         targets = [

@@ -207,8 +207,9 @@ class LineCosts:
 def has_corridors(told: Scenario) -> bool:
     """Return whether the energy of a route depends on its horizontal position in the wind.
 
-    This requires a wind field that varies over the ground and acts through the airspeed
-    (`wind.coupling = "drag"`).
+    `told` is the mission in its forecast wind. The result is True if the wind is a field that
+    differs between horizontal positions and acts through the airspeed (`wind.coupling = "drag"`).
+    Only then is it worth searching for corridors, cheap routes through the wind.
     """
     if told.wind.grid is None or told.wind.coupling is not WindCoupling.DRAG:
         return False
@@ -217,10 +218,11 @@ def has_corridors(told: Scenario) -> bool:
 
 
 def estimate_of(journey: Journey) -> float | None:
-    """Return the energy of steady flight along a journey [J]; None if it is unknown for a route.
+    """Return the energy of steady flight along a journey [J]; None if it is unknown.
 
-    A journey is a sequence of routes, one for each leg of the mission from one waypoint to the
-    next.
+    `journey` is a sequence of routes, one for each leg of the mission from one waypoint to the
+    next. Its energy is the sum of the estimated energies of its routes, and unknown if a route has
+    no estimate.
     """
     known = [route.estimate_J for route in journey if route.estimate_J is not None]
     return sum(known) if len(known) == len(journey) else None
@@ -243,6 +245,11 @@ def corridor_journeys(
         Calculator of steady flight in still air, which gives the power.
     shortest : tuple of Route
         The shortest journey, regardless of the wind.
+
+    Returns
+    -------
+    tuple of Journey
+        Each a tuple of routes that carry their estimated energies.
     """
     power = steady_power(steady)
     shares = np.array([max(route.length, 1e-9) for route in shortest])
@@ -391,7 +398,8 @@ def _price_of(
     """Return the price of time [W] at which the cheapest route takes a given duration [s].
 
     The price is the weight of the duration in the cost of a route. It is found by bisection.
-    `places`, `first` and `last` describe the grid, as `_grid` returns them.
+    `costs` gives the costs and times of straight lines; `places`, `first` and `last` are the points
+    and lines of the search grid, as `_grid` returns them. `duration` is the given duration [s].
     """
     hover = float(costs.power(np.zeros(1))[0])
     low, high = -0.95 * hover, 20.0 * hover
@@ -405,8 +413,10 @@ def _price_of(
 class _Search:
     """Search for the cheapest routes from start to goal through each point of a grid.
 
-    The cost of a route is its energy plus the price of time [W] times its duration. Two runs of
-    Dijkstra's algorithm, from the start and from the goal, give all costs.
+    `costs` gives the costs and times of straight lines; `places`, `first` and `last` are the points
+    and lines of the grid, as `_grid` returns them. The cost of a route is its energy plus the price
+    of time `price` [W] times its duration. Two runs of Dijkstra's algorithm, from the start and
+    from the goal, give the costs of all routes.
     """
 
     def __init__(

@@ -176,6 +176,13 @@ def without_overflow(covariance: FloatArray, onward: FloatArray) -> tuple[FloatA
         Covariance of the states at n times.
     onward : ndarray, shape (n - 1, n_x, n_x)
         Covariance between the states at one time and at the next.
+
+    Returns
+    -------
+    ndarray, shape (n, n_x, n_x)
+        Covariance of the states without overflow.
+    ndarray, shape (n - 1, n_x, n_x)
+        Covariance between successive times, zero where a standard deviation was set.
     """
     variance = np.diagonal(covariance, axis1=1, axis2=2)
     is_lost = ~np.isfinite(covariance).all(axis=(1, 2)) | (variance > _LOST**2).any(axis=1)
@@ -191,8 +198,10 @@ def without_overflow(covariance: FloatArray, onward: FloatArray) -> tuple[FloatA
 class _MeanFlight:
     """Flight of a plan under feedback without gusts, and the closed loop linearised along it.
 
-    The joint state of the closed loop holds the states of vehicle and turbulence filters, the
-    states of the controller, and the energy.
+    `scenario` is the mission with its turbulence and uncertain parameters, `plan` the plan that the
+    adaptive controller follows, and `planner` compiles the equations. The joint state of the closed
+    loop holds the states of vehicle and turbulence filters, the states of the controller, and the
+    energy.
     """
 
     def __init__(self, scenario: Scenario, plan: Plan, planner: Planner) -> None:
@@ -271,9 +280,10 @@ class _MeanFlight:
     def _by_unknowns(self, t: FloatArray, joint: FloatArray, commands: FloatArray) -> FloatArray:
         """Return the derivatives of the joint rates with respect to the uncertain parameters.
 
-        The joint rates are the time derivatives of the joint state. Their derivatives are central
-        differences over one standard deviation of each parameter. The result has shape (n, n_joint,
-        n_parameters).
+        The joint rates are the time derivatives of the joint state. `joint` and `commands` hold the
+        joint states and the controller's commands at the n times `t` [s], as `flown` returns them.
+        The derivatives are central differences over one standard deviation of each parameter, and
+        are given per standard deviation. The result has shape (n, n_joint, n_parameters).
         """
         n_states = len(self.dynamics.state_names)
         states, controls = joint[:, :n_states], self.loop.controls(t, joint, commands)
@@ -293,9 +303,9 @@ class _MeanFlight:
     ) -> FloatArray:
         """Return the time derivatives of the vehicle's states for changed parameters.
 
-        `change` maps the full name of a parameter to the size of its change; `side`, 1 or -1, is
-        the sign of all changes. `states` and `controls` are given at the n times `t` [s]; the
-        result has shape (n, n_states).
+        `change` maps the full name of a parameter to the size of its change, in the parameter's
+        unit; `side`, 1 or -1, is the sign of all changes. `states` and `controls` are the vehicle's
+        states and controls at the n times `t` [s]; the result has shape (n, n_states).
         """
         changed = {name: self._numbers.get(name, 0.0) + side * by for name, by in change.items()}
         other = self._problem.dynamics(parameters=self._numbers | changed, horizon=self._horizon)

@@ -42,7 +42,10 @@ class _Watch:
         return cls(limit_s=limit_s, end=now + limit_s, seen=now, process=os.getpid())
 
     def shortened(self, limit_s: float) -> Self:
-        """Return a clock with a shorter limit, at most ``limit_s`` seconds from now."""
+        """Return a copy of this clock whose limit passes at most ``limit_s`` seconds from now.
+
+        The seconds are processor time. If less time is left to this clock, the copy has this time.
+        """
         now = time.thread_time()
         return replace(self, end=min(self.end, now + limit_s), seen=now, process=os.getpid())
 

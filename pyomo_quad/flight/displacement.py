@@ -1,4 +1,7 @@
-"""Displacements of a coarse path that lead it out of zones, so that its flight is a usable plan.
+"""Displacements of a path on a coarse mesh that lead its simulated flight out of keep-out zones.
+
+With them, a coarse solution may become a usable plan: a plan that simulation confirms, at lower
+accuracy than requested.
 
 Between its collocation points, the path of a solution on a coarse mesh may cut corners of keep-out
 zones. A vehicle that follows the path under feedback (`flight.tracking`) cuts them too. It flies
@@ -52,7 +55,10 @@ class Push:
     vector: FloatArray
 
     def at(self, times: FloatArray) -> FloatArray:
-        """Return the displacement at n times [s], shape (n, 3) [m]."""
+        """Return the displacement at n times, shape (n, 3) [m].
+
+        `times` has the times in flight [s], shape (n,).
+        """
         before = np.clip((times - self.first) / _RAMP_S + 1.0, 0.0, 1.0)
         after = np.clip((self.last - times) / _RAMP_S + 1.0, 0.0, 1.0)
         share = quintic_progress(before) * quintic_progress(after)
@@ -71,7 +77,7 @@ def displaced(times: FloatArray, displacement: Displacement) -> tuple[FloatArray
     times : ndarray, shape (n,)
         Times [s].
     displacement : tuple of Push
-        The displacement; no pushes for a path that stays in its place.
+        The displacement, as a sum of pushes; an empty tuple displaces nothing.
 
     Returns
     -------
@@ -87,9 +93,10 @@ def displaced(times: FloatArray, displacement: Displacement) -> tuple[FloatArray
 
 
 def pushes_out(dynamics: Dynamics, flown: Flown) -> Displacement:
-    """Return the pushes that lead a flight out of the zones that it enters.
+    """Return displacements of the path of a flight that lead it out of the zones that it enters.
 
-    Implements docs/theory/tracking.md, eq. (8).
+    Implements docs/theory/tracking.md, eq. (8). Other limits of the airspace, such as the least
+    height above the ground, are treated like zones.
 
     Parameters
     ----------
@@ -101,7 +108,9 @@ def pushes_out(dynamics: Dynamics, flown: Flown) -> Displacement:
     Returns
     -------
     tuple of Push
-        One for each time span inside a zone, away from it at the deepest place.
+        One push for each time span that the flight spends inside a zone. It lasts for this span.
+        Its direction is the shortest way out of the zone, and its length is a little more than this
+        way, both from the place where the flight is deepest inside.
     """
     columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
     found: list[Push] = []
@@ -131,9 +140,12 @@ def moves_in_hovers(dynamics: Dynamics, flown: Flown, allowed: float) -> bool:
 
 
 def _depths(dynamics: Dynamics, flown: Flown) -> dict[str, FloatArray]:
-    """Return how deep the samples of a flight violate the limits of the airspace, by their names.
+    """Return how much the samples of a flight violate each limit of the airspace.
 
-    Depths are positive inside a zone and negative outside, in the unit of the limit.
+    These limits (path constraints) are keep-out zones and the other limits on the position;
+    `dynamics` has them with the equations of the vehicle, `flown` has the n samples. The result
+    maps the name of each limit to its violations, shape (n,), in the unit of the limit. For a zone
+    they are the depths of the samples: positive inside the zone, negative outside.
     """
     instants = dynamics.solved(flown.t, flown.states, flown.controls)
     return {
@@ -144,7 +156,7 @@ def _depths(dynamics: Dynamics, flown: Flown) -> dict[str, FloatArray]:
 
 
 def _part(flown: Flown, chosen: slice) -> Flown:
-    """Return a part of the samples of a flight."""
+    """Return the samples of the flight `flown` that the slice `chosen` selects."""
     return replace(
         flown,
         t=flown.t[chosen],
@@ -157,8 +169,10 @@ def _part(flown: Flown, chosen: slice) -> Flown:
 def _slope(dynamics: Dynamics, one: Flown, name: str, column: int) -> float:
     """Return the derivative of the depth inside a zone with respect to one coordinate.
 
-    `one` is a single sample of a flight, `name` the limit of the zone, and `column` the column of
-    the coordinate among the states.
+    The derivatives with respect to x, y and z give the direction out of the zone. `dynamics` has
+    the equations of the vehicle, with each zone as a limit; `name` is the name of this limit. `one`
+    is the sample of a flight at which the derivative is taken, and `column` the index of the
+    coordinate among the states. The result has the unit of the limit per metre.
     """
     depths = []
     for step in (-_STEP_M, _STEP_M):

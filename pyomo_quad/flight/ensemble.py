@@ -229,8 +229,9 @@ class EnsembleSimulation:
     def _fastest_rate(self) -> float:
         """Return the decay rate of the fastest mode of the closed loop at take-off [1/s].
 
-        The reaction of the body to accelerating rotors makes the yaw loop several times faster than
-        any gain of the controller.
+        The integration steps are short enough to be stable at this rate. The rate does not follow
+        from the gains of the controller: the reaction of the body to accelerating rotors makes the
+        yaw loop several times faster than any gain.
         """
         loop = ClosedLoop(
             self._dynamics,
@@ -343,8 +344,8 @@ def _step_times(scenario: Scenario, fastest_rate: float) -> FloatArray:
     """Return the times of all integration steps of a flight [s].
 
     The steps end at the times at which the noise of the turbulence changes, and at the given times
-    of the mission. `fastest_rate` is the decay rate of the fastest mode of the closed loop [1/s],
-    with which the steps must be stable.
+    of the mission. `fastest_rate` is the decay rate of the fastest mode of the closed loop [1/s];
+    the steps are short enough to be stable for this mode.
     """
     gains, end = scenario.baseline.gains, scenario.mission.fixed_duration
     fastest = max(gains.rotor, gains.attitude_rate, gains.force_identification)

@@ -259,8 +259,9 @@ def broken_limits(
 def is_broken(found: Violation, allowed: Mapping[str, float], breach: float) -> bool:
     """Return whether a violation of a limit exceeds both of its tolerances.
 
-    `allowed` has the tolerances in the unit of the limit, by name of the limit without its index
-    (zero if absent); `breach` is the tolerance relative to the larger of 1 and the limit.
+    `found` is the violation. `allowed` maps names of limits without their index to tolerances in
+    the unit of the limit (zero for a name that it lacks). `breach` is the tolerance relative to the
+    larger of 1 and the limit.
     """
     return found.relative > breach and found.size > allowed.get(found.name.partition("[")[0], 0.0)
 

@@ -91,8 +91,9 @@ def integrate(
 def _within(rates: Rates, first: float, last: float) -> Rates:
     """Return the right-hand side with its time limited to the inside of an interval.
 
-    The rates jump at both ends of the interval, `first` and `last` [s]. For times at an end, the
-    returned function evaluates the rates slightly inside the interval.
+    `rates` is the right-hand side: time [s] and states -> time derivatives. It jumps at both ends
+    of the interval, `first` and `last` [s]. For times at an end, the returned function evaluates it
+    slightly inside the interval, so that the integrator sees no jump.
     """
     margin = _INSIDE * (last - first)
 

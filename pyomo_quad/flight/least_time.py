@@ -96,10 +96,23 @@ def shortest_flight(
 
 
 def declared_free_times(model: Any, scenario: Scenario) -> dict[float, Any]:
-    """Return the variables of a model that hold its free times.
+    """Return the variables of a model that hold its free times, which are part of the solution.
 
-    Free times are the duration, if it is free, and the passing times of waypoints that the plan
-    chooses. The result maps the nominal value of each time [s] to its variable.
+    Free times are the duration, if it is free, and the times at which the vehicle reaches each
+    waypoint and ends each hover at a waypoint.
+
+    Parameters
+    ----------
+    model : ConcreteModel
+        Model of the scenario.
+    scenario : Scenario
+        The mission.
+
+    Returns
+    -------
+    dict
+        Nominal value of a free time [s] -> its variable. The nominal value is the member of the
+        model's time set that stands for the variable.
 
     Raises
     ------

@@ -83,8 +83,8 @@ def limit_amount(name: str, size: float, unit: str) -> tuple[float, str]:
 def excess(breach: Violation, unit: str) -> tuple[float, str]:
     """Return the amount by which a limit is violated, and its unit, in the form in print.
 
-    `unit` is the unit of the limit in the model. The excess over a limit on a square, such as a
-    speed squared, is converted to the excess of the speed itself.
+    `breach` is the violation, `unit` the unit of the limit in the model. The excess over a limit on
+    a square, such as a speed squared, is converted to the excess of the speed itself.
     """
     # For a square, this is the excess of the length over its limit, not the root of the difference.
     reached, plain = limit_amount(breach.name, abs(breach.bound) + breach.size, unit)
@@ -94,7 +94,7 @@ def excess(breach: Violation, unit: str) -> tuple[float, str]:
 def breach_words(breach: Violation, unit: str) -> str:
     """Return a violated limit in words, with the amount: "roll angle by 0.15 rad".
 
-    `unit` is the unit of the limit in the model.
+    `breach` is the violation, `unit` the unit of the limit in the model.
     """
     size, plain = excess(breach, unit)
     return f"{limit_words(breach.name)} by {size:.2g} {plain}".rstrip()

@@ -48,7 +48,9 @@ _SAMPLES = 400
 def is_long(scenario: Scenario) -> bool:
     """Return whether a straight flight to the goal is long compared with a change of attitude.
 
-    The result is False for missions with waypoints or keep-out zones, which are not straight.
+    A long flight needs the meshes of this module, because the equal elements of the scenario's mesh
+    would not resolve changes of attitude. The result is False for missions with waypoints or
+    keep-out zones, whose flights are not straight.
     """
     airspace = scenario.airspace
     is_straight = not (scenario.mission.waypoints or airspace.keep_out)
@@ -63,7 +65,7 @@ def rough_mesh(duration: float) -> Mesh:
 def fine_mesh(duration: float, degree: int) -> Mesh:
     """Return a mesh with fine elements at both ends, for a long flight of given duration [s].
 
-    `degree` is the degree of short elements; long elements have a higher degree.
+    `degree` is the polynomial degree of short elements; long elements have a higher degree.
     """
     return _graded(duration, *_FINE, degree)
 
@@ -72,7 +74,8 @@ def _graded(duration: float, shortest: float, growth: float, degree: int) -> Mes
     """Return a mesh whose elements grow by a constant factor from both ends towards the middle.
 
     `duration` is the duration of the flight [s], `shortest` the length of the first and the last
-    element [s], `growth` the factor, and `degree` the degree of short elements.
+    element [s], `growth` the factor between neighbouring elements, and `degree` the polynomial
+    degree of short elements; long elements have a higher degree.
     """
     widths = [shortest]
     while 2 * sum(widths) < duration:
@@ -167,8 +170,9 @@ def _columns(
 def _speed_for(distance: float, duration: float) -> float:
     """Return the cruise speed with which a flight over a distance takes a given duration [m/s].
 
-    Acceleration and jerk have the fixed values of the initial guess. If the duration is too short
-    for any cruise speed, the result is the speed of the quickest flight.
+    `distance` is in m, `duration` in s. The flight starts and ends at rest, with fixed values of
+    acceleration and jerk. If the duration is too short for any cruise speed, the result is the
+    speed of the quickest flight.
     """
     # Acceleration and braking take speed / acceleration longer than cruise, plus the time of the
     # jerk phases.
@@ -180,8 +184,9 @@ def _speed_for(distance: float, duration: float) -> float:
 def best_speed(steady: SteadyFlight, course: FloatArray, price_of_time: float) -> float:
     """Return the approximate ground speed of least cost per metre along a direction [m/s].
 
-    The cost is the energy plus `price_of_time` [W] times the duration. `course` is the unit vector
-    of the direction, shape (3,).
+    `steady` calculates steady flight of the vehicle in the wind of the mission. The cost is the
+    energy plus `price_of_time` [W] times the duration. `course` is the unit vector of the
+    direction, shape (3,).
     """
 
     def cost(speed: float) -> float:

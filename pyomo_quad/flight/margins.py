@@ -153,8 +153,8 @@ class RiskTaken:
 def tightened(scenario: Scenario, margins: Mapping[str, float]) -> Scenario:
     """Return the scenario with its limits tightened by margins.
 
-    `margins` maps a field of the scenario to the amount by which its limit is tightened, in the
-    unit of the field.
+    `margins` maps the full name of a field of the scenario, such as "airspace.floor", to the amount
+    by which the limit in this field is tightened, in the unit of the field.
     """
     told = scenario.mission
     mission: dict[str, Any] = {
@@ -202,7 +202,8 @@ def _narrowed(waypoint: Waypoint, margins: Mapping[str, float]) -> Waypoint:
     """Return a waypoint whose limits are tightened by margins.
 
     It has a smaller radius, a lower speed limit, and a hover that begins earlier and ends at the
-    same time. `margins` maps `RADIUS`, `SPEED` and `HOLD` to amounts in m, m/s and s.
+    same time. `margins` maps the names of these limits, `RADIUS`, `SPEED` and `HOLD`, to the
+    amounts by which they are tightened, in m, m/s and s.
     """
     changed: dict[str, float] = {}
     if waypoint.radius:
@@ -222,8 +223,9 @@ def _narrowed(waypoint: Waypoint, margins: Mapping[str, float]) -> Waypoint:
 def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> tuple[float, ...]:
     """Return the times at which flights must pass the waypoints, from the times of a plan.
 
-    As a margin, a plan with `lead` > 0 begins its hovers earlier than the mission requires. Flights
-    are only required to hover from the mission's time on.
+    A plan may begin its hovers earlier than the mission requires, by the time `lead`. This is a
+    margin: flights that follow the plan have to hover only from the later time on, which the
+    mission requires.
 
     Parameters
     ----------
@@ -233,6 +235,11 @@ def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> 
         Time at which the plan reaches each waypoint [s].
     lead : float
         Time by which the plan begins hovers earlier than required [s].
+
+    Returns
+    -------
+    tuple of float
+        Time for each waypoint [s]: the planned time, later by `lead` at waypoints with a hover.
     """
     return tuple(
         at + (lead if waypoint.hold else 0.0)

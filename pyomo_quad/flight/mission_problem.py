@@ -118,10 +118,12 @@ class MissionProblem:
 
     @property
     def allowance(self) -> Allowance:
-        """Tolerances of the mesh refinement on errors that a simulation of the controls reveals.
+        """Tolerances of the mesh refinement on errors that occur between collocation points.
 
-        They are wide for the package's own model and an accuracy below the highest level, `proof`,
-        so that a coarse mesh suffices: before the simulation, feedback corrects the controls
+        Such errors are violations of limits and errors of the states; a simulation of the planned
+        controls reveals them. The tolerances are wide for the package's own model and an accuracy
+        below the highest level, `proof`, so that a coarse mesh suffices. Two later steps then
+        remove the errors: feedback corrects the controls before the simulation
         (`flight.tracking`), and limits that the simulated flight breaks are made stricter
         (`flight.stricter_limits`).
         """
@@ -142,8 +144,8 @@ class MissionProblem:
         """Return the options of the mesh refinement with tolerances below those of `allowance`.
 
         The tolerances on the errors of the states and on the violation of limits, both between the
-        collocation points, are multiplied by `share`. Options without a tolerance on the errors of
-        the states are returned unchanged.
+        collocation points, are multiplied by the factor `share`, less than 1. Options without a
+        tolerance on the errors of the states are returned unchanged.
         """
         refinement: RefinementOptions = self.arguments["refinement"]
         allowed = refinement.allowance
@@ -255,8 +257,9 @@ class MissionProblem:
     def _as_far_as(self, stopped: Solution) -> Solution:
         """Return the last point of an interrupted solve, evaluated with the mission's parameters.
 
-        The interrupted solve had easier parameter values, which round the power at zero more
-        widely. Energy and errors of the returned solution are those of the mission itself.
+        `stopped` is the result of the interrupted solve. That solve had easier parameter values,
+        which round the power at zero more widely. Energy and errors of the returned solution are
+        those of the mission itself.
         """
         read = self.unsolved(mesh=stopped.mesh, warm_start=stopped)
         return replace(read, status=stopped.status, message=stopped.message)
@@ -264,8 +267,9 @@ class MissionProblem:
     def unsolved(self, **chosen: Any) -> Solution:
         """Return the initial point of a solve as a solution that is not converged.
 
-        The point is evaluated without any iteration. ``chosen`` holds arguments of `Problem.solve`
-        that replace those of `arguments`.
+        The point is evaluated without any iteration, to represent a mission that was not solved or
+        a solve that was interrupted. ``chosen`` holds arguments of `Problem.solve` that replace
+        those of `arguments`, such as the mesh and the initial point.
         """
         options = SolverOptions(max_iterations=0)
         return self.solve(**{"tolerance": None, "options": options, "progress": None} | chosen)
@@ -365,10 +369,11 @@ class MissionProblem:
         return self.solve(mesh=flown.mesh, warm_start=flown, refinement=refinement)
 
     def keep_usable(self, finished: Solution) -> None:
-        """Offer the solution on a finished mesh to the search as a usable plan.
+        """Let the search make a usable plan from the solution on one mesh of the refinement.
 
-        A usable plan is a plan that simulation confirms at lower accuracy than requested. The mesh
-        refinement calls this function after each mesh.
+        A usable plan is a plan that simulation confirms at lower accuracy than requested; a search
+        that is stopped returns it. `finished` is the solution. The mesh refinement calls this
+        function after the solve on each mesh.
         """
         search = self.search
         if search is None:

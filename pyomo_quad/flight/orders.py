@@ -186,8 +186,9 @@ def search_orders(costs: FloatArray, count: int) -> list[_Order]:
 def _without_infinities(costs: FloatArray) -> FloatArray:
     """Return a table of leg costs in which infinite costs are replaced by large finite numbers.
 
-    Some algorithms need finite numbers. An infinite cost marks a leg (flight between two places)
-    that is not allowed; it is replaced by a number above the cost of any order of allowed legs.
+    Some algorithms need finite numbers. `costs` is the table of leg costs; an infinite cost marks a
+    leg (flight between two places) that is not allowed. It is replaced by a number above the cost
+    of any order of allowed legs.
     """
     finite = costs[np.isfinite(costs)]
     large = 1.0 + len(costs) * float(np.max(np.abs(finite), initial=0.0))
@@ -242,8 +243,10 @@ def nearest_first(costs: FloatArray) -> IntArray:
 def _descended(costs: FloatArray, neighbours: IntArray, order: IntArray) -> IntArray:
     """Return the locally optimal order that steepest descent finds from an initial order.
 
-    `costs` is the table of leg costs, and `neighbours` the table of local changes from
-    `_neighbours`. The descent ends when no local change reduces the cost of the order.
+    `costs` is the table of leg costs, with the start in row 0 and the goal in the last column.
+    `order`, the initial order, and the result have the indices of the places between start and
+    goal, from 1. Each row of `neighbours`, from `_neighbours`, describes a local change of an
+    order. The descent ends when no local change reduces the cost of the order.
     """
     cost = _cost(costs, order[None])[0]
     while True:
@@ -310,9 +313,9 @@ def _tree_bound(costs: FloatArray, reached: float) -> float:
 
     An order is a spanning tree in which each place between start and goal has two legs (flights
     to another place). In the minimum spanning tree a place may have another number of legs.
-    Multipliers penalise the difference, and subgradient steps maximise the bound over the
-    multipliers: see docs/theory/orders.md, eq. (5). `costs` are symmetric leg costs, `reached` is
-    the cost of a known order.
+    Multipliers, one for each place, penalise a number of legs other than two, and subgradient steps
+    maximise the bound over the multipliers: see docs/theory/orders.md, eq. (5). `costs` is the
+    table of symmetric leg costs. `reached` is the cost of a known order, the target of the steps.
     """
     degrees = np.full(len(costs), 2.0)
     degrees[[0, -1]] = 1.0
@@ -334,8 +337,8 @@ def _tree_bound(costs: FloatArray, reached: float) -> float:
 def _least_tree(costs: FloatArray) -> tuple[float, FloatArray]:
     """Return the cost of the minimum spanning tree, and the number of its legs at each place.
 
-    A leg connects two places; `costs` is the symmetric table of leg costs. The method is Prim's;
-    see docs/theory/orders.md, eq. (4).
+    A leg connects two places; `costs` is the symmetric table of leg costs, shape (n, n). The
+    numbers of legs have shape (n,). The method is Prim's; see docs/theory/orders.md, eq. (4).
     """
     n = len(costs)
     degrees, nearest, by = np.zeros(n), costs[0].copy(), np.zeros(n, dtype=int)

@@ -124,9 +124,9 @@ class Habits:
     """Switches for features of RotorPy's own simulation that differ from the scenario's model.
 
     The features are another value of gravity, rotors without gyroscopic moment or without reaction
-    of the body to their acceleration, rotor commands at a constant rate, and a tolerance of the
-    integrator. With the default values, RotorPy's vehicle obeys the equations of the scenario's
-    Pyomo model.
+    of the body to their acceleration, rotor commands that change only at a constant rate, and
+    another tolerance of the integrator. With the default values, RotorPy's vehicle obeys the
+    equations of the scenario's Pyomo model.
     """
 
     gravity: float | None = None
@@ -297,7 +297,10 @@ class OutsidePlant:
         return x
 
     def turned_back(self, vector: FloatArray) -> FloatArray:
-        """Rotate a vector, shape (3,), from RotorPy's body axes to those of the scenario."""
+        """Return the components of a vector along the body axes of the scenario's model.
+
+        `vector` has its components along the body axes of RotorPy's vehicle. Both have shape (3,).
+        """
         return np.asarray(self._turn.apply(vector))
 
     def seen(self, x: FloatArray) -> dict[str, FloatArray]:
@@ -451,12 +454,13 @@ class OutsidePlant:
     def _slope(
         self, law: OutsideLaw, inside: float, last: float
     ) -> Callable[[float, FloatArray], FloatArray]:
-        """Return the right-hand side for one period: joint state rates from time and joint state.
+        """Return the right-hand side of the closed loop for one period in which the law is smooth.
 
-        The returned function raises a SolveError if the vehicle tumbles in the period, which ends
-        at the time `last` [s]. The law may jump at the start of the period; before the time
-        `inside` [s], which is just after the start, the function therefore evaluates the law at
-        `inside`.
+        The returned function takes a time [s] and the joint state, and returns the time derivative
+        of the joint state under the control law `law`. It raises a SolveError if the vehicle
+        tumbles in the period, which ends at the time `last` [s]. The law may jump at the start of
+        the period; before the time `inside` [s], which is just after the start, the function
+        therefore evaluates the law at `inside`.
         """
         guard = TumblingGuard("RotorPy", last - inside)
 
@@ -469,8 +473,9 @@ class OutsidePlant:
     def _with_constant_command(self, law: OutsideLaw, t: float, joint: FloatArray) -> OutsideLaw:
         """Return a law with constant rotor-speed commands: those that ``law`` gives at time t [s].
 
-        `joint` is the joint state at time t. The motors follow the commands with a lag. RotorPy
-        simulates each period of its controller in this way.
+        `joint` is the joint state at time t. The returned law gives the rotor accelerations with
+        which the motors follow the constant commands with their lag. RotorPy's own simulation keeps
+        the commands constant in this way between two evaluations of its controller.
         """
         x, lag = self.read(joint), self.parameters["tau_m"]
         command = x[self._rotors] + lag * np.asarray(law(t, x, self.own(joint))[0], dtype=float)
@@ -488,8 +493,9 @@ _WIND_VELOCITY = ("wind.velocity_x", "wind.velocity_y", "wind.velocity_z")
 def _wind_of(scenario: Scenario, dynamics: Dynamics) -> Callable[[float, FloatArray], FloatArray]:
     """Return the wind of the scenario's model, as a function of time and of the model's states.
 
-    The function takes a time [s] and the states, shape (n_states,); it returns the wind along world
-    x, y and z, shape (3,) [m/s].
+    `scenario` is the mission with its wind, `dynamics` has the equations of the model. The returned
+    function takes a time [s] and the states, shape (n_states,); it returns the wind along world x,
+    y and z, shape (3,) [m/s].
     """
     keys = tuple((name, None) for name in _WIND_VELOCITY if dynamics.has(name))
 
