@@ -754,10 +754,10 @@ class _Search:
 
         Margins are the amounts by which limits are tightened for the plan. `tested` has the results
         of the test flights and the present margins. The result maps each scenario field to its new
-        margin. A flight misses the goal
-        if it has too little thrust or time to correct the effect of a gust. If flights miss the
-        goal too often, the margins that leave a reserve of thrust, rotor speed and tilt therefore
-        grow as well, the more the larger the fraction of these flights is.
+        margin. A flight misses the goal if it has too little thrust or time to correct the effect
+        of a gust. If flights miss the goal too often, the margins that leave a reserve of thrust,
+        rotor speed and tilt therefore grow as well, the more the larger the fraction of these
+        flights is.
         """
         tried, counts = tested.tried, tested.counts
         allowed = self._risk * tested.flown / max(len(counts), 1)
