@@ -199,9 +199,10 @@ _Error = Annotated[float, AllowInfNan()]
 
 
 class PlanRecord(Part):
-    """Attributes of a plan that a plan file stores as text; `Plan` explains them.
+    """Attributes of a plan that a plan file stores as text, such as status, energy and history.
 
-    The arrays of the plan are stored separately.
+    They have the same names and meanings as those of `Plan`. The arrays of the plan are stored
+    separately.
     """
 
     status: PlanStatus
@@ -286,6 +287,7 @@ def read_plan_file(path: Path) -> tuple[Scenario, PlanRecord, Trajectories, Warm
     Returns
     -------
     (Scenario, PlanRecord, Trajectories, WarmStart or None)
+        None if the file contains no variables and multipliers from which a solve can start.
 
     Raises
     ------
@@ -434,7 +436,8 @@ class Plan(Summarised):
         Comparison of the plan with the simulation of its controls; None if the controls were not
         simulated, for example because the solve failed.
     error_estimate : float
-        Largest relative error of any state in any element of the mesh, estimated.
+        Estimate of the largest relative error of any state in any element of the mesh; or, if that
+        is larger, the relative difference between the plan's energy and the least energy.
     history : tuple of MeshRecord
         Record of each mesh of the refinement.
     iterations : tuple of Iteration
@@ -580,11 +583,12 @@ class Plan(Summarised):
     def energy_uncertainty(self) -> float:
         """Estimated fraction of the energy that a better flight near the plan may save.
 
-        For a verified plan this is the error estimate, which covers the error of the energy. For
-        any other plan it is the relative change of the energy from the second last to the last
-        mesh. If this change is smaller than the energy tolerance of the lowest accuracy, `quick`,
-        this tolerance replaces it, because two meshes may agree by chance. If there was only one
-        mesh, its estimated error takes the place of the change; it is infinite if it is unknown.
+        For a verified plan this is the error estimate, which covers the error of the energy, but at
+        most the tolerance of the scenario. For any other plan it is the relative change of the
+        energy from the second last to the last mesh. If this change is smaller than the energy
+        tolerance of the lowest accuracy, `quick`, this tolerance replaces it, because two meshes
+        may agree by chance. If there was only one mesh, its estimated error takes the place of the
+        change; it is infinite if it is unknown.
         """
         if self.is_verified:
             return min(self.error_estimate, self.scenario.solver.tolerance)
@@ -663,8 +667,9 @@ class Plan(Summarised):
     def end_prices(self) -> dict[str, float]:
         """Costates at the end of the plan, by state name [J per unit of the state].
 
-        Each costate is used as the derivative of the energy of the mission with respect to the
-        final value of the state; see `owed_energy`.
+        A costate is the derivative of the energy that the rest of an optimal flight takes, with
+        respect to the present value of the state. The costates at the end give the energy that a
+        flight with a deviation from the goal still needs; see `owed_energy`.
         """
         held = self.trajectories
         return dict(zip(held.costate_names, held.costates[-1].tolist(), strict=True))
@@ -829,7 +834,10 @@ class Plan(Summarised):
         return frame
 
     def guess(self) -> pd.DataFrame:
-        """Return states and controls at the nodes as a table, for use as an initial guess."""
+        """Return states and controls at the nodes as a table, for use as an initial guess.
+
+        The columns are "time" [s] and the full names of the states and controls.
+        """
         import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
         held, times = self.trajectories, self.trajectories.node_times

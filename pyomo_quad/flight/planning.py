@@ -1,4 +1,9 @@
-"""Planner, which compiles a scenario's problem, applies the strategies, and verifies the plan."""
+"""Planner, which makes a verified plan from a scenario.
+
+It compiles the optimal control problem of the scenario, and solves it by strategies (such as a
+first solve and retries from other initial guesses, `flight.strategies`). It then verifies the plan
+by simulation.
+"""
 
 import time
 from collections.abc import Callable
@@ -37,7 +42,8 @@ class Planner(Problems):
         """Return a context manager for a series of solves that the user may stop together.
 
         Its value is a function without arguments, which returns whether the user has stopped one of
-        the solves. In this class the function always returns False.
+        the solves. In this class the function always returns False; the planner of the command line
+        replaces it by one that returns whether Ctrl-C was pressed.
         """
         return nullcontext(lambda: False)
 
@@ -91,7 +97,8 @@ class Planner(Problems):
     def _solve_in_best_order(self, scenario: Scenario, solve: Solve, search: Search) -> Plan:
         """Solve a mission whose waypoints may be visited in any order.
 
-        The result is the plan of the cheapest order found. `solve` makes a plan for a given order.
+        The result is the plan of the cheapest order found. `solve` makes a plan for a scenario
+        whose waypoints are in a given order. `search` is the progress callback of all solves.
         """
         orders = BestOrder(self, scenario, search)
         table = [
@@ -106,7 +113,9 @@ class Planner(Problems):
 
         After the minimum-time problem, flights of least energy are solved for fixed durations that
         decrease towards the least duration. Each solve starts from the previous solution. The plan
-        returned is the last verified flight.
+        returned is the last verified flight. `search` is the progress callback of all solves. If
+        the minimum-time problem cannot be solved, a plan without this aim is solved, with `start`
+        as its initial point, and returned with the status "not converged".
         """
         told = scenario.as_forecast()
         shortest = shortest_flight(self.builder(told), told, search, is_exact=True)

@@ -33,9 +33,10 @@ Builder = Callable[[Scenario], Any]
 def _start_key(scenario: Scenario) -> Scenario:
     """Return a key that is equal for scenarios whose problems have the same initial states.
 
-    The key is the scenario without duration, wind and settings of baseline flights (flights of a
-    controller along a reference, with which a plan is compared). If the duration is fixed, the
-    initial states do not depend on these.
+    It is used to decide whether a cached problem can simulate a scenario. The key is the scenario
+    without duration, wind and settings of baseline flights (flights of a controller along a
+    reference, with which a plan is compared). If the duration is fixed, the initial states do not
+    depend on these.
     """
     timeless = scenario.mission.model_copy(update={"duration": 1.0})
     return guess_key(scenario).model_copy(update={"mission": timeless, "baseline": None})
@@ -76,7 +77,11 @@ class Problems:
         return self._builder is build_model
 
     def has_routes(self, scenario: Scenario) -> bool:
-        """Return whether a mission has several routes, round zones or through a wind field."""
+        """Return whether a mission may have several routes, round zones or through a wind field.
+
+        The mission is then solved along several routes, and the solutions are compared. The result
+        is False for a user's own model.
+        """
         has_choice = bool(scenario.airspace.keep_out) or has_corridors(scenario)
         return self.is_declared and has_choice
 
@@ -115,7 +120,8 @@ class Problems:
     ) -> SteadyFlight:
         """Return the calculator of steady flight of a scenario's vehicle in still air.
 
-        Steady flight is hover or cruise. The calculator is cached by scenario.
+        Steady flight is hover, or flight at a constant velocity. The calculator is cached by
+        scenario.
 
         `known` gives the initial values, by name, of those states of a user's own model that the
         mission does not define.

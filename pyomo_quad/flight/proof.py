@@ -107,10 +107,11 @@ def refuse_unproven(
 def _refuse_failed(
     scenario: Scenario, verification: Verification, energy: float, allowed: Figures
 ) -> None:
-    """Raise a ScenarioError if the simulated flight violates a limit, or if its energy differs.
+    """Raise a ScenarioError if a plan's simulated flight does not meet the tolerances.
 
-    `verification` compares the simulated flight with the plan; `energy` is the energy that the plan
-    states [J].
+    Limits, energy, waypoints and the supply by the battery are checked. `verification` compares the
+    simulated flight with the plan, `energy` is the energy that the plan states [J], and `allowed`
+    has the tolerances. `scenario` gives the name for the message.
     """
     share = abs(verification.energy_difference_J) / max(1.0, abs(energy))
     passed = max(verification.passing_misses_m, default=0.0)
@@ -219,7 +220,9 @@ def _refuse_other_ends(
 ) -> None:
     """Raise a ScenarioError if the initial or final state of a plan differs from the mission's.
 
-    `states` has the planned states at the nodes, shape (n_points + 1, n_states).
+    `states` has the planned states at the nodes, shape (n_points + 1, n_states), in the order of
+    the equations `dynamics`. The tolerance is `allowed.miss`, relative to the larger of 1 and the
+    value that the mission prescribes.
     """
     for end, wanted, found in (
         ("start", declared_start(scenario, dynamics), states[0]),
@@ -245,8 +248,9 @@ def _refuse_astray(
 ) -> None:
     """Raise a ScenarioError if the simulated states deviate from the states of the plan.
 
-    `flown` has the simulated states, which follow from the plan's controls. The tolerance
-    `allowed.miss` applies at all times.
+    `planned` is the plan, and `flown` has the simulated states, which follow from the plan's
+    controls and the equations `dynamics`. The tolerance `allowed.miss`, relative to the larger of 1
+    and the planned value, applies at all times.
     """
     expected = planned.states_at(flown.t)
     worst, when, which = 0.0, 0.0, ""

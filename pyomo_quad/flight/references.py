@@ -291,10 +291,10 @@ class PlannedPath:
 
 
 class _Pieces:
-    """Piecewise polynomials of several quantities over time, with common knots.
+    """Piecewise polynomials of several quantities over time, with the same break times (knots).
 
-    All quantities are evaluated by one matrix product, which costs no more than evaluating one of
-    them.
+    Reference paths consist of such quantities: position, yaw and their derivatives. All quantities
+    are evaluated together by one matrix product, which costs no more than evaluating one of them.
     """
 
     def __init__(self, knots: FloatArray, coefficients: Sequence[FloatArray]) -> None:

@@ -149,8 +149,9 @@ class Remainder:
     def planned_until(self) -> float:
         """Time from which on the plan is not replaced until the next waypoint or the end [s].
 
-        A new plan that starts shortly before a place where it must arrive exactly would counteract
-        every gust, however much energy this costs.
+        From this time the vehicle follows its last plan. A new plan that starts shortly before a
+        place where it must arrive exactly would counteract every gust, however much energy this
+        costs.
         """
         if not self.passages:
             return self.end - min(_LAST, _LAST_SHARE * (self.end - self.begin))
@@ -159,10 +160,11 @@ class Remainder:
         return self.passages[0] - min(near[0], near[1] * ahead)
 
     def timeline(self, t: float) -> Timeline:
-        """Return the times of start, passages and end of a plan that starts at time t [s].
+        """Return the times that belong to fractions of the horizon, for a plan from time t [s] on.
 
-        The compiled problem uses fractions of the horizon; the result relates each of its fixed
-        fractions to one of these times.
+        The compiled problem has its start, its passages of waypoints and its end at fixed fractions
+        of the horizon. The result assigns to these fractions the times of a plan that starts at
+        time t; between them, time is linear.
         """
         return Timeline(
             fractions=np.array(self.problem.compiled.declared.clock.fractions),
@@ -188,7 +190,11 @@ class Remainder:
         return Mesh.uniform(1, _DEGREE).with_breakpoints(fractions.tolist())
 
     def guess(self, t: float, known: Trajectories) -> dict[str, FloatArray]:
-        """Return the initial guess of a new plan: samples of a known plan from time t [s] on."""
+        """Return the initial guess of a new plan: samples of a known plan from time t [s] on.
+
+        The result maps "time" to the times of the samples [s], and the full name of each variable
+        to its values at these times; all arrays have the same length. `known` is the known plan.
+        """
         declared = self.problem.compiled.declared
         times = np.linspace(t, self.end, _GUESSED)
         states = zip(known.state_names, known.states_at(times).T, strict=True)
@@ -521,7 +527,7 @@ class Replanner:
     def _states(self, plan: Trajectories, *times: float) -> FloatArray:
         """Return a plan's states at given times [s], shape (n_times, n_states).
 
-        They are in the order of `dynamics`.
+        They are in the order of the states of `dynamics`, the equations of the whole mission.
         """
         names = list(plan.state_names)
         columns = [names.index(name) for name in self.dynamics.state_names]
@@ -566,9 +572,10 @@ def _remainders(believed: Scenario) -> tuple[Remainder, ...]:
 def _ahead(believed: Scenario, k: int) -> Scenario:
     """Return the mission that remains after its first k waypoints, for re-plans in flight.
 
-    If the vehicle still has to hover at a waypoint, the remaining mission ends some time after the
-    start of the next hover. Its goal is the position of this waypoint, because the later parts of
-    the mission do not affect a hovering vehicle.
+    `believed` is the whole mission, with the wind and the vehicle that plans assume. If the vehicle
+    still has to hover at a waypoint, the remaining mission ends some time after the start of the
+    next hover. Its goal is the position of this waypoint, because the later parts of the mission do
+    not affect a hovering vehicle.
     """
     mission = believed.mission
     left = mission.waypoints[k:]

@@ -1,29 +1,35 @@
 """Re-planning in flight (model-predictive control) by repeated solves of the remaining mission.
 
-At constant intervals, the rest of the mission is solved again for least energy; the new plan is
-called a re-plan. It starts from the state that the vehicle is predicted to have when the solve is
-done, and its solve is warm-started from the previous re-plan (see `flight.remaining`). The adaptive
-controller follows each plan until the next plan is available. Before the first re-plan it follows
-the plan made before take-off. It follows this plan also during hovers at waypoints: from one second
-after the start of the hover, or from the middle of a short hover, to the next re-plan.
+During a simulated flight, at constant intervals, the optimal control problem of the rest of the
+mission is solved again for least energy. The solution is a new plan, called a re-plan. A controller
+with adaptation follows the newest plan. Until the first re-plan, this is the plan made before
+take-off.
 
-If the flight is near its plan, a re-plan starts from the planned state, because the controller
-corrects the deviation. Otherwise it starts between the planned and the measured state, at such a
-distance from the measured state that the controller can still correct the deviation (tube-based
-predictive control). The limits are soft (violations are penalised), so that a re-plan exists from
-every state from which rotors and battery can reach the goal. If a solve fails nevertheless, the
-vehicle follows the previous plan, provided that the flight has not used up the margins of the
-limits. If it has used up a margin, the solve is repeated with a much larger number of iterations,
-so that the new plan is late.
+A solve takes time, during which the vehicle flies on along its present plan. Each re-plan therefore
+begins at the time at which its solve is to be done, and at the state predicted for that time. If
+the vehicle is near its present plan, this is the planned state: the controller corrects the small
+deviation. Otherwise it is a state between the planned and the actual state, just so near to the
+actual state that the controller can correct the rest of the deviation (tube-based predictive
+control). Each solve is warm-started from the previous re-plan (see `flight.remaining`).
 
-The last seconds before the goal, a waypoint or a hover are not planned again. A plan that must meet
-a place exactly within seconds would counteract every gust at any cost, although the gust may have
-changed again by then. Waypoints are passed at their times.
+The limits of a re-plan are soft: they may be violated at a penalty. A solution therefore exists
+from every state from which rotors and battery can reach the goal. If a solve fails nevertheless,
+the vehicle follows its previous plan. There is one exception. A margin is the amount by which a
+limit was tightened for the plan. If the vehicle is nearer to a limit than its plan by more than the
+margin, the solve is repeated at once with many more iterations allowed, although the new plan may
+then be late.
+
+No re-plan begins in the last seconds before the goal, a waypoint or a hover. A plan that must
+arrive exactly within seconds would counteract every gust at any cost, although the gust may have
+changed again by then. In a hover at a waypoint, the vehicle follows the last re-plan for one second
+(for half of the hover, if that is less). Then it follows the plan made before take-off, until the
+next re-plan. Waypoints are passed at the times that the mission gives.
 
 A wind that differs from the forecast, or a mass that differs from the assumed mass, causes an
-acceleration that the equations do not explain.  The adaptation law of the controller estimates this
-acceleration, and the re-plans include it.  The vertical part is attributed to the mass, even if an
-updraft causes it; the rest is attributed to the wind.
+acceleration that the equations of motion do not contain. The adaptation law of the controller
+estimates this acceleration from the flight. The re-plans include the estimate, unless they are to
+use the forecast alone: the vertical part as a changed mass (even if an updraft causes it), the
+horizontal part as an additional acceleration by the wind.
 """
 
 from collections.abc import Callable
@@ -95,7 +101,12 @@ def replanned_name(knowledge: Knowledge) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class _Leg:
-    """Part of a flight, from `start` to `end` [s], in which the vehicle follows one plan."""
+    """Part of a flight, from `start` to `end` [s], in which the vehicle follows one plan.
+
+    `course` has the plan, its reference path and its assumptions on mass and wind. `learnt` is the
+    estimated acceleration that the plan does not include, and `last` has the controller's states at
+    the start of the part.
+    """
 
     course: Course
     start: float
@@ -158,7 +169,10 @@ class _Observer:
         )
 
     def watch(self, flown: Flown) -> None:
-        """Update the estimate of the unexplained acceleration with a simulated part of a flight."""
+        """Update the estimate of the unexplained acceleration with a simulated part of a flight.
+
+        `flown` has the samples of this part, which begins where the last part ended.
+        """
         explained = self._dynamics.table(_SLOPES, flown.t, flown.states, flown.controls)
         seen = np.hstack([flown.states[:, self._columns], explained])
 
@@ -192,14 +206,15 @@ class _Aircraft:
     def seen(self, flown: Flown) -> Flown:
         """Return a simulated part of the flight with only the states that the vehicle measures.
 
-        States of the turbulence are left out.
+        States of the turbulence are left out of the samples `flown`.
         """
         return replace(flown, states=flown.states[:, self._measured])
 
     def fly(self, leg: _Leg, state: FloatArray, integrator: Integrator) -> ClosedLoopFlight:
         """Simulate one part of the flight, in which the controller follows one plan.
 
-        `leg` is the part with its plan, and `state` the initial state of the vehicle.
+        `leg` is the part with its plan, `state` the initial state of the vehicle, shape
+        (n_states,), and `integrator` the method of numerical integration.
         """
         believed = with_mass(self._scenario, leg.course.belief)
         return fly(
@@ -264,7 +279,8 @@ class _ReplannedFlight:
         """Solve for a new plan from a measured state, and simulate the flight during the solve.
 
         `measured_at` is the time of the measurement [s]. If the solve fails, the vehicle continues
-        with the present plan. The result is the time at which the solve is done aboard [s].
+        with the present plan. The result is the time [s] at which the computer aboard has the new
+        plan, and until which the flight along the present plan has been simulated.
         """
         meant_for = measured_at + self._settings.solve_time
         estimate, belief = np.zeros(3), self._replanner.belief
@@ -302,8 +318,9 @@ class _ReplannedFlight:
     ) -> Solution | None:
         """Solve the remaining mission from a state at time t [s]; None if the solve fails.
 
-        `belief` has the estimates of mass and wind. `is_patient` allows the solve as many
-        iterations as before take-off.
+        `state` is the initial state of the plan, shape (n_states,), and `belief` has the estimates
+        of mass and wind that the plan assumes. `is_patient` allows the solve as many iterations as
+        before take-off.
         """
         try:
             solution = self._replanner.solve(t, state, belief, is_patient=is_patient)

@@ -34,7 +34,7 @@ def with_return_flight(problems: "Problems", scenario: Scenario) -> Scenario:
 
     Values that the scenario gives are kept. The scenario is returned unchanged if it reserves no
     charge for a return, or if it gives all values. The current of the climb is needed over terrain
-    only.
+    only. `problems` compiles the vehicle's equations, from which the values are computed.
 
     Raises
     ------
@@ -62,7 +62,8 @@ def with_return_flight(problems: "Problems", scenario: Scenario) -> Scenario:
 def _cheapest(scenario: Scenario, steady: SteadyFlight, wind: float) -> float:
     """Return the airspeed of least battery charge per metre over the ground [m/s].
 
-    `wind` is the head wind [m/s].
+    `wind` is the head wind [m/s]. `scenario` gives the lowest state of charge allowed, at which the
+    battery current is evaluated, and `steady` computes the steady flight at each airspeed.
     """
 
     def cost(airspeed: float) -> float:
@@ -86,7 +87,8 @@ def _cheapest(scenario: Scenario, steady: SteadyFlight, wind: float) -> float:
 def climb_current(scenario: Scenario, steady: SteadyFlight, airspeed: float) -> float:
     """Return the battery current [A] of the return flight's climb at the lowest charge allowed.
 
-    The result is the greater of two currents: at zero airspeed and at the given airspeed [m/s].
+    `scenario` gives this charge and the rate of climb, and `steady` computes the flight. The result
+    is the greater of two currents: at zero airspeed and at the given airspeed [m/s].
     With increasing airspeed, the power of a climb first falls and then rises, so that no airspeed
     between the two needs a greater current.
 
@@ -104,7 +106,8 @@ def _current(
 ) -> float:
     """Return the battery current [A] of steady flight at the lowest state of charge allowed.
 
-    `airspeed` is the horizontal airspeed and `climb` the rate of climb, both in m/s.
+    `airspeed` is the horizontal airspeed and `climb` the rate of climb, both in m/s. `scenario`
+    gives the lowest state of charge, and `steady` computes the flight.
     """
     drawn = (1.0 - scenario.limits.least_charge) * steady.pack_capacity
     rate, reserve = steady.charge_rates(steady.trim([airspeed, 0.0, climb]), np.array([drawn]))

@@ -372,12 +372,13 @@ class _Search:
     def _examined(self, tried: _Tried) -> _Tested:
         """Simulate test flights of a plan; if enough reach the goal, refine it and test it again.
 
-        Test flights are simulations under feedback in random turbulence, which count how often a
-        limit is broken. They take less time than a refinement of the plan's mesh with the
-        simulation that verifies the plan. A plan whose test flights miss the goal too often is
-        therefore not refined. A plan whose test flights only break other limits is refined,
-        verified and tested again, because its coarse mesh may be the reason. A plan that has been
-        refined before is only tested. The result is that of the last test flights.
+        `tried` is the plan with its margins. Test flights are simulations under feedback in random
+        turbulence, which count how often a limit is broken. They take less time than a refinement
+        of the plan's mesh with the simulation that verifies the plan. A plan whose test flights
+        miss the goal too often is therefore not refined. A plan whose test flights only break other
+        limits is refined, verified and tested again, because its coarse mesh may be the reason. A
+        plan that has been refined before is only tested. The result is that of the last test
+        flights.
         """
         tested = self._tested(tried, self._next_seed())
         missed = max(tested.counts[words] for words in (NOT_THERE, NOT_AT_REST))
@@ -444,9 +445,10 @@ class _Search:
         return replace(plan, risk=taken)
 
     def _stated(self, tried: _Tried, counts: Counter[str], failed: int) -> Plan:
-        """Return a plan with a record of its risk, which states the results of its test flights.
+        """Return a plan with a record of its risk: allowed risk, margins, and results of tests.
 
-        The risk is the probability that a flight in turbulence breaks any limit.
+        The risk is the probability that a flight in turbulence breaks any limit; the tests are
+        simulated flights.
 
         Parameters
         ----------
@@ -477,8 +479,9 @@ class _Search:
     def _verified(self, tried: _Tried) -> _Tried:
         """Refine the mesh of a plan with margins, and verify the plan by simulation.
 
-        Margins are the amounts by which limits are tightened for the plan. A plan without margins
-        is returned unchanged.
+        Margins are the amounts by which limits are tightened for the plan. `tried` is the plan on a
+        coarse mesh; the result is the refined plan with its own statistics of flights. A plan that
+        has been refined before is returned unchanged.
         """
         if tried.is_refined:
             return tried
@@ -511,6 +514,9 @@ class _Search:
     def _planned(self, last: _Tried, margins: Mapping[str, float]) -> _Tried | None:
         """Solve the scenario with limits tightened by margins, warm-started from another plan.
 
+        `last` is the other plan. `margins` maps each scenario field to the amount by which its
+        limit is tightened.
+
         Returns
         -------
         _Tried or None
@@ -531,10 +537,11 @@ class _Search:
     def _followed(self, tried: _Tried) -> _Tried:
         """Return a plan that leaves the controller enough thrust and tilt to follow it to the goal.
 
-        If flights of the plan `tried` miss the goal too often, plans are solved that leave a part
-        of thrust and tilt as a reserve for the controller. The least sufficient reserve is found by
-        bisection. The result is the cheapest plan whose flights arrive. If flights miss the goal
-        with every reserve, the result is the plan whose flights miss it least often.
+        If flights that follow the plan `tried` are predicted to miss the goal too often, plans are
+        solved that leave a part of thrust and tilt as a reserve for the controller. The least
+        sufficient reserve is found by bisection. The result is the cheapest plan whose flights
+        arrive. If flights miss the goal with every reserve, the result is the plan whose flights
+        miss it least often.
         """
         if self._is_followed(tried):
             return tried
@@ -594,9 +601,10 @@ class _Search:
     def _reserve(self, share: float) -> dict[str, float]:
         """Return margins with which a plan leaves a reserve of rotor speed, thrust and tilt.
 
-        Margins are amounts by which limits are tightened for the plan. Each margin is the fraction
-        ``share`` of the largest margin with which the mission may be feasible. If the duration is
-        free, its lower limit is raised too.
+        Margins are amounts by which limits are tightened for the plan. The controller needs the
+        reserve to follow the plan in gusts. Each margin is the fraction ``share`` of the largest
+        margin with which the mission may be feasible. If the duration is free, its lower limit is
+        raised too. The result maps each scenario field to its margin.
         """
         mission = self._scenario.mission
         part = min(share, _LARGEST_OF_FREE) if mission.is_free else share
@@ -627,8 +635,9 @@ class _Search:
         """Solve with new margins repeatedly, until the plan has the margins that its risk requires.
 
         Margins are the amounts by which limits are tightened for the plan. The covariance of
-        flights in turbulence about a plan determines the margins that the allowed risk requires; a
-        plan with these margins has another covariance.
+        flights in turbulence about a plan determines the margins that the allowed risk requires. A
+        plan with these margins has another covariance, and so requires other margins: the solves
+        are a fixed-point iteration. `tried` is the plan from which it starts.
         """
         for _ in range(_PLANS):
             wanted = self._margins(tried)
@@ -647,7 +656,8 @@ class _Search:
         probability that a flight in turbulence breaks any limit. First, two probabilities are
         subtracted from the allowed risk: the probability of missing the goal, and the probability
         of breaking limits that need no margin. The rest is divided equally among the limits that
-        need a margin.
+        need a margin. `tried` is a plan with the statistics of flights that follow it. The result
+        maps each scenario field to its margin.
         """
         held = tried.margins
         alone = {a: a.probability(held.get(a.field, 0.0), 0.0) for a in tried.near}
@@ -696,9 +706,10 @@ class _Search:
     def _tested(self, tried: _Tried, seed: int, *, is_whole: bool = False) -> _Tested:
         """Simulate test flights of a plan in turbulence, and count the limits that they break.
 
-        A part of the flights is simulated first. If more of them break a limit than the risk allows
-        for all flights together, the plan has failed, and the other flights are not simulated.
-        `is_whole` requires the simulation of all flights. `seed` is the seed of the random winds.
+        `tried` is the plan with its margins. A part of the flights is simulated first. If more of
+        them break a limit than the risk allows for all flights together, the plan has failed, and
+        the other flights are not simulated. `is_whole` requires the simulation of all flights.
+        `seed` is the seed of the random winds.
         """
         first = slice(0, _FLIGHTS if is_whole else min(_FIRST_FLIGHTS, _FLIGHTS))
         broken = self._flown(tried, seed, first)
@@ -741,10 +752,12 @@ class _Search:
     def _grown(self, tested: _Tested) -> dict[str, float]:
         """Return larger margins for the limits that test flights break too often.
 
-        Margins are the amounts by which limits are tightened for the plan. A flight misses the goal
-        if it has too little thrust or time to correct the effect of a gust. If flights miss the
-        goal too often, the margins that leave a reserve of thrust, rotor speed and tilt therefore
-        grow as well, the more the larger the fraction of these flights is.
+        Margins are the amounts by which limits are tightened for the plan. `tested` has the results
+        of the test flights and the present margins. The result maps each scenario field to its new
+        margin. A flight misses the goal if it has too little thrust or time to correct the effect
+        of a gust. If flights miss the goal too often, the margins that leave a reserve of thrust,
+        rotor speed and tilt therefore grow as well, the more the larger the fraction of these
+        flights is.
         """
         tried, counts = tested.tried, tested.counts
         allowed = self._risk * tested.flown / max(len(counts), 1)
@@ -780,8 +793,8 @@ class _Search:
     def _advice(self, tried: _Tried, limiting: tuple[str, ...]) -> str:
         """Return advice to the user on how to change the mission so that flights keep its limits.
 
-        `limiting` has the limits that test flights broke most often, in words; the advice concerns
-        the first of them.
+        `tried` is the plan. `limiting` has the limits that its test flights broke most often, in
+        words; the advice concerns the first of them.
         """
         first = limiting[0] if limiting else ""
         if first.startswith(("keep-out", "floor", "ceiling")):
@@ -792,7 +805,10 @@ class _Search:
         return f"{longer}{self._weaker(tried)}"
 
     def _weaker(self, tried: _Tried) -> str:
-        """Return advice to the user: how weak turbulence must be for flights to reach the goal."""
+        """Return advice to the user: how weak turbulence must be for flights to reach the goal.
+
+        It is computed from the predicted statistics of flights that follow the plan `tried`.
+        """
         allowed = _SHARE_OF_GOAL * self._risk
         places = [miss for miss in tried.missed if not miss.field]
         low, high = 0.0, 1.0
@@ -829,11 +845,11 @@ def _missed_least(tried: _Tried) -> tuple[float, float]:
 
 
 def _planned_at(plan: Plan, spread: Spread) -> tuple[FloatArray, FloatArray]:
-    """Return the planned states and controls at the n times of the covariance of flights.
+    """Return the planned states and controls at the n times for which a covariance was computed.
 
-    The shapes are (n, n_states) and (n, n_controls). The states are in the order of
-    `spread.dynamics`; states that the plan does not have, such as those of the turbulence, are
-    zero.
+    `spread` has the covariance of the states of flights about the plan, at the times `spread.t`.
+    The shapes are (n, n_states) and (n, n_controls). The states are in the order of the equations
+    of `spread`; states that the plan does not have, such as those of the turbulence, are zero.
     """
     held, dynamics = plan.trajectories, spread.dynamics
     names = list(held.state_names)

@@ -176,8 +176,9 @@ class RouteFlights:
     def _begin(self, number: int, solution: Solution) -> None:
         """Refine the first solution until a usable plan is found, before other routes are solved.
 
-        A usable plan is a plan that simulation confirms at lower accuracy than requested. The first
-        route is the shortest, so its refined solution is often needed later too.
+        A usable plan is a plan that simulation confirms at lower accuracy than requested; it is the
+        result if the user stops the search. The first route is the shortest, so its refined
+        solution is often needed later too. For further solutions, nothing is done.
 
         Parameters
         ----------
@@ -191,20 +192,21 @@ class RouteFlights:
             self._begun[number] = self._mission.until_usable(solution)
 
     def _most(self, most: int, error: float) -> int:
-        """Return the largest number of journeys to solve on a finer mesh: ``most``, or only one.
+        """Return how many of the cheapest journeys are to be solved on a finer mesh.
 
-        `error` is the relative error of the energies on the present mesh. If it is within the
-        tolerance of the mission, one journey is enough: any other journey whose energy is near the
-        least then saves less than the tolerance.
+        A journey is a route for each leg of the mission. The result is ``most``, with one
+        exception. `error` is the relative error of the energies on the present mesh, within which
+        the journeys cannot be ranked. If it is within the tolerance of the mission, the result is
+        one, because any other journey then saves less energy than the tolerance.
         """
         return 1 if error <= self._tolerance else most
 
     def _refined(self, known: Mapping[int, Solution], near: list[int]) -> dict[int, Solution]:
         """Return the best solutions refined to the tolerance, by number of the journey.
 
-        A journey is a route for each leg of the mission. `known` has the coarse solutions by
-        number, and `near` the numbers of the best journeys. If the refinement fails for all of
-        them, further solutions are refined until one refinement succeeds.
+        A journey is a route for each leg of the mission. `known` maps the number of each journey to
+        its coarse solution, and `near` has the numbers of the best journeys. If the refinement
+        fails for all of them, further solutions are refined until one refinement succeeds.
         """
         refined: dict[int, Solution] = {}
         others = [k for k in _cheapest(known) if k not in near and known[k].status.is_solved]
@@ -305,7 +307,8 @@ class RouteFlights:
     def refine(self, flown: Solution, meshes: int | None) -> Solution:
         """Refine the mesh of a solution and solve again, on at most ``meshes`` meshes.
 
-        If ``meshes`` is None, the mesh is refined to the mission's tolerance.
+        If ``meshes`` is None, the mesh is refined to the mission's tolerance. `flown` is the
+        solution on its present mesh, which counts as the first of the meshes.
         """
         mission = self._mission
         if self._scenario.solver.max_refinements == 0 and not mission.easier:
@@ -446,9 +449,10 @@ _LOOKS = 8
 def sides_touched(told: Scenario, journey: Journey, solution: Solution) -> _SidesTouched:
     """Return the zones that a flight touches, with the sides on which it passes them, for each leg.
 
-    A zone that the optimum does not touch may be left out of the mission without changing the
-    optimum. No flight on another side of this zone is then cheaper, as long as it passes the other
-    zones on the same sides; see docs/theory/routes.md.
+    The result has one set of pairs (name of a zone, side) for each leg of the mission. A zone that
+    the optimum does not touch may be left out of the mission without changing the optimum. No
+    flight on another side of this zone is then cheaper, as long as it passes the other zones on the
+    same sides; see docs/theory/routes.md.
 
     Parameters
     ----------
@@ -484,8 +488,9 @@ def sides_touched(told: Scenario, journey: Journey, solution: Solution) -> _Side
 def _is_dominated(journey: Journey, touched: _SidesTouched) -> bool:
     """Return whether a journey need not be solved, because a known optimum costs no more.
 
-    This is the case if the journey passes each zone that the optimum touches on the same side as
-    the optimum. `touched` has these zones and sides for each leg, as `sides_touched` returns them.
+    A journey is a route for each leg of the mission. This is the case if the journey passes each
+    zone that the optimum touches on the same side as the optimum. `touched` has one set of pairs
+    (name of such a zone, side) for each leg.
     """
     return all(sides <= set(route.sides) for route, sides in zip(journey, touched, strict=True))
 
@@ -501,7 +506,11 @@ _SAME_COST, _SAME_PLACE_M = 1e-6, 0.05
 
 
 def _is_same(one: Solution, other: Solution) -> bool:
-    """Return whether two solutions are the same flight, within the accuracy of a first mesh."""
+    """Return whether two solutions are the same flight, within the accuracy of a coarse mesh.
+
+    `one` and `other` are solutions of the same mission on the same mesh. They are the same flight
+    if both converged, if their costs agree, and if their paths are at most a few centimetres apart.
+    """
     if not (one.status.is_solved and other.status.is_solved):
         return False
     fractions = np.append(0.0, one.mesh.point_fractions)
@@ -514,7 +523,8 @@ def _is_same(one: Solution, other: Solution) -> bool:
 def _nearest(known: Mapping[int, Solution], share: float, most: int) -> list[int]:
     """Return the numbers of the solutions whose cost is near the least, the cheapest first.
 
-    `known` maps numbers to solutions. A cost is near the least cost if the relative difference
+    `known` maps the number of a journey (a route for each leg of the mission) to the solution along
+    it. The cost is the objective of the solve. It is near the least cost if the relative difference
     between the two is at most `share`. At most `most` numbers are returned.
     """
     costs = {k: _cost(s) for k, s in known.items() if s.status.is_solved}
@@ -528,5 +538,9 @@ def _cost(solution: Solution) -> float:
 
 
 def _cheapest(known: Mapping[int, Solution]) -> list[int]:
-    """Return the numbers of all solutions, sorted by cost, the cheapest first."""
+    """Return the numbers of all solutions, sorted by cost, the cheapest first.
+
+    `known` maps the number of a journey (a route for each leg of the mission) to the solution along
+    it. The cost is the objective of the solve; failed solves come last.
+    """
     return sorted(known, key=lambda k: _cost(known[k]))

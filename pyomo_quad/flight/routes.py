@@ -157,7 +157,8 @@ def zones_that_block(airspace: Airspace, start: Place, goal: Place) -> tuple[str
     """Return the names of keep-out zones because of which there is no route between two places.
 
     If there is a single zone whose removal opens a route, the result names all zones of which this
-    is true. Otherwise it names a set of zones that must all be removed to open a route.
+    is true. Otherwise it names a set of zones that must all be removed to open a route. `airspace`
+    has the zones; `start` and `goal` are the two places [m].
     """
     zones = airspace.keep_out
 
@@ -179,7 +180,8 @@ def zones_that_block(airspace: Airspace, start: Place, goal: Place) -> tuple[str
 def no_way(airspace: Airspace, start: Place, goal: Place) -> str:
     """Return a message for the user that names the zones which block every route to a goal.
 
-    `start` and `goal` are the ends of the leg [m].
+    `airspace` has the zones; `start` and `goal` are the positions between which there is no route
+    [m].
     """
     names = zones_that_block(airspace, start, goal)
     told = [name for name in ("floor", "ceiling") if getattr(airspace, name) is not None]
@@ -248,9 +250,10 @@ class NoRouteError(Exception):
 def with_plain_passages(told: Scenario) -> Scenario | None:
     """Return an easier mission, in which waypoints are passed exactly and at any speed.
 
-    The waypoints have no radius and no speed limit. This makes a first solve easier, because the
-    gradient of such a limit vanishes where the limited distance or speed is zero. The result is
-    None if no waypoint of the mission has a radius or a speed limit.
+    `told` is the scenario of the mission. In the easier mission, the waypoints have no radius and
+    no speed limit. This makes a first solve easier, because the gradient of such a limit vanishes
+    where the limited distance or speed is zero. The result is None if no waypoint of the mission
+    has a radius or a speed limit.
     """
     at_ease = {"radius": 0.0, "speed_max": None}
     waypoints = tuple(w.model_copy(update=at_ease) for w in told.mission.waypoints)
@@ -332,8 +335,9 @@ class _Graph:
     def _shortest(self, allowed: tuple[frozenset[int], ...]) -> tuple[float, list[int]] | None:
         """Return length [m] and nodes of the shortest path that passes zones on allowed sides only.
 
-        `allowed` has, for each zone of the graph, the indices of the allowed members of `Side`. The
-        result is None if there is no such path.
+        The path leads from the start to the goal; its nodes are given by their indices. `allowed`
+        has, for each zone of the graph, the indices of the allowed members of `Side`. The result is
+        None if there is no such path.
         """
         is_open = np.ones(len(self._first), dtype=bool)
         for crossings, sides in zip(self._crossings, allowed, strict=True):
@@ -352,7 +356,8 @@ class _Graph:
     def _sides_of(self, nodes: list[int]) -> list[int]:
         """Return the side on which a path passes each zone of the graph, as an index into `Side`.
 
-        `nodes` has the nodes of the path. The index is -1 for a zone that the path does not pass.
+        `nodes` has the indices of the path's nodes. The result has one entry for each zone, which
+        is -1 for a zone that the path does not pass.
         """
         number = {pair: k for k, pair in enumerate(zip(self._first, self._last, strict=True))}
         lines = [number[min(pair), max(pair)] for pair in pairwise(nodes)]
@@ -457,7 +462,8 @@ def speed_profile(distance: float, speed: float, acceleration: float, jerk: floa
 def _peak_speed(distance: float, acceleration: float, jerk: float) -> float:
     """Return the peak speed of the fastest motion from rest to rest over a distance [m/s].
 
-    Acceleration and jerk are limited, the speed is not.
+    `distance` is the distance [m]. The magnitudes of acceleration and jerk are limited to
+    `acceleration` [m/s^2] and `jerk` [m/s^3]; the speed is not limited.
     """
     unbent = acceleration / jerk
     reached = acceleration / 2 * (sqrt(unbent**2 + 4 * distance / acceleration) - unbent)
@@ -539,7 +545,8 @@ def cruise(scenario: Scenario) -> SampledPath:
 def _legs(scenario: Scenario) -> list[list[tuple[FloatArray, SpeedProfile]]]:
     """Return the straight pieces of an autopilot's cruise, for each leg of the mission.
 
-    A leg leads from one waypoint to the next. It has several pieces if it leads round zones.
+    Cruise is flight along straight lines at one speed. A leg leads from one waypoint to the next.
+    It has several pieces if it leads round zones; the vehicle stops between them.
 
     Returns
     -------
@@ -574,8 +581,9 @@ def _legs(scenario: Scenario) -> list[list[tuple[FloatArray, SpeedProfile]]]:
 def reached(scenario: Scenario) -> CruiseSettings:
     """Return cruise settings with the largest speed and acceleration that a cruise really reaches.
 
-    The legs of the mission may be too short for the speed and acceleration that the scenario sets.
-    The returned settings, with the jerk of the scenario, result in the same flight.
+    Cruise is the flight of an autopilot along straight lines at one speed. The legs of the mission
+    may be too short for the speed and acceleration that the scenario sets. The returned settings,
+    with the jerk of the scenario, result in the same flight.
     """
     profiles = [profile for pieces in _legs(scenario) for _, profile in pieces]
     return CruiseSettings(

@@ -1,7 +1,8 @@
 """Progress of a search for a plan: stage, processor time, and the best usable plan found so far.
 
-A usable plan is a plan that simulation confirms at lower accuracy than requested. A search that is
-stopped returns the best usable plan.
+A search consists of many solves of one mission, on several meshes and from several initial guesses,
+and of simulations of the solutions. A usable plan is a plan that simulation confirms at lower
+accuracy than requested. A search that is stopped returns the best usable plan.
 """
 
 from __future__ import annotations
@@ -38,8 +39,9 @@ _MOST_PLANS = 3
 class Stage(StrEnum):
     """Stage of a search for a plan, as a progress display shows it.
 
-    The stages are the comparison of routes, the first solves on coarse meshes, the search for a
-    plan that simulation confirms at lower accuracy than requested (usable plan), and refinement.
+    The stages are the comparison of routes round zones, the first solves on coarse meshes, the
+    simulations in search of a usable plan (a plan that simulation confirms at lower accuracy than
+    requested), and the refinement of the mesh to the requested accuracy.
     """
 
     ROUTES = "routes"
@@ -79,22 +81,27 @@ class State:
 
 
 class Search:
-    """Progress callback of the solves in a search for a plan.
+    """State of one search for a plan, from its first solve to its result.
 
-    It stops solves at the time limit, and stores the best usable plan. A usable plan is a plan that
-    simulation confirms at lower accuracy than requested.
+    A search consists of many solves, on several meshes and from several initial guesses. One object
+    of this class is the progress callback of them all: Ipopt calls it at each iteration, and stops
+    if the search has used up its time. The object also keeps the best usable plan, which is
+    returned if the search is stopped. A usable plan is a plan that simulation confirms at lower
+    accuracy than requested.
 
     Parameters
     ----------
     deadline : Deadline
         Time limit of the search.
     show : callable, optional
-        Called with the `State` of the search at each iteration.
+        Called with the `State` of the search at each iteration of Ipopt, for a progress display.
 
     Attributes
     ----------
+    deadline : Deadline
+        Time limit of the search.
     stage : Stage
-        Present stage.
+        Present stage of the search, such as the comparison of routes.
     record : list of str
         Names and outcomes of the planning strategies carried out so far.
     usable : Plan or None
@@ -122,40 +129,45 @@ class Search:
 
     @property
     def effort(self) -> int:
-        """Work since the last call of `begin_effort`.
+        """Cost of the solves since the last call of `begin_effort`.
 
-        It is the number of mesh points, summed over Ipopt's iterations.
+        It is measured as the number of mesh points, summed over Ipopt's iterations.
         """
         return self.work - self._effort_from
 
     @property
     def is_early(self) -> bool:
-        """Whether the search has done too little work for the computation of usable plans.
+        """Whether it is too early in the search to spend time on making usable plans.
 
-        A usable plan is a plan that simulation confirms at lower accuracy than requested. Where the
-        highest accuracy is requested, most searches end before a usable plan would save time.
+        A usable plan is a plan that simulation confirms at lower accuracy than requested. It is
+        needed only if the search is stopped before it ends. Most searches end soon, so that their
+        first solves (about two seconds) are not delayed by making usable plans. The property is
+        used if the highest accuracy, `proof`, is requested.
         """
         return self.work - self._patient_from < _PATIENCE
 
     def restart_patience(self) -> None:
-        """Reset the count of the work that a search does before it computes usable plans.
+        """Let `is_early` be true again for the next solves, as at the start of the search.
 
-        A usable plan is a plan that simulation confirms at lower accuracy than requested. To save
-        time, a search computes usable plans only after it has done a certain amount of work.
+        This is called when the search has chosen the order of the waypoints, and begins to solve
+        the whole mission in this order. While `is_early` is true, no usable plans are made. A
+        usable plan is a plan that simulation confirms at lower accuracy than requested.
         """
         self._patient_from = self.work
 
     def begin_effort(self, limit: float) -> None:
-        """Reset the effort counter, and set the limit on the effort at which solves are stopped.
+        """Limit the cost of the next solves: set `effort` to zero, and store its upper limit.
 
-        The effort is the number of mesh points, summed over Ipopt's iterations.
+        Solves are stopped when `effort` exceeds `limit`. Both are numbers of mesh points, summed
+        over Ipopt's iterations.
         """
         self._effort_from, self._most_effort = self.work, limit
 
     def __call__(self, iteration: Iteration) -> bool:
-        """Count an iteration of Ipopt; return whether Ipopt may continue.
+        """Take note of an iteration of Ipopt, and return whether Ipopt may continue.
 
-        The result is False beyond the time limit or the limit on the effort.
+        Ipopt calls this method at each iteration. The result is False beyond the time limit, or if
+        the solves cost more than the limit of `begin_effort` allows.
         """
         self.work += iteration.mesh_points
         if self._show is not None:
@@ -179,23 +191,27 @@ class Search:
         points: int,
         is_early: bool,
     ) -> None:
-        """Try to make a usable plan from the solution on a finished mesh.
+        """Try to make a usable plan from the solution on a mesh that has just been solved.
 
-        A usable plan is a plan that simulation confirms at lower accuracy than requested; a search
-        that is stopped returns it.
+        The mesh refinement calls this method after the solve on each mesh. A usable plan is a plan
+        that simulation confirms at lower accuracy than requested; it is the result of the search if
+        the search is stopped. No usable plan is made if the simulations so far have taken too large
+        a part of the search, or after the time limit.
 
         Parameters
         ----------
         energy_J : float
             Energy of the solution [J].
         flown : callable
-            Returns an iterator over plans, each with the result of its simulation. The first plan
-            is made from the solution. Each further plan is made with stricter limits; further plans
-            are tried only while the search has no usable plan.
+            Returns an iterator that makes plans from the solution and simulates them. The first
+            plan is made from the solution as it is. Each further plan is solved with stricter
+            limits, because the simulation of the plan before it broke limits. Further plans are
+            tried only while the search has no usable plan.
         points : int
-            Number of points of the mesh.
+            Number of points of the mesh, by which the cost of the simulations is counted.
         is_early : bool
-            Whether no usable plan is made, to save time.
+            Whether it is too early in the search to spend time on a usable plan; only the energy is
+            then noted.
         """
         self._note(energy_J)
         share = _SHARE if self.usable is None else _SHARE_FOR_BETTER
@@ -228,11 +244,11 @@ class Search:
             self.usable = found
 
     def ended(self, plan: Plan) -> Plan:
-        """Return the result of the search: the last plan or, if that fails, the best usable plan.
+        """Return the result of the search: its last plan or, if that fails, the best usable plan.
 
-        A usable plan is a plan that simulation confirms at lower accuracy than requested. It
-        replaces a last plan that simulation does not confirm, unless the mission is proven
-        infeasible.
+        `plan` is the last plan. A usable plan is a plan that simulation confirms at lower accuracy
+        than requested. It replaces a last plan that simulation does not confirm, unless the mission
+        was found infeasible.
         """
         plan = as_usable(self._given_up(replace(plan, attempts=tuple(self.record))))
         if plan.is_flyable or plan.status is PlanStatus.INFEASIBLE or self.usable is None:
@@ -254,10 +270,10 @@ class Search:
         )
 
     def _given_up(self, plan: Plan) -> Plan:
-        """Return a plan with its status set to not converged if time ran out without a result.
+        """Return the last plan with status "not converged" if the search ran out of time.
 
-        Results are a plan that simulation confirms and a proof of infeasibility; a plan with a
-        result is returned unchanged.
+        Its message then states how far the search came. The plan is returned unchanged before the
+        time limit, if simulation confirms it, or if its mission was found infeasible.
         """
         if not self.deadline.is_over or plan.is_flyable or plan.status is PlanStatus.INFEASIBLE:
             return plan
@@ -273,7 +289,8 @@ class Search:
 def as_usable(plan: Plan) -> Plan:
     """Return a plan with status usable if simulation confirms it at lower accuracy than requested.
 
-    Other plans are returned unchanged.
+    Other plans are returned unchanged. The condition is that the simulated flight is within the
+    tolerances of a usable plan, and that a better plan may save at most a tenth of the energy.
     """
     if plan.is_flyable or plan.status is PlanStatus.INFEASIBLE:
         return plan
@@ -287,7 +304,10 @@ def as_usable(plan: Plan) -> Plan:
 
 
 def _proven(plan: Plan) -> str:
-    """Return a sentence that states how closely the simulation of a usable plan agrees with it."""
+    """Return a sentence for the user on how closely the simulation of a usable plan agrees with it.
+
+    A usable plan is a plan that simulation confirms at lower accuracy than requested.
+    """
     found = plan.verification
     if found is None:
         return ""

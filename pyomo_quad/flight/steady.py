@@ -72,8 +72,9 @@ class Trim:
 class HoverState:
     """Hover in still air with the battery in its initial state: rotor speed, power and battery.
 
-    The name of each attribute states its unit. The battery's current, voltage and charge rate are
-    those under the power of the hover; `greatest_battery_power_W` is the most that it can give.
+    The name of each attribute states its unit. The battery's current, voltage and charge rate (the
+    charge drawn per second) are those under the power of the hover; `greatest_battery_power_W` is
+    the greatest power that the battery can give.
     """
 
     rotor_speed_rad_per_s: float
@@ -193,9 +194,9 @@ class SteadyFlight:
     def held_in(self, trim: Trim) -> dict[str, float]:
         """Return the quantities that a steady flight keeps constant, by name, except the velocity.
 
-        These are attitude, body rates and rotor speeds, and the induced velocity if the model has
-        it. The result maps the full name of each state to its value, for an initial guess of the
-        solver.
+        `trim` is the steady flight. The quantities are attitude, body rates and rotor speeds, and
+        the induced velocity if the model has it. The result maps the full name of each state to its
+        value, for an initial guess of the solver.
         """
         moved = {*self._dynamics.states_used_up, *POSITION_STATES, *VELOCITY_STATES}
         named = dict(zip(self._dynamics.state_names, trim.states.tolist(), strict=True))
@@ -271,10 +272,11 @@ class SteadyFlight:
     def _circuit_under_load(self, trim: Trim, drawn: FloatArray) -> FloatArray | None:
         """Return relaxation voltage [V] and temperature [K] of the pack under a steady load.
 
-        Row k of the result, shape (n, n_circuit), holds the values after the charge `drawn[k]` [A
-        h] was drawn. For a charge larger than the battery can give under this load, the row of the
-        largest possible charge is repeated. The battery model may have only one of the two
-        quantities: then there is one column. The result is None if it has neither.
+        The load is that of the steady flight `trim`. Row k of the result, shape (n, n_circuit),
+        holds the values after the charge `drawn[k]` [A h] was drawn from the full battery. For a
+        charge larger than the battery can give under this load, the row of the largest possible
+        charge is repeated. The battery model may have only one of the two quantities: then there is
+        one column. The result is None if it has neither.
         """
         own, charge = self._circuit, self._dynamics.state_names.index(CHARGE_STATE)
         if not own:
@@ -536,7 +538,8 @@ class MomentumDemand:
     def _mass(self, axis: int) -> float:
         """Return the mass that the equations of motion imply along a world axis [kg].
 
-        A test thrust along this axis is divided by the acceleration that it adds.
+        A test thrust along this axis is divided by the acceleration that it adds. `axis` is 0, 1 or
+        2 for x, y or z.
         """
         names, start = self._dynamics.state_names, self._dynamics.start
         states = self._at_rest.copy()
@@ -555,7 +558,8 @@ class MomentumDemand:
 def battery_shortfalls(scenario: Scenario, steady: SteadyFlight) -> tuple[str, ...]:
     """Return the reasons why the battery cannot supply a hover of the mission's duration, in words.
 
-    The result is empty if it can. `steady` gives power and charge rate of the hover.
+    The result is empty if the battery can supply the hover. `steady` gives the power and the charge
+    rate of the hover.
     """
     hover = steady.hover
     pack = scenario.battery

@@ -1,10 +1,11 @@
-"""Planning strategies, in a table in the order in which they are tried.
+"""Planning strategies: ways to obtain or to improve a plan, in the order in which they are tried.
 
-A strategy is one way to obtain a plan or to improve it, such as a solve from another initial guess.
-It has a name, the stage of the search to which it belongs, the condition under which it applies,
-its action, and the largest number of times that it is repeated while its condition holds. The
-outcome of each action is a line in the record of the search, `Plan.attempts`. An action without
-outcome adds no line and is not repeated.
+Examples of a strategy are a first solve, a retry of a failed solve from another initial guess, and
+the simulation that verifies a plan. Each strategy has a condition and an action, for example "the
+last solve failed" and "solve again from the flight of shortest duration". The search for a plan
+goes through a list of strategies once, and carries out the action of each strategy whose condition
+holds at that moment. Each action returns a text on its outcome, which the user reads in
+`Plan.attempts`.
 """
 
 from __future__ import annotations
@@ -25,22 +26,25 @@ Subject = TypeVar("Subject")
 
 
 class Strategy(NamedTuple, Generic[Subject]):
-    """Planning strategy: a row of the table of strategies, with its condition and its action.
+    """One way to obtain or to improve a plan: an action, and the condition under which to try it.
+
+    Condition and action are functions of the subject, the object that the strategies improve: for
+    example a `Candidate`, which holds the best solution of a mission so far.
 
     Attributes
     ----------
     name : str
-        Name in the record of the search.
+        Name of the strategy, for the list of strategies that were tried (`Plan.attempts`).
     stage : Stage
-        Stage of the search that a progress display shows.
+        Stage of the search that a progress display shows during the action.
     applies : callable
-        Takes the subject, that is the object which the strategies improve, such as a candidate
-        plan; returns whether the strategy applies.
+        The condition: takes the subject, and returns whether the action is to be carried out.
     act : callable
-        Takes the subject and improves it; returns the outcome as text for the record of the search,
-        or None.
+        The action: takes the subject and changes it; returns its outcome as text, or None if the
+        action came to nothing.
     repeats : int
-        Largest number of times that the strategy is carried out in a row.
+        Largest number of times that the action is carried out in a row, as long as the condition
+        holds.
     """
 
     name: str
@@ -51,16 +55,23 @@ class Strategy(NamedTuple, Generic[Subject]):
 
 
 def carry_out(table: Sequence[Strategy[Subject]], subject: Subject, search: Search) -> None:
-    """Apply the strategies of a table whose conditions are met, and record the outcomes.
+    """Carry out the strategies whose conditions hold, one after the other, and record the outcomes.
+
+    The condition of each strategy is tested when its turn comes, after the actions of the
+    strategies before it. The action is repeated while the condition holds, up to the strategy's
+    number of repeats. An action that returns None, because it came to nothing, adds no line to the
+    record and is not repeated.
 
     Parameters
     ----------
     table : sequence of Strategy
         Strategies, in the order in which they are tried.
     subject
-        Object that the strategies improve, such as a `Candidate`.
+        Object that the strategies improve, such as a `Candidate` (the best solution of a mission so
+        far). It is changed in place.
     search : Search
-        Progress of the search, in which the stage and the outcomes are recorded.
+        The search for a plan. Its present stage is set, and a line "name of the strategy: outcome"
+        is added to its record for each action.
     """
     for strategy in table:
         for _ in range(strategy.repeats):
@@ -118,10 +129,12 @@ _WITHIN_PACK = f"power limited to {100.0 * GIVEN_SHARE:.0f} % of the pack's grea
 
 
 def _hold_pack(candidate: Candidate) -> str:
-    """Plan the mission of a candidate again, within the power that the battery can give.
+    """Plan a mission again with a limit on the battery's power, after a plan that lacks power.
 
-    The result is the outcome for the record of the search. If this plan fails too, no retries with
-    other initial guesses follow.
+    `candidate` holds the plan that draws more power than the battery can give; the new plan
+    replaces it if simulation confirms the new plan to the requested accuracy. If the new solve
+    fails, it is not retried from other initial guesses. The result is the status of the new solve
+    as text, for the list of strategies that were tried.
     """
     return candidate.hold_pack(lambda gentler: carry_out((*FIRST, *PROOF), gentler, gentler.search))
 

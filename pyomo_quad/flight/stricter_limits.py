@@ -74,9 +74,9 @@ _MOST = 0.5
 
 
 class Mission(Protocol):
-    """Interface of the solver of one mission, as `mission_problem.MissionProblem` implements it.
+    """Interface of an object that solves one mission, such as `mission_problem.MissionProblem`.
 
-    The attribute `told` is the mission in its forecast wind.
+    The attribute `told` is the scenario of the mission with the forecast wind.
     """
 
     told: Scenario
@@ -188,7 +188,8 @@ def _least_energy(
     amounts `margins`, satisfies them. To first order, the least energy changes in proportion to the
     limits. Implements docs/theory/tracking.md, eq. (9).
 
-    `margins` and `cuts` map the full name of a parameter to an amount in its unit.
+    `mission` solves the mission. `margins` and `cuts` map the full name of a parameter that sets a
+    limit to an amount in its unit.
     """
     low, high = (energy_of(mission.told, solution) for solution in (relaxed, strict))
     shares = (abs(m) / max(abs(m) + abs(cuts[name]), 1e-300) for name, m in margins.items())
@@ -198,8 +199,8 @@ def _least_energy(
 def broken_limits(plan: Plan, figures: Figures) -> tuple[Violation, ...]:
     """Return the violations of limits in a plan's simulated flight that exceed a tolerance.
 
-    The tolerances are those of an accuracy, `figures`. The result is empty if the
-    plan was not simulated.
+    `figures` has the tolerances of an accuracy level. The result is empty if the plan was not
+    simulated.
     """
     if plan.flown is None:
         return ()
@@ -209,10 +210,13 @@ def broken_limits(plan: Plan, figures: Figures) -> tuple[Violation, ...]:
 
 
 def _helps(breach: Violation, figures: Figures) -> bool:
-    """Return whether a violated limit has a parameter that sets it, and is violated slightly.
+    """Return whether a solve with a stricter limit is worth trying for a violated limit.
 
-    Otherwise only a finer mesh helps. So it does for the rotors' speed and thrust, whose margins
-    cost more energy than any accuracy allows, but a usable plan: `figures` are then `USABLE`.
+    `breach` is the violation, and `figures` has the tolerances that the plan must meet. A stricter
+    limit helps if a parameter of the model sets the limit, and if the violation is small. Limits on
+    the rotors' speed and thrust are an exception: stricter ones cost more energy than any accuracy
+    level tolerates. They are tried only if a usable plan is enough (`figures` is `USABLE`). In all
+    other cases only a finer mesh helps.
     """
     name = breach.name.partition("[")[0]
     is_affordable = name not in _DEAR or figures is USABLE
@@ -294,8 +298,8 @@ def _denser_mesh(solution: Solution, windows: Iterable[tuple[float, float]], den
     A path may cut the corner of a zone between two collocation points. The depth of the cut is then
     proportional to the distance between the points. Each element, or the part of it that is inside
     a window, is divided so that its parts are at most 1 / `denser` of the element's length.
-    Elements outside the windows are unchanged. `windows` has the start and end times of the windows
-    [s].
+    Elements outside the windows are unchanged. `windows` has the start and the end time of each
+    window [s].
     """
     mesh, cuts = solution.mesh, list[float]()
     for window in windows:

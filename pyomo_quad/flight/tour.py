@@ -266,7 +266,8 @@ def find_orders(
 def legs_expected(waypoints: int) -> int:
     """Return the least number of legs that a search for the order of waypoints will solve.
 
-    A leg is the flight between two places; `waypoints` is the number of waypoints.
+    A leg is the flight between two places; `waypoints` is the number of waypoints. The result
+    serves to estimate the cost of a search in advance.
     """
     every = waypoints * (waypoints + 1)
     first = _NEAREST * (waypoints + 1) + _OF_ALL_LENGTHS
@@ -292,9 +293,10 @@ def _first_legs(lengths: FloatArray) -> list[_Leg]:
 
 
 def _shortest_ways(scenario: Scenario) -> dict[_Leg, Route]:
-    """Return the shortest route for each leg (pair of places) that an order may use.
+    """Return the shortest route for each leg that an order of the waypoints may use.
 
-    Legs for which zones block every route are left out.
+    A leg is a pair of indices of places; the start has index 0, the waypoints follow, and the goal
+    is last. Legs for which zones block every route are left out.
     """
     places, ways = scenario.mission.positions, {}
     last = len(places) - 1
@@ -332,11 +334,22 @@ class BestOrder:
         return find_orders(self._scenario.as_forecast(), self._leg)
 
     def has_time(self) -> bool:
-        """Return whether to solve another order: if none is solved yet, or if time remains."""
+        """Return whether to solve the mission for another order of the waypoints.
+
+        This is the case if it has not been solved for any order yet, or if the time limit of the
+        search has not been reached.
+        """
         return not self._flown or not self._search.deadline.is_over
 
     def fly(self, found: OrderSearch) -> str:
-        """Solve the mission for one order of the waypoints on a coarse mesh.
+        """Solve the mission for one order of the waypoints on a coarse mesh, and keep the solution.
+
+        `finish` then chooses the cheapest of the orders that were solved.
+
+        Parameters
+        ----------
+        found : OrderSearch
+            The order, as found from the costs of single flights between waypoints.
 
         Returns
         -------
@@ -352,8 +365,8 @@ class BestOrder:
     def finish(self, solve: Callable[[Scenario, Start | None, Search], Plan]) -> Plan:
         """Return the plan for the cheapest order of the waypoints, refined and verified.
 
-        `solve` takes the scenario in this order, an initial point for the search (or None) and the
-        search; it returns a verified plan.
+        `solve` takes the scenario with its waypoints in this order, an initial point for the search
+        (or None) and the search (the progress callback); it returns a verified plan.
         """
         _, best, begun = min(self._flown, key=lambda entry: entry[0])
         ordered = in_order(self._scenario, best.order)

@@ -6,7 +6,7 @@ speed of a rotor grows into an error of position with the fourth power of time. 
 simulates the equations while a linear-quadratic regulator keeps the vehicle near the solution. The
 resulting states and controls satisfy the equations to the tolerance of the integrator, and their
 energy is close to the energy of the solution. Derivation and sources: docs/theory/tracking.md, eqs.
-(1) to (4).
+(1) to (4), (6) and (7).
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def can_be_tracked(dynamics: Dynamics) -> bool:
     """Return whether a model has all states that the linear-quadratic regulator needs.
 
     The regulator makes a simulated vehicle follow a solution on a coarse mesh. It needs position,
-    velocity, attitude and body rates.
+    velocity, attitude and body rates among the states of the equations `dynamics`.
     """
     return set(_DEVIATIONS) <= set(dynamics.state_names)
 
@@ -189,15 +189,19 @@ class _Regulator:
     Attributes
     ----------
     transitions, driven : ndarray, shapes (n, n_states, n_states), (n, n_states, n_controls)
-        Matrices F and G of docs/theory/tracking.md, eq. (2).
+        Matrices F and G of the linearised equations of an element: the deviation of the states at
+        its end is F times the deviation at its start plus G times the correction of the controls;
+        docs/theory/tracking.md, eq. (2).
     gains : ndarray, shape (n, n_controls, n_states)
-        Feedback matrices K of eq. (4).
+        Feedback matrices K: the correction of the controls is -K times the deviation; eq. (4).
     values : ndarray, shape (n, n_states, n_states)
-        Matrices P at the end of each element, of eq. (4).
+        Matrices P of the quadratic cost from the end of each element on; eq. (4).
     inverses : ndarray, shape (n, n_controls, n_controls)
-        Inverses of the matrices in eq. (4).
+        Inverses of the Hessian of the cost with respect to the correction of the controls,
+        (h R + G^T P G)^-1 of eq. (4).
     commands : ndarray, shape (n, n_controls)
-        Corrections that anticipate known disturbances, eq. (7); 0 without known disturbances.
+        Corrections of the controls that anticipate known disturbances, eq. (7); 0 without known
+        disturbances.
     """
 
     transitions: FloatArray
@@ -208,17 +212,22 @@ class _Regulator:
     commands: FloatArray
 
     def driven_by(self, aside: FloatArray) -> FloatArray:
-        """Return the disturbances that a displacement of the path's states is equivalent to.
+        """Return the disturbances of the regulated system that a displacement of the path causes.
 
-        `aside` has the displacement at the element boundaries, shape (n + 1, n_states). The result
-        has the shape (n, n_states).
+        The displaced path does not satisfy the linearised equations of motion. Its defect in each
+        element acts like a known disturbance of the states, which the regulator can anticipate.
+        `aside` has the displacement of the states at the element boundaries, shape (n + 1,
+        n_states). The result has the shape (n, n_states).
         """
         carried = np.einsum("kij,kj->ki", self.transitions, aside[:-1])
         return np.asarray(carried - aside[1:])
 
 
 def _are_within(times: FloatArray, rests: Sequence[tuple[float, float]]) -> Any:
-    """Return for each time [s] whether it is within one of the spans of time, ends included."""
+    """Return for each time whether it is within a span of time, as an array of booleans.
+
+    `times` has n times [s], and `rests` the start and end of each span [s], ends included.
+    """
     inside = [(times >= a - _SAME_S) & (times <= b + _SAME_S) for a, b in rests]
     return np.any(inside, axis=0) if inside else np.zeros(len(times), dtype=bool)
 
@@ -229,12 +238,14 @@ def _aside(
     displacement: Displacement,
     rests: Sequence[tuple[float, float]],
 ) -> FloatArray:
-    """Return the displacement of all states of a path, shape (n_elements + 1, n_states).
+    """Return the change of a path's states at the element boundaries if the path is displaced.
 
-    Positions and velocities are displaced as given; the regulator finds the tilt that this takes.
-    Where the mission keeps the heading, which the coarse solution does at its points only, the yaw
-    rate is displaced so that the yaw angle does not change. During `rests`, the velocity is
-    displaced to zero. The arguments are those of `tracked`.
+    The result has the shape (n_elements + 1, n_states) and the state order of `dynamics`. Position
+    and velocity change by the given `displacement` and its time derivative. Attitudes are not
+    changed: the regulator finds the tilt that the displaced path takes. If the mission keeps the
+    heading, which the coarse solution `path` does at its collocation points only, yaw angle and yaw
+    rate are changed so that the yaw angle is constant. During each of the spans `rests` (start and
+    end time [s]), the velocity is changed to zero.
     """
     aside = np.zeros_like(path.states)
     moved = displaced(path.borders, displacement)
@@ -273,8 +284,9 @@ def _regulator(
 ) -> _Regulator:
     """Return the linear-quadratic regulator for the elements of a mesh, without known disturbances.
 
-    Implements docs/theory/tracking.md, eqs. (2) to (4), by linearisation about the solution
-    `coarse`. `borders` has the times of the element boundaries [s], shape (n_elements + 1,).
+    Implements docs/theory/tracking.md, eqs. (2) to (4), by linearisation of the equations
+    `dynamics` about the solution `coarse`. `borders` has the times of the element boundaries [s],
+    shape (n_elements + 1,).
     """
     n_states, n_controls = len(dynamics.state_names), len(dynamics.control_names)
     # The controls are declared as constant states of the control law, so that `slopes` also
@@ -322,11 +334,14 @@ def _regulator(
 
 
 def _disturbances(path: _Path, regulator: _Regulator, previous: Trajectories) -> FloatArray:
-    """Return the disturbances in each element that a previous flight shows: (n_elements, n_states).
+    """Return the disturbance of the states in each element that an earlier flight shows.
 
-    A disturbance is the part of the deviation at the end of an element that the linearised
-    equations do not explain by the deviation at its start and by the correction of the controls.
-    Implements docs/theory/tracking.md, eq. (6).
+    A disturbance is the part of a flight's deviation from its path at the end of an element that
+    the linearised equations do not explain by the deviation at the start of the element and by the
+    correction of the controls. It is the same in the next flight, which can therefore anticipate
+    it. `path` is the path that was not displaced, `regulator` has the linearised equations, and
+    `previous` is the earlier flight. The result has the shape (n_elements, n_states). Implements
+    docs/theory/tracking.md, eq. (6).
     """
     deviation = previous.states_at(path.borders) - path.states
     corrections = (
@@ -339,10 +354,11 @@ def _disturbances(path: _Path, regulator: _Regulator, previous: Trajectories) ->
 
 
 def _anticipating(regulator: _Regulator, disturbances: FloatArray) -> FloatArray:
-    """Return the corrections that anticipate known disturbances, shape (n_elements, n_controls).
+    """Return the corrections of the controls that anticipate disturbances known in advance.
 
-    Implements docs/theory/tracking.md, eq. (7). `disturbances` has the shape (n_elements,
-    n_states).
+    `regulator` is the regulator without these corrections. `disturbances` has the known change of
+    the states in each element, shape (n_elements, n_states). The result has the shape (n_elements,
+    n_controls). Implements docs/theory/tracking.md, eq. (7).
     """
     commands = np.zeros_like(regulator.commands)
     ahead = np.zeros(disturbances.shape[1])
@@ -370,9 +386,11 @@ _REMEDY = "Ask for more solver.elements."
 
 
 def _limited(rates: Rates) -> Rates:
-    """Return a right-hand side that may be evaluated only as often as a vehicle on its path needs.
+    """Return a right-hand side of the equations of motion that may be evaluated a few times only.
 
-    A vehicle that tumbles far from its path needs ever shorter steps, and would take minutes.
+    `rates` is the right-hand side without this limit. A vehicle near its path needs far fewer
+    evaluations in a mesh element than the limit allows. A vehicle that tumbles far from its path
+    needs ever shorter integration steps, and its simulation would take minutes.
 
     Raises
     ------
@@ -394,7 +412,8 @@ def _followed(
 ) -> tuple[FloatArray, FloatArray] | None:
     """Simulate the vehicle under feedback along a path, one mesh element after the other.
 
-    Implements docs/theory/tracking.md, eq. (1).
+    `dynamics` has the equations of the vehicle, and `regulator` computes the correction of the
+    controls of `path` in each element. Implements docs/theory/tracking.md, eq. (1).
 
     Returns
     -------
@@ -402,7 +421,7 @@ def _followed(
         States and energy at the nodes.
     ndarray, shape (n_points, n_controls)
         Controls at the collocation points, with the corrections by feedback. None instead of both
-        arrays if a state grows beyond `_LOST`.
+        arrays if a state grows beyond any physical value (`_LOST`).
     """
     mesh, controls = path.mesh, path.controls.copy()
     limits, held = dynamics.control_limits(), dynamics.control_limits(HELD_BREACH)

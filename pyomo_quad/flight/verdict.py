@@ -1,4 +1,8 @@
-"""Plans made from solutions of the optimal control problem, and their verification."""
+"""Making of plans from solutions of the optimal control problem, and verification of the plans.
+
+A solution consists of the variables of the discretised problem. A plan adds the scenario, the
+energy and a status. The verification simulates the controls of the plan without feedback.
+"""
 
 from __future__ import annotations
 
@@ -190,15 +194,24 @@ def _corrected(
     ----------
     plan : Plan
         Plan of a solution on a coarse mesh.
-    accuracy, wanted, least_energy, is_rough
-        As for `verified` and `_flown`.
+    accuracy : Accuracy
+        Accuracy to confirm.
+    wanted : ndarray, shape (n_states,)
+        Final states that the flight should reach.
+    least_energy : float
+        Least energy of the mission [J], with which the energy of the corrected plan is compared.
+    is_rough : bool
+        Whether the tolerances of a usable plan, wider than those of `accuracy`, are enough.
 
     Returns
     -------
     Plan
         Plan with corrected controls; with its own controls if the vehicle cannot follow it.
-    Verification, Flown
-        Result of the simulation, as from `_flown`.
+    Verification
+        Result of simulating the corrected controls without feedback. If the corrected flight is not
+        even a usable plan, the result of comparing that flight itself with limits and final states.
+    Flown
+        Samples of the flight that was compared.
     """
     displacement: Displacement = ()
     previous: Trajectories | None = None
@@ -232,9 +245,10 @@ def _corrected(
 def _why_not(plan: Plan, found: Verification, accuracy: Accuracy) -> str:
     """Return the message of a simulated plan: why it does not reach the required accuracy.
 
-    The reason is a limit that the simulated flight violates, as `found` states, or an energy that
-    may exceed the optimum by more than the accuracy allows. The result is the message of the plan's
-    solve if neither is the case, or if the accuracy is the highest level, `proof`.
+    The reason is a limit that the simulated flight violates, according to `found` (the comparison
+    of this flight with the plan), or an energy that may exceed the optimum by more than `accuracy`
+    allows. The result is the message of the plan's solve if neither is the case, or if the accuracy
+    is the highest level, `proof`.
     """
     excess = plan.error_estimate
     if accuracy is Accuracy.PROOF or (found.is_verified and excess <= FIGURES[accuracy].energy):
@@ -294,11 +308,13 @@ def _followed(
 ) -> Plan:
     """Return a plan whose controls are corrected by feedback, so that they fly the planned path.
 
-    The corrected plan is a simulated flight that follows the plan (`flight.tracking`), with the
-    energy of this flight. The difference between this energy and `least_energy`, the energy of the
-    optimum [J], is part of the error estimate; see docs/theory/tracking.md, eq. (5). The plan is
-    returned unchanged if the vehicle cannot follow it. `displacement`, `previous` and `rests` are
-    arguments of `tracked`.
+    The corrected plan is a simulated flight that follows `plan` (`flight.tracking`), with the
+    energy of this flight. The relative difference between this energy and `least_energy`, the
+    energy of the optimum [J], replaces the plan's error estimate if it is larger; see
+    docs/theory/tracking.md, eq. (5). The plan is returned unchanged if the vehicle cannot follow
+    it. `displacement` pushes the path that the vehicle follows out of zones. `previous` is an
+    earlier flight along the plan, whose deviations the corrections anticipate, or None. `rests` has
+    the start and end times [s] of hovers in which the vehicle is to be at rest.
     """
     followed = tracked(plan.dynamics, plan.trajectories, displacement, previous, rests)
     if followed is None:
@@ -316,7 +332,8 @@ def _followed(
 def _as_planned(plan: Plan, accuracy: Accuracy, wanted: FloatArray) -> tuple[Verification, Flown]:
     """Compare the planned path itself with goal, limits and battery, without a simulation.
 
-    The arguments are those of `_flown`. The result is the comparison, and samples of the path.
+    `accuracy` sets the tolerances, and `wanted` has the final states that the path should reach,
+    shape (n_states,). The result is the comparison, and samples of the path.
     """
     path = _path_of(plan, accuracy)
     return compared(plan.dynamics, path, plan.energy, wanted, plan.passages, accuracy), path

@@ -148,11 +148,12 @@ def fly_controls(
 def rates_in_element(
     flow: ClosedLoop, control: Callable[[float], FloatArray], inside: float
 ) -> Rates:
-    """Return the right-hand side for one mesh element, in which the controls are smooth.
+    """Return the right-hand side of the equations of motion for a simulation of one mesh element.
 
-    The controls may jump at the start of the element. Before the time `inside` [s], which is just
-    after the start, the right-hand side is therefore evaluated at `inside`. `control` gives the
-    controls at a time [s].
+    `flow` has the equations, and `control` gives the controls, smooth in the element, at a time
+    [s]. Parameters of the equations may jump at the start of the element. For times before `inside`
+    [s], which is just after the start, the equations are therefore evaluated at `inside`. The
+    result is a function of time [s] and state.
     """
 
     def rates(t: float, y: FloatArray) -> FloatArray:
@@ -258,7 +259,8 @@ class Verification:
 def voltage_lacking(dynamics: Dynamics, flown: Flown) -> float:
     """Return the largest fraction of a motor's voltage that the battery cannot supply in a flight.
 
-    The result is negative if the battery supplies more than needed. The motor's voltage is
+    `flown` has the samples of the flight. The result is negative if the battery always supplies
+    more than needed, and 0 for a model without motor or battery voltage. The motor's voltage is
     evaluated at constant rotor speed; the additional voltage that a change of speed needs is
     covered by the limit on the rotors' acceleration.
     """
@@ -275,7 +277,8 @@ def voltage_lacking(dynamics: Dynamics, flown: Flown) -> float:
 def wind_lacking(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> str:
     """Return a message if a flight leaves the wind field of its plan; empty otherwise.
 
-    The field is limited in space and time. A model without positions cannot leave it.
+    A wind field (wind as a function of place and time) is known in a limited region and period
+    only. `flown` has the samples of the flight. For a model without positions the result is empty.
     """
     if not set(POSITION_STATES) <= set(dynamics.state_names):
         return ""
@@ -286,9 +289,11 @@ def wind_lacking(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> str:
 def shares_lacking(dynamics: Dynamics, flown: Flown) -> tuple[float, float]:
     """Return the largest fractions of power and of charge in a flight that the battery lacks.
 
-    The model's equations give finite values even if the power exceeds the battery's greatest power
-    or the battery is empty, but a real vehicle cannot fly in these conditions. For a model without
-    a battery, both fractions are zero.
+    The first is the fraction of the required power that the battery cannot give, the second the
+    charge drawn from an empty battery as a fraction of its capacity (negative while charge
+    remains). The model's equations give finite values even if the power exceeds the battery's
+    greatest power or the battery is empty, but a real vehicle cannot fly in these conditions. For a
+    model without a battery, both fractions are zero. `flown` has the samples of the flight.
     """
     if not has_balance(dynamics):
         return 0.0, 0.0
@@ -299,6 +304,7 @@ def has_balance(dynamics: Dynamics) -> bool:
     """Return whether the model has a battery whose power balance can be checked.
 
     The balance is between the power drawn and the product of the battery's voltage and current.
+    `dynamics` has the equations of the model.
     """
     return all(dynamics.has(name) for name in _BALANCE)
 
@@ -309,7 +315,14 @@ def balance_lacking(balance: FloatArray) -> tuple[float, float]:
     Parameters
     ----------
     balance : ndarray, shape (n, 4)
-        Samples of `BALANCE_KEYS`: power [W], voltage [V], current [A], state of charge [%].
+        Power drawn [W], and voltage [V], current [A] and state of charge [%] of the battery, at n
+        times of the flight; the columns are the quantities `BALANCE_KEYS`.
+
+    Returns
+    -------
+    (float, float)
+        Largest fraction of the power that the battery cannot give, and charge drawn from an empty
+        battery as a fraction of its capacity (negative while charge remains).
     """
     power, voltage, current, charge = balance.T
     lacking = np.abs(power - voltage * current) / np.maximum(1.0, np.abs(power))
@@ -398,7 +411,10 @@ class Passage:
 
 
 def _passing_miss(dynamics: Dynamics, flown: Flown, passage: Passage) -> float:
-    """Return the distance by which a flight passes outside the radius of a waypoint [m], or 0."""
+    """Return the distance by which a flight passes outside the radius of a waypoint [m], or 0.
+
+    `flown` has the samples of the flight, and `passage` the waypoint with its passing time.
+    """
     nearest = int(np.argmin(np.abs(flown.t - passage.time_s)))  # an element ends there
     columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
     off = np.linalg.norm(flown.states[nearest, columns] - passage.position)
@@ -541,12 +557,18 @@ _HEADING = "mission.yaw_keeping"
 
 
 def is_of_airspace(breach: Violation) -> bool:
-    """Return whether a violated limit belongs to the airspace, so that its violation is in m."""
+    """Return whether a violated limit belongs to the airspace, so that its violation is in m.
+
+    `breach` is the violation. Limits of the airspace are zones, fence, floor and ceiling.
+    """
     return breach.name.startswith("airspace.")
 
 
 def tolerated(breach: Violation, figures: Figures) -> float:
-    """Return the largest violation of a limit that an accuracy tolerates, in the limit's unit."""
+    """Return the largest violation of a limit that is tolerated, in the limit's unit.
+
+    `breach` is a violation of the limit, and `figures` has the tolerances of an accuracy level.
+    """
     if breach.name == _HEADING:
         return figures.turning
     by_size = figures.breach * max(1.0, abs(breach.bound))
@@ -569,15 +591,19 @@ class _Found:
     lacking: float
 
     def reached(self, asked: Accuracy) -> Accuracy | None:
-        """Return the highest accuracy, at most the accuracy `asked`, whose tolerances are met.
+        """Return the highest accuracy level, at most the level `asked`, whose tolerances are met.
 
-        None if there is no such accuracy.
+        The tolerances are met if all errors of the flight are within them. The result is None if
+        there is no such level.
         """
         met = [a for a in Accuracy if asked.meets(a) and self.meets(FIGURES[a])]
         return met[-1] if met else None
 
     def meets(self, figures: Figures) -> bool:
-        """Return whether the errors of the flight are within the tolerances `figures`."""
+        """Return whether all errors of the flight are within the tolerances of an accuracy level.
+
+        `figures` has these tolerances.
+        """
         return bool(
             self.miss <= figures.miss
             and all(breach.size <= tolerated(breach, figures) for breach in self.breaches)

@@ -110,7 +110,11 @@ _OF_ERRORS = 1
 
 
 def problem_in_turbulence(scenario: Scenario) -> Problem:
-    """Return the compiled equations of a mission with turbulence in its wind, from a cache."""
+    """Return the compiled equations of a scenario with turbulence in its wind.
+
+    They have additional states, those of the filters that model turbulence. They are compiled once
+    and then read from a cache.
+    """
     turbulence = scenario.wind.turbulence
     key = structure_key(scenario), guess_key(scenario), turbulence
     problem = IN_TURBULENCE.get(key)
@@ -120,18 +124,20 @@ def problem_in_turbulence(scenario: Scenario) -> Problem:
 
 
 def as_expected(scenario: Scenario) -> Scenario:
-    """Return the scenario in the conditions that plans expect: forecast wind and its turbulence."""
+    """Return the scenario in the conditions that plans expect: the forecast wind, with turbulence.
+
+    The turbulence is that of the scenario's wind.
+    """
     told = scenario.as_forecast()
     turbulence = {"turbulence": scenario.wind.turbulence}
     return told.model_copy(update={"wind": told.wind.model_copy(update=turbulence)})
 
 
 def unknowns(planner: Planner, scenario: Scenario) -> tuple[dict[str, float], ...]:
-    """Return the change of the model's parameters by one deviation of each uncertain quantity.
+    """Return how one standard deviation of each uncertain quantity changes the model's parameters.
 
-    The deviation is the standard deviation that the scenario states. The uncertain quantities are
-    speed and direction of the wind, mass, and hover power. Quantities for which the scenario states
-    no standard deviation are left out.
+    The uncertain quantities are speed and direction of the wind, mass, and hover power. The
+    scenario states their standard deviations; quantities without one are left out.
 
     Returns
     -------

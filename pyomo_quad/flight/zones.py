@@ -82,9 +82,11 @@ def _spans_inside(
 ) -> tuple[FloatArray, FloatArray]:
     """Return where n straight lines enter and leave a keep-out zone enlarged by its clearance.
 
-    The results are fractions of each line, 0 at its start and 1 at its end. They may be outside 0
-    to 1, because the lines are extended beyond both ends. Both arrays have shape (n,). If a line
-    misses the zone, its second fraction is smaller than its first.
+    `starts` and `ends` are the ends of the lines, shape (n, 3), and `clearance` is the distance
+    kept from the zone, all in m. The results are fractions of each line, 0 at its start and 1 at
+    its end. They may be outside 0 to 1, because the lines are extended beyond both ends. Both
+    arrays have shape (n,). If a line misses the zone, its second fraction is smaller than its
+    first.
     """
     entered, left = np.full(len(starts), -inf), np.full(len(starts), inf)
     for ball in zone.balls:
@@ -99,9 +101,11 @@ def _span_inside(
     """Return where n straight lines enter and leave a ball enlarged by a clearance.
 
     The ball is a building block of a zone: a disc, an interval or a sphere in some of the
-    coordinates. The results are fractions of each line, 0 at its start and 1 at its end. They may
-    be outside 0 to 1, because the lines are extended beyond both ends. Both arrays have shape (n,).
-    If a line misses the ball, its fractions are 1 and 0.
+    coordinates. A zone is the intersection of its balls. `starts` and `ends` are the ends of the
+    lines, shape (n, 3), and `clearance` is the distance kept from the ball, all in m. The results
+    are fractions of each line, 0 at its start and 1 at its end. They may be outside 0 to 1, because
+    the lines are extended beyond both ends. Both arrays have shape (n,). If a line misses the ball,
+    its fractions are 1 and 0.
     """
     away = ball.coordinates(starts) - ball.centre
     along = ball.coordinates(ends - starts)
@@ -175,9 +179,10 @@ class _Section(NamedTuple):
 def _section(zone: KeepOut, ends: FloatArray, clearance: float) -> _Section | None:
     """Return the cross-section of a keep-out zone in the vertical plane across a passing leg.
 
-    A leg is the line between two waypoints, `ends`, shape (2, 3). The plane is at the place where
-    the leg is inside the zone or nearest to it. The result is None if this place is an end of the
-    leg.
+    A leg is the line between two waypoints, `ends`, shape (2, 3) [m]. The plane is at the middle of
+    the part of the leg that is inside the zone enlarged by `clearance` [m] or, if the leg is
+    outside, at the point of the leg nearest to the zone. The result is None if this place is an end
+    of the leg.
     """
     share, reach = _passage(zone, ends, clearance)
     if not ROUNDING < share < 1.0 - ROUNDING:
@@ -194,9 +199,10 @@ def _section(zone: KeepOut, ends: FloatArray, clearance: float) -> _Section | No
 def _passage(zone: KeepOut, ends: FloatArray, clearance: float) -> tuple[float, float]:
     """Return the place at which a leg passes a keep-out zone, and the clearance used [m].
 
-    A leg is the line between two waypoints, `ends`, shape (2, 3). The place is a fraction of the
-    leg: the middle of the part that is nearer to the zone than the clearance. If the whole leg is
-    farther away, the clearance is enlarged until it just reaches the leg.
+    A leg is the line between two waypoints, `ends`, shape (2, 3) [m]. The place is a fraction of
+    the leg: the middle of the part that is nearer to the zone than `clearance` [m]. If the whole
+    leg is farther away, the clearance is enlarged until the zone with its clearance just reaches
+    the leg.
     """
 
     def span(reach: float) -> tuple[float, float]:
@@ -230,8 +236,9 @@ def _chord(
 def _frame(ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return unit vectors along a leg (line between two waypoints), to its left and up.
 
-    Each has shape (3,). The first vector is horizontal unless the leg is vertical, so that even a
-    steep leg passes a tall zone on the left or right.
+    Each has shape (3,). `ends` has start and end of the leg, shape (2, 3) [m]. The first vector is
+    horizontal unless the leg is vertical, so that even a steep leg passes a tall zone on the left
+    or right.
     """
     upward = np.array([0.0, 0.0, 1.0])
     along = (ends[1] - ends[0]) * (1.0, 1.0, 0.0)
