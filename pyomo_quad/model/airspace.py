@@ -71,7 +71,12 @@ _TOUCHING_M = 5e-5
 
 @parameters_in("airspace")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters of floor, ceiling, fence, terrain and keep-out zones of a scenario."""
+    """Return the parameters that the model of a scenario declares in its block `airspace`.
+
+    They are the numbers of floor, ceiling, fence, edges of terrain and wind data, and keep-out
+    zones, as far as the scenario has them. Each `Parameter` states name, unit and meaning, and how
+    its value follows from a scenario.
+    """
     return _OF_ALL + (_OF_ZONES if scenario.airspace.keep_out else ())
 
 

@@ -290,7 +290,7 @@ class ModelInspection:
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Number of functions of time that the equations leave free."""
+        """Number of functions of time that the equations leave free, such as the controls."""
         # Each state has a derivative, which the equations determine as well.
         return len(self.states) + len(self.other_variables) - self.equations
 
