@@ -50,8 +50,8 @@ _VALIDATED = fields_of(
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters that the model of a scenario declares in its block `limits`.
 
-    Each `Parameter` states name, unit and meaning of a bound, and how its value follows from a
-    scenario. A bound whose scenario field is None has no value and is not declared.
+    Each `Parameter` states name, unit and meaning of a number, usually a bound, and how its value
+    follows from a scenario. A bound whose scenario field is None has no value and is not declared.
     """
     validated = _VALIDATED if scenario.limits.within_validated else ()
     return (*_BOUNDS, *(row for row in _OPTIONAL if row.value(scenario)), *validated)
