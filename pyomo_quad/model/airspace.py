@@ -374,8 +374,9 @@ def _refuse_touching(scenario: Scenario) -> None:
 def _smoothed_distance(zone: KeepOut, clearance: float, place: Sequence[float]) -> float:
     """Return the smoothed distance of a place from a zone, less the clearance [m].
 
-    The smoothing is the same as in the path constraint `keep_out`. The result is negative where
-    this constraint forbids the place, for example inside the zone.
+    `clearance` is the distance that flights must keep from zones [m], and `place` the position x,
+    y, z [m]. The smoothing is the same as in the path constraint `keep_out`. The result is negative
+    where this constraint forbids the place, for example inside the zone.
     """
     distances = [
         _distance_outside(

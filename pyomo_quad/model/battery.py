@@ -200,7 +200,8 @@ def declare_loss(m: ConcreteModel) -> None:
 def _declare_sizes(b: Block) -> None:
     """Declare capacity [A h] and resistance [ohm] of the whole pack at its state of health.
 
-    The state of health is a factor on the capacity and a factor on the resistance of new cells.
+    The state of health is a factor on the capacity and a factor on the resistance of new cells. `b`
+    is the block `battery`, which receives the two expressions.
     """
     capacity = b.capacity * b.cells_parallel
     resistance = b.cell_resistance * b.cells_series / b.cells_parallel

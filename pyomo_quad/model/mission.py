@@ -170,8 +170,8 @@ def free_times(m: ConcreteModel, scenario: Scenario) -> dict[float, Any]:
     """Return the variables of the times that the plan chooses, by their nominal time [s].
 
     The times are the duration, if the duration is free, the passage of each waypoint and the end of
-    each hover at a waypoint. The nominal time is the member of the model's time set that stands for
-    the variable.
+    each hover at a waypoint. The nominal time is the member of the time set of the model `m` that
+    stands for the variable: the time estimated or prescribed by the scenario.
     """
     *passages, end = scenario.nominal_times
     free: dict[float, Any] = {end: m.duration} if scenario.mission.is_free else {}

@@ -206,11 +206,12 @@ def declare_turbulence(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _declare_scales(b: Block, m: ConcreteModel) -> None:
-    """Declare length scales, standard deviations, crossing speed and rates V / L of the filters.
+    """Declare height, standard deviations, crossing speed and rates V / L of the filters.
 
-    They are expressions over time in `b`, the block `wind.turbulence` of the model `m`. The
-    crossing speed V is the speed at which the vehicle crosses the frozen gusts, and L a length
-    scale of the turbulence.
+    They are expressions over time in `b`, the block `wind.turbulence` of the model `m`. The height
+    is that above ground, within the range for which the specification holds. The crossing speed V
+    is the speed at which the vehicle crosses the frozen gusts, and L a length scale of the
+    turbulence.
     """
 
     @b.Expression(m.time, doc="h: height at which the laws are read [m]")
@@ -397,7 +398,7 @@ class Gusts:
         """Return the white noise of a flight as step functions of time, by full parameter name.
 
         `duration` is the duration of the flight [s]. There is one parameter for each of the three
-        filters.
+        filters, and one value per time step of length `NOISE_STEP` [s].
         """
         columns = self.noise(duration).T
         return {

@@ -261,7 +261,8 @@ def _declare_height(b: Block, m: ConcreteModel) -> None:
 def _declare_profile(b: Block, m: ConcreteModel, law: WindLaw) -> None:
     """Declare the ratio of the wind at the vehicle's height to the wind at the reference height.
 
-    `law` selects the power law or the logarithmic law, which the docstring of this module gives.
+    The ratio is an expression over time in `b`, the block `wind` of the model `m`. `law` selects
+    the power law or the logarithmic law, which the docstring of this module gives.
     """
 
     def power(b: Block, t: float) -> NumericExpression:
