@@ -270,7 +270,7 @@ def _span(interval: _Interval) -> str:
 class ModelInspection:
     """Numbers of variables and equations of a continuous model, and its unit errors.
 
-    All numbers are those at one time inside the flight.
+    Variables, equations and inequalities over time are counted at one time inside the flight.
 
     Attributes
     ----------

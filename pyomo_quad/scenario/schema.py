@@ -337,8 +337,7 @@ class Scenario(Part):
 
     @property
     def mass_at_goal(self) -> float:
-        """Mass of vehicle and remaining payload [kg], after all releases of payload at waypoints.
-        """
+        """Mass of vehicle and remaining payload after all releases of payload at waypoints [kg]."""
         return self.vehicle.total_mass - self.mission.released
 
     def release_schedule(self) -> Callable[[float], float]:
