@@ -227,7 +227,8 @@ def _drag(b: Block, m: ConcreteModel) -> _Rules:
 
     The drag coefficient, drag divided by airspeed [kg/s], is declared in the block `b` as an
     expression over time. The forces are returned as Pyomo rules with their documentation texts; the
-    keys are their names, `force_x`, `force_y` and `force_z`.
+    keys are their names, `force_x`, `force_y` and `force_z`. `m` is the mission's model, to which
+    the block belongs.
     """
 
     @b.Expression(m.time, doc="drag over airspeed [kg/s]")

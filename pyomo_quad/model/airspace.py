@@ -71,7 +71,12 @@ _TOUCHING_M = 5e-5
 
 @parameters_in("airspace")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters of floor, ceiling, fence, terrain and keep-out zones of a scenario."""
+    """Return the parameters that the model of a scenario declares in its block `airspace`.
+
+    They are the numbers of floor, ceiling, fence, edges of terrain and wind data, and keep-out
+    zones, as far as the scenario has them. Each `Parameter` states name, unit and meaning, and how
+    its value follows from a scenario.
+    """
     return _OF_ALL + (_OF_ZONES if scenario.airspace.keep_out else ())
 
 
@@ -369,8 +374,9 @@ def _refuse_touching(scenario: Scenario) -> None:
 def _smoothed_distance(zone: KeepOut, clearance: float, place: Sequence[float]) -> float:
     """Return the smoothed distance of a place from a zone, less the clearance [m].
 
-    The smoothing is the same as in the path constraint `keep_out`. The result is negative where
-    this constraint forbids the place, for example inside the zone.
+    `clearance` is the distance that flights must keep from zones [m], and `place` the position x,
+    y, z [m]. The smoothing is the same as in the path constraint `keep_out`. The result is negative
+    where this constraint forbids the place, for example inside the zone.
     """
     distances = [
         _distance_outside(

@@ -200,7 +200,8 @@ def declare_loss(m: ConcreteModel) -> None:
 def _declare_sizes(b: Block) -> None:
     """Declare capacity [A h] and resistance [ohm] of the whole pack at its state of health.
 
-    The state of health is a factor on the capacity and a factor on the resistance of new cells.
+    The state of health is a factor on the capacity and a factor on the resistance of new cells. `b`
+    is the block `battery`, which receives the two expressions.
     """
     capacity = b.capacity * b.cells_parallel
     resistance = b.cell_resistance * b.cells_series / b.cells_parallel
@@ -273,7 +274,8 @@ def _charge_of_new_cell(b: Block, t: float) -> NumericExpression:
     """Return the charge drawn from an unaged cell at the battery's present state of charge [A h].
 
     The constants of eq. (5) apply to an unaged cell. An unaged cell has a larger capacity, so that
-    more charge has been drawn from it at the same state of charge.
+    more charge has been drawn from it at the same state of charge. `b` is the block `battery`, and
+    `t` the time in flight [s].
     """
     charge = b.charge_drawn[t] / b.cells_parallel
     return charge if b.component("capacity_factor") is None else charge / b.capacity_factor

@@ -58,7 +58,12 @@ LOSS = "battery.loss"
 
 
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters of relaxation, temperature and health of a scenario's battery."""
+    """Return the parameters of relaxation, temperature and health of a scenario's battery.
+
+    Each `Parameter` declares one number of the model's block `battery`, with unit and meaning. The
+    parameters of a part that the battery does not have (the relaxation voltage, for example) are
+    left out.
+    """
     pack = scenario.battery
     optional = ((pack.relaxation, _RELAXATION), (pack.thermal, _THERMAL), (pack.health, _HEALTH))
     return tuple(row for given, table in optional if given is not None for row in table)
@@ -107,7 +112,11 @@ def fields_after(scenario: Scenario, ended: Mapping[str, float]) -> dict[str, fl
 
 
 def declare_states(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare relaxation voltage [V] and temperature [K] of the pack as states, if modelled."""
+    """Declare relaxation voltage [V] and temperature [K] of the pack as states, if modelled.
+
+    The states are added to `b`, the block `battery` of the model `m`. Each of the two is declared
+    only if the scenario's battery has the table `relaxation` or `thermal`, respectively.
+    """
     pack = scenario.battery
     if pack.relaxation is not None:
         b.relaxation_voltage = Var(
@@ -131,7 +140,9 @@ def declare_states(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
 def declare_balances(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the differential equations of relaxation voltage and temperature, if modelled.
 
-    Their initial values are declared too.
+    The equations and the initial conditions of both states are added to `b`, the block `battery` of
+    the model `m`. Each state has its equation only if the scenario's battery has the table
+    `relaxation` or `thermal`, respectively.
     """
     if scenario.battery.relaxation is not None:
         b.relaxation_balance = Constraint(
@@ -145,7 +156,11 @@ def declare_balances(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _line(equation: object) -> str:
-    """Return the first line of an equation's docstring, which reports print as its description."""
+    """Return the first line of the docstring of an equation's function, without the final period.
+
+    The function `equation` is the Pyomo rule of a constraint or expression, whose documentation
+    text becomes this line. Reports print the text as the description of the equation.
+    """
     return str(equation.__doc__).partition("\n")[0].rstrip(".")
 
 

@@ -393,7 +393,8 @@ def load_builder(spec: str, base_folder: Path) -> Builder:
 def _run(spec: str, file: Path) -> ModuleType:
     """Import the Python file of a user's model builder and return it as a module.
 
-    `spec` is the value of the scenario's field `model`, for messages.
+    `spec`, the value of the scenario's field `model`, is quoted in error messages; `file` is the
+    path of the Python file.
     """
     if not file.is_file():
         raise ScenarioError(f"model = {spec!r}: no file {file}; name an existing Python file.")

@@ -81,7 +81,12 @@ _USABLE_CHARGE = Parameter(
 
 @parameters_in("homing")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters of the return flight; empty for a mission without return reserve."""
+    """Return the parameters of the return flight; empty for a mission without return reserve.
+
+    Each `Parameter` declares one number of the model's block `homing`, such as the airspeed of the
+    return, the margin of charge and the positions of the homes. The return reserve is the charge
+    that a plan keeps for a flight to the nearest landing place.
+    """
     if not scenario.mission.return_reserve:
         return ()
     names = ["margin", "airspeed", "current"]
@@ -91,11 +96,13 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 
 
 def terrain_key(scenario: Scenario) -> Hashable:
-    """Return the homes if the model has tables of the terrain below the returns, else None.
+    """Return the homes for which a model has tables of terrain; None if it has no such tables.
 
-    A home is a place at which the vehicle may land: the start of the mission, or a rally point. The
-    result is part of `structure_key`: the tables differ from home to home, so that a model cannot
-    be used again for another home by changing parameter values only.
+    Over terrain, the model of a mission that keeps charge for a return flight has a table of
+    heights for each home (the start of the mission, or a rally point): the heights that clear the
+    ground on the straight way to this home. Changing parameter values does not change the tables.
+    The result is therefore part of `structure_key`, so that a compiled model is not used again for
+    other homes.
     """
     has_tables = scenario.mission.return_reserve and scenario.airspace.ground is not None
     return _homes(scenario) if has_tables else None
@@ -161,7 +168,12 @@ def _declare_way(b: Block, m: ConcreteModel) -> None:
 
 
 def _declare_climb(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare the height of the return over terrain, the climb to this height, and the distance.
+    """Declare height, climb and length of a return flight over terrain, for each home and time.
+
+    On the return, the vehicle first climbs to a height that clears the ground on the straight way
+    to the home, then flies level, and descends at the home. The expressions are the level height
+    `height_home`, the climb to it from the vehicle's height, `climb`, and `way_flown`, the length
+    of level flight and descent (all in m).
 
     Parameters
     ----------

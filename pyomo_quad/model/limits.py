@@ -48,9 +48,10 @@ _VALIDATED = fields_of(
 
 @parameters_in("limits")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters of all limits that a scenario may set.
+    """Return the parameters that the model of a scenario declares in its block `limits`.
 
-    A limit whose scenario field is None has no value and is not declared.
+    Each `Parameter` states name, unit and meaning of a number, usually a bound, and how its value
+    follows from a scenario. A bound whose scenario field is None has no value and is not declared.
     """
     validated = _VALIDATED if scenario.limits.within_validated else ()
     return (*_BOUNDS, *(row for row in _OPTIONAL if row.value(scenario)), *validated)

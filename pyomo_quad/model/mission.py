@@ -98,9 +98,10 @@ _HOVERING = (
 
 
 def _passed(field: str, scenario: Scenario) -> dict[int, float]:
-    """Return the values of one field of the waypoints, by waypoint number.
+    """Return the values of one field of the waypoints, such as their largest speeds.
 
-    Waypoints at which the field has its default value are omitted, so that the model declares no
+    `field` is the name of the field. The keys of the result are the numbers of the waypoints, from
+    0. Waypoints at which the field has its default value are omitted, so that the model declares no
     parameter for them.
     """
     default = Waypoint.model_fields[field].default
@@ -116,7 +117,12 @@ _PASSAGES = tuple(
 
 @parameters_in("mission")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters of block `mission`: start, goal, duration and waypoints."""
+    """Return the parameters that the model of a scenario declares in its block `mission`.
+
+    They are the numbers of start and goal, of the waypoints and, if the duration is free, of the
+    duration. Each `Parameter` states name, unit and meaning, and how its value follows from a
+    scenario.
+    """
     duration = _DURATION if scenario.mission.is_free else ()
     hovering = _HOVERING if any(w.hold for w in scenario.mission.waypoints) else ()
     turning_max = (_TURNING,) if scenario.keeps_yaw else ()
@@ -151,7 +157,11 @@ def declare_mission(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _hover_speed(m: ConcreteModel, mass: NumericExpression) -> NumericExpression:
-    """Return the rotor speed at which the thrust balances the weight of a mass [rad/s]."""
+    """Return the rotor speed at which the thrust balances the weight of a mass [rad/s].
+
+    `m` is the model with vehicle and rotors, which share the weight equally, and `mass` the mass
+    [kg] as a Pyomo expression.
+    """
     rotor_thrust = mass * m.vehicle.gravity / len(m.rotors.rotor)
     return sqrt(rotor_thrust / m.vehicle.thrust_coefficient) * units.rad
 
@@ -160,8 +170,8 @@ def free_times(m: ConcreteModel, scenario: Scenario) -> dict[float, Any]:
     """Return the variables of the times that the plan chooses, by their nominal time [s].
 
     The times are the duration, if the duration is free, the passage of each waypoint and the end of
-    each hover at a waypoint. The nominal time is the member of the model's time set that stands for
-    the variable.
+    each hover at a waypoint. The nominal time is the member of the time set of the model `m` that
+    stands for the variable: the time estimated or prescribed by the scenario.
     """
     *passages, end = scenario.nominal_times
     free: dict[float, Any] = {end: m.duration} if scenario.mission.is_free else {}
@@ -175,7 +185,8 @@ def free_times(m: ConcreteModel, scenario: Scenario) -> dict[float, Any]:
 def _declare_waypoints(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
     """Declare for each waypoint the time of its passage and the conditions at that time.
 
-    The conditions are on position, heading, speed and time of hover, as the waypoint sets them.
+    The conditions are on position, heading, speed and time of hover, as the waypoint sets them. All
+    are added to `b`, the block `mission` of the model `m`.
     """
     waypoints, times = scenario.mission.waypoints, scenario.nominal_times
     reached = {k: times[2 * k] for k in range(len(waypoints))}
@@ -282,10 +293,12 @@ def declare_duration(m: ConcreteModel, scenario: Scenario) -> None:
 def _declare_end(
     b: Block, m: ConcreteModel, end: str, t: float, rotor_speed: NumericExpression
 ) -> None:
-    """Declare the conditions of hover at one end of the flight, at time t.
+    """Declare the conditions of hover at one end of the flight.
 
     The conditions are on position and heading, on velocity, tilt and body rates, which are zero,
-    and on the rotor speeds, which equal `rotor_speed` [rad/s]. `end` is "start" or "goal".
+    and on the rotor speeds, which equal `rotor_speed` [rad/s]. `end` is "start" or "goal", and `t`
+    is the time of this end [s]. The conditions are added to `b`, the block `mission` of the model
+    `m`.
     """
     said = "x(t_0) = x_0" if end == "start" else "x(t_f) = x_f"
 
@@ -307,11 +320,11 @@ def _declare_end(
 
 
 def _goal_of_turning(b: Block) -> tuple[Any, ...]:
-    """Return the conditions on yaw and yaw rate at the goal.
+    """Return the two conditions at the goal on yaw (prescribed) and on yaw rate (zero).
 
-    With a constant heading (constraint `yaw_keeping`), these conditions are redundant.
-    `_declare_kept_yaw` therefore deactivates them, and `start_where_measured`, which deactivates
-    `yaw_keeping`, activates them again.
+    They are constraints of `b`, the block `mission`. With a constant heading (constraint
+    `yaw_keeping`), these conditions are redundant. `_declare_kept_yaw` therefore deactivates them,
+    and `start_where_measured`, which deactivates `yaw_keeping`, activates them again.
     """
     return b.goal_place["psi"], b.goal_rest["r"]
 
@@ -357,7 +370,10 @@ def start_where_measured(m: ConcreteModel) -> None:
 def _start_measured(b: Block, start: float, state: Var) -> None:
     """Declare a parameter for a state's measured value, and a condition at the start of the flight.
 
-    The condition equates the initial value of the state to the mutable parameter.
+    The condition equates the initial value of the state to the mutable parameter. Both are added to
+    `b`, the block `start` of measured values. `start` is the initial time of the flight [s], and
+    `state` the Pyomo variable over time. A state that is also indexed by rotor gets one parameter
+    and one condition per rotor.
     """
     beside_time = [index[:-1] for index in state if isinstance(index, tuple) and index[-1] == start]
     sets = (beside_time,) if beside_time else ()

@@ -96,20 +96,29 @@ def parameters_in(block_name: str) -> Callable[[Table], Table]:
 
 
 def parameter_tables(scenario: Scenario) -> Iterator[tuple[str, tuple[Parameter, ...]]]:
-    """Yield the name of each model block that has registered parameters, and its parameters."""
+    """Yield the name of each model block that has registered parameters, and its parameters.
+
+    The parameters are declarations, without values, of what the block of the scenario's model
+    contains; the decorator `parameters_in` registers the function that returns them.
+    """
     for block_name, table in _TABLES.items():
         yield block_name, tuple(table(scenario))
 
 
 def declare_parameters(b: Block, scenario: Scenario) -> None:
-    """Add to a model block the mutable Pyomo parameters that are registered for it."""
+    """Add to the model block `b` the mutable Pyomo parameters that are registered under its name.
+
+    The decorator `parameters_in` registers the declarations of a block. The parameters get their
+    values from the scenario; a declaration that has no value in the scenario is left out.
+    """
     add_parameters(b, _TABLES[b.name](scenario), scenario)
 
 
 def add_parameters(b: Block, table: Iterable[Parameter], scenario: Scenario) -> None:
-    """Add to a block a mutable Pyomo parameter for each declaration in `table`.
+    """Add to the block `b` a mutable Pyomo parameter for each declaration in `table`.
 
-    A declaration that has no value in the scenario is left out.
+    The parameters get their values from the scenario. A declaration that has no value in the
+    scenario is left out.
     """
     for row in table:
         value = row.value(scenario)

@@ -123,7 +123,11 @@ _SMOOTHING = "smoothing"
 
 @parameters_in("power")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters that the scenario's power model declares in block `power`."""
+    """Return the parameters that the scenario's power model declares in block `power`.
+
+    Each `Parameter` states name, unit and meaning of a number, such as a coefficient of the power
+    model, and how its value follows from a scenario.
+    """
     guard = () if scenario.power.regeneration else fields_of("power", _SMOOTHING)
     return (*_NUMBERS.get(scenario.power.model, ()), *guard)
 
@@ -201,10 +205,11 @@ _RotorRule = Callable[[Block, int, float], NumericExpression]
 def _power_of_each_rotor(
     m: ConcreteModel, name: str, *, doc: str
 ) -> Callable[[_RotorRule], _RotorRule]:
-    """Return a decorator that declares a rule as the power of each rotor, `power.<name>` [W].
+    """Return a decorator that declares a function as the power of each rotor, `power.<name>` [W].
 
-    The rule takes the block `power`, the rotor's number and the time. `doc` is the documentation
-    text of the declared expression.
+    The decorated function is a Pyomo rule: it takes the block `power`, the rotor's number and the
+    time, and returns the power. The decorator adds it to the model `m` as an expression over rotors
+    and time. `name` is the name of this expression, `doc` its documentation text.
     """
 
     def declare(rule: _RotorRule) -> _RotorRule:
@@ -217,11 +222,18 @@ def _power_of_each_rotor(
 def declare_motor_power(m: ConcreteModel, name: str) -> None:
     """Declare the power model `motor`: terminal voltage times current of each motor.
 
-    Voltage and current follow from eqs. (2) and (3) of the paper (Yacef et al.).
-    The model is valid at all speeds and torques of the motor. The copper loss grows with the square
-    of the torque, so the power is convex in the rotor acceleration alpha and in thrust. With
-    regeneration, braking returns the braking power less the loss in the winding. The rotor has no
-    profile drag, so the hover power is half the power of a real aircraft.
+    Voltage and current follow from eqs. (2) and (3) of the paper (Yacef et al.). The model is valid
+    at all speeds and torques of the motor. The copper loss grows with the square of the torque, so
+    the power is convex in the rotor acceleration alpha and in thrust. With regeneration, braking
+    returns the braking power less the loss in the winding. The rotor has no profile drag, so the
+    hover power is half the power of a real aircraft.
+
+    Parameters
+    ----------
+    m : ConcreteModel
+        Model that already declares `time`, `rotors` and the block `power`.
+    name : str
+        Name of the expression in block `power` that gives the power of each rotor over time [W].
     """
     b = m.power
 
@@ -241,6 +253,13 @@ def declare_shaft_power(m: ConcreteModel, name: str) -> None:
     This power is a lower bound of the power in every other model, because motor and converter have
     no loss, and with regeneration braking returns its full power. The power is linear in the rotor
     acceleration, which therefore needs a bound, and convex in thrust (exponent 3/2).
+
+    Parameters
+    ----------
+    m : ConcreteModel
+        Model that already declares `time`, `rotors` and the block `power`.
+    name : str
+        Name of the expression in block `power` that gives the power of each rotor over time [W].
     """
 
     @_power_of_each_rotor(m, name, doc="Yacef et al., eq. (8) with f_r = 1: shaft power [W]")
@@ -255,6 +274,13 @@ def declare_constant_efficiency_power(m: ConcreteModel, name: str) -> None:
     The model is valid near the operating point at which the efficiency was measured. The power is
     convex in the rotor acceleration and in thrust. The power is not negative unless regeneration is
     enabled.
+
+    Parameters
+    ----------
+    m : ConcreteModel
+        Model that already declares `time`, `rotors` and the block `power`.
+    name : str
+        Name of the expression in block `power` that gives the power of each rotor over time [W].
     """
 
     @_power_of_each_rotor(m, name, doc="Yacef et al., eq. (8) with constant f_r [W]")
@@ -268,12 +294,19 @@ def declare_efficiency_power(m: ConcreteModel, name: str) -> None:
 
     f_r is the efficiency polynomial of the paper (Yacef et al.) in torque tau and rotor speed
     omega. Its coefficients were recovered from two public re-implementations of the paper's model.
-    Below some 780 rad/s, f_r has zeros at moderate braking torque. The
-    polynomial is therefore evaluated at a torque of at least `torque_floor`, and its value is
-    bounded below by `efficiency_floor`. Unless regeneration is enabled, braking returns nothing and
-    the power is not negative. The power is not convex in the rotor acceleration: below 858 rad/s,
-    alternating acceleration and coasting takes less energy than steady flight, so an optimum
-    depends on the bound on the acceleration and on the mesh.
+    Below some 780 rad/s, f_r has zeros at moderate braking torque. The polynomial is therefore
+    evaluated at a torque of at least `torque_floor`, and its value is bounded below by
+    `efficiency_floor`. Unless regeneration is enabled, braking returns nothing and the power is not
+    negative. The power is not convex in the rotor acceleration: below 858 rad/s, alternating
+    acceleration and coasting takes less energy than steady flight, so an optimum depends on the
+    bound on the acceleration and on the mesh.
+
+    Parameters
+    ----------
+    m : ConcreteModel
+        Model that already declares `time`, `rotors` and the block `power`.
+    name : str
+        Name of the expression in block `power` that gives the power of each rotor over time [W].
     """
     b = m.power
 
@@ -310,10 +343,16 @@ def declare_motor_power_with_friction(m: ConcreteModel, name: str) -> None:
     """Declare the power model `motor_with_friction`: v i with dry and viscous friction.
 
     v is the voltage and i the current of the motor, whose torque includes the friction. The model
-    follows Morbidi et al. (2016). The power is convex in the rotor acceleration. The
-    power is not convex in thrust, because viscous and dry friction make the first newton of thrust
-    the most expensive. The published friction constants seem ten times too high: hover takes 1.3
-    kW.
+    follows Morbidi et al. (2016). The power is convex in the rotor acceleration. The power is not
+    convex in thrust, because viscous and dry friction make the first newton of thrust the most
+    expensive. The published friction constants seem ten times too high: hover takes 1.3 kW.
+
+    Parameters
+    ----------
+    m : ConcreteModel
+        Model that already declares `time`, `rotors` and the block `power`.
+    name : str
+        Name of the expression in block `power` that gives the power of each rotor over time [W].
     """
     b = m.power
 
@@ -342,8 +381,8 @@ def declare_motor_power_with_friction(m: ConcreteModel, name: str) -> None:
 def _declare_floor(m: ConcreteModel) -> None:
     """Declare the power of each rotor as a smooth max(P, 0), for a mission without regeneration.
 
-    P is the power of the chosen power model. It is negative if a rotor brakes, but without
-    regeneration braking returns no energy.
+    P is the power of the chosen power model, which block `power` of the model `m` already has. It
+    is negative if a rotor brakes, but without regeneration braking returns no energy.
     """
     b = m.power
 
@@ -367,6 +406,14 @@ def declare_momentum_power(m: ConcreteModel, name: str) -> None:
 
     The model is valid in hover, climb, forward flight and slow descent. The power is convex in the
     rotor acceleration and in thrust. The docstring of this module has the equations.
+
+    Parameters
+    ----------
+    m : ConcreteModel
+        Model that already declares `time`, `vehicle`, `rigid_body`, `rotors`, the airspeeds of
+        block `aerodynamics`, and the block `power`.
+    name : str
+        Name of the expression in block `power` that gives the power of each rotor over time [W].
     """
     b = m.power
     b.disc_area = Expression(

@@ -96,7 +96,8 @@ def declare_balances(m: ConcreteModel, scenario: Scenario) -> None:
 def _straight_line(start: float, goal: float, duration: float) -> Callable[[Block, float], float]:
     """Return a Pyomo rule for the initial guess of a state: linear in time from start to goal.
 
-    `duration` [s] is the duration of the flight in the guess.
+    `start` and `goal` are the values of the state at the start and at the goal, in the state's
+    unit. `duration` [s] is the duration of the flight in the guess.
     """
     return lambda _b, t: start + (goal - start) * t / duration
 

@@ -16,7 +16,7 @@ from pyomo_quad.scenario.vehicle import Attitude
 
 
 def _numbers(scenario: Scenario) -> tuple[int, ...]:
-    """Return the rotor numbers, counted from 1."""
+    """Return the numbers of a scenario's rotors, 1 to n, which index the rotors in the model."""
     return tuple(range(1, len(scenario.vehicle.rotor_places) + 1))
 
 

@@ -149,9 +149,11 @@ def _is_enclosed(intervals: list[_Interval]) -> bool:
 
 
 def _intervals(model: ConcreteModel) -> dict[str, list[_Interval]]:
-    """Return the intervals that bounds and constraints permit, by the name of the variable.
+    """Return the intervals of values that declarations permit, by the name of the variable.
 
-    Only inequality constraints with a single variable are considered.
+    The declarations are the bounds of the variables of `model` and its linear inequality
+    constraints with a single variable. A variable has one interval for each declaration that limits
+    it. Intervals without a common value show that the declarations contradict each other.
     """
     found = defaultdict[str, list[_Interval]](list)
     for variable in _variables(model):
@@ -266,7 +268,9 @@ def _span(interval: _Interval) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class ModelInspection:
-    """Size of a continuous model, counted at one time inside the flight, and its unit errors.
+    """Numbers of variables and equations of a continuous model, and its unit errors.
+
+    Variables, equations and inequalities over time are counted at one time inside the flight.
 
     Attributes
     ----------
@@ -290,7 +294,7 @@ class ModelInspection:
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Number of functions of time that the equations leave free."""
+        """Number of functions of time that the equations leave free, such as the controls."""
         # Each state has a derivative, which the equations determine as well.
         return len(self.states) + len(self.other_variables) - self.equations
 

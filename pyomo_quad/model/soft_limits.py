@@ -122,10 +122,11 @@ def soften(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _soften_limit(b: Block, limit: Constraint) -> None:
-    """Replace a path constraint by a soft constraint for each of its limits, lower and upper.
+    """Replace a path constraint by a soft constraint for each of its bounds, lower and upper.
 
     A soft constraint may be violated at a penalty. The violation is a single variable: the largest
-    violation over time.
+    violation over time. `limit` is the path constraint, which is deactivated; the soft constraints
+    are added to `b`, the block `soft`, which already has the variables of the violations.
     """
     name, stated = limit.name, function_of(limit)
     unit = units.get_units(limit[next(iter(limit))].body)
@@ -157,7 +158,9 @@ def _soften_limit(b: Block, limit: Constraint) -> None:
 def _soften_condition(b: Block, condition: Constraint) -> None:
     """Replace an equality constraint at one time by a soft constraint.
 
-    A violation upwards or downwards is allowed at a penalty.
+    A violation upwards or downwards is allowed at a penalty. `condition` is the equality
+    constraint, which is deactivated; the soft constraint is added to `b`, the block `soft`, which
+    already has the variables of the violations.
     """
     held = [index for index in condition if condition[index].active]
 

@@ -111,25 +111,36 @@ def turbulence_values(scenario: Scenario) -> dict[str, float]:
 
 
 def horizontal_length(height: Any) -> Any:
-    """Return the length scale L_u = L_v at a height [m]: MIL-F-8785C, figure 10.
+    """Return the length scale L_u = L_v of turbulence [m]: MIL-F-8785C, figure 10.
 
-    MIL-HDBK-1797 has half of this length for L_v.
+    `height` is the height above the ground [m]. MIL-HDBK-1797 has half of this length for L_v.
     """
     return height / (0.177 + 0.000823 * height / _FOOT) ** 1.2
 
 
 def vertical_length(height: Any) -> Any:
-    """Return the length scale L_w at a height [m]: MIL-F-8785C, section 3.7.3.4."""
+    """Return the length scale L_w of vertical turbulence [m]: MIL-F-8785C, section 3.7.3.4.
+
+    L_w equals `height`, the height above the ground [m].
+    """
     return 1 * height
 
 
 def vertical_deviation(wind_at_6_m: Any) -> Any:
-    """Return the standard deviation sigma_w of gusts [m/s]: MIL-F-8785C, section 3.7.3.4."""
+    """Return the standard deviation sigma_w of gusts [m/s]: MIL-F-8785C, section 3.7.3.4.
+
+    sigma_w is that of the vertical gusts: a tenth of `wind_at_6_m`, the mean wind at 6 m above the
+    ground [m/s].
+    """
     return 0.1 * wind_at_6_m
 
 
 def horizontal_deviation(wind_at_6_m: Any, height: Any) -> Any:
-    """Return the standard deviation sigma_u = sigma_v of gusts [m/s]: MIL-F-8785C, figure 11."""
+    """Return the standard deviation sigma_u = sigma_v of gusts [m/s]: MIL-F-8785C, figure 11.
+
+    These are the horizontal gusts. `wind_at_6_m` is the mean wind at 6 m above the ground [m/s],
+    `height` the height above the ground [m] at which the gusts act.
+    """
     return vertical_deviation(wind_at_6_m) / (0.177 + 0.000823 * height / _FOOT) ** 0.4
 
 
@@ -195,7 +206,13 @@ def declare_turbulence(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _declare_scales(b: Block, m: ConcreteModel) -> None:
-    """Declare length scales, standard deviations, crossing speed and rates V / L of the filters."""
+    """Declare height, standard deviations, crossing speed and rates V / L of the filters.
+
+    They are expressions over time in `b`, the block `wind.turbulence` of the model `m`. The height
+    is that above ground, within the range for which the specification holds. The crossing speed V
+    is the speed at which the vehicle crosses the frozen gusts, and L a length scale of the
+    turbulence.
+    """
 
     @b.Expression(m.time, doc="h: height at which the laws are read [m]")
     def height(_b: Block, t: float) -> NumericExpression:
@@ -233,7 +250,11 @@ def _declare_scales(b: Block, m: ConcreteModel) -> None:
 
 
 def _declare_filters(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare the states, the white noise and the differential equations of the filters."""
+    """Declare the states, the white noise and the differential equations of the filters.
+
+    They are added to `b`, the block `wind.turbulence` of the model `m`. The scenario's seed
+    determines the values with which the states are initialised.
+    """
     begun = Gusts.of(scenario).start
     for full_name in NOISE:
         noise = Param(m.time, initialize=_no_noise, mutable=True, units=_ROOT_RATE, doc="n")
@@ -287,7 +308,11 @@ def _declare_gusts(b: Block, m: ConcreteModel) -> None:
 
 
 def _add_gusts(m: ConcreteModel) -> None:
-    """Redefine the wind velocity as mean wind, gust and forecast error, along each world axis."""
+    """Redefine the wind velocity along each world axis as mean wind plus gust.
+
+    Along the horizontal axes, the error of the wind forecast is added, too. `m` is a model that
+    already declares the mean wind, the gusts and the forecast error.
+    """
     b = m.wind.turbulence
     turned = {
         "x": lambda t: (
@@ -373,7 +398,7 @@ class Gusts:
         """Return the white noise of a flight as step functions of time, by full parameter name.
 
         `duration` is the duration of the flight [s]. There is one parameter for each of the three
-        filters.
+        filters, and one value per time step of length `NOISE_STEP` [s].
         """
         columns = self.noise(duration).T
         return {

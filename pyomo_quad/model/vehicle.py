@@ -50,7 +50,11 @@ _PARAMETERS = (
 
 @parameters_in("vehicle")
 def parameters_of(_scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters of block `vehicle`, including the payloads released at waypoints."""
+    """Return the parameters of block `vehicle`, including the payloads released at waypoints.
+
+    Each `Parameter` states name, unit and meaning of a number, and how its value follows from a
+    scenario. They are the same for every scenario, so that the argument is not used.
+    """
     return _PARAMETERS
 
 
@@ -76,7 +80,10 @@ def _loads(scenario: Scenario) -> tuple[int, ...]:
 
 
 def mass_at(m: ConcreteModel, t: float) -> NumericExpression:
-    """Return the mass of vehicle and payload at a time, less the payloads released before [kg]."""
+    """Return the mass of vehicle and payload at a time, less the payloads released before [kg].
+
+    `m` is the mission's model, and `t` the time in flight [s].
+    """
     b = m.vehicle
     if b.component("released") is None:
         return b.mass

@@ -113,7 +113,11 @@ def _least_height(wind: Wind) -> float:
 
 @parameters_in("wind")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters of block `wind`, which depend on the kind of wind of the scenario."""
+    """Return the parameters of block `wind`, which depend on the kind of wind of the scenario.
+
+    Each `Parameter` states name, unit and meaning of a number, such as the exponent of a wind
+    profile, and how its value follows from a scenario.
+    """
     wind = scenario.wind
     return (
         *(() if wind.grid is None else (FIELD_UNIT,)),
@@ -239,7 +243,11 @@ def _of_field(part: Expression, _b: Block, t: float) -> NumericExpression:
 
 
 def _declare_height(b: Block, m: ConcreteModel) -> None:
-    """Declare the height above ground at which the wind is evaluated, with a smooth lower limit."""
+    """Declare the height above ground at which the wind is evaluated, with a smooth lower limit.
+
+    The height is an expression over time in `b`, the block `wind` of the model `m`. Its lower limit
+    is the lowest height at which the scenario's wind is defined.
+    """
 
     @b.Expression(m.time, doc="height above the least height [m]")
     def height_above(b: Block, t: float) -> NumericExpression:
@@ -253,7 +261,8 @@ def _declare_height(b: Block, m: ConcreteModel) -> None:
 def _declare_profile(b: Block, m: ConcreteModel, law: WindLaw) -> None:
     """Declare the ratio of the wind at the vehicle's height to the wind at the reference height.
 
-    `law` selects the power law or the logarithmic law, which the docstring of this module gives.
+    The ratio is an expression over time in `b`, the block `wind` of the model `m`. `law` selects
+    the power law or the logarithmic law, which the docstring of this module gives.
     """
 
     def power(b: Block, t: float) -> NumericExpression:
@@ -269,9 +278,10 @@ def _declare_profile(b: Block, m: ConcreteModel, law: WindLaw) -> None:
 
 
 def _at_height(b: Block, t: float, velocity: NumericExpression) -> NumericExpression:
-    """Return the wind at the vehicle's height, given the wind at the reference height [m/s].
+    """Return the wind at the vehicle's height [m/s].
 
-    Without a wind profile, the wind is the same at both heights.
+    `velocity` is the wind at the reference height of the wind profile [m/s]; without a profile, the
+    wind is the same at both heights. `b` is the block `wind`, and `t` the time in flight [s].
     """
     profile = b.component("profile")
     return velocity if profile is None else profile[t] * velocity
@@ -335,7 +345,11 @@ def _add_velocity(
 
 
 def _velocity(name: str, b: Block, t: float) -> NumericExpression:
-    """Return the wind of eq. (11) along one axis: mean, harmonics and gust [m/s]."""
+    """Return the wind of eq. (11) along one axis: mean, harmonics and gust [m/s].
+
+    `name` is the axis, "x" or "y". `b` is the block `wind`, which has the parameters of this axis,
+    and `t` the time in flight [s].
+    """
     axis, wind_time = b.component(name), b.wind_time[t]
     harmonics = sum(axis.amplitudes[k] * sin(axis.frequencies[k] * wind_time) for k in HARMONICS)
     return axis.mean + harmonics + axis.gust[t]
@@ -410,8 +424,9 @@ def _shares(heights: FloatArray) -> FloatArray:
 def _shapes(heights: FloatArray) -> FloatArray:
     """Return the matrix of the values of the spline's basis functions at the measured heights.
 
-    Rows are the heights at which the wind was measured, columns the basis functions of the cubic
-    spline over height.
+    The spline is the cubic spline over height through a wind measured at `heights` [m]. Rows of the
+    matrix are these heights, columns the basis functions. With the matrix, the coefficients of the
+    spline are computed from the measured wind.
     """
     shares = _shares(heights)
     return np.column_stack([[f(share) for share in shares] for f in _truncated_powers(shares)])
@@ -449,8 +464,19 @@ _ROWS_BESIDE = 30
 class _OverTime:
     """Wind speed measured over time, as a spline that a Pyomo model can evaluate.
 
-    The cubic spline passes through the rows of the table. After the last row the wind is constant,
-    with the same smoothing as a profile.
+    The speed is the wind along one axis or, for a wind measured over time and height, a coefficient
+    of the spline over height. The cubic spline over time passes through the measured speeds. After
+    the last measurement it is constant; the transition is smoothed.
+
+    Parameters
+    ----------
+    times : sequence of float
+        Times of the measurements, ascending [s].
+    speeds : ndarray
+        Wind speed at each of these times [m/s].
+    scenario : Scenario
+        Gives the time in the measurement at which the flight starts, and the longest duration of
+        the flight.
     """
 
     def __init__(self, times: Sequence[float], speeds: FloatArray, scenario: Scenario) -> None:
@@ -479,10 +505,10 @@ class _OverTime:
 
     @cached_property
     def _table(self) -> Table:
-        """Spline over the rows of the wind table that a flight of variable duration may reach.
+        """Spline through the part of the measurement that a flight of variable duration may reach.
 
-        All other rows are left out, because the cost of an evaluation grows with the number of
-        rows; the omitted rows are too far away in time to affect the flight.
+        All other measurements are left out, because the cost of an evaluation grows with their
+        number; the omitted measurements are too far away in time to affect the flight.
         """
         times = self._spline.x[self._rows]
         return Table(times, self._spline(times), name="measured wind")

@@ -136,6 +136,7 @@ def _filled(grid: WindGrid) -> tuple[list[FloatArray], FloatArray]:
         Coordinates along each axis [m, m, m, s].
     values : ndarray, shape (n_components, *grid)
         Wind [m/s] as in the file, before the multiplication by the scenario's `wind.field_scale`.
+        The array axes after the first are the axes of the grid.
     """
     from scipy.interpolate import BarycentricInterpolator  # noqa: PLC0415  for fields alone
     from scipy.ndimage import distance_transform_edt  # noqa: PLC0415  for fields alone

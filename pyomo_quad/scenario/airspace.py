@@ -66,10 +66,13 @@ class Ball(NamedTuple):
     normal: tuple[float, float] | None = None
 
     def coordinates(self, places: "ArrayLike") -> "FloatArray":
-        """Return the coordinates of places in which distances from the ball's centre are measured.
+        """Return the coordinates of places that decide whether the places are in the ball.
 
-        A ball is a sphere (three coordinates), a vertical cylinder without ends (x and y) or an
-        interval.
+        A place is in the ball if its distance from the centre, computed from these coordinates
+        only, is at most the radius. They are x, y and z for a sphere, and x and y for a vertical
+        cylinder without ends. An interval (the space between two parallel planes) has a single
+        coordinate: x, y or z, or the component of the position along the normal of a polygon's
+        edge.
 
         Parameters
         ----------
@@ -79,8 +82,8 @@ class Ball(NamedTuple):
         Returns
         -------
         ndarray, shape (..., n)
-            Coordinates [m]; n is 3 for a sphere, 2 for a cylinder and 1 for an interval, whose
-            coordinate is x, y, z or the distance along the normal of a polygon's edge.
+            Coordinates of each place [m]; n is 3 for a sphere, 2 for a cylinder and 1 for an
+            interval.
         """
         import numpy as np  # noqa: PLC0415  reading a scenario does without it
 
@@ -100,7 +103,8 @@ class Ball(NamedTuple):
         Returns
         -------
         ndarray, shape (...)
-            Radius minus distance from the centre.
+            Radius of the ball minus the distance of each place from its centre, which is measured
+            in the ball's one to three coordinates.
         """
         import numpy as np  # noqa: PLC0415  see `coordinates`
 
@@ -120,21 +124,21 @@ _STRAIGHT = 1e-9
 
 
 def turns_of(corners: Sequence[tuple[float, float]]) -> list[float]:
-    """Return twice the signed area of the triangle at each corner of a polygon.
+    """Return twice the signed area of the triangle that each corner forms with its neighbours.
 
-    The sum of the areas is positive if the corners are in counter-clockwise order; an area of zero
-    shows that a corner is on the straight line between its two neighbours.
+    The sign shows in which direction the outline of the polygon turns at the corner. The sum over
+    the corners of a convex polygon is positive if they are in counter-clockwise order. A zero shows
+    that a corner is on the straight line between its two neighbours.
 
     Parameters
     ----------
     corners : sequence of (float, float)
-        Corners x, y in order.
+        Corners x, y of the polygon, in order [m].
 
     Returns
     -------
     list of float
-        For each corner the area [m²] of the triangle with its two neighbours, times 2; positive
-        where the outline turns left.
+        For each corner twice the area of the triangle [m²]; positive where the outline turns left.
     """
     count = len(corners)
     found = []
@@ -150,7 +154,7 @@ def is_convex(polygon: Any) -> bool:  # noqa: ANN401  shapely has no types that 
 
 
 def _refuse_folded(corners: Sequence[tuple[float, float]], what: str) -> None:
-    """Raise ValueError unless the corners, in the given order, form a convex polygon.
+    """Raise ValueError unless the corners x, y [m], in the given order, form a convex polygon.
 
     The error message begins with the text `what`, which names the polygon.
     """
@@ -169,6 +173,11 @@ def _edges_of(
     corners: Sequence[tuple[float, float]],
 ) -> Iterator[tuple[tuple[float, float], float, float]]:
     """Yield the unit normal of each edge of a polygon, and the polygon's extent along the normal.
+
+    Parameters
+    ----------
+    corners : sequence of (float, float)
+        Corners x, y of the polygon, in order [m].
 
     Yields
     ------

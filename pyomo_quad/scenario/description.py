@@ -243,7 +243,8 @@ def _alternative_notations(name: str, field: dict[str, Any]) -> dict[str, Any]:
 def _unit_keys(name: str, field: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Return the keys by which a file may give a field in other units, each with the unit's name.
 
-    For example, `roll_max_deg` gives the field `roll_max`, in radians, in degrees.
+    For example, the key `roll_max_deg` gives the field `roll_max`, whose unit is the radian, in
+    degrees.
 
     Parameters
     ----------

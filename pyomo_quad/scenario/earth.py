@@ -44,7 +44,11 @@ def _degrees(name: str, meaning: str) -> Any:  # noqa: ANN401  a declaration of 
 
 
 class GeodeticOrigin(Part):
-    """Position of the mission's origin on earth: WGS 84 degrees, and metres above the sea."""
+    """Position on earth of the point x = y = z = 0 of a mission.
+
+    The position is given by latitude and longitude (WGS 84, degrees) and by the altitude above the
+    sea [m].
+    """
 
     latitude: Number = _degrees(_LATITUDE, "latitude of the origin, north of the equator")
     longitude: Number = _degrees(_LONGITUDE, "longitude of the origin, east of Greenwich")

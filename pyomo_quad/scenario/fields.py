@@ -269,12 +269,18 @@ def allowed_text(model: type[BaseModel], name: str) -> str:
 
 
 def example_of(model: type[BaseModel], name: str) -> str:
-    """Return the example value of a table's field, in TOML; empty if none is declared."""
+    """Return the example value of a table's field, in TOML; empty if none is declared.
+
+    `model` is the model class of the table, and `name` the name of the field.
+    """
     return str(_declared_with(model, name, "example"))
 
 
 def other_names_of(model: type[BaseModel], name: str) -> tuple[str, ...]:
-    """Return keys that users may write by mistake for a field, such as `time` for `duration`."""
+    """Return keys that users may write by mistake for a field, such as `time` for `duration`.
+
+    `model` is the model class of the table that has the field, and `name` the name of the field.
+    """
     return tuple(_declared_with(model, name, "other_names"))
 
 

@@ -253,7 +253,8 @@ def _height(
 def _polygons(feature: Any, where: str) -> Iterator[list[Any]]:  # noqa: ANN401  untrusted
     """Yield the rings (closed outlines) of each polygon of a GeoJSON feature, the outer one first.
 
-    Error messages begin with the text `where`.
+    `feature` is the feature as read from the file, with a polygon or several. If it has another
+    geometry, a ScenarioError is raised, whose message begins with the text `where`.
     """
     geometry = feature.get("geometry") if isinstance(feature, Mapping) else None
     told = geometry if isinstance(geometry, Mapping) else {}

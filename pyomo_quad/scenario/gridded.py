@@ -246,8 +246,9 @@ def _listed(axes: tuple[str, ...]) -> str:
 def _named(variables: Mapping[Any, Any], names: tuple[str, ...]) -> Any:  # noqa: ANN401
     """Return the variable of a NetCDF file that has one of the given names, or None.
 
-    Each name is compared with the attribute `standard_name` and with the name of every variable.
-    Names that come first in the list have precedence.
+    `variables` maps the names in the file to its variables. Each of `names` is compared with the
+    attribute `standard_name` and with the name of every variable. Names that come first in `names`
+    have precedence.
     """
     held = list(variables.values())
     for name in names:
@@ -360,10 +361,11 @@ def _check_columns(columns: list[str], place: str, quantity: Quantity) -> None:
 
 
 def _rising(field: Gridded, place: str) -> Gridded:
-    """Sort gridded data by ascending axes; drop a height or time axis with a single point.
+    """Return gridded data with ascending axes, without a height or time axis of a single point.
 
-    Raises a ScenarioError, whose message begins with `place`, if the data lack the axis x or y or
-    have too many values.
+    `field` is the data as read from the file; its values are reordered with the axes. Raises a
+    ScenarioError, whose message begins with `place`, if the data lack the axis x or y or have too
+    many values.
     """
     axes, components = dict(field.axes), field.components
     for lacking in (axis for axis in PLACE_AXES if axis not in axes):

@@ -103,7 +103,10 @@ _MOST_LINES = 20
 
 
 def listed(lines: Sequence[str]) -> str:
-    """Join messages, one per line; only the first 20 are listed, and the rest are counted."""
+    """Join error messages to one text, one per line.
+
+    Only the first 20 of the messages `lines` are listed; a last line counts the rest.
+    """
     more = len(lines) - _MOST_LINES
     left_out = [f"... and {more} more."] if more > 0 else []
     return "\n".join([*lines[:_MOST_LINES], *left_out])
@@ -114,7 +117,8 @@ def _without_branches(path: FieldPath, model: type[BaseModel]) -> FieldPath:
 
     For a field that accepts a number or a word, such as `mission.duration`, pydantic reports an
     error for each type, and appends the type's name to the field's path. The scenario file has no
-    such key.
+    such key. `path` is the path that pydantic reports, and `model` the model class of the validated
+    table.
     """
     table, _ = declared_place(model, path[:-1])
     last = path[-1] if path else None
@@ -271,14 +275,19 @@ def _unknown_key(
 def _meant(table: type[BaseModel], unknown: str) -> list[str]:
     """Return the keys of a table that a user probably meant by an unknown key.
 
-    The keys include keys for other units, such as `roll_max_deg`.
+    `table` is the model class of the table, and `unknown` the key that the user wrote. The keys
+    include keys for other units, such as `roll_max_deg`. The result is empty if no key is similar.
     """
     meant = [name for name in table.model_fields if unknown in other_names_of(table, name)]
     return meant or get_close_matches(unknown, [*table.model_fields, *unit_keys_of(table)], n=1)
 
 
 def _example(model: type[BaseModel], name: str) -> str:
-    """Return an example value of a field in TOML; for a table, of its required fields."""
+    """Return an example value of a field in TOML, for error messages; empty if there is none.
+
+    `model` is the model class of the table that has the field, and `name` the name of the field. If
+    the field is itself a table, the example is a table of its required fields.
+    """
     nested = table_of(model, name)
     if nested is None:
         return example_of(model, name)

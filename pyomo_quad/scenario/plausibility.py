@@ -196,12 +196,12 @@ def _remedy(motor: MotorConstants) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class _Hover:
-    """Shaft power and ideal power of a vehicle in hover, with words for messages on them.
+    """Shaft power and ideal power of a vehicle in hover, and texts for messages about them.
 
     Attributes
     ----------
     start : str
-        Words with which a message begins; they state the shaft power.
+        Text with which a message begins; it states the shaft power.
     shaft_W, ideal_W : float
         Power at the shafts of all rotors, and power of ideal rotors of the same disc area [W].
     radius : str
@@ -217,8 +217,10 @@ class _Hover:
 def _hover(vehicle: Vehicle, power: Power, gravity: float) -> _Hover | None:
     """Return the shaft power and the ideal power of a vehicle in hover.
 
-    The result is None for the power model `momentum`, which does not compute the power from the
-    rotors' drag torque, and for coaxial rotors, whose disc area is not known.
+    `power` is the table of the power model, which also gives the air density, and `gravity` the
+    acceleration of gravity [m/s²]. The result is None for the power model `momentum`, which does
+    not compute the power from the rotors' drag torque, and for coaxial rotors, whose disc area is
+    not known.
     """
     if power.model is PowerModel.MOMENTUM:
         return None  # this model's powers are at least those of ideal rotors

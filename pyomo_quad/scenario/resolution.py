@@ -272,9 +272,10 @@ def _entry(
 ) -> LibraryEntry:
     """Make a library entry from the content of its file, `written`.
 
+    `kind` is "vehicles", "batteries" or "winds", and `name` the name of the entry or of its file.
     In the file, a number stands alone or in a table with its source. The new entry contains only
-    the values of this file. Its attribute `base` is the library entry that supplies the values
-    which the file leaves out.
+    the values of this file. `base` is the library entry, if any, that supplies the values which the
+    file leaves out; it becomes the attribute `base` of the new entry.
     """
     table = LIBRARY_KINDS[kind]
     tables: dict[str, Any] = {table: {"use": name}}
@@ -600,7 +601,10 @@ class _Filled:
     _pack: tuple[str, str] | None = None
 
     def complain(self, line: str, *places: FieldPath) -> None:
-        """Record an error message, and the paths of tables that stay incomplete because of it."""
+        """Record an error message, and the paths of tables that stay incomplete because of it.
+
+        `line` is the message, and the further arguments, `places`, are the paths.
+        """
         self.complaints.append(line)
         self.unfilled.extend(places)
 
@@ -686,7 +690,10 @@ class _Filled:
         self.provenance |= {spell((*place, part)): said for part in parts}
 
     def naming(self, path: FieldPath, file: str) -> str:
-        """Return the beginning of messages about a data file: scenario, field and file name."""
+        """Return the beginning of messages about a data file: scenario, field and file name.
+
+        `path` is the path of the scenario field that names the file, and `file` the file's name.
+        """
         return (
             f"{message_origin(self.origin, self.provenance, path)}: {spell(path)} = {shown(file)}"
         )

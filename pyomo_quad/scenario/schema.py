@@ -337,7 +337,7 @@ class Scenario(Part):
 
     @property
     def mass_at_goal(self) -> float:
-        """Mass in flight after all releases of payload at waypoints [kg]."""
+        """Mass of vehicle and remaining payload after all releases of payload at waypoints [kg]."""
         return self.vehicle.total_mass - self.mission.released
 
     def release_schedule(self) -> Callable[[float], float]:
@@ -397,8 +397,8 @@ class Scenario(Part):
     def _check(self, source: str) -> None:
         """Raise an error if fields that are valid separately contradict each other.
 
-        The error message has a line for each contradiction, which begins with the name `source` of
-        the scenario.
+        The error message has a line for each contradiction. Each line begins with `source`, the
+        name of the scenario.
 
         Raises
         ------

@@ -86,8 +86,8 @@ def in_plain_terms(
 def _in_other_notation(tree: Any, path: FieldPath) -> Iterator[tuple[FieldPath, Any]]:  # noqa: ANN401
     """Yield path and value of each field in nested tables that has an alternative notation.
 
-    Alternative notations are latitude and longitude of a place, and the key `from` of a wind. The
-    path of the outermost table is given by `path`.
+    Alternative notations are latitude and longitude of a place, and the key `from` of a wind.
+    `tree` is the outermost table, and `path` its own path, which begins every yielded path.
     """
     items: Any = ()
     if isinstance(tree, Mapping):
@@ -138,6 +138,7 @@ def origin_of_mission(tables: Mapping[str, Any], source: str) -> GeodeticOrigin 
 def _count(tables: Any, path: FieldPath) -> int:  # noqa: ANN401  tables of TOML
     """Return how many coordinates the place at a path of a scenario has: 2 or 3.
 
+    `tables` are the scenario's tables, and `path` is the path of the field that gives the place.
     The corner of a polygon and the centre of a vertical cylinder have x and y only; every other
     place has x, y and z.
     """
@@ -178,7 +179,7 @@ def _towards(value: object, where: str) -> float:
 
 
 def _without(tree: Any, path: FieldPath) -> Any:  # noqa: ANN401  tables of TOML
-    """Return a copy of nested tables without the field at a path."""
+    """Return a copy of the nested tables `tree` without the field at a path of keys and indices."""
     head, *rest = path
     if isinstance(tree, Mapping):
         if not rest:

@@ -178,7 +178,10 @@ def highest_on_ways(x: ArrayLike, y: ArrayLike, heights: FloatArray, home: Array
 
 
 def _greatest_of_corners(values: FloatArray) -> FloatArray:
-    """Return, for each cell of a grid, the greatest of the values at its four corners."""
+    """Return, for each cell of a grid, the greatest of the values at its four corners.
+
+    `values` are given at the grid points, shape (n, m); the result has shape (n - 1, m - 1).
+    """
     along = np.maximum(values[:-1], values[1:])
     return np.maximum(along[:, :-1], along[:, 1:])
 
@@ -216,7 +219,12 @@ def _with_enough_points(
 def _through(
     x: FloatArray, y: FloatArray, heights: FloatArray
 ) -> tuple[tuple[FloatArray, FloatArray], FloatArray]:
-    """Return knots and B-spline coefficients of the not-a-knot cubic spline through heights."""
+    """Return knots and B-spline coefficients of the not-a-knot cubic spline through heights.
+
+    `x` and `y` are the coordinates of the grid points [m], at least four each; `heights`, shape
+    (len(x), len(y)), are the heights at these points [m]. The knots are a pair of arrays, along x
+    and y [m]; the coefficients have the shape of `heights`.
+    """
     from scipy.interpolate import make_interp_spline  # noqa: PLC0415  for terrain alone
 
     first = make_interp_spline(x, heights, _CUBIC)

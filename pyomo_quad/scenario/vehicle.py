@@ -50,11 +50,12 @@ _LEAST_VOLUME = 1e-6
 
 
 def _volume(*rows: Sequence[float]) -> float:
-    """Return the Gram determinant of three vectors, `rows`: the squared volume that they span.
+    """Return the squared volume that three vectors, `rows`, span: their Gram determinant.
 
-    The function is called with one vector for each body axis: the moment about this axis that each
-    rotor produces, relative to the largest. A determinant near zero shows that the rotors cannot
-    turn the vehicle about every axis.
+    The function is called with three vectors that have one number for each rotor: its coordinates
+    along body x and along body y, as fractions of the largest arm, and its direction of rotation, 1
+    or -1. These are proportional to the moments that the rotor produces about the three body axes.
+    A determinant near zero shows that the rotors cannot turn the vehicle about every axis.
     """
     (a, b, c), (_, d, e), (_, _, f) = (
         [sum(map(mul, one, other)) for other in rows] for one in rows
@@ -375,7 +376,10 @@ class Vehicle(Part):
         return MotorConstants(*(number for number in told if number is not None))
 
     def drag_torque(self, speed: float) -> float:
-        """Return the torque [N m] that keeps one rotor at a speed [rad/s] against its air drag."""
+        """Return the torque [N m] that keeps one rotor at a constant speed against its air drag.
+
+        `speed` is the rotor speed [rad/s].
+        """
         return self.drag_torque_coefficient * speed**2
 
     def hover_speed(self, gravity: float) -> float:

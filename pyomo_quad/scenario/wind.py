@@ -217,7 +217,7 @@ class WindGrid(Part):
 
     @property
     def axes(self) -> tuple[tuple[float, ...], ...]:
-        """Grid points of x and y and, if the field has them, of height and time."""
+        """Grid points of x and y [m] and, if the field has them, of height [m] and time [s]."""
         return tuple(axis for axis in (self.x, self.y, self.z, self.times) if axis)
 
     @property
