@@ -635,9 +635,10 @@ def _parameters(
 
 
 def _base_source(scenario: Scenario, field: str) -> str:
-    """Return where the value of a vehicle's field before the fit comes from, in words.
+    """Return, in words, the source of the value that a field of the vehicle had before the fit.
 
-    For a vehicle of the library it is the source that the vehicle's file states for the field.
+    `field` is the field's name. For a vehicle of the library, the source is the text that the
+    vehicle's file states for the field.
     """
     vehicle, kind = scenario.vehicle.use, "vehicles"
     if vehicle in library_names(kind):

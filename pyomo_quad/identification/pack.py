@@ -126,7 +126,8 @@ class _Flown(NamedTuple):
     name : object
         Name of the flight.
     power, voltage : ndarray, shape (n_times,)
-        Power of the pack [W] and voltage per cell [V], on the common time grid.
+        Power of the pack [W] and voltage per cell [V], in time steps that are equally long for all
+        flights.
     rest : (float, float)
         Mean voltage per cell [V] and mean power [W] before the load.
     aloft : int
@@ -141,7 +142,10 @@ class _Flown(NamedTuple):
 
 
 class Record:
-    """Measured powers and cell voltages of all flights on a common time grid.
+    """Measured powers and cell voltages of all flights, in time steps of equal length.
+
+    The arrays `power` [W] and `voltage` [V per cell] have one row for each time and one column for
+    each flight. A flight begins a few seconds before the load, if the log does.
 
     Parameters
     ----------
@@ -565,8 +569,8 @@ def _as_given(scenario: Scenario) -> list[float]:
     """Return the values before the fit of the battery fields that are fitted.
 
     They are the initial values of the fit, in the order of the list of fitted fields, `FITTED`. An
-    absent or zero value is replaced by a positive number, because the fields are fitted as
-    logarithms.
+    absent relaxation or activation energy is replaced by positive numbers, because the fields are
+    fitted as logarithms.
     """
     pack = scenario.battery
     slow = (_NEARLY_NONE, 1.0)
