@@ -58,9 +58,9 @@ _WORLD, _BODY = "map", "base_link"
 def offboard(motion: Motion, rate_hz: float) -> pd.DataFrame:
     """Make the stream of setpoints for PX4's offboard mode.
 
-    Each row of the result is a MAVLink message SET_POSITION_TARGET_LOCAL_NED with axes x north, y east, z down.
-    In the plan, x is east, y is north, and yaw is counter-clockwise from east. In the message, yaw
-    is clockwise from north.
+    Each row of the result is a MAVLink message SET_POSITION_TARGET_LOCAL_NED with axes x north, y
+    east, z down. In the plan, x is east, y is north, and yaw is counter-clockwise from east. In the
+    message, yaw is clockwise from north.
 
     Parameters
     ----------

@@ -145,7 +145,7 @@ class Record:
     """Measured powers and cell voltages of all flights, in time steps of equal length.
 
     The arrays `power` [W] and `voltage` [V per cell] have one row for each time and one column for
-    each flight. A flight begins a few seconds before the load, if the log does.
+    each flight. The rows of a flight begin at most a few seconds before the load.
 
     Parameters
     ----------

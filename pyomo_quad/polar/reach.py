@@ -172,8 +172,8 @@ def _share_per_climb(scenario: Scenario, steady: SteadyFlight, curve: SteadyCurv
     steady : SteadyFlight
         Solver for steady flight of the scenario's vehicle, with the capacity of its battery.
     curve : SteadyCurve
-        Power and endurance over airspeed. It gives the airspeed of a computed climb: the airspeed
-        with the least energy per metre in calm air.
+        Power and endurance over airspeed. From it follows the airspeed with the least energy per
+        metre in calm air, which `climb_current` needs.
     """
     if scenario.airspace.ground is None:
         return 0.0
@@ -219,7 +219,7 @@ def _shares(
 def _share_per_metre(
     curve: SteadyCurve, winds: FloatArray
 ) -> Callable[[FloatArray, FloatArray], FloatArray]:
-    """Return a function for the fraction of the usable battery charge that one metre takes.
+    """Return a function for the fraction of the usable battery charge per metre over ground.
 
     The usable charge is the charge from the full battery to the least state of charge that the
     scenario allows.
