@@ -92,10 +92,11 @@ def _ending_signals() -> list[signal.Signals]:
 
 
 def leave(status: int) -> int:
-    """Finish a command, and return its exit status.
+    """Finish a command with the given exit status, which is returned.
 
-    If a signal has requested the end of the process, the process ends at once. Otherwise the
-    function makes Python skip the slow deallocation of objects when the process ends.
+    If a signal has requested the end of the process, the function does not return: the process
+    ends at once with this exit status. Otherwise the function makes Python skip the slow
+    deallocation of objects when the process ends later.
     """
     if signal.getitimer(signal.ITIMER_REAL)[0] > 0.0:
         os._exit(status)
@@ -113,9 +114,9 @@ def record_last_message() -> None:
 
 
 def before_the_end(act: Callable[[], object]) -> None:
-    """Register a quick function to be called before a signal ends the process.
+    """Register a function `act` to be called without arguments before a signal ends the process.
 
-    Examples are the removal of temporary files and the end of child processes.
+    Examples are functions that remove temporary files or end child processes. They must be quick.
     """
     _last_acts.append(act)
 

@@ -73,7 +73,7 @@ def make_flight(scenario: Scenario, fly: Callable[[], _Outcome]) -> _Outcome:
 def fly_declared(
     planner: Planner, scenario: Scenario, reference: Reference | None, plan: Plan | None
 ) -> Flight:
-    """Simulate a flight of the scenario's vehicle by the package's equations.
+    """Simulate a flight of the scenario's vehicle by the package's own equations of motion.
 
     The flight is under feedback control, or without feedback (open loop).
 

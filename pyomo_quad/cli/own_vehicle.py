@@ -94,7 +94,11 @@ def vehicle(
 
 
 def is_asked(*, is_quiet: bool) -> bool:
-    """Return whether the command may ask the user for missing data on a terminal."""
+    """Return whether the command may ask the user for missing data on a terminal.
+
+    It may not if the user has given the option `--quiet` (`is_quiet`), or if standard input or
+    standard output is not a terminal.
+    """
     return not is_quiet and sys.stdin is not None and sys.stdin.isatty() and sys.stdout.isatty()
 
 

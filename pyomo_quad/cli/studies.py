@@ -67,10 +67,18 @@ def paper(
 def _report_folder(folder: Path, *, is_quiet: bool) -> Iterator[tuple[Path, list[str]]]:
     """Context manager: write a report folder, and print the results at the end.
 
+    Parameters
+    ----------
+    folder : Path
+        The report folder, which is created or replaced at the end of the ``with`` block.
+    is_quiet : bool
+        Whether to print nothing.
+
     Yields
     ------
     Path, list of str
-        The folder to write into, and a list to which the ``with`` block appends lines of results.
+        A temporary folder to write into, which becomes the report folder, and a list to which the
+        ``with`` block appends the lines of results to print.
     """
     lines: list[str] = []
     with output_folder(folder) as aside:
@@ -82,6 +90,8 @@ def _report_folder(folder: Path, *, is_quiet: bool) -> Iterator[tuple[Path, list
 @contextmanager
 def _follow(*, is_quiet: bool) -> Iterator[Callable[[str, int, int], None] | None]:
     """Context manager: show a progress bar of finished experiments on a terminal.
+
+    No progress is shown if `is_quiet` is True or standard error is not a terminal.
 
     Yields
     ------
@@ -365,9 +375,10 @@ def _parameter_lines(
     parameters: "Sequence[FittedParameter | IdentifiedParameter]",
     together: Sequence[tuple[str, str]],
 ) -> Iterator[str]:
-    """Yield a line to print for each parameter of a fit: value, deviation and remarks.
+    """Yield a line to print for each parameter of a fit: value and standard deviation.
 
-    A parameter that the measurements do not determine keeps its value; its line states this.
+    A parameter that the measurements do not determine keeps its value; its line states this. The
+    line also states whether the fitted value lies at the end of its permitted range.
 
     Parameters
     ----------

@@ -149,6 +149,11 @@ _SECONDS_OF_MEMORY = 60.0
 def follow_sweep(*, is_verbose: bool) -> Iterator["SweepListener"]:
     """Context manager: show the progress of a sweep, as a bar on a terminal, otherwise as lines.
 
+    Parameters
+    ----------
+    is_verbose : bool
+        Whether to print a line for every finished case, too.
+
     Yields
     ------
     SweepListener

@@ -76,7 +76,8 @@ def claim_streams() -> bool:
 def gives_up_output(error: OSError) -> bool:
     """Return whether an error shows that standard output can no longer be written.
 
-    In this case, all further output is discarded.
+    An example is a closed pipe. If so, the function also redirects standard output to the null
+    device, so that all further output is discarded.
     """
     if error.filename is not None or error.errno not in _LOST:
         return False
@@ -100,11 +101,15 @@ def live_line(*, is_quiet: bool) -> Iterator[Callable[["State"], None] | None]:
 
     If standard error is not a terminal, a line is printed every ten seconds instead.
 
+    Parameters
+    ----------
+    is_quiet : bool
+        Whether the user wants no progress display.
+
     Yields
     ------
     callable or None
-        Function to call with the state of the search at each iteration; None if the user wants no
-        progress display.
+        Function to call with the state of the search at each iteration; None if `is_quiet`.
     """
     if is_quiet:
         yield None
@@ -135,7 +140,7 @@ def _plain_lines(started: float) -> Callable[["State"], None]:
 
 
 def _state_of(now: "State") -> str:
-    """Return a line on the state of a search for a plan, for the progress display.
+    """Return a line on `now`, the present state of a search for a plan, for the progress display.
 
     The line gives the stage of the search, the energy on the last mesh that was solved and its
     relative change from the mesh before, whether a plan that may be flown has been found, the

@@ -58,9 +58,9 @@ _WORLD, _BODY = "map", "base_link"
 def offboard(motion: Motion, rate_hz: float) -> pd.DataFrame:
     """Make the stream of setpoints for PX4's offboard mode.
 
-    Each row is a MAVLink message SET_POSITION_TARGET_LOCAL_NED with axes x north, y east, z down.
-    In the plan, x is east, y is north, and yaw is counter-clockwise from east. In the message, yaw
-    is clockwise from north.
+    Each row of the result is a MAVLink message SET_POSITION_TARGET_LOCAL_NED with axes x north, y
+    east, z down. In the plan, x is east, y is north, and yaw is counter-clockwise from east. In the
+    message, yaw is clockwise from north.
 
     Parameters
     ----------
@@ -236,7 +236,10 @@ def _between(motion: Motion, t: FloatArray, place: FloatArray, velocity: FloatAr
 
 
 def _north_east_down(values: FloatArray) -> FloatArray:
-    """Convert vectors from axes east, north, up to axes north, east, down, or back."""
+    """Convert vectors, the rows of `values`, from axes east, north, up to north, east, down.
+
+    The same function also converts in the opposite direction.
+    """
     return values[:, [1, 0, 2]] * np.array([1.0, 1.0, -1.0])
 
 
@@ -487,7 +490,10 @@ def _origin(motion: Motion, given: GeodeticOrigin | None, to: Format) -> Geodeti
 
 
 def _refuse_source(path: Path, source: Path) -> None:
-    """Raise an error if writing to the output path would replace the plan that is exported."""
+    """Raise an error if writing the export to `path` would replace the plan that is exported.
+
+    `source` is the file or report folder from which the plan was read.
+    """
     read, written = final_folder(source), final_folder(path)
     if written == read or written in read.parents:
         raise ScenarioError(f"--out {path}: holds the plan that is exported; choose another --out.")

@@ -88,7 +88,7 @@ class _Item:
     altitude: float | None = None
 
     def param(self, k: int) -> float:
-        """Return parameter k of the command, counted from 0; zero if the file does not give it."""
+        """Return the command's parameter number k (0 to 6), or zero if the file gives none."""
         return self.params[k] or 0.0
 
 
@@ -231,9 +231,10 @@ def _number(value: object, where: str, low: float, high: float) -> float:
 
 
 def _on_globe(place: Sequence[object], where: str) -> tuple[float, float]:
-    """Return latitude and longitude [deg], the first two items of a list of coordinates.
+    """Return latitude and longitude [deg] of a place, after a check of their ranges.
 
-    Error messages begin with the text `where`.
+    `place` is the place's list of coordinates in the mission file: latitude, longitude and possibly
+    an altitude. Error messages begin with the text `where`, which names the place in the file.
     """
     if len(place) < 2:
         _refuse(where, "a place needs latitude and longitude")
@@ -280,8 +281,9 @@ def _plan_file(document: object, source: str) -> _File:
 def _plan_items(items: list[Any], source: str) -> Iterator[_Item]:
     """Yield the commands of a QGroundControl mission.
 
-    A complex item, such as a survey, is replaced by its commands. Error messages begin with the
-    text `source`, the name of the file.
+    `items` is the list of the mission's items in the JSON file. A complex item, such as a survey,
+    is replaced by its commands. Waypoints that `exports.ground_station` has added only to shape the
+    path are left out. Error messages begin with the text `source`, the name of the file.
     """
     for k, written in enumerate(items, start=1):
         where, item = f"{source}, item {k}", _table(written)
@@ -429,15 +431,25 @@ def _place_of(
 
 
 def _towards(heading: float | None) -> float | None:
-    """Convert a heading [deg], clockwise from north, to yaw [rad], counter-clockwise from east."""
+    """Convert a heading [deg], clockwise from north, to yaw [rad], counter-clockwise from east.
+
+    If the mission gives no heading (None), the result is None, too.
+    """
     return None if heading is None else remainder(radians(90.0 - heading), tau)
 
 
 def _height(item: _Item, home: GeodeticOrigin, notes: Counter[str]) -> float:
     """Return the height above home [m] of the place to which a command makes the vehicle fly.
 
-    If the altitude in the file is above the terrain, it is treated as the height above home, and a
-    remark is added to `notes`.
+    Parameters
+    ----------
+    item : _Item
+        The command. If its altitude is above the terrain, it is treated as the height above home.
+    home : GeodeticOrigin
+        Home position of the mission.
+    notes : Counter of str
+        Contents of the file that a scenario cannot represent; the function adds a remark if the
+        altitude is above the terrain.
     """
     written = item.params[6]
     if item.frame in _ABOVE_SEA and written is not None:
@@ -456,8 +468,15 @@ def _height(item: _Item, home: GeodeticOrigin, notes: Counter[str]) -> float:
 def _apply(item: _Item, place: _Place, notes: Counter[str]) -> None:
     """Apply a command without a position, such as a delay, to the place where it is executed.
 
-    This is `place`, the last place to which the mission has made the vehicle fly; the function
-    changes it. A command that a scenario cannot represent is added to `notes`.
+    Parameters
+    ----------
+    item : _Item
+        The command.
+    place : _Place
+        Place where the vehicle is at this command: the last place to which the mission has made it
+        fly. The function changes its time of hover, or whether a gripper is opened there.
+    notes : Counter of str
+        Contents of the file that a scenario cannot represent; any other command is added to them.
     """
     if item.command == Command.DELAY:
         place.hold += _number(item.param(0), item.where, 0.0, _LONGEST_S)
@@ -472,8 +491,15 @@ def _apply(item: _Item, place: _Place, notes: Counter[str]) -> None:
 def _release(places: list[_Place], payload_kg: float, notes: Counter[str]) -> None:
     """Set the release of the whole payload at the first place where the mission opens a gripper.
 
-    If there is no payload, or if the place is the start or goal, which a scenario does not allow, a
-    remark is added to `notes`.
+    Parameters
+    ----------
+    places : list of _Place
+        All places of the mission, in order. The function changes the place of the release.
+    payload_kg : float
+        Mass of the payload; 0 if there is none.
+    notes : Counter of str
+        Contents of the file that a scenario cannot represent. A remark is added if a gripper is
+        opened without a payload, or at the start or goal, where a scenario allows no release.
     """
     opened = [place for place in places if place.is_opened_at]
     if opened and not payload_kg:
@@ -485,11 +511,21 @@ def _release(places: list[_Place], payload_kg: float, notes: Counter[str]) -> No
 
 
 def _mission(read: _File, places: list[_Place], notes: Counter[str]) -> dict[str, Any]:
-    """Return the scenario's table `mission`: origin, start, goal, waypoints and rally points.
+    """Return the scenario's table `mission` (TOML): origin, start, goal, waypoints, rally points.
 
-    Unlike a waypoint, start and goal have neither a time of hover nor a radius; if the file gives
-    one, a remark is added to `notes`. Start and goal always have a heading. If the file gives the
-    heading of one of them only, both get this heading, so that the vehicle need not turn.
+    Unlike a waypoint, start and goal of a scenario have neither a time of hover nor a radius. They
+    always have a heading. If the file gives the heading of one of them only, both get this heading,
+    so that the vehicle need not turn.
+
+    Parameters
+    ----------
+    read : _File
+        Content of the ground station's mission file.
+    places : list of _Place
+        Places of the mission in order, from start to goal.
+    notes : Counter of str
+        Contents of the file that a scenario cannot represent. A remark is added if the file gives a
+        time of hover or a radius of the start or goal.
     """
     start, *between, goal = places
     for place in (start, goal):
@@ -517,10 +553,11 @@ def _mission(read: _File, places: list[_Place], notes: Counter[str]) -> dict[str
 
 
 def _airspace(read: _File, source: str) -> dict[str, Any]:
-    """Return the scenario's table `airspace` with the fence of a ground station's mission.
+    """Return the scenario's table `airspace` (TOML), with the fence of a ground station's mission.
 
     The inclusion fence, of which there may be only one, becomes the field `keep_in`. Exclusion
-    fences become keep-out zones, field `keep_out`. Error messages begin with the text `source`.
+    fences become keep-out zones, field `keep_out`. `read` is the content of the mission file. Error
+    messages begin with the text `source`, the name of the file.
     """
     inside: list[list[dict[str, float]]] = []
     zones: list[dict[str, Any]] = []

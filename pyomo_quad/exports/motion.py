@@ -427,7 +427,11 @@ class PolynomialTrajectory:
         return np.asarray(held)
 
     def update(self, t: float) -> dict[str, np.ndarray | float]:
-        """Return position, yaw and their derivatives at one time, in the form of RotorPy."""
+        """Return position and yaw with their time derivatives at the time t [s] after the start.
+
+        RotorPy calls this method of a trajectory. The result has RotorPy's keys: "x" to "x_ddddot"
+        for position to snap, shape (3,), and "yaw" to "yaw_ddot".
+        """
         place, speed, acceleration, jerk, snap = (self.derivative(t, k) for k in range(5))
         return {
             "x": place[:3],

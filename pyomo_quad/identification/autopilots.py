@@ -143,9 +143,11 @@ def read_ulog(file: Path) -> pd.DataFrame:
 
 
 def _field(topics: dict[str, Topic], topic: str, *names: str) -> FloatArray:
-    """Return the values of one field of a PX4 topic, a table of a log.
+    """Return the values of one field in a PX4 log, in the order of time.
 
-    Versions of PX4 name the field differently: the first of `names` that the topic has is used.
+    A log consists of topics: tables with one column for each field. `topics` has the tables by
+    name, and `topic` is the name of the wanted one. Versions of PX4 name the field differently: the
+    first of `names` that the topic has is used.
     """
     if topic not in topics:
         raise ScenarioError(f"has no topic {topic}; log it.")
@@ -229,8 +231,9 @@ def read_ardupilot(file: Path) -> pd.DataFrame:
 def _first_of(message: pd.DataFrame, name: str, *needed: str) -> pd.DataFrame:
     """Return the rows of an ArduPilot message that its first sensor or filter instance has written.
 
-    `name` is the name of the message, for an error text, and `needed` are the fields that it must
-    have.
+    `message` is the table of all logged messages of one kind, with one column for each field.
+    `name` is the name of this kind, for an error text, and `needed` are the fields that the table
+    must have.
     """
     if not {"TimeUS", *needed} <= set(message):
         raise ScenarioError(

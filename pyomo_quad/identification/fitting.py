@@ -69,7 +69,7 @@ _NEAR_BOUND, _AT_BOUND = 1e-6, 1e-5
 
 @dataclass(frozen=True, kw_only=True)
 class FittedParameter:
-    """Fitted field of a vehicle.
+    """Result of a fit for one field of a vehicle, such as a drag coefficient.
 
     Attributes
     ----------
@@ -218,51 +218,60 @@ class Fit:
         self.everything = np.ones(len(self.frame), dtype=bool)
 
     def power(self, values: FloatArray) -> FloatArray:
-        """Return the computed power of each row [W].
+        """Compute the vehicle's power in each row of the log, for given values of the parameters.
 
         Parameters
         ----------
         values : ndarray, shape (n,)
-            Values of the parameters.
+            Values of the parameters, in the order of `names`.
+
+        Returns
+        -------
+        ndarray, shape (n_rows,)
+            Power [W].
         """
         named = zip(self.names, values.tolist(), strict=True)
         return self._motion.power({component(name): value for name, value in named})
 
     def windows(self, power: FloatArray, rows: Rows) -> tuple[FloatArray, NDArray[np.int64]]:
-        """Average the power over the time windows of some rows.
+        """Average a measured or computed power over time windows of some seconds.
+
+        The residuals of the fit are differences of such averages. Only windows that contain at
+        least one of the chosen rows of the log are returned.
 
         Parameters
         ----------
         power : ndarray, shape (n_rows,)
-            Power of each row of the log [W].
+            Power in each row of the log [W].
         rows : ndarray of bool, shape (n_rows,)
-            Rows to include.
+            True for the rows to include in the averages.
 
         Returns
         -------
         mean : ndarray, shape (n_windows,)
             Mean power of each window [W].
         first : ndarray of int, shape (n_windows,)
-            Number of the first row of each window.
+            Index, in the log, of the first included row of each window.
         """
         _, first, inverse = np.unique(self._window[rows], return_index=True, return_inverse=True)
         mean = np.bincount(inverse, power[rows]) / np.bincount(inverse)
         return mean, np.flatnonzero(rows)[first]
 
     def over(self, rows: Rows, start: FloatArray | None = None) -> FloatArray:
-        """Fit the parameters to the measured power of some rows.
+        """Fit the parameters to the measured power in a part of the log, such as half the flights.
 
         Parameters
         ----------
         rows : ndarray of bool, shape (n_rows,)
-            Rows to fit to.
+            True for the rows of the log that the fit uses; all other rows are ignored.
         start : ndarray, shape (n,), optional
-            Initial values; by default the values of the vehicle before the fit.
+            Values of the parameters from which the iteration starts; by default the values of the
+            vehicle before the fit.
 
         Returns
         -------
         ndarray, shape (n,)
-            Fitted values.
+            Fitted values of the parameters, in the order of `names`.
         """
         if not self.names:
             return self.base
@@ -276,7 +285,8 @@ class Fit:
     def slopes(self, values: FloatArray) -> FloatArray:
         """Return the derivatives of the computed power with respect to each fitted parameter.
 
-        The power is averaged over time windows of the log. The derivatives are finite differences.
+        The power is averaged over each time window of the log (see `windows`). The derivatives are
+        finite differences.
 
         Parameters
         ----------
@@ -333,12 +343,17 @@ class Fit:
         return np.array(found)
 
     def applied(self, values: FloatArray) -> Scenario:
-        """Return the scenario whose vehicle has the given values of the fitted fields `names`."""
+        """Return the scenario with changed values of the vehicle's fitted fields.
+
+        `values` has shape (n,), in the order of `names`.
+        """
         named = zip(self.names, values.tolist(), strict=True)
         return self._scenario.with_values({f"vehicle.{name}": value for name, value in named})
 
     def parameter(self, name: str, values: FloatArray, deviations: FloatArray) -> FittedParameter:
-        """Return the result for one field of the vehicle; an unfitted field keeps its value.
+        """Return the result of the fit for one field of the vehicle.
+
+        A field that is not among the fitted `names` keeps the value before the fit.
 
         Parameters
         ----------
@@ -414,10 +429,17 @@ def _most_drag(scenario: Scenario, frame: pd.DataFrame, power: int) -> float:
 def _windows(frame: pd.DataFrame) -> NDArray[np.int64]:
     """Assign each row of a log to a time window over which the power is averaged.
 
+    No window spans two flights or two phases of a flight, such as take-off and cruise.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Rows of the log.
+
     Returns
     -------
     ndarray of int, shape (n_rows,)
-        Number of the window; no window spans two flights or two phases of a flight.
+        Number of the time window to which each row belongs.
     """
     stretch = [frame[FLIGHT], frame[PHASE]]
     since = frame[TIME] - frame.groupby(stretch, sort=False)[TIME].transform("min")
@@ -459,9 +481,9 @@ def undetermined(fit: Fit) -> tuple[str, ...]:
 def _size(fit: Fit) -> FloatArray:
     """Return a lower bound on the magnitude of each parameter, shape (n,), in its own unit.
 
-    To test whether the flights determine a parameter, `undetermined` changes the parameter by a
-    fraction of its magnitude. Without the lower bound, a parameter with the value 0 would not be
-    changed at all.
+    The n parameters are those of `fit`. To test whether the flights determine a parameter,
+    `undetermined` changes the parameter by a fraction of its magnitude. Without the lower bound, a
+    parameter with the value 0 would not be changed at all.
     """
     return np.array([_SMALL_DRAG if name in _OF_MOTION else _SHARE for name in fit.names])
 
@@ -613,9 +635,10 @@ def _parameters(
 
 
 def _base_source(scenario: Scenario, field: str) -> str:
-    """Return where the value of a vehicle's field before the fit comes from, in words.
+    """Return, in words, the source of the value that a field of the vehicle had before the fit.
 
-    For a vehicle of the library it is the source that the vehicle's file states for the field.
+    `field` is the field's name. For a vehicle of the library, the source is the text that the
+    vehicle's file states for the field.
     """
     vehicle, kind = scenario.vehicle.use, "vehicles"
     if vehicle in library_names(kind):

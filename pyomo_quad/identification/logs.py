@@ -386,7 +386,7 @@ def _unit_complaints(frame: pd.DataFrame) -> Iterator[str]:
     """Yield a message for each quantity that seems to be logged in thousandths of its unit.
 
     An example is a power in milliwatts. The median of the quantity over a flight is then larger
-    than any plausible value in the expected unit.
+    than any plausible value in the expected unit. `frame` has the rows of all flights.
     """
     for flight, rows in frame.groupby(FLIGHT, sort=False):
         for name, (most, thousandths) in _MOST.items():
@@ -399,7 +399,10 @@ def _unit_complaints(frame: pd.DataFrame) -> Iterator[str]:
 
 
 def _unsound(frame: pd.DataFrame) -> Iterator[str]:
-    """Yield a message for each column with a value outside its plausible range."""
+    """Yield an error message for each column of a log with a value outside its plausible range.
+
+    `frame` has the rows of all flights. The message gives the first such value of the column.
+    """
     for name, sound in _SOUND.items():
         values = frame[name].to_numpy()
         is_beyond = (values < sound.low) | (values > sound.high)

@@ -226,7 +226,11 @@ class LoggedMotion:
 
 
 def _accelerations(frame: pd.DataFrame) -> FloatArray:
-    """Return the acceleration over ground in each row [m/s²], by finite differences."""
+    """Return the accelerations over ground [m/s²] in each row of a log, shape (n_rows, 3).
+
+    They are finite differences of the logged velocities over ground, taken within each flight.
+    `frame` has the rows of all flights.
+    """
     found = np.zeros((len(frame), len(VELOCITY)))
     for rows in frame.groupby(FLIGHT, sort=False).indices.values():
         times = frame[TIME].to_numpy()[rows]

@@ -68,7 +68,7 @@ _FASTEST_STEPS, _SLOWEST_S = 1.0, 1000.0
 
 @dataclass(frozen=True, kw_only=True)
 class PackParameter:
-    """Fitted field of a battery, with its standard deviation.
+    """Field of a battery, such as its resistance, with its fitted value and standard deviation.
 
     Value and deviation are in the field's unit. The deviation is a jackknife estimate over the
     groups of the cross-validation.
@@ -126,7 +126,8 @@ class _Flown(NamedTuple):
     name : object
         Name of the flight.
     power, voltage : ndarray, shape (n_times,)
-        Power of the pack [W] and voltage per cell [V], on the common time grid.
+        Power of the pack [W] and voltage per cell [V], in time steps that are equally long for all
+        flights.
     rest : (float, float)
         Mean voltage per cell [V] and mean power [W] before the load.
     aloft : int
@@ -141,7 +142,10 @@ class _Flown(NamedTuple):
 
 
 class Record:
-    """Measured powers and cell voltages of all flights on a common time grid.
+    """Measured powers and cell voltages of all flights, in time steps of equal length.
+
+    The arrays `power` [W] and `voltage` [V per cell] have one row for each time and one column for
+    each flight. The rows of a flight begin at most a few seconds before the load.
 
     Parameters
     ----------
@@ -168,7 +172,11 @@ class Record:
             self.is_logged[rows, k], self.is_aloft[: one.aloft, k] = True, True
 
     def _flight(self, rows: pd.DataFrame) -> _Flown | None:
-        """Resample a flight to the common time grid; None if it has no load or is too short."""
+        """Resample the log of one flight to time steps of equal length, the same for all flights.
+
+        `rows` are the rows of the log of this flight. The result is None if the flight has no load
+        or is too short.
+        """
         time = rows[TIME].to_numpy()
         even = np.arange(time[0], time[-1] + 0.5 * self.step, self.step)
         voltage = np.interp(even, time, rows[VOLTAGE].to_numpy()) / self.cells
@@ -390,10 +398,17 @@ class Circuit:
         return factor
 
     def residuals(self, record: Record, values: FloatArray) -> FloatArray:
-        """Return computed minus measured cell voltage [V], without the first seconds under load.
+        """Return computed minus measured cell voltage [V] of all flights, as one vector.
 
-        The first seconds determine the factor on the resistance of each flight's pack. `values` are
-        the logarithms of the fitted fields.
+        The first seconds under load are left out, because they determine the factor on the
+        resistance of each flight's pack.
+
+        Parameters
+        ----------
+        record : Record
+            Measured powers and voltages.
+        values : ndarray, shape (n,)
+            Logarithms of the fitted fields.
         """
         factor = self.factors(record, values)
         computed = self.whole(record, values, factor)
@@ -551,10 +566,11 @@ def with_circuit(scenario: Scenario) -> Scenario:
 
 
 def _as_given(scenario: Scenario) -> list[float]:
-    """Return the initial values of the battery fields that are fitted, in the order of `FITTED`.
+    """Return the values before the fit of the battery fields that are fitted.
 
-    The initial values are the values before the fit. A value of 0 is replaced by a tiny positive
-    number, because the fields are fitted as logarithms.
+    They are the initial values of the fit, in the order of the list of fitted fields, `FITTED`. An
+    absent relaxation or activation energy is replaced by positive numbers, because the fields are
+    fitted as logarithms.
     """
     pack = scenario.battery
     slow = (_NEARLY_NONE, 1.0)

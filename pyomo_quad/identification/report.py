@@ -113,7 +113,11 @@ def write_identification(
 def identification_summary(
     found: Identification, pack: PackIdentification | None = None
 ) -> dict[str, object]:
-    """Return the results of an identification as a dictionary for `summary.json`."""
+    """Return the results of an identification as a dictionary for `summary.json`.
+
+    `found` is the vehicle fitted to flights, and `pack` the battery fitted to the same flights, if
+    the logs have voltages.
+    """
     of_pack = {} if pack is None else {"pack": _pack_summary(pack)}
     return {
         "flights": int(found.frame[FLIGHT].nunique()),
@@ -214,9 +218,10 @@ def vehicle_file(changed: Mapping[str, tuple[float, str]], base: str, battery: s
 
 
 def _toml_lines(table: Mapping[str, Any], path: str = "") -> Iterator[str]:
-    """Yield the lines of a nested table in TOML, one for each number together with its source.
+    """Yield the lines of a vehicle or battery file (TOML), one for each number with its source.
 
-    Keys are dotted; `path` is the key of the table itself.
+    `table` is the content of the file as nested mappings. Each line begins with the dotted key of
+    the number, such as ``fields.mass``; `path` is the part of this key that leads to `table`.
     """
     for name, content in table.items():
         key = f"{path}{name}"

@@ -64,9 +64,9 @@ def model_table(found: Identification) -> pd.DataFrame:
 def _regressors(frame: pd.DataFrame, mass: float) -> dict[str, FloatArray]:
     """Return the regressors of each published power model, by the model's name.
 
-    The models are linear in their parameters: the power in each row is a row of the regressors,
-    shape (n_rows, n_parameters), times the parameters. `mass` is the vehicle's mass without payload
-    [kg].
+    The models are linear in their parameters: the powers in all rows of a log are the matrix of
+    regressors, shape (n_rows, n_parameters), times the vector of parameters. `frame` has the rows
+    of the flights, and `mass` is the vehicle's mass without payload [kg].
     """
     hovering = ((mass + frame[PAYLOAD]) ** 1.5 / np.sqrt(frame[DENSITY])).to_numpy()[:, None]
     phases = (frame[[PHASE]].to_numpy() == FLYING).astype(float)
@@ -125,13 +125,14 @@ def measures(models: pd.DataFrame, tried: Sequence[Trial]) -> tuple[Measure, ...
     models : DataFrame
         Errors of all models, from `model_table`.
     tried : sequence of Trial
-        Extrapolations whose errors the table contains, in the order of its columns.
+        Extrapolations to other payloads or speeds whose errors `models` contains, in the order of
+        its columns.
 
     Returns
     -------
     tuple of Measure
-        One comparison each for the energy of flights, for the power in a row, and for the energy in
-        each extrapolation.
+        One comparison each for the energy of flights, for the power in a row (second) of the log,
+        and for the energy in each extrapolation.
     """
     *rivals, own = models.to_dict("records")
     columns = {

@@ -151,8 +151,8 @@ def read_steady(file: Path, scenario: Scenario) -> pd.DataFrame:
 def filled_in(frame: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
     """Complete a table of measured points of steady flight with default values.
 
-    If the points have endurances in place of powers, the power is the usable energy of the
-    vehicle's battery divided by the endurance.
+    If the points have endurances in place of powers, the power is the energy of the vehicle's
+    battery that is assumed to be used, 80 % of the stored energy, divided by the endurance.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """Errors of computed energies on flights that were not part of the fit.
 
-Method: see docs/theory/identification.md, eq. (5).  The same cross-validation and the same
+Method: see docs/theory/identification.md, eq. (5). The same cross-validation and the same
 extrapolations are applied to the package's model and to published models.
 """
 

@@ -88,7 +88,10 @@ class BaselineCase:
 
 @dataclass(frozen=True, kw_only=True)
 class BaselineFlight:
-    """Simulated flight under the adaptive controller, with its settings."""
+    """Simulated flight of an experiment of Yacef et al. under the adaptive controller.
+
+    `case` has the settings of the flight: experiment, power model and reference trajectory.
+    """
 
     case: BaselineCase
     flight: Flight
@@ -282,10 +285,10 @@ def _plan(scenario: Scenario, planner: Planner) -> Plan:
 
 
 def _flown(plan: Plan) -> Flight:
-    """Return the flight of a plan, verified by simulation even if no optimum was found.
+    """Return the planned flight, together with the result of a simulation of its controls.
 
-    If the planner has not verified the plan, because its solve did not converge, the controls of
-    the plan are simulated here.
+    If the planner has not simulated them, because its solve did not converge, they are simulated
+    here, so that the report can show a flight even if no optimum was found.
     """
     if plan.verification is not None:
         return plan.flight()

@@ -82,8 +82,8 @@ def literal_model(scenario: Scenario) -> "ConcreteModel":
     Parameters
     ----------
     scenario : Scenario
-        The mission, in which the fields that `Reading.LITERAL.values` returns have the values that
-        it returns.
+        The mission. Its fields must select the interpretation `Reading.LITERAL`, by the values from
+        `Reading.LITERAL.values`.
     """
     m = model_without_battery(scenario)
     m.power.torque_floor.set_value(_NO_FLOOR)
@@ -113,7 +113,7 @@ class MeshTrial:
     reading : Reading
         Interpretation of f_r.
     bound : float
-        Bound on the rotor acceleration [rad/s²].
+        Upper bound on the absolute rotor acceleration [rad/s²].
     elements, degree : int
         Number of elements of the mesh, and their polynomial degree.
     """
@@ -136,8 +136,8 @@ class TrialOutcome:
     Attributes
     ----------
     trial : MeshTrial
-        Settings of the solve: interpretation of the efficiency f_r of Yacef et al., bound, and
-        mesh.
+        Settings of the solve: interpretation of the efficiency f_r of Yacef et al., upper bound on
+        the rotor acceleration, and mesh.
     has_converged : bool
         Whether the solver converged.
     energy_J : float
@@ -158,8 +158,8 @@ class TrialOutcome:
 def mesh_trials(*, is_quick: bool = False) -> tuple[MeshTrial, ...]:
     """List the settings of all solves on fixed meshes.
 
-    They combine each interpretation of the efficiency f_r of Yacef et al. with several bounds on
-    the rotor acceleration and several meshes.
+    They combine each interpretation of the efficiency f_r of Yacef et al. with several upper
+    bounds on the rotor acceleration and several meshes.
 
     Parameters
     ----------
@@ -176,7 +176,8 @@ def run_trial(trial: MeshTrial) -> TrialOutcome:
     Parameters
     ----------
     trial : MeshTrial
-        Interpretation of the efficiency f_r, bound on the rotor acceleration, and mesh.
+        Interpretation of the efficiency f_r of motor and rotor, upper bound on the rotor
+        acceleration, and mesh.
     """
     scenario = paper_scenario(
         Experiment.CALM,

@@ -165,9 +165,10 @@ def examination(study: PaperStudy) -> dict[str, Any]:
 def _bound_of_printed_optimum(study: PaperStudy) -> float:
     """Return the bound on the rotor acceleration that the printed optimum of Yacef et al. implies.
 
-    The least energy of any flight under the bare polynomial of the efficiency f_r falls as the
-    bound rises. At the returned bound [rad/s²] this least energy equals the energy that Yacef et
-    al. print for their optimal flight.
+    The result is an upper bound on the absolute rotor acceleration [rad/s²]. The least energy of
+    any flight within such a bound falls as the bound rises, if f_r, the efficiency of motor and
+    rotor, is the bare polynomial. At the returned bound this least energy equals the energy that
+    Yacef et al. print for their optimal flight.
     """
     bounds, energies = study.floors[Reading.LITERAL].T
     finite = np.isfinite(energies)
@@ -177,8 +178,9 @@ def _bound_of_printed_optimum(study: PaperStudy) -> float:
 def _adaptive(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
     """Return numbers to compare with the energy that Yacef et al. print for adaptive control.
 
-    They are energies of an experiment: of hovering, of simulated flights under the adaptive
-    controller, and with all rotors at full speed.
+    They are energies of `experiment`: of hovering, of simulated flights under the adaptive
+    controller, and with all rotors at full speed. Further numbers are the mean power that the
+    printed energy implies, and the greatest power of the batteries. `study` has all results.
     """
     has_jump = any(flown.case.reference is Reference.STEP for flown in study.baselines)
     references = Reference.QUINTIC, Reference.STEP if has_jump else Reference.QUINTIC
@@ -201,10 +203,11 @@ def _adaptive(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
 
 
 def _saving(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
-    """Return the energy saving of the optimal flight of an experiment, for the report.
+    """Return the energy that the optimal flight of an experiment saves, for the report.
 
-    The saving is over the adaptive controller on a smooth reference trajectory, under the motors'
-    electrical power and under the efficiency f_r of Yacef et al.
+    The energy is compared with that of a flight under the adaptive controller along a smooth
+    reference trajectory: once with the motors' electrical power, and once with the power by f_r,
+    the efficiency of motor and rotor of Yacef et al. `study` has the results of the study.
     """
     by_motor, by_efficiency = (
         paper.baseline_row(study, paper.find_baseline(study, experiment, model, Reference.QUINTIC))

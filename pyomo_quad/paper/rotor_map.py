@@ -128,13 +128,14 @@ def chattering_floors(
     reading : Reading
         Interpretation of f_r.
     bounds : tuple of float, optional
-        Bounds on the rotor acceleration [rad/s²].
+        Upper bounds on the absolute rotor acceleration [rad/s²]; one result for each.
 
     Returns
     -------
     ndarray, shape (len(bounds), 2)
-        Each row holds a bound on the absolute rotor acceleration [rad/s²] and the lower bound on
-        the energy [J], which is minus infinity if f_r reaches zero within the bound.
+        Each row holds an upper bound on the absolute rotor acceleration [rad/s²], and the lower
+        bound on the energy [J] of flights within it, which is minus infinity if f_r reaches zero at
+        a permitted acceleration.
     """
     scenario = paper_scenario(Experiment.CALM, reading.values())
     largest = max(bounds)
@@ -161,13 +162,13 @@ def floor_energy(scenario: Scenario, sampled: RotorMap, bound: float) -> float:
     sampled : RotorMap
         Power and efficiency f_r of one rotor.
     bound : float
-        Bound on the absolute rotor acceleration [rad/s²].
+        Upper bound on the absolute rotor acceleration [rad/s²].
 
     Returns
     -------
     float
-        Lower bound on the energy [J]; minus infinity if f_r reaches zero within the bound on the
-        rotor acceleration.
+        Lower bound on the energy [J]; minus infinity if f_r reaches zero at a permitted rotor
+        acceleration.
     """
     allowed = np.abs(sampled.acceleration) <= bound
     if sampled.efficiency[:, allowed].min() <= 0.0:
@@ -181,8 +182,8 @@ def floor_energy(scenario: Scenario, sampled: RotorMap, bound: float) -> float:
 def critical_acceleration(samples: int = 151) -> tuple[float, float]:
     """Find the weakest braking of a rotor at which the efficiency f_r reaches zero.
 
-    f_r is the efficiency of motor and rotor of Yacef et al., as a bare polynomial. If the rotor
-    acceleration may exceed this value, the energy has no minimum.
+    f_r is the efficiency of motor and rotor of Yacef et al., as a bare polynomial. If the rotors
+    may brake harder than this, the energy has no minimum.
 
     Parameters
     ----------

@@ -120,8 +120,8 @@ class PaperStudy:
     packs : tuple of PackFacts
         Energy and power of the batteries.
     floors : dict
-        For each interpretation of f_r, an array with two columns: a bound on the rotor acceleration
-        [rad/s²], and the least energy [J] that any flight within this bound can take.
+        For each interpretation of f_r, an array with two columns: an upper bound on the absolute
+        rotor acceleration [rad/s²], and the least energy [J] of any flight within this bound.
     critical_acceleration, critical_speed : float
         Smallest absolute rotor acceleration of braking at which f_r is zero [rad/s²], and the rotor
         speed at which this happens [rad/s].

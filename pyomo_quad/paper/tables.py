@@ -111,7 +111,10 @@ _LARGEST_PLAIN, _SMALLEST_PLAIN = 1e6, 1e-2
 
 
 def kilojoules(energy: float, digits: int = 3) -> str:
-    """Format an energy [J] in kJ; minus infinity becomes "no minimum"."""
+    """Format an energy [J] as text in kJ, with `digits` decimals.
+
+    Energies of 1 MJ or more have two significant digits. Minus infinity becomes "no minimum".
+    """
     if energy == -float("inf"):
         return "no minimum"
     if not isfinite(energy):
@@ -120,7 +123,7 @@ def kilojoules(energy: float, digits: int = 3) -> str:
 
 
 def metres(distance: float) -> str:
-    """Format a distance from the goal in m."""
+    """Format a distance from the goal [m] as the text of its value in m."""
     return fixed(distance) if distance >= _SMALLEST_PLAIN else rough(distance)
 
 
@@ -232,19 +235,25 @@ def _wind_row(flown: PaperFlight) -> dict[str, object]:
 
 
 def baseline_row(study: PaperStudy, flown: BaselineFlight) -> dict[str, Any]:
-    """Return the table row of a controlled flight: energies, and the saving of the optimum.
+    """Return the table row that compares a flight under the adaptive controller with the optimum.
 
-    A controlled flight ends near the goal. The energy that it still needs to reach the exact goal
-    state is estimated with the costates of the optimum and added to its energy; nothing is added
-    under a power model for which no optimum was found. Savings are in percent of this sum, and of
-    the part of this sum above the energy of hovering.
+    The optimum is the plan of the same experiment under the same power model. The controlled flight
+    ends near the goal only. The energy that it still needs to reach the exact goal state is
+    estimated with the costates of the optimum and added to its energy; nothing is added if the
+    solve found no optimum. The energy that the optimum saves is given in percent of this sum, and
+    in percent of the part of this sum above the energy of hovering.
 
     Parameters
     ----------
     study : PaperStudy
-        Results of the study.
+        Results of the study, which contain the optimum.
     flown : BaselineFlight
         The controlled flight.
+
+    Returns
+    -------
+    dict
+        Value of each column by its name.
     """
     case = flown.case
     optimum = find_flight(study.flights, case.experiment, case.power_model)

@@ -65,16 +65,16 @@ class SteadyCurve:
     endurances: FloatArray
 
     def power(self, airspeed: FloatArray | float) -> FloatArray:
-        """Interpolate the power of level flight at airspeeds [W].
+        """Return the power [W] of level flight at one or more airspeeds [m/s], by interpolation.
 
         It is infinite above the greatest airspeed that the vehicle can fly.
         """
         return self._between(self.powers, airspeed, np.inf)
 
     def endurance(self, airspeed: FloatArray | float) -> FloatArray:
-        """Interpolate the flight time on one battery charge at airspeeds [s].
+        """Return the flight time [s] on one battery charge at one or more airspeeds [m/s].
 
-        It is zero above the greatest airspeed that the vehicle can fly.
+        The value is interpolated. It is zero above the greatest airspeed that the vehicle can fly.
         """
         return self._between(self.endurances, airspeed, 0.0)
 
@@ -329,9 +329,10 @@ def _winds(curve: SteadyCurve, winds: Sequence[float]) -> pd.DataFrame:
 
 
 def _reach(curve: SteadyCurve, wind: float, towards: float) -> pd.DataFrame:
-    """Return, for each course, how far from the start the vehicle can turn back and still return.
+    """Return, for each course, the greatest distance from which the vehicle returns to the start.
 
-    Way out and way back together use the usable charge of a full battery.
+    Way out and way back together use the charge from the full battery to the least state of charge
+    that the scenario allows.
 
     Parameters
     ----------

@@ -122,7 +122,7 @@ def _heights(scenario: Scenario, along: FloatArray, headings: FloatArray) -> Flo
     Parameters
     ----------
     scenario : Scenario
-        Scenario with start, terrain and floor above it.
+        Scenario with start, terrain and, as floor of the airspace, the least height above ground.
     along : ndarray, shape (n_steps,)
         Distances from the start, in equal steps [m].
     headings : ndarray, shape (n_courses, 3)
@@ -131,8 +131,8 @@ def _heights(scenario: Scenario, along: FloatArray, headings: FloatArray) -> Flo
     Returns
     -------
     ndarray, shape (n_courses, n_steps)
-        Heights z [m]. They are at least the height of the start, and at least the floor's distance
-        above the ground.
+        Heights z [m] at each distance. They are at least the height of the start, and above the
+        ground by at least the floor of the airspace.
     """
     start, airspace = np.array(scenario.mission.start.position), scenario.airspace
     found = np.full((len(headings), along.size), start[2])
@@ -157,12 +157,23 @@ def _is_within_terrain(scenario: Scenario, places: FloatArray) -> NDArray[np.boo
 
 
 def _share_per_climb(scenario: Scenario, steady: SteadyFlight, curve: SteadyCurve) -> float:
-    """Return the share of the usable battery charge that one metre of climb takes [1/m].
+    """Return the battery charge that one metre of climb takes, relative to the usable charge [1/m].
 
-    The share is 0 without terrain, because the vehicle then stays at the height of the start.
+    The usable charge is the charge from the full battery to the least state of charge that the
+    scenario allows. The charge of a climb is its duration times the battery current. Without
+    terrain the result is 0, because the vehicle then stays at the height of the start.
 
-    The climb has the rate of climb of `mission.return_flight`, and the battery current that
-    `climb_current` computes or that `mission.return_flight.climb_current` states.
+    Parameters
+    ----------
+    scenario : Scenario
+        Scenario with the least state of charge, and with the rate of climb in
+        `mission.return_flight`. If `mission.return_flight` also states the battery current of the
+        climb, this current is used; otherwise the function `climb_current` computes it.
+    steady : SteadyFlight
+        Solver for steady flight of the scenario's vehicle, with the capacity of its battery.
+    curve : SteadyCurve
+        Power and endurance over airspeed. From it follows the airspeed with the least energy per
+        metre in calm air, which `climb_current` needs.
     """
     if scenario.airspace.ground is None:
         return 0.0
@@ -177,7 +188,10 @@ def _share_per_climb(scenario: Scenario, steady: SteadyFlight, curve: SteadyCurv
 def _shares(
     curve: SteadyCurve, winds: FloatArray, courses: FloatArray, *, has_return: bool
 ) -> FloatArray:
-    """Return the share of the usable battery charge that one metre of flight takes on each course.
+    """Return the fraction of the usable battery charge that one metre of flight takes.
+
+    The usable charge is the charge from the full battery to the least state of charge that the
+    scenario allows. The fraction depends on the wind, and therefore on course and place.
 
     Parameters
     ----------
@@ -188,12 +202,12 @@ def _shares(
     courses : ndarray, shape (n_courses, 1)
         Courses from x, counter-clockwise [rad].
     has_return : bool
-        Whether each metre is also flown back; the share then includes the way back.
+        Whether each metre is also flown back; the fraction then includes the way back.
 
     Returns
     -------
     ndarray, shape (n_courses, n_steps)
-        Shares [1/m].
+        Fraction per metre over ground at each place [1/m].
     """
     speed = np.hypot(winds[..., 0], winds[..., 1])
     angle = np.arctan2(winds[..., 1], winds[..., 0]) - courses
@@ -205,21 +219,25 @@ def _shares(
 def _share_per_metre(
     curve: SteadyCurve, winds: FloatArray
 ) -> Callable[[FloatArray, FloatArray], FloatArray]:
-    """Return a function for the share of the usable battery charge per metre over ground [1/m].
+    """Return a function for the fraction of the usable battery charge per metre over ground.
+
+    The usable charge is the charge from the full battery to the least state of charge that the
+    scenario allows.
 
     Parameters
     ----------
     curve : SteadyCurve
         Power and endurance over airspeed.
     winds : ndarray
-        Wind speeds that occur [m/s]. The function interpolates between values for speeds in their
-        range.
+        All wind speeds for which the function will be called [m/s]. Only their least and greatest
+        value matter: the function interpolates in a table of wind speeds between these two.
 
     Returns
     -------
     callable
-        Function of the wind speed [m/s] and of the angle between course and wind [rad]; infinite
-        where the wind is too strong for the course.
+        Function of the wind speed [m/s] and of the angle between course and wind direction [rad].
+        It gives the fraction per metre over ground [1/m], infinite where the wind is too strong for
+        the course.
     """
     low, high = float(winds.min()), float(winds.max())
     count = max(2, int(np.ceil((high - low) / _WIND_STEP_M_S)) + 1)
@@ -256,9 +274,11 @@ def _boundary_on(
     along : ndarray, shape (n_steps,)
         Distances from the start [m].
     share : ndarray, shape (n_steps,)
-        Share of the usable battery charge that one metre of flight uses at each distance [1/m].
+        Fraction of the usable battery charge that one metre of level flight takes at each distance
+        [1/m].
     climbed : ndarray, shape (n_steps,)
-        Share of the usable battery charge that all climbs up to each distance use.
+        Fraction of the usable battery charge that all climbs from the start up to each distance
+        take.
     is_known : ndarray of bool, shape (n_steps,)
         Whether wind and ground are known at each distance.
     start : ndarray, shape (3,)

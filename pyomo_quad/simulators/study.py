@@ -446,8 +446,9 @@ def _leaps(mission: _Mission, limited: OutsidePlant) -> Iterator[Flown]:
     """Yield flights whose commanded position jumps from the start to the goal at once.
 
     One flight is of the package's own vehicle model. The flights in RotorPy show the effect of a
-    limit on the rotors' acceleration: they are made with the vehicle `limited`, which has this
-    limit, and with a vehicle without it. The flights are not simulated yet.
+    limit on the rotors' acceleration. They are made with the vehicle `limited`, RotorPy's model
+    with this limit, and with the same vehicle without the limit. `mission` is the mission of all
+    flights. The flights are not simulated yet.
     """
     unlimited = OutsidePlant(mission.scenario.with_values(_NO_SLEW_LIMIT), mission.dynamics)
     yield mission.declared(Pilot.ADAPTIVE, Reference.STEP)
@@ -460,7 +461,8 @@ def _why_se3_misses(mission: _Mission, plant: OutsidePlant) -> Iterator[Flown]:
     """Yield flights in RotorPy that show why RotorPy's controller SE3 misses the goal in wind.
 
     In some of the flights the controller has larger gains; in others it has a feedforward of the
-    aerodynamic force.
+    aerodynamic force. `mission` is the mission of all flights, and `plant` the simulated vehicle.
+    The flights are not simulated yet.
     """
     for followed in (Reference.QUINTIC, Reference.PLAN):
         path = mission.path(followed)
@@ -474,7 +476,9 @@ def _against_the_air(path: ReferencePath, plant: OutsidePlant) -> ReferencePath:
     """Return a reference path with a feedforward of the aerodynamic force on the vehicle.
 
     From the acceleration of the given path, the aerodynamic force divided by the mass is
-    subtracted, so that a controller which follows the path compensates this force.
+    subtracted, so that a controller which follows the path compensates this force. `path` is the
+    reference position, velocity and acceleration as a function of time, and `plant` the vehicle
+    whose equations give the force.
     """
     dynamics, mass = plant.dynamics, plant.scenario.vehicle.total_mass
     moving = [dynamics.state_names.index(name) for name in (*POSITION_STATES, *VELOCITY_STATES)]
@@ -492,7 +496,11 @@ def _against_the_air(path: ReferencePath, plant: OutsidePlant) -> ReferencePath:
 
 
 def _flights_of_set(mission: _Mission) -> Iterator[Flown]:
-    """Yield flights of one of RotorPy's vehicles, in RotorPy and in the package's own model."""
+    """Yield flights of one of RotorPy's vehicles, in RotorPy and in the package's own model.
+
+    They all follow the plan of `mission`, a mission of this vehicle, under different controllers or
+    without feedback. The flights are not simulated yet.
+    """
     theirs = OutsidePlant(
         mission.scenario,
         mission.dynamics,
@@ -516,7 +524,9 @@ def _flights_of_set(mission: _Mission) -> Iterator[Flown]:
 def _flights_by_drag(mission: _Mission) -> Iterator[Flown]:
     """Yield flights along a plan that show the effect of the point at which drag acts.
 
-    In RotorPy the drag acts at the rotors, in the package's model at the centre of mass.
+    In RotorPy the drag acts at the rotors, in the package's model at the centre of mass. The plan
+    of `mission` is flown in both, under adaptive control and without feedback. The flights are not
+    simulated yet.
     """
     plant = OutsidePlant(mission.scenario, mission.dynamics)
     for pilot in (Pilot.OPEN_LOOP, Pilot.ADAPTIVE):

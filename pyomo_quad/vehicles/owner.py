@@ -1,4 +1,9 @@
-"""Estimation of all numbers of a vehicle from mass, propeller and further data of its owner.
+"""Estimation of a vehicle's model parameters from the few data that its owner knows.
+
+The owner states at least the vehicle's mass and the size of its propellers, and possibly the length
+of its arms, its battery and other data. From these data the module computes or estimates every
+parameter of the vehicle that a scenario needs, such as moments of inertia and drag coefficients,
+and its limits and battery. Each estimate has a range of uncertainty.
 
 Derivation: see docs/theory/vehicle_from_data.md.
 """
@@ -121,7 +126,8 @@ class EstimatedVehicle:
     hover : RotorHover
         Speed and powers of one rotor in hover.
     fields, limits : mapping
-        Numbers of the tables `vehicle` and `limits` of a scenario, by field.
+        Estimated parameters and limits of the vehicle, by the names of the fields in the tables
+        `vehicle` and `limits` of a scenario.
     rotor_positions : tuple or None
         Positions x, y of six or eight rotors [m]. None for four rotors, whose positions follow from
         the length of the arms.
@@ -387,7 +393,11 @@ def _limits(pack: Pack, hover: RotorHover, fields: Mapping[str, Estimate]) -> di
 
 
 def _positions(rotors: int, arm: float) -> tuple[tuple[float, float], ...] | None:
-    """Return the positions x, y of six or eight rotors on a circle [m]; None for four rotors."""
+    """Return the body coordinates x, y [m] of six or eight rotors, equally spaced on a circle.
+
+    `rotors` is the number of rotors, and `arm` the radius of the circle [m]. The result is None for
+    four rotors, for which the model needs only the length of the arms.
+    """
     if rotors not in ROTOR_COUNTS:
         raise ScenarioError(
             f"--rotors {rotors}; must be one of {', '.join(map(str, ROTOR_COUNTS))}."
