@@ -259,13 +259,13 @@ class Pairs:
     def _fastest(self, scenario: Scenario) -> float:
         """Return an upper limit on the airspeed of every flight that begins at rest [m/s].
 
-        The limit makes the range of airspeeds finite over which the class searches for the least H.
-        It is the smaller of two speeds. The first is the speed limit in `scenario` plus the speed
-        of the strongest wind. The second is the airspeed at which the drag equals the largest
-        thrust plus the length of `standing`, the thrust that holds the vehicle still: a vehicle
-        cannot accelerate beyond it. If the wind differs from place to place, the second speed is
-        increased accordingly. The result is infinite if the scenario has no speed limit and the
-        drag never becomes so large. Implements docs/theory/bound.md, eq. (22).
+        The search for the least value of the function H covers airspeeds up to this limit. It is
+        the smaller of two speeds. The first is the speed limit in `scenario` plus the speed of the
+        strongest wind. The second is the airspeed at which the drag equals the largest thrust plus
+        the length of `standing`, the thrust that holds the vehicle still: a vehicle cannot
+        accelerate beyond it. If the wind differs from place to place, the second speed is increased
+        accordingly. The result is infinite if the scenario has no speed limit and the drag never
+        becomes so large. Implements docs/theory/bound.md, eq. (22).
         """
         strongest = float(np.linalg.norm(self._winds, axis=1).max())
         allowed = inf if scenario.limits.speed_max is None else scenario.limits.speed_max
@@ -329,10 +329,11 @@ class Pairs:
         """Search by sampling for the least value of H, and for the pairs of its local minima.
 
         H is the power of a pair minus the terms of the prices, multipliers of momentum,
-        displacement and kinetic energy (docstring of this module). All pairs in all winds of the
-        mission are sampled, and the least local minima are refined. The least value found may lie
-        above the true minimum; `least` returns a proven lower bound. Each returned pair becomes a
-        constraint of the linear program for the prices.
+        displacement and kinetic energy (docstring of this module). The range of all pairs is
+        sampled in each of the given winds (the corners of the polyhedron of winds), and the least
+        local minima are refined. The least value found may lie above the true minimum; `least`
+        returns a proven lower bound. Each returned pair becomes a constraint of the linear program
+        for the prices.
 
         Parameters
         ----------
