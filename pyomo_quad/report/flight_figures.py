@@ -326,10 +326,11 @@ def coinciding_flights(
 
 
 def _power_window(flights: Sequence[StyledFlight]) -> tuple[float, float] | None:
-    """Return the least and the greatest power [W] on the power panel's axis, without short peaks.
+    """Return the range of the vertical axis for the power of flights over time, without peaks [W].
 
-    Short peaks of flights other than the plan are excluded if they would flatten all curves. The
-    result is None if the axis can show all powers.
+    `flights` are the flights of the panel; the first is the plan. Short peaks of flights other than
+    the plan are excluded if they would flatten all curves. The result is the least and the greatest
+    power of the axis, or None if the axis can show all powers.
     """
     optimum, *others = powers = [POWER.of(flight.frame) for flight in flights]
     ends = [optimum.min(), optimum.max()]
@@ -345,10 +346,11 @@ def _power_window(flights: Sequence[StyledFlight]) -> tuple[float, float] | None
 
 
 def _cut_peaks(axes: Axes, flights: Sequence[StyledFlight]) -> None:
-    """Limit the power panel's axis so that short power peaks lie beyond it.
+    """Limit a panel's power axis so that short peaks of the power lie beyond it.
 
-    This is done only if the peaks would flatten all curves. The title then says that peaks are cut
-    off.
+    `axes` is the panel, in which the power of `flights` is drawn over time; the first flight is the
+    plan. The axis is limited only if the peaks would flatten all curves. The title then says that
+    peaks are cut off.
     """
     window = _power_window(flights)
     if window is not None:

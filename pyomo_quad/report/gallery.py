@@ -362,7 +362,10 @@ def _path(flights: Sequence[StyledFlight], mission: "Scenario | None") -> Drawin
 
 
 def _course(mission: "Scenario") -> str:
-    """Return the caption's sentences on waypoints, zones, floor and ceiling in a map of paths."""
+    """Return the caption's sentences on waypoints, zones, floor and ceiling in a map of paths.
+
+    `mission` is the scenario of the map; the sentences name only what it has.
+    """
     airspace, said = mission.airspace, ""
     if mission.mission.waypoints:
         said += " Crosses: waypoints, with the times at which the plan passes them."
@@ -377,7 +380,10 @@ def _course(mission: "Scenario") -> str:
 
 
 def _zones(mission: "Scenario") -> str:
-    """Return the caption's sentence that names the keep-out zones; "" if there are none."""
+    """Return the caption's sentence that names the keep-out zones of a scenario, `mission`.
+
+    It is empty if there are no zones.
+    """
     named = ", ".join(zone.name for zone in mission.airspace.keep_out)
     return f" Red: keep-out zones ({named})." if named else ""
 
@@ -488,8 +494,8 @@ def _wind(optimum: StyledFlight, blowing: StyledFlight | None) -> tuple[Drawing,
 def _unequal_durations(flights: Sequence[StyledFlight]) -> str:
     """Return a warning for the caption of energy curves if the durations of the flights differ.
 
-    Energies above hovering cannot be compared between flights of different durations. The text is
-    empty if the durations are equal.
+    `flights` are the flights of the figure. Energies above hovering cannot be compared between
+    flights of different durations. The text is empty if the durations are equal.
     """
     if have_equal_durations(flights):
         return ""
@@ -500,9 +506,10 @@ def _unequal_durations(flights: Sequence[StyledFlight]) -> str:
 
 
 def _cut(flights: Sequence[StyledFlight]) -> str:
-    """Return the caption's sentence on short power peaks beyond the axis of the power panel.
+    """Return a caption's sentence on short power peaks that are cut off in a figure.
 
-    The sentence is empty if the panel shows all powers.
+    `flights` are the flights whose power the figure shows over time; the first is the plan. The
+    sentence names the flights with such peaks. It is empty if the figure shows all powers.
     """
     if POWER.name not in flights[0].frame:
         return ""
@@ -517,8 +524,9 @@ def _cut(flights: Sequence[StyledFlight]) -> str:
 def _coinciding(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
     """Return the caption's sentence on flights whose energy curve is hidden by the plan's curve.
 
-    The curves show the energy above hovering over time. The sentence is empty if all curves can be
-    distinguished.
+    The curves show the energy above hovering over time. `flights` are the flights of the figure,
+    the first of which is the plan, and `hover_energy_J` is the energy of hovering for the duration
+    of the plan. The sentence is empty if all curves can be distinguished.
     """
     if ENERGY.name not in flights[0].frame:
         return ""
@@ -530,8 +538,10 @@ def _undercut(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
     """Return the caption's sentence on energy bars that end below the hover energy.
 
     A flight can use less energy than hovering for the same time, for example in descent or in
-    forward flight. Its bar then ends inside the grey bar of the hover energy. The sentence is empty
-    if no flight uses less energy than hovering.
+    forward flight. Its bar then ends inside the grey bar of the hover energy. `flights` are the
+    flights of the chart, the first of which is the plan, and `hover_energy_J` is the energy of
+    hovering for the duration of the plan. The sentence is empty if no flight uses less energy than
+    hovering.
     """
     hover_power = hover_energy_J / flights[0].duration_s
     is_below = any(flight.energy_J < hover_power * flight.duration_s for flight in flights)

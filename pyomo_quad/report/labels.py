@@ -98,7 +98,7 @@ def _shifts(size: FloatArray) -> Iterable[FloatArray]:
 
 
 def _curves(axes: Axes) -> FloatArray:
-    """Return the points of all curves in a panel, in pixels, shape (n, 2).
+    """Return the points of all curves in a panel, `axes`, in pixels, shape (n, 2).
 
     Labels are placed so that they cover few of these points.
     """

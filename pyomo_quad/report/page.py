@@ -69,7 +69,8 @@ _PROGRAM = Path(__file__).with_name("page.js")
 def _label(inline: Token) -> str:
     """Return the text of a line of Markdown without its formatting, escaped for HTML.
 
-    The text is a label for screen readers or an entry in the table of contents.
+    `inline` is the markdown-it token of the line. The text is a label for screen readers or an
+    entry in the table of contents.
     """
     return escape("".join(child.content for child in inline.children or ()))
 

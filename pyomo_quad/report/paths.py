@@ -167,7 +167,10 @@ def mean_wind_of(flight: StyledFlight) -> np.ndarray:
 
 
 def _draw_mean_wind(axes: Axes, flight: StyledFlight) -> None:
-    """Draw an arrow with the direction and speed of a flight's mean wind in a corner."""
+    """Draw the mean wind along a flight as an arrow in a corner of a panel, with its speed.
+
+    `axes` is the panel, a map of flight paths from above. Nothing is drawn in calm air.
+    """
     wind = mean_wind_of(flight)
     speed = float(np.linalg.norm(wind))
     if speed < _CALM:
@@ -280,11 +283,12 @@ def _further(flights: Sequence[StyledFlight], share: float) -> tuple[StyledFligh
 
 
 def _limits(flights: Sequence[StyledFlight], mission: Scenario | None) -> np.ndarray:
-    """Return the range of each axis of a figure of paths, shape (3, 2), in m.
+    """Return the least and the greatest x, y and z of a figure of paths, shape (3, 2), in m.
 
-    The ranges include the path of the plan (the first flight), the paths of the flights that stay
-    near it (all but those of `leaving_paths`), and the keep-out zones, floor and ceiling of the
-    mission near these paths.
+    `flights` are the flights of the figure, the first of which is the plan; `mission` is the
+    scenario whose airspace is drawn, or None. The ranges include the path of the plan, the paths of
+    the flights that stay near it (all but those of `leaving_paths`), and the keep-out zones, floor
+    and ceiling of the mission near these paths.
     """
     astray = leaving_paths(flights)
     points = np.concatenate([_track(flight) for flight in flights if flight not in astray])
@@ -323,7 +327,11 @@ def _beats(flight: StyledFlight) -> np.ndarray:
 
 
 def _inside(points: np.ndarray, limits: np.ndarray) -> np.ndarray:
-    """Replace points outside a figure's limits by NaN, because 3-D axes do not clip curves."""
+    """Replace points outside a figure's limits by NaN, because 3-D axes do not clip curves.
+
+    `points` are the points of a curve, shape (n, 3), and `limits` holds the least and the greatest
+    x, y and z of the figure, shape (3, 2), all in m. The result has the shape of `points`.
+    """
     is_inside = np.all((limits[:, 0] <= points) & (points <= limits[:, 1]), axis=1)
     return np.where(is_inside[:, None], points, np.nan)
 
@@ -331,8 +339,9 @@ def _inside(points: np.ndarray, limits: np.ndarray) -> np.ndarray:
 def _with_airspace(limits: np.ndarray, airspace: Airspace) -> np.ndarray:
     """Extend the axis limits of a figure of paths towards keep-out zones, floor and ceiling.
 
-    The extension is limited, so that distant zones do not make the paths small. `limits` and the
-    result hold the least and the greatest x, y and z in m, shape (3, 2).
+    The extension is limited, so that distant zones do not make the paths small. `airspace` has the
+    zones, floor and ceiling. `limits` and the result hold the least and the greatest x, y and z in
+    m, shape (3, 2).
     """
     room = _AROUND * float(np.ptp(limits, axis=1).max())
     furthest = limits + room * np.array([-1.0, 1.0])
@@ -440,7 +449,8 @@ def _draw_projection(
 def _ends(optimum: StyledFlight) -> tuple[tuple[np.ndarray, str, str], ...]:
     """Return position [m], name and marker of the two ends of a plan's path, for figures.
 
-    The ends are start and goal. If both are the same place, the result has one entry for it.
+    `optimum` is the flight of the plan. The ends are start and goal. If both are the same place,
+    the result has one entry for it.
     """
     track = _track(optimum)
     way = np.linalg.norm(np.diff(track, axis=0), axis=1).sum()
@@ -462,7 +472,10 @@ def _marker(flight: StyledFlight) -> dict[str, Any]:
 
 
 def axis_label(signal: Column) -> str:
-    """Return the label of a coordinate axis: the column's symbol and unit."""
+    """Return the label of a coordinate axis: symbol and unit of a column of a flight's table.
+
+    `signal` declares the column, such as the position along x.
+    """
     return f"${signal.symbol}$ ({signal.unit})"
 
 

@@ -130,12 +130,15 @@ def _entities(text: str) -> str:
 
 
 def written(text: str) -> Markup:
-    """Mark a text as finished Markdown or HTML, which the templates do not escape again."""
+    """Mark a text that is Markdown or HTML already, so that templates do not escape it again."""
     return Markup(text)  # noqa: S704  every caller has escaped foreign text
 
 
 def _code(text: str) -> Markup:
-    """Format the name of a flight, file, field or command as a Markdown code span."""
+    """Format the name of a flight, file, field or command as a Markdown code span.
+
+    `text` is the name. A name that would end the code span is escaped instead.
+    """
     # A code span has no escapes, so text that would end the span is printed without a span.
     if set(visible(text)) & set("`|\\\n\r") or text != text.strip() or not text:
         return written(escape_markdown(text))
@@ -143,7 +146,11 @@ def _code(text: str) -> Markup:
 
 
 def _finalize(value: object) -> Markup:
-    """Escape a value that a template prints, unless a template or filter produced the value."""
+    """Escape a value that a template prints, unless it is marked as Markdown already.
+
+    Values that a template or a filter produced are marked (type `Markup`). Jinja calls the function
+    for each value.
+    """
     return value if isinstance(value, Markup) else written(escape_markdown(str(value)))
 
 

@@ -419,7 +419,8 @@ def _comparison_values(comparison: "pd.DataFrame") -> dict[str, Any]:
 def _run_values(result: "RunResult", replanned: "pd.DataFrame") -> dict[str, Any]:
     """Return the variables of the report's template that describe a run, except its plan.
 
-    `replanned` is the table of the flights whose plan was solved again during the flight.
+    `result` holds the results of the run. `replanned` is the table of the flights whose plan was
+    solved again during the flight.
     """
     comparison, certificate = result.comparison, result.certificate
     by_name = comparison.set_index(ComparisonColumn.FLIGHT, drop=False).to_dict("index")

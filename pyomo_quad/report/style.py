@@ -193,10 +193,10 @@ def save_figure(
 
 
 def _drawn(draw: Callable[[], Figure]) -> Figure:
-    """Call a function that draws a figure, and return the figure.
+    """Call a function that draws a figure, fix the positions of missing labels, return the figure.
 
-    Axes without labels get fixed label positions. Otherwise matplotlib computes positions for the
-    empty labels, which takes a tenth of the drawing time.
+    `draw` is the function. Axes without labels get fixed label positions. Otherwise matplotlib
+    computes positions for the empty labels, which takes a tenth of the drawing time.
     """
     figure = draw()
     for axes in figure.axes:
@@ -373,7 +373,7 @@ def keep_span(panels: Iterable[Axes], smallest_span: float) -> None:
 
 
 def label_time(panels: Iterable[Axes], duration: float) -> None:
-    """Label the time axis of panels, and end it at a duration in s."""
+    """Label the horizontal axis of each panel as time, from 0 to `duration` [s]."""
     for axes in panels:
         axes.set_xlabel(TIME.label)
         axes.set_xlim(0.0, duration)
@@ -425,7 +425,10 @@ class StyledFlight:
 
 
 def plan_flight(plan: "Plan") -> "Flight":
-    """Return the planned flight for figures, named "best iterate" if the solve failed."""
+    """Return the flight of a plan, for figures.
+
+    It is named "best iterate" if the solve failed, because the flight need not be feasible then.
+    """
     return plan.flight() if plan.verification is not None else plan.flight(_FAILED_PLAN)
 
 

@@ -90,9 +90,9 @@ def faces(zone: KeepOut, limits: FloatArray) -> FloatArray:
 def _whole_faces(zone: KeepOut) -> Iterator[FloatArray]:
     """Yield the faces of a keep-out zone, not yet cut off at the limits of a figure.
 
-    The zone is approximated by horizontal cross-sections at increasing heights. Faces with four
-    corners join neighbouring cross-sections; the lowest and the highest cross-section are the
-    bottom and the top.
+    Each face holds the corners of a polygon in m, shape (n_corners, 3). The zone is approximated by
+    horizontal cross-sections at increasing heights. Faces with four corners join neighbouring
+    cross-sections; the lowest and the highest cross-section are the bottom and the top.
     """
     low, high = box_around(zone)
     middle, half = (low + high) / 2, (high - low) / 2
@@ -120,7 +120,12 @@ def _whole_faces(zone: KeepOut) -> Iterator[FloatArray]:
 
 
 def _clipped(face: FloatArray, limits: FloatArray) -> FloatArray:
-    """Clip a convex polygon to an axis-parallel box (algorithm of Sutherland and Hodgman)."""
+    """Clip a convex polygon to an axis-parallel box (algorithm of Sutherland and Hodgman).
+
+    `face` holds the corners of the polygon in order, shape (n_corners, 3), and `limits` the least
+    and the greatest x, y and z of the box, shape (3, 2), all in m. The result holds the corners of
+    the clipped polygon, shape (n, 3); it is empty if the polygon lies outside the box.
+    """
     for axis, ends in enumerate(limits):
         for side, end in zip((1.0, -1.0), ends, strict=True):
             inside = side * (face[:, axis] - end)

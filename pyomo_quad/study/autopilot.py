@@ -171,6 +171,8 @@ def _with_longest_wait(
 
     `fly_cruise` and the search for settings simulate this flight first, in order to find the time
     at which the vehicle arrives. The longest wait is the last waiting time in `SETTLINGS_S`.
+    `settings` are the limits on speed, acceleration and jerk with which the autopilot flies the
+    mission `scenario`; `planner` holds the compiled equations.
 
     Returns
     -------
@@ -194,8 +196,9 @@ def _end(scenario: Scenario, settings: CruiseSettings, flown: Flown, dynamics: D
 
     The vehicle has arrived if it is near the goal and nearly at rest. The time is not earlier than
     the end of the reference trajectory. In a mission of fixed duration it is not earlier than the
-    end of the mission. If the vehicle does not arrive, it is the end of the simulation. `flown` is
-    the flight, simulated with the longest wait at the goal; `dynamics` names its states.
+    end of the mission. If the vehicle does not arrive, it is the end of the simulation. `scenario`
+    is the mission, `settings` are the autopilot's limits on speed, acceleration and jerk, `flown`
+    is the flight, simulated with the longest wait at the goal; `dynamics` names its states.
     """
     moving = cruise_at(scenario.cruising(settings)).mission.fixed_duration
     places, velocities = (
@@ -256,7 +259,9 @@ def _search(scenario: Scenario, plan: Plan | None, planner: Planner) -> tuple[Tr
     """Search for the autopilot settings of least energy by Nelder and Mead's method.
 
     The result holds all settings (speed, acceleration, jerk) that the search tried, in order, each
-    with the results of its simulated flight.
+    with the results of its simulated flight. `scenario` is the mission in its actual wind. `plan`
+    is its plan, whose costates give an estimate of the energy from the end of a flight to the exact
+    goal state (None for no estimate). `planner` holds the compiled equations.
     """
     fly = partial(_tried, scenario, plan=plan, planner=planner)
     tried: dict[tuple[float, ...], TriedCruise] = {}
@@ -292,11 +297,12 @@ def _search(scenario: Scenario, plan: Plan | None, planner: Planner) -> tuple[Tr
 def _start_of_search(
     scenario: Scenario, planner: Planner
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the initial simplex of Nelder and Mead's search: one vertex, and three factors.
+    """Return the initial simplex of the search for an autopilot's settings, as vertex and factors.
 
-    The vertex is a triple of speed [m/s], acceleration [m/s^2] and jerk [m/s^3]. The simplex has
-    three further vertices; in each of these, one setting of the triple is multiplied by the factor
-    that belongs to this setting.
+    The search uses Nelder and Mead's method. The vertex is a triple of speed [m/s], acceleration
+    [m/s^2] and jerk [m/s^3]. The simplex has three further vertices; in each of these, one setting
+    of the triple is multiplied by its factor, so that there are three factors. `scenario` is the
+    mission, and `planner` holds the compiled equations.
     """
     places = np.array(scenario.mission.positions)
     lengths = np.linalg.norm(np.diff(places, axis=0), axis=1)

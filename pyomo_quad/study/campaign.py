@@ -198,7 +198,7 @@ def _planned(present: Scenario, last: Plan | None, planner: Planner) -> Plan | s
     """Return the plan of a campaign's next flight, or the reason in words if there is none.
 
     `present` is the mission with the present state of the battery. `last` is the previous plan of
-    the same mission, which gives the warm start.
+    the same mission, which gives the warm start. `planner` solves the mission.
     """
     if last is not None:
         before = last.scenario.battery.initial_state_of_charge
@@ -238,8 +238,9 @@ def _obstacle(present: Scenario, last: Plan | None, planner: Planner) -> str:
     """Return the limits that a repetition of the previous plan would break on the remaining charge.
 
     The limits are in words, separated by commas. The text is empty if no limit is broken, or if
-    there is no previous plan (`last` is None). `present` is the mission with the present
-    state of the battery.
+    there is no previous plan (`last` is None). `present` is the mission with the present state of
+    the battery. `planner` holds the compiled equations, with which the controls of the previous
+    plan are simulated from the present state.
     """
     return "" if last is None else ", ".join(_broken(present, last, planner))
 

@@ -349,7 +349,7 @@ def _bound(scenario: Scenario, planner: Planner) -> _Found:
 
     The methods are `_bound_as_a_whole`, `_bound_by_legs` and `_bound_by_pairs`, which apply to
     different missions. If several apply, the largest bound counts. If no method applies, the bound
-    is None and the text is the reason.
+    is None and the text is the reason. `planner` holds the compiled equations of the vehicle.
     """
     reason = next(_obstacles(scenario), "")
     if reason:
@@ -377,7 +377,7 @@ def _why_not_by_legs(scenario: Scenario, demand: MomentumDemand) -> str:
     `_bound_by_legs` computes this lower bound on the energy, which takes account of waypoints and
     of a free duration. It does not apply, for instance, if the wind changes with time. The reason
     is the end of a sentence such as "no bound is known that counts waypoints in a wind that changes
-    with time". `demand` is the thrust that the momentum balance requires.
+    with time". `demand` is the thrust that the momentum balance requires for a motion.
     """
     times = np.linspace(0.0, scenario.nominal_duration, _STANDING_SAMPLES)
     standing = np.array([demand.thrust(float(t)) for t in times])
@@ -400,7 +400,7 @@ def _bound_as_a_whole(
     scenario : Scenario
         The mission.
     demand : MomentumDemand
-        Thrust that the momentum balance requires.
+        Thrust that the momentum balance requires for a motion.
     power : _SteadyPower
         Total power as a function of the total thrust, all rotors at one constant speed.
     why_not_by_legs : str
@@ -451,7 +451,7 @@ def _bound_by_legs(
     planner : Planner
         Holds the compiled equations.
     demand : MomentumDemand
-        Thrust that the momentum balance requires.
+        Thrust that the momentum balance requires for a motion.
     power : _SteadyPower
         Total power as a function of the total thrust, all rotors at one constant speed.
 
@@ -509,9 +509,9 @@ def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand
     """Bound the energy of flights from below if power or drag depends on the airspeed.
 
     The bound follows from the least power over all combinations (pairs) of thrust and airspeed; the
-    module `study.pairs` computes it. In some missions with a wind field a second bound also counts
-    where each wind blows (`_bound_of_places`); the larger of the two is returned. `demand` is the
-    thrust that the momentum balance requires for a motion.
+    module `study.pairs` computes it. In some missions with a wind field there is a second bound,
+    which takes account of the places at which the winds blow (`_bound_of_places`); the larger of
+    the two is returned. `demand` is the thrust that the momentum balance requires for a motion.
 
     Returns
     -------
@@ -602,7 +602,7 @@ def _bound_of_places(
     winds: FloatArray,
     power: float,
 ) -> float:
-    """Return a lower bound on the energy in a wind field that counts where each wind blows [J].
+    """Return a lower bound on the energy in a wind field that includes the place of each wind [J].
 
     The bound of `study.pairs` allows every wind of the field everywhere. This bound
     (docs/theory/bound.md, eq. (25)) allows in each horizontal cell of the field's grid only the
@@ -619,7 +619,7 @@ def _bound_of_places(
     winds : ndarray, shape (n_winds, 3)
         Corners of the polyhedron of all winds of the field, all horizontal [m/s].
     power : float
-        Power of hovering [W].
+        Power of hovering [W], to which tolerances are relative.
     """
     mission, ((leg,), (durations,)) = scenario.mission, legs_of(scenario)
     ends = np.array([mission.start.position, mission.goal.position])
@@ -630,11 +630,11 @@ def _bound_of_places(
 def _has_places(
     scenario: Scenario, legs: Sequence[Leg], standing: FloatArray, winds: FloatArray
 ) -> bool:
-    """Return whether the bound that counts where each wind of a field blows applies to a mission.
+    """Return whether the bound that includes the place of each wind applies to a mission.
 
-    `_bound_of_places` computes this bound. It applies if the mission has a single leg with exact
-    start and goal, if the plan may not leave the field (`wind.beyond` is not "hold"), and if its
-    winds are horizontal and not all the same.
+    `_bound_of_places` computes this lower bound on the energy in a wind field. It applies if the
+    mission has a single leg with exact start and goal, if the plan may not leave the field
+    (`wind.beyond` is not "hold"), and if its winds are horizontal and not all the same.
 
     Parameters
     ----------
@@ -813,6 +813,9 @@ def _fit(
 ) -> tuple[Chebyshev, FloatArray, bool]:
     """Fit a polynomial of the rotor speed to computed values of the model's thrust or power.
 
+    Some lower bounds on the energy apply only if thrust and power are polynomials of the rotor
+    speed, which `is_exact` tells.
+
     Parameters
     ----------
     computed : ndarray
@@ -853,7 +856,9 @@ def _below(thrust: FloatArray, power: FloatArray) -> FloatArray:
 def _corners(thrust: FloatArray, power: FloatArray) -> FloatArray:
     """Return the vertices of the lower convex hull of power over thrust, shape (2, n).
 
-    The first row holds the thrusts [N], the second the powers [W].
+    `thrust` [N] and `power` [W] are samples of the curve of power over thrust, in the order of
+    increasing thrust. The first row of the result holds the thrusts of the vertices [N], the second
+    their powers [W].
     """
     kept: list[tuple[float, float]] = []
     for x, y in zip(thrust.tolist(), power.tolist(), strict=True):

@@ -251,10 +251,11 @@ def reach_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
 
 
 def _available_thrust(scenario: Scenario, steady: SteadyFlight) -> tuple[str, float]:
-    """Return the most restrictive limit on the thrust, and the largest thrust that it permits [N].
+    """Return the limit that permits the least thrust, and the largest thrust that it permits [N].
 
     The limit is given in words, as "field = value". Limits on rotor speed, on thrust and on rotor
-    acceleration are compared.
+    acceleration are compared. For the last, rotors start and end at hover speed, so that they are
+    fastest half way through the flight. `steady` computes the thrust at a given rotor speed.
     """
     limits = scenario.limits
     # Rotors start and end at hover speed, so they can be fastest half way through the flight.
@@ -323,8 +324,8 @@ def _least_duration(scenario: Scenario, demand: MomentumDemand, available: float
     The mission's own duration is too short; a message recommends to allow more than the returned
     time. The bound is found by doubling and bisection, starting from the mission's duration. It is
     infinite if no duration that was tried suffices, or if the wind after the end of the mission is
-    unknown. `demand` is the thrust that the momentum balance requires; `available` is the thrust
-    that the limits allow [N].
+    unknown. `demand` is the thrust that the momentum balance requires for a motion; `available` is
+    the thrust that the limits allow [N].
     """
     if scenario.wind.series is not None:
         return inf
@@ -432,7 +433,10 @@ def check_mission(
 
 
 def _contradictions(scenario: Scenario) -> Iterator[Finding]:
-    """Yield a finding for each contradiction between numbers of the vehicle, as of its inertia."""
+    """Yield a finding for each contradiction between numbers of a scenario's vehicle.
+
+    An example is a moment of inertia that exceeds the sum of the other two.
+    """
     for found in scenario.contradictions:
         yield Finding(severity=Severity.UNPHYSICAL, subject=found.field, message=found.message)
 
@@ -553,7 +557,7 @@ def _attitude_cautions(plan: "Plan", planner: "Planner | None") -> Iterator[str]
 
     The simplified equations are those of Yacef et al. (`vehicle.attitude` "paper"), which set the
     Euler rates equal to the body rates. The controls of the plan are simulated with exact Euler
-    rates.
+    rates. `planner` holds the compiled equations; None for a new planner.
     """
     told = plan.scenario.as_forecast()
     is_printed = told.vehicle.attitude is Attitude.PAPER

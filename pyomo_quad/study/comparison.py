@@ -259,8 +259,8 @@ def leg_table(mission: Scenario, frame: "pd.DataFrame") -> "pd.DataFrame":
     """Return times, length and energy of each leg of a flight as a table.
 
     A leg is the flight from one waypoint to the next. Each hover at a waypoint has a row, too.
-    `mission` is the scenario with the passing times of the flight, `frame` the flight's table over
-    time.
+    `mission` is the scenario with the passing times of the flight; `frame` is the flight's table
+    over time, with the columns `columns.COLUMNS`.
     """
     return LegColumn.of_rows(leg_rows(mission, frame))
 
@@ -433,7 +433,8 @@ def _measured(scenario: Scenario, frame: "pd.DataFrame") -> dict[ComparisonColum
     """Return the columns of a comparison's row that are computed from the flight's table over time.
 
     They are the largest power, tilt and rotor acceleration, the time near the goal, and the charge
-    used.
+    used. `scenario` is the mission with its goal, and `frame` is the flight's table, one row for
+    each time.
     """
     alpha = _rotor_values(frame, "rotors.alpha")
     tilt = np.cos(_values(frame, "rigid_body.phi")) * np.cos(_values(frame, "rigid_body.theta"))
@@ -458,8 +459,9 @@ def _reserve_percent(scenario: Scenario, frame: "pd.DataFrame") -> float:
 def _time_inside(scenario: Scenario, frame: "pd.DataFrame") -> float:
     """Return the time that a flight spends near the goal [s].
 
-    Near is a distance of at most `INSIDE_DISTANCE_M`. The interval between two rows of the flight's
-    table counts half if the vehicle is near the goal at one of the rows only.
+    Near is a distance of at most `INSIDE_DISTANCE_M`. `frame` is the flight's table, one row for
+    each time, and `scenario` has the goal. The interval between two rows counts half if the vehicle
+    is near the goal at one of the rows only.
     """
     position = np.column_stack([_values(frame, name) for name in POSITION_STATES])
     distance = np.linalg.norm(position - scenario.mission.goal.position, axis=1)

@@ -197,10 +197,10 @@ def counts_of(scenario: Scenario, unknowns: int) -> Counts:
 
 
 def _cells(scenario: Scenario) -> int:
-    """Return how many grid cells of the wind field or of the terrain the straight legs cross.
+    """Estimate how many grid cells of the wind field or of the terrain a mission's legs cross.
 
-    A leg is the line from one waypoint to the next. The number is the length of all legs divided by
-    the least step of the grids.
+    A leg is the straight line from one waypoint to the next. The estimate is the horizontal length
+    of all legs divided by the least horizontal step of the grids; 0 if the scenario has no grid.
     """
     field, ground = scenario.wind.grid, scenario.airspace.ground
     steps = [] if field is None else [after - at for at, after in pairwise(field.x)]

@@ -243,9 +243,9 @@ class Itinerary:
         Parameters
         ----------
         price : ndarray, shape (3,)
-            Price (multiplier) of thrust, W/N. The search begins with prices of velocity that are
-            this price times the mass at the start of the flight, and that fall along the
-            displacements.
+            Price (multiplier) of thrust, W/N, from which the search begins. The first prices of
+            velocity are this price times the mass at the start of the flight, less a multiple of
+            the displacement from the start, so that the bound is finite.
         """
         places = np.zeros((self._size, 3))
         for first, last, displacement in zip(
@@ -288,6 +288,7 @@ class Itinerary:
         """Return for each group of legs a mask that selects its legs.
 
         A group consists of the legs between two fixed times; the sum of their durations is limited.
+        Each mask has the shape (n_legs,).
         """
         return [self._groups == k for k in range(len(self._shared))]
 

@@ -196,12 +196,13 @@ class Pairs:
     def _of_rotors(self, first: Symbol, along: Symbol, across: Symbol) -> tuple[Any, ...]:
         """Return rotor speed, thrust, power, `excess` and `margin` of a pair: CasADi expressions.
 
-        A pair of thrust and airspeed has the coordinates `first` (rotor speed, or induced velocity
-        for the power model `momentum`), `along` and `across` (airspeed along and across the
-        thrust). The power is the total power of rotors with equal speeds. Where `margin` is
-        negative, rotors with unequal speeds and the same total thrust may take less power, but at
-        most `excess` less. Where `margin` is not negative, equal speeds take the least power, and
-        `excess` has no meaning.
+        A pair of thrust and airspeed has the coordinates `first` (rotor speed [rad/s], or induced
+        velocity [m/s] for the power model `momentum`), `along` and `across` (airspeed along and
+        across the thrust [m/s]). The results are, in this order: rotor speed [rad/s]; total thrust
+        [N]; `power`, the total power of rotors with equal speeds [W]; `excess` [W]; and `margin`,
+        of which only the sign has a meaning. Where `margin` is negative, rotors with unequal speeds
+        and the same total thrust may take less power, but at most `excess` less. Where `margin` is
+        not negative, equal speeds take the least power, and `excess` has no meaning.
         """
         each = range(1, len(self._rotors) + 1)
         powers: list[tuple[str, Any]] = [("power.total", None)]
@@ -226,7 +227,8 @@ class Pairs:
     def _forces(self, along: Symbol, across: Symbol) -> tuple[Any, Any]:
         """Return the force of the air on the moving vehicle, across and along the thrust [N].
 
-        `along` and `across` are the airspeed along and across the thrust.
+        `along` and `across` are the airspeed along and across the thrust [m/s]. The force is zero
+        at zero airspeed; it is mainly drag.
         """
         keys = [("aerodynamics.force_x", None), ("aerodynamics.force_z", None)]
         moving = self._read(keys, along, across, 0.0, 0.0)
@@ -238,26 +240,32 @@ class Pairs:
 
         H is the power of a pair minus the terms of the prices (multipliers of momentum,
         displacement and kinetic energy). `points` holds the three coordinates of each pair, shape
-        (3, n): rotor speed (induced velocity for the power model `momentum`), airspeed along and
-        across the thrust. `numbers` are four numbers that follow from the prices, as `numbers`
-        returns them.
+        (3, n): rotor speed [rad/s] (induced velocity [m/s] for the power model `momentum`),
+        airspeed along and across the thrust [m/s]. `numbers` are the four numbers through which H
+        depends on the prices, from the method `numbers`; four zeros stand for no prices, so that H
+        is the power.
 
-        The result has the shape (8, n). Its rows are: H without the terms that are the same for all
-        pairs (`_constant`), thrust, rotor speed, margin, force of the air across and along the
-        thrust, power, and excess. `_of_rotors` explains margin and excess. H and power are reduced
-        by the excess where the margin is negative, so that they are valid for rotors with unequal
-        speeds.
+        The result has the shape (8, n). Its rows are: H [W] without the terms that are the same for
+        all pairs (`_constant`), thrust [N], rotor speed [rad/s], margin, force of the air across
+        and along the thrust [N], power [W], and excess [W]. Margin and excess tell whether, and by
+        how much, rotors with unequal speeds may take less power than rotors with equal speeds (see
+        `_of_rotors`). H and power are reduced by the excess where the margin is negative, so that
+        they are lower bounds for rotors with unequal speeds, too.
         """
         found = self._enclosure.at(points, (*numbers, 1.0))
         found[[0, 6]] -= np.where(found[3] >= 0.0, 0.0, found[7])
         return found
 
     def _fastest(self, scenario: Scenario) -> float:
-        """Return an airspeed that no flight from rest can exceed [m/s]; infinite if unknown.
+        """Return an upper limit on the airspeed of every flight that begins at rest [m/s].
 
-        The airspeed is limited by the scenario's speed limit plus the strongest wind, and by the
-        speed at which the drag equals the largest thrust plus the thrust that holds the vehicle
-        still (`standing`). Implements docs/theory/bound.md, eq. (22).
+        The search for the least value of the function H covers airspeeds up to this limit. It is
+        the smaller of two speeds. The first is the speed limit in `scenario` plus the speed of the
+        strongest wind. The second is the airspeed at which the drag equals the largest thrust plus
+        the length of `standing`, the thrust that holds the vehicle still: a vehicle cannot
+        accelerate beyond it. If the wind differs from place to place, the second speed is increased
+        accordingly. The result is infinite if the scenario has no speed limit and the drag never
+        becomes so large. Implements docs/theory/bound.md, eq. (22).
         """
         strongest = float(np.linalg.norm(self._winds, axis=1).max())
         allowed = inf if scenario.limits.speed_max is None else scenario.limits.speed_max
@@ -272,10 +280,11 @@ class Pairs:
         return min(allowed + strongest, max(terminal, float(np.linalg.norm(self._middle))) + apart)
 
     def _most_of_first(self) -> float:
-        """Return the upper limit of a pair's first coordinate: rotor speed or induced velocity.
+        """Return the upper limit of a pair's first coordinate, at the largest thrust.
 
-        A pair is a thrust and an airspeed. The limit is in rad/s for the rotor speed; for the power
-        model `momentum` it is the induced velocity in m/s.
+        A pair is a thrust and an airspeed. Its first coordinate is the rotor speed, and the limit
+        is in rad/s; for the power model `momentum` the first coordinate is the induced velocity,
+        and the limit is in m/s. The search over pairs covers the values from zero to this limit.
         """
 
         def excess(first: float) -> float:
@@ -289,10 +298,11 @@ class Pairs:
         """Return the four numbers through which the function H depends on the prices.
 
         H is the power of a pair of thrust and airspeed minus the terms of the prices, multipliers
-        of momentum, displacement and kinetic energy. Let p, w and eta be these three prices, and s
-        the thrust that holds the vehicle still (`standing` times `mass`). The numbers are, in
-        order: the length of p; the components of w - eta s along p and across p; and eta. `mass` is
-        the mass as a fraction of the mass at the start. See docs/theory/bound.md, eq. (16).
+        of momentum, displacement and kinetic energy. Let p, w and eta be these three multipliers,
+        given by `prices`, and s the thrust that holds the vehicle still (`standing` times `mass`).
+        The numbers are, in order: the length of p; the components of w - eta s along p and across
+        p; and eta. `mass` is the mass as a fraction of the mass at the start. See
+        docs/theory/bound.md, eq. (16).
         """
         displacement = prices.displacement - prices.motion * mass * self.standing
         size = float(np.linalg.norm(prices.momentum))
@@ -302,10 +312,13 @@ class Pairs:
         return size, float(prices.momentum @ displacement) / size, aside / size, prices.motion
 
     def _in_wind(self, prices: MotionPrices, wind: FloatArray) -> MotionPrices:
-        """Convert prices of a motion over ground to prices of the motion through air in a wind.
+        """Return the prices of one leg converted to the motion through the air in one wind.
 
-        Prices are multipliers of momentum, displacement and kinetic energy; only the price of
-        momentum changes. Implements docs/theory/bound.md, eq. (20).
+        `prices` are the multipliers of momentum, displacement and kinetic energy on the leg. The
+        kinetic energy in them is that of the motion relative to air that moves with the wind U, the
+        middle of the range of all winds of the mission. `wind` is the wind that blows, shape (3,)
+        [m/s]. Only the price of momentum changes: the price of kinetic energy times (wind - U) is
+        added. Implements docs/theory/bound.md, eq. (20).
         """
         return replace(prices, momentum=prices.momentum + prices.motion * (wind - self._middle))
 
@@ -313,10 +326,14 @@ class Pairs:
         return float(prices.momentum @ self.standing * mass - prices.displacement @ wind)
 
     def cheapest(self, prices: MotionPrices, mass: float) -> tuple[float, list[FloatArray]]:
-        """Sample the function H over all pairs and winds; return its least value and its minima.
+        """Search by sampling for the least value of H, and for the pairs of its local minima.
 
-        H is the power of a pair of thrust and airspeed minus the terms of the prices, multipliers
-        of momentum, displacement and kinetic energy (docstring of this module).
+        H is the power of a pair minus the terms of the prices, multipliers of momentum,
+        displacement and kinetic energy (docstring of this module). The range of all pairs is
+        sampled in each of the given winds (the corners of the polyhedron of winds), and the least
+        local minima are refined. The least value found may lie above the true minimum; `least`
+        returns a proven lower bound. Each returned pair becomes a constraint of the linear program
+        for the prices.
 
         Parameters
         ----------
@@ -328,12 +345,13 @@ class Pairs:
         Returns
         -------
         float
-            Least value found [W].
+            Least value of H found [W].
         list of ndarray, shape (8,)
             One array for each pair at one of the least local minima of H: the power of the pair
-            [W], then the gradient of H by the prices of momentum (3), displacement (3) and kinetic
-            energy (1). If the equations are symmetric about the vertical, arrays for copies of the
-            pair that are rotated about the vertical follow.
+            [W], then the derivatives of H with respect to the prices of momentum (3) [N],
+            displacement (3) [m/s] and kinetic energy (1) [W]. If the thrust that holds the vehicle
+            still (`standing`) is vertical, each array is followed by the arrays of seven copies of
+            its pair that are rotated about the vertical.
         """
         minima = []
         for wind in self._winds:
@@ -349,10 +367,11 @@ class Pairs:
     def least_through_air(
         self, prices: Sequence[MotionPrices], above: FloatArray, tolerance: float
     ) -> FloatArray:
-        """Return proven lower bounds on the function G, the least H in still air, shape (n,) [W].
+        """Return proven lower bounds on G, the least value of H in still air, shape (n,) [W].
 
         H is the power of a pair of thrust and airspeed minus the terms of the prices, multipliers
-        of momentum, displacement and kinetic energy. Implements docs/theory/bound.md, eq. (23).
+        of momentum, displacement and kinetic energy. G is its least value over all pairs. The
+        result has one bound for each item of `prices`. Implements docs/theory/bound.md, eq. (23).
 
         Parameters
         ----------
@@ -379,8 +398,9 @@ class Pairs:
         """Return thrust, force of the air, power and airspeed of many pairs, shape (6, n).
 
         The rows are: thrust [N]; force of the air along and across the thrust [N]; power [W];
-        airspeed along and across the thrust [m/s]. Pairs whose thrust is much larger or smaller
-        than the thrust of hover are left out, because cheap flights do not have them.
+        airspeed along and across the thrust [m/s]. The pairs lie on a grid over the range of their
+        three coordinates. Pairs whose thrust is much larger or smaller than the thrust of hover are
+        left out, because cheap flights do not have them.
         """
         sides = self._edges()
         axes = [np.linspace(a, b, count) for (a, b), count in zip(sides, _COARSE, strict=True)]
@@ -393,10 +413,17 @@ class Pairs:
         return np.asarray(found[:, kept])
 
     def _minima(self, prices: MotionPrices, mass: float) -> tuple[FloatArray, FloatArray]:
-        """Sample H; return its least local minima: coordinates, shape (3, n), and values [W].
+        """Find local minima of the function H over the pairs of thrust and airspeed, by sampling.
 
-        H is the power of a pair of thrust and airspeed minus the terms of the prices (multipliers).
-        The values exclude the terms of `_constant`, which are the same for all pairs.
+        H is the power of a pair minus the terms of the prices, multipliers of momentum,
+        displacement and kinetic energy. `prices` are the multipliers for the motion through the air
+        in one wind, from `_in_wind`; `mass` is the mass as a fraction of the mass at the start.
+
+        The first result holds the pairs at the minima, shape (3, n): rotor speed [rad/s] (induced
+        velocity [m/s] for the power model `momentum`), airspeed along and across the thrust [m/s].
+        The second result holds the values of H there [W], shape (n,), without the terms of
+        `_constant`, which are the same for all pairs. Only the n least of all local minima among
+        the samples are returned, at most `_CANDIDATES`.
         """
         from scipy.ndimage import minimum_filter  # noqa: PLC0415  not for every certificate
 
@@ -429,15 +456,20 @@ class Pairs:
     def _rows(
         self, at: FloatArray, prices: MotionPrices, mass: float, wind: FloatArray
     ) -> list[FloatArray]:
-        """Return power and gradient of H for a pair of thrust and airspeed and rotated copies.
+        """Return power and derivatives of H for a pair of thrust and airspeed, and rotated copies.
 
         H is the power of a pair minus the terms of the prices, multipliers of momentum,
-        displacement and kinetic energy. The pair has the orientation in space with the least H.
-        `at` has the three coordinates of the pair; `prices` are the prices of the motion through
-        the air in the wind `wind`, from `_in_wind`. Each item has shape (8,): the power [W], then
-        the gradient of H by the prices. Items for copies of the pair that are rotated about the
-        vertical follow the first item. The copies have the same power only if the thrust that holds
-        the vehicle still (`standing`) is vertical; otherwise there is only the first item.
+        displacement and kinetic energy. `at` has the three coordinates of the pair, shape (3,):
+        rotor speed (induced velocity for the power model `momentum`), airspeed along and across the
+        thrust. These leave open how the pair is turned in space; it is turned such that H is least.
+        `prices` are the prices of the motion through the air in the wind `wind` [m/s], from
+        `_in_wind`, and `mass` is the mass as a fraction of the mass at the start.
+
+        Each item of the result has shape (8,): the power [W], then the derivatives of H with
+        respect to the prices of momentum (3) [N], displacement (3) [m/s] and kinetic energy (1)
+        [W]. The first item belongs to the pair, the others to copies that are rotated about the
+        vertical. The copies have the same power only if the thrust that holds the vehicle still
+        (`standing`) is vertical; otherwise there is only the first item.
         """
         momentum, displacement = (
             prices.momentum,
@@ -462,9 +494,11 @@ class Pairs:
         """Return a proven lower bound on H over all pairs and winds, by branch and bound [W].
 
         H is the power of a pair of thrust and airspeed minus the terms of the prices, multipliers
-        of momentum, displacement and kinetic energy (docstring of this module). The bound is within
-        ``tolerance`` [W] of the least value. H is concave in the wind, so the corners of the
-        polyhedron of winds suffice: docs/theory/bound.md, eq. (20).
+        of momentum, displacement and kinetic energy (docstring of this module). `prices` are these
+        multipliers on one leg, and `mass` is the mass as a fraction of the mass at the start. The
+        bound is at most ``tolerance`` [W] below the least value, unless the search ends early
+        because of its effort. H is concave in the wind, so the corners of the polyhedron of winds
+        suffice: docs/theory/bound.md, eq. (20).
         """
         sampled = self.cheapest(prices, mass)[0]
         proven = sampled
@@ -479,15 +513,15 @@ class Pairs:
     def _proven(self, numbers: FloatArray, sampled: FloatArray, tolerance: float) -> FloatArray:
         """Return proven lower bounds on the least value of H, for n sets of prices [W].
 
-        H is the power of a pair of thrust and airspeed minus the terms of the prices (multipliers).
-        The search is a branch and bound over boxes of pairs. It keeps the smallest value of H found
-        so far and ends if no box can contain a value that is smaller by more than `tolerance` [W],
-        or after a fixed number of boxes. H is taken here without the terms that are the same for
-        all pairs (`_constant`).
+        H is the power of a pair of thrust and airspeed minus the terms of the prices (multipliers),
+        here without the terms that are the same for all pairs (`_constant`). The search is a branch
+        and bound over boxes, which are ranges of the three coordinates of a pair. It keeps the
+        smallest value of H found so far and ends if no box can contain a value that is smaller by
+        more than `tolerance` [W], or after a fixed number of boxes.
 
-        `numbers` has the four numbers of each set of prices, from `numbers`, shape (4, n).
-        `sampled` has a value of H at some pair for each set, with which the search starts, shape
-        (n,). The result has shape (n,).
+        `numbers`, shape (4, n), has in each column the four numbers through which H depends on one
+        set of prices, from the method `numbers`. `sampled`, shape (n,), has for each set the value
+        of H at some pair [W], with which the search starts. The result has shape (n,).
         """
         cuts = [np.linspace(edge[0], edge[1], _FIRST_BOXES + 1) for edge in self._edges()]
         low = np.stack(np.meshgrid(*(c[:-1] for c in cuts), indexing="ij")).reshape(3, -1)
@@ -516,16 +550,18 @@ class Pairs:
     def _not_excluded(
         self, low: FloatArray, high: FloatArray, numbers: FloatArray, enough: FloatArray
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Return which boxes may contain a pair with H below ``enough`` that a flight can have.
+        """Return which boxes may contain a pair within the limits whose H is below ``enough``.
 
         A box is a range of the three coordinates of a pair of thrust and airspeed; H is the power
-        of a pair minus the terms of the prices (multipliers). This test by bounds on values alone
-        is much faster than `_box`, which also bounds slopes.
+        of a pair minus the terms of the prices (multipliers). The limits of the vehicle are the
+        largest thrust, the least rotor speed and the fastest airspeed. This test, which bounds the
+        values of H and of these quantities over each box, is much faster than `_box`, which also
+        bounds slopes.
 
         Parameters
         ----------
         low, high : ndarray, shape (3, n)
-            Lower and upper ends of the boxes.
+            Lower and upper ends of the boxes along the three coordinates.
         numbers : ndarray, shape (4, n)
             Four numbers that follow from the prices, as `numbers` returns them, for each box.
         enough : ndarray, shape (n,)
@@ -572,11 +608,12 @@ class Pairs:
         Returns
         -------
         under : ndarray, shape (n,)
-            Lower bound of H in each box.
+            Lower bound of H in each box [W].
         reached : ndarray, shape (n,)
-            H at a point of each box; infinite above the largest thrust.
+            H at one pair in each box [W], an upper bound on the least H; infinite if the thrust of
+            the pair exceeds the largest thrust.
         split : ndarray of int, shape (n,)
-            Axis along which to halve each box.
+            Index of the coordinate along which to halve each box.
         """
         given = np.vstack([numbers, is_alike])
         (under, _), slopes = self._enclosure.over(low, high, given)
@@ -651,11 +688,30 @@ def bound_of_pairs(
 def prices_of_pairs(
     pairs: Pairs, legs: Sequence[Leg], shared: Sequence[tuple[float, float]], power: float
 ) -> tuple[list[MotionPrices], _Program]:
-    """Return the prices that give the largest lower bound found, and the linear program for them.
+    """Search for the multipliers (prices) that give the largest lower bound on a flight's energy.
 
-    The bound is a lower bound on the energy of the flight. It is computed here from sampled pairs
-    of thrust and airspeed, and is not yet proven. The first result has the prices (multipliers) on
-    each leg. The parameters are those of `bound_of_pairs`.
+    The prices are multipliers of momentum, displacement and kinetic energy on each leg of the
+    flight. They are found by cutting planes, as `bound_of_pairs` explains. The bound is computed
+    here from sampled pairs of thrust and airspeed, and is therefore not yet proven.
+
+    Parameters
+    ----------
+    pairs : Pairs
+        Pairs of thrust and airspeed of the vehicle.
+    legs : sequence of Leg
+        Legs of the flight, from `legs.legs_of`.
+    shared : sequence of tuple of float
+        Least and greatest duration of each group of legs, from `legs.legs_of`, s.
+    power : float
+        Power of hover [W], to which tolerances are relative.
+
+    Returns
+    -------
+    list of MotionPrices
+        The best prices found, for each leg.
+    _Program
+        The linear program of the search; its method `bound` computes the lower bound for given
+        prices.
     """
     tolerance = POWER_TOLERANCE * power
     program = _Program(legs, shared, power, pairs.standing)
@@ -690,8 +746,10 @@ class _Program:
 
     Parameters
     ----------
-    legs, shared
-        Legs of the flight and limits on their durations, from `legs.legs_of`.
+    legs : sequence of Leg
+        Legs of the flight, from `legs.legs_of`.
+    shared : sequence of tuple of float
+        Least and greatest duration of each group of legs, from `legs.legs_of`, s.
     power : float
         Power of hover [W], to which tolerances are relative.
     standing : ndarray, shape (3,)
@@ -749,10 +807,12 @@ class _Program:
         self._limits.append(limit)
 
     def add(self, k: int, pair: FloatArray) -> None:
-        """Add the constraint that the least H of leg ``k`` is at most the value of H at a pair.
+        """Add a constraint: the least H of leg ``k`` is at most the value of H at a given pair.
 
-        H is the power of a pair of thrust and airspeed minus the terms of the prices (multipliers).
-        `pair` is an array from `Pairs.cheapest`: the power, then the gradient of H by the prices.
+        H is the power of a pair of thrust and airspeed minus the terms of the prices (multipliers),
+        a linear function of the prices. The least H of each leg and the prices are unknowns of the
+        program. `k` is the index of the leg. `pair` is an array from `Pairs.cheapest`, shape (8,):
+        the power of the pair [W], then the derivatives of H with respect to the prices.
         """
         mass, line = self._legs[k].mass, np.zeros(self.size)
         line[:3], line[self._of(self._displacement, k)] = -pair[1:4] / mass, -pair[4:7]
@@ -763,8 +823,11 @@ class _Program:
     def solve(self) -> tuple[FloatArray, float]:
         """Solve the linear program; return its unknowns at the optimum, and the optimal value [J].
 
-        The program holds only the pairs of thrust and airspeed that are known. Its optimal value is
-        therefore not below any lower bound on the energy that multipliers can give.
+        The unknowns, shape (size,), are the prices (multipliers), from which `prices` makes the
+        prices on each leg, and auxiliary variables. The program has constraints only for the pairs
+        of thrust and airspeed that are known so far. Its optimal value is therefore not below any
+        lower bound on the energy that multipliers can give. The search for prices ends when the
+        best bound found is close to this value.
         """
         limits = np.full((self.size, 2), [-inf, inf])
         limits[: self._least] = np.stack([-self._dearest, self._dearest], axis=1)
@@ -775,7 +838,10 @@ class _Program:
         return found.x, -float(found.fun)
 
     def prices(self, solution: FloatArray) -> list[MotionPrices]:
-        """Return the prices (multipliers) on each leg from the unknowns of the program."""
+        """Return the prices (multipliers) on each leg from the unknowns of the linear program.
+
+        `solution` holds the values of all unknowns, shape (size,), as `solve` returns them.
+        """
         return [
             MotionPrices(
                 momentum=solution[:3] / leg.mass,
@@ -786,10 +852,15 @@ class _Program:
         ]
 
     def bound(self, prices: Sequence[MotionPrices], least: FloatArray) -> float:
-        """Return the lower bound on the energy [J] for given multipliers (prices) on each leg.
+        """Return the lower bound on the flight's energy [J] that given prices (multipliers) prove.
 
-        `least` holds the least H of each leg, shape (n_legs,), W. H is the power of a pair of
-        thrust and airspeed minus the terms of the prices.
+        `prices` are the multipliers of momentum, displacement and kinetic energy on each leg.
+        `least` holds for each leg the least value of H, or a lower bound on it, shape (n_legs,)
+        [W]; H is the power of a pair of thrust and airspeed minus the terms of the prices. The
+        bound is the sum of two parts: for each leg, the price of displacement times the
+        displacement, less what the allowed distance from the nominal waypoints can save; for each
+        group of legs, its duration times the least H of its legs, at the least or the greatest
+        duration, whichever gives less.
         """
         found = sum(
             float(p.displacement @ leg.displacement)

@@ -96,11 +96,12 @@ class PlacePrices:
 
     @classmethod
     def of(cls, prices: MotionPrices, middle: FloatArray) -> PlacePrices:
-        """Return the prices that are equal at all places, from prices for a range of winds.
+        """Make the prices that are equal at all places of a field from prices for some winds.
 
-        Prices are Lagrange multipliers, from which a lower bound on the energy follows; `prices`
-        are those of `study.pairs`. Their price of momentum refers to the wind `middle`, shape (3,)
-        [m/s], in the middle of the range; it is converted to still air.
+        Prices are Lagrange multipliers, from which a lower bound on the energy follows. `prices`
+        are multipliers that `study.pairs` found for a range of winds. Their price of momentum
+        refers to the wind `middle`, shape (3,) [m/s], in the middle of the range; it is converted
+        to still air.
         """
         return cls(
             offset=prices.momentum - prices.motion * middle,
@@ -127,10 +128,15 @@ class PlacePrices:
             Takes a sequence of n prices of motions through the air; returns G, or lower bounds on
             G, shape (n,) [W].
         sizes : ndarray, shape (n_sizes,)
-            Horizontal lengths of the price of momentum [W/N].
+            Lengths of the horizontal part of the price of momentum [W/N], increasing.
         lengths : ndarray, shape (_DIRECTIONS, n_lengths)
             Lengths of the horizontal gradient in each direction [N], of which the first is zero.
             The directions are equally spaced over half a turn from the price of momentum.
+
+        Returns
+        -------
+        GradientTable
+            The values of G, or the lower bounds on G, at all combinations of `sizes` and `lengths`.
         """
         angles = np.pi * np.arange(_DIRECTIONS) / (_DIRECTIONS - 1)
         aside = lengths[..., None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)[:, None]
@@ -157,8 +163,8 @@ class GradientTable:
 
     G is the least value, over all combinations of thrust and airspeed, of the power minus terms
     with the multipliers (prices) of momentum, displacement and kinetic energy. The gradient of the
-    potential is the price of horizontal displacement. From G follows which gradients a lower bound
-    on the energy of flights allows.
+    potential is the price of horizontal displacement. A lower bound on the energy of flights may
+    use only potentials with a limited gradient; `gradients` computes these limits from G.
 
     Attributes
     ----------
@@ -216,13 +222,14 @@ class GradientTable:
 
 
 def _last_positive(at: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the arguments at which concave functions fall to zero, from samples.
+    """Return where concave functions fall to zero, from samples of the functions.
 
     `GradientTable.gradients` finds in this way the largest allowed length of a gradient in each
-    direction. The functions are positive at their first sample, and are interpolated linearly. For
-    a function that is positive at all samples, the result is the last argument. `at` has the
-    arguments of the samples, shape (m, k), and `values` the values of n m functions, shape (n, m,
-    k). The result has shape (n, m).
+    direction. `at` has the k arguments of the samples in each of m directions, increasing, shape
+    (m, k). `values`, shape (n, m, k), has the samples of n functions in each direction; the first
+    sample of each function is positive. Between samples the functions are interpolated linearly.
+    The result, shape (n, m), has the argument at which each function is zero or, if all its samples
+    are positive, the last argument.
     """
     last = np.sum(np.cumprod(values > 0.0, axis=-1), axis=-1, dtype=int) - 1
     after = np.minimum(last + 1, at.shape[1] - 1)
@@ -251,8 +258,8 @@ class Sampled:
     def __call__(self, prices: Sequence[MotionPrices]) -> FloatArray:
         """Return approximate values of the function G for n sets of prices, shape (n,) [W].
 
-        Prices are multipliers of momentum, displacement and kinetic energy of a motion through the
-        air. G is the least power of such a motion minus the terms of the prices.
+        `prices` holds n sets of multipliers of momentum, displacement and kinetic energy of a
+        motion through the air. G is the least power of such a motion minus the terms of the prices.
         """
         thrust, lift, aside, power, along, across = self._samples
         drag = -(aside * across + lift * along)
@@ -301,9 +308,9 @@ class Places:
     def _shares(self, place: FloatArray) -> list[tuple[int, float]]:
         """Return the nodes of the triangle of the grid that contains a place, with their weights.
 
-        The weights are the barycentric coordinates of the place. A potential at the place is the
-        sum of its values at these nodes, each times its weight. Each item of the result is (index
-        of node, weight).
+        `place` is a position, of which only x and y count [m]. The weights are its barycentric
+        coordinates in the triangle. A potential at the place is the sum of its values at these
+        nodes, each times its weight. Each item of the result is (index of node, weight).
         """
         cell, shares = [], []
         for axis, at in zip((self._columns.x, self._columns.y), place, strict=False):
@@ -327,9 +334,10 @@ class Places:
         Parameters
         ----------
         gradients : ndarray, shape (4 * n_cells, n, 2)
-            Corners of polygons that contain the allowed gradients [N]: one polygon of n corners for
-            each of the winds `corners`, four for each cell of the grid that a flight may enter. The
-            gradient in a cell must be inside all four polygons of the cell.
+            Corners of polygons that contain the allowed gradients [N]. Each cell of the grid that a
+            flight may enter has four polygons of n corners, one for each corner of the rectangle of
+            winds in the cell (attribute `corners`). The gradient of the potential in the cell must
+            be inside all four polygons.
         """
         cell, normals, most = _common_edges(gradients.reshape(*self.corners.shape[:2], -1, 2))
         i, j = (part[cell] for part in np.nonzero(self._columns.is_open))
@@ -428,14 +436,15 @@ class _Search:
         return found + self._tolerance * np.arange(len(found)) / len(found)
 
     def _bound(self, prices: PlacePrices, table: GradientTable) -> float:
-        """Return the lower bound on the energy that follows from a table of allowed gradients [J].
+        """Return the lower bound on the energy that follows from a table of the function G [J].
 
         A potential is a function of the horizontal place whose rise from start to goal gives a
         lower bound on the energy of every flight. A gradient of the potential is allowed in a wind
         if the power of every motion in this wind is at least the rate at which the motion gains
-        potential, plus the terms of the multipliers `prices`. `table` has the function G, from
-        which the allowed gradients follow. The result is minus infinity if the gradient zero is not
-        allowed in one of the winds of the field.
+        potential, plus the terms of the multipliers `prices`. `table` has the function G, the least
+        power of a motion minus the terms of the prices, from which the allowed gradients follow.
+        The result is minus infinity if the gradient zero is not allowed in one of the winds of the
+        field.
         """
         gradients = table.gradients(prices, self._winds)
         if gradients is None:
@@ -444,12 +453,13 @@ class _Search:
         return self._places.rise(gradients) + prices.climb * self._places.climb + spent
 
     def with_power(self, prices: PlacePrices) -> PlacePrices | None:
-        """Return prices whose `power` maximises the approximate bound; None if they give no bound.
+        """Return prices with the `power` that gives the largest approximate bound on the energy.
 
-        Prices are multipliers, from which a lower bound on the energy follows; `power` is the power
-        that every motion spends in addition to the terms of the prices. The bound is a concave
-        function of it. If the least duration is less than half the greatest duration, `power`
-        remains zero.
+        `prices` are multipliers from which the lower bound follows, with the attribute `power`
+        zero. The attribute is the power that every motion spends at least, in addition to the terms
+        of the multipliers; only this attribute is changed. If the least duration is less than half
+        the greatest duration, the duration counts as free, and `power` remains zero. The result is
+        None if these multipliers give no bound.
         """
         table = prices.table(self._sampled, self._sizes(prices), self._lengths)
         most = float(table.values[:, 0, 0].min())

@@ -111,7 +111,10 @@ def _cores(most: int, *, use_blas: bool) -> int:
 
 @contextmanager
 def process_pool(count: int) -> Iterator[Executor]:
-    """Context manager: pool of ``count`` spawned processes, all of which end after the block."""
+    """Context manager: pool of ``count`` new (spawned) processes, which end with the block.
+
+    Each process uses one thread. It is killed at the end of the block, even while it works.
+    """
     with environment_of_workers():
         pool = pool_of(count)
         try:
@@ -146,7 +149,7 @@ _work: Callable[[], Any] | None = None
 
 
 def _begin(work: Callable[[], Any] | None) -> None:
-    """Initialise a process of a pool.
+    """Initialise a process of a pool; called once in each of its processes.
 
     The process keeps `work`, the function that it later calls (None for no function). SIGTERM ends
     the process, and a thread ends it when its parent process ends.
@@ -163,13 +166,17 @@ def _at_work() -> Any:  # noqa: ANN401  the answer of any work
 
 
 def pool_of(count: int) -> Executor:
-    """Return a pool of ``count`` spawned processes."""
+    """Return a pool of ``count`` new (spawned) processes, which the caller must end.
+
+    `end_processes` ends them. Processes are spawned, not forked, because Ipopt and BLAS do not work
+    in a forked copy of a process with threads.
+    """
     # Spawned, not forked: Ipopt and BLAS do not survive a fork with threads.
     return _pool(count, "spawn")
 
 
 def end_processes(pool: Executor) -> None:
-    """Kill the processes of a pool and shut it down."""
+    """Kill the processes of a pool at once, even while they work, and shut the pool down."""
     # Python has a public method for this from 3.14 on.
     processes = list((getattr(pool, "_processes", None) or {}).values())
     for process in processes:

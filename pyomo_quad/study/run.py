@@ -397,7 +397,9 @@ def _priced(
     flight is the plan itself and keeps its own costates, which are valid in the forecast wind. The
     other flights were simulated in the actual wind. If the actual wind differs from the forecast,
     another plan is solved for the actual wind, and its costates are used for the other flights.
-    Without a forecast all flights keep the plan's costates.
+    Without a forecast all flights keep the plan's costates. `flights` are the flights of the run,
+    `scenario` is its scenario, `planner` solves the other plan, and `progress` is called at each
+    Ipopt iteration of this solve.
     """
     if scenario.wind.forecast is None or not flights:
         return flights
@@ -412,7 +414,10 @@ def _adaptation(
 ) -> pd.DataFrame | None:
     """Simulate a run's mission with and without the controller's adaptation to the wind.
 
-    The result is the table of `adaptation_study`; None in calm air and on failure.
+    `scenario` is the mission of the run. `optimum` is the flight of its plan, whose table tells
+    whether there is wind; None if there is no such flight. `dynamics` are the vehicle's dynamics in
+    the actual wind. The result is the table of `adaptation_study`; None without a flight of the
+    plan, in calm air and on failure.
     """
     if optimum is None or not set(WIND) <= set(optimum.frame):
         return None

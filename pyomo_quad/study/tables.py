@@ -18,7 +18,11 @@ class TableColumn(StrEnum):
     read: Callable[[Any], object]
 
     def __new__(cls, name: str, read: Callable[[Any], object] = str) -> Self:
-        """Make a column of a table; ``read`` returns the column's value for the object of a row."""
+        """Make a column of a table, with the heading `name`.
+
+        `read` takes the object of which a row of the table is made, and returns the row's value in
+        this column.
+        """
         column = str.__new__(cls, name)
         column._value_ = name
         column.read = read
@@ -26,7 +30,11 @@ class TableColumn(StrEnum):
 
     @classmethod
     def of_rows(cls, rows: Sequence[Any]) -> "pd.DataFrame":
-        """Return a table from its rows, each a sequence of values in order or a dict by column."""
+        """Return a table from its rows.
+
+        Each row in `rows` is a sequence of values in the order of the columns, or a mapping from
+        columns to values.
+        """
         import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
         return pd.DataFrame(rows, columns=[column.value for column in cls])

@@ -158,9 +158,11 @@ class CaseOutcome:
     def of(cls, task: CaseTask, result: CaseResult) -> "CaseOutcome":
         """Make the row of a sweep's case from the result that the case solver returned.
 
-        Values that are not finite or exceed `LARGEST_OUTPUT` are dropped, because JSON has no NaN.
-        If the result holds no warm start, for example after a failure, the row holds the warm start
-        that the case received, so that the children of the case have an initial guess, too.
+        `task` is the input of the case, and `result` holds its output values, its solution and the
+        reason of a failure. Values that are not finite or exceed `LARGEST_OUTPUT` are dropped,
+        because JSON has no NaN. If the result holds no warm start, for example after a failure, the
+        row holds the warm start that the case received, so that the children of the case, which are
+        solved after it, have an initial guess, too.
         """
         # Columns whose value is NaN or infinite are left out, because JSON has no NaN.
         finite = {n: float(v) for n, v in result.values.items() if abs(v) <= LARGEST_OUTPUT}
@@ -175,14 +177,17 @@ class CaseOutcome:
 
     @classmethod
     def failure(cls, task: CaseTask, reason: str) -> "CaseOutcome":
-        """Make the row of a sweep's case whose solve failed, without output values."""
+        """Make the row of a sweep's case whose solve failed, without output values.
+
+        `task` is the input of the case, and `reason` says in words why the solve failed.
+        """
         return cls.of(task, CaseResult(values={}, reason=reason))
 
     @classmethod
     def loss(cls, task: CaseTask) -> "CaseOutcome":
         """Make the row of a sweep's case that was lost because its worker process died.
 
-        A resumed sweep solves a lost case again.
+        A resumed sweep solves a lost case again. `task` is the input of the case.
         """
         reason = "its worker died, also when it was tried alone; run the same command to try again"
         return replace(cls.failure(task, reason), status=CaseStatus.LOST)
@@ -252,8 +257,9 @@ _ERROR_DIGITS = 2
 class _Flown:
     """Flight of a sweep's case, with its plan and scenario.
 
-    The properties are quantities of the flight from which the output columns of the sweep are
-    computed.
+    `plan` is the plan of the case or, if each case flies the base case's plan, of the base case;
+    `scenario` is the scenario of the case. The properties are quantities of the flight from which
+    the output columns of the sweep are computed.
     """
 
     flight: Flight
@@ -498,7 +504,12 @@ def _optimise(task: CaseTask, scenario: Scenario) -> CaseResult:
 
 
 def _fly_base_plan(task: CaseTask, scenario: Scenario) -> CaseResult:
-    """Simulate a controller that tracks the base case's plan in the scenario of another case."""
+    """Simulate a controller that tracks the base case's plan in the scenario of another case.
+
+    `task` is the input of the case, with the base scenario of the sweep; `scenario` is the scenario
+    of the case. The result holds the output columns of the flight. It is a failure if the base
+    case's plan is not verified or if two integrators disagree on the flight.
+    """
     base = Scenario.model_validate_json(task.base)
     plan = _BENCH.base_plan(base, task.base)
     if not plan.is_verified:
@@ -514,7 +525,7 @@ def _fly_base_plan(task: CaseTask, scenario: Scenario) -> CaseResult:
 
 @dataclass
 class _Bench:
-    """Planner, and plan of the sweep's base case, that one worker keeps from case to case.
+    """Planner and base case's plan that one worker of a sweep keeps from case to case.
 
     The planner keeps the compiled model, so that later cases need not compile it again. A thread of
     the worker must hold `lock` while it uses them.
@@ -527,8 +538,9 @@ class _Bench:
     def plan(self, scenario: Scenario, warm_start: bytes | None) -> Plan:
         """Plan a case's flight, starting from the solution of a neighbouring case (its parent).
 
-        If the plan from this warm start is not verified, or there is no warm start, the case is
-        solved from the planner's own initial guess.
+        `scenario` is the scenario of the case. `warm_start` is the packed solution of the parent;
+        None without one. If the plan from this warm start is not verified, or there is no warm
+        start, the case is solved from the planner's own initial guess.
         """
         parent = unpack(warm_start) if warm_start is not None else None
         if parent is not None:

@@ -118,7 +118,11 @@ def draw_curves(curves: Sequence[Curve], field: str, quantities: Sequence[Quanti
 
 
 def _pairs(count: int, **layout: Any) -> tuple[Figure, np.ndarray]:  # noqa: ANN401
-    """Make a figure with `count` panels in two columns; hide an unused last panel."""
+    """Make a figure with `count` panels in two columns; hide an unused last panel.
+
+    `layout` holds further arguments of `panel_grid`, such as the height of a panel. The results are
+    the figure and the array of its panels, shape (rows, columns).
+    """
     columns = min(2, count)
     figure, panels = panel_grid(ceil(count / columns), columns, **layout)
     for axes in panels.flat[count:]:
@@ -129,10 +133,11 @@ def _pairs(count: int, **layout: Any) -> tuple[Figure, np.ndarray]:  # noqa: ANN
 def _plot(
     axes: Axes, rows: pd.DataFrame, of: tuple[Quantity, Quantity], style: LineStyle, **look: object
 ) -> None:
-    """Draw one quantity of a sweep against another, with a marker at each case.
+    """Draw one quantity of a sweep against another into a panel, with a marker at each case.
 
-    `rows` are the cases. `of` holds the quantity on the horizontal axis and the quantity on the
-    vertical axis. `look` holds further arguments of `Axes.plot`.
+    `axes` is the panel, and `rows` are the rows of the result table to draw, one for each case.
+    `of` holds the quantity on the horizontal axis and the quantity on the vertical axis. `style`
+    gives colour, dashes and marker; `look` holds further arguments of `Axes.plot`.
     """
     over, quantity = of
     marked = style.line | {"marker": style.marker, "markersize": 3.0}
@@ -319,7 +324,10 @@ def rose_range(curves: Sequence[Curve], quantity: Quantity) -> tuple[float, floa
 def _closed(rows: pd.DataFrame, field: str) -> pd.DataFrame:
     """Repeat the first direction's row at the end, so that the curve of a wind rose is closed.
 
-    A curve stays open if the directions leave a gap of more than 1.5 times their greatest step.
+    `rows` are the cases of one curve, in the order of increasing wind direction; `field` is the
+    column of the direction [rad]. In the repeated row the direction is larger by a full turn. The
+    rows are returned unchanged, and the curve stays open, if the gap between the last and the first
+    direction exceeds 1.5 times the greatest step between directions.
     """
     directions = rows[field].to_numpy(dtype=float)
     steps = np.diff(directions)

@@ -74,7 +74,11 @@ def _silence_dask() -> None:
 
 
 class _Threads:
-    """Counter of a Dask cluster's worker threads; the number is updated every `WATCH_SECONDS`."""
+    """Counter of a Dask cluster's worker threads, each of which can solve one case at a time.
+
+    `client` is the connection to the cluster, and `address` its address for error messages. The
+    cluster is asked for the number at most once in `WATCH_SECONDS`.
+    """
 
     def __init__(self, client: "Client", address: str) -> None:
         self._client = client

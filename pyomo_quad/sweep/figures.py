@@ -168,8 +168,9 @@ class _Figures:
     def _curves_along(self, field: str) -> tuple[list[Curve], str]:
         """Select the curves that a chart against a scenario field shows.
 
-        A curve holds the cases that differ in this field only. If there are more than
-        `_MOST_CURVES`, the selected curves are spread evenly over all curves.
+        `field` is the dotted path of the field. A curve holds the cases that differ in this field
+        only. If there are more than `_MOST_CURVES`, the selected curves are spread evenly over all
+        curves.
 
         Returns
         -------

@@ -91,10 +91,10 @@ def write_sweep_report(
 
 
 def _outcome(results: SweepResults) -> dict[str, Any]:
-    """Compute the variables of the report's template that need at least one finished case, by name.
+    """Compute the variables of the report's template that need at least one finished case.
 
-    They are the numbers of flights that did not arrive, the quantiles of each quantity, the best
-    durations, and the sensitivities.
+    `results` is the result table of the sweep. The variables, by name, are the numbers of flights
+    that did not arrive, the quantiles of each quantity, the best durations, and the sensitivities.
     """
     quantities = [output_quantity(column) for column in results.design.report_on]
     spans = [one.of(results.finished).dropna().quantile(_QUANTILES) for one in quantities]
@@ -110,6 +110,8 @@ def _outcome(results: SweepResults) -> dict[str, Any]:
 
 def _reasons(failed: pd.DataFrame) -> list[tuple[str, list[Any]]]:
     """Group the failed cases of a sweep by reason, the most frequent reason first.
+
+    `failed` has the rows of the result table whose case failed.
 
     Returns
     -------
@@ -163,7 +165,9 @@ def _sensitivities(
 ) -> Iterator[dict[str, Any]]:
     """Yield the range of each quantity as each scenario field varies, for the report's template.
 
-    A quantity is left out if fewer than two fields can be compared.
+    `results` is the result table of the sweep, and `quantities` are the output columns that the
+    report draws. Each item holds the variables for one quantity. A quantity is left out if fewer
+    than two fields can be compared.
     """
     for quantity in quantities:
         found = results.sensitivities(quantity.column)
@@ -178,9 +182,13 @@ def _sensitivities(
 
 
 def _best_durations(results: SweepResults, quantity: Quantity) -> Iterator[dict[str, Any]]:
-    """Yield the duration at which a quantity is least, for each combination of the other fields.
+    """Yield the mission duration at which a quantity is least, for the report's template.
 
-    Yields nothing if the sweep does not vary the mission's duration.
+    `results` is the result table of the sweep, and `quantity` is the output column to minimise.
+    There is one item for each combination of the other fields that vary. It holds their values, the
+    best duration with the quantity there, the quantity at the base scenario's duration, and the
+    shortest duration that was solved. Nothing is yielded if the sweep does not vary the mission's
+    duration.
     """
     along = results.dimension_of(DURATION_FIELD)
     if along is None:

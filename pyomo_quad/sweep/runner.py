@@ -190,8 +190,9 @@ class Sweep:
     def _next_of(self, cases: list[Case]) -> list[Case]:
         """Replace each case that has already ended by its nearest descendants without a result.
 
-        The children of a case are the cases that start from its solution. Its descendants are its
-        children, the children of these, and so on.
+        In this way a resumed sweep continues below the cases of which it already has results.
+        `cases` are cases of the sweep. The children of a case are the cases that start from its
+        solution. Its descendants are its children, the children of these, and so on.
 
         Returns
         -------
@@ -222,8 +223,10 @@ class Sweep:
     def _commit(self, outcome: CaseOutcome) -> list[Case]:
         """Store the row of a case that ended, and return the cases that can be solved now.
 
-        These are the children of the case that ended: neighbouring cases whose solves start from
-        its solution. Warm starts that no case needs any more are deleted from the store.
+        `outcome` is the row of the case that ended. The cases that can be solved now are its
+        children: neighbouring cases whose solves start from its solution. A child that has a result
+        already is replaced by its own children. Warm starts that no case needs any more are deleted
+        from the store.
         """
         case = self._cases[outcome.position]
         is_settled = outcome.status is not CaseStatus.LOST
@@ -243,11 +246,11 @@ class Sweep:
     def _forget_descendants(self, case: Case) -> list[str]:
         """Invalidate the results of a case's descendants if an earlier run lost the case.
 
-        The children of a case are the cases whose solves start from its solution; its descendants
-        are its children, the children of these, and so on. When a case is lost because its worker
-        process died, its children start from the solution of its parent instead.
-        Now that the case is solved, its descendants are solved again, so that all rows equal those
-        of a sweep in which no worker died.
+        `case` is a case that is now solved. The children of a case are the cases whose solves start
+        from its solution; its descendants are its children, the children of these, and so on. When
+        a case is lost because its worker process died, its children start from the solution of its
+        parent instead. Now that the case is solved, its descendants are solved again, so that all
+        rows equal those of a sweep in which no worker died.
 
         Returns
         -------
@@ -339,7 +342,7 @@ class SweepEstimate:
     seconds_per_case: float
 
     def seconds(self, workers: int) -> float:
-        """Return the estimated remaining time [s] on a number of workers that are always busy."""
+        """Return the estimated remaining time [s] if `workers` workers are always busy."""
         return self.missing * self.seconds_per_case / workers
 
 

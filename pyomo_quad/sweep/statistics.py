@@ -242,14 +242,16 @@ class SweepResults:
         Parameters
         ----------
         across, up : Dimension
-            Dimensions of the table's columns and rows, represented by the first field of each.
+            Dimension whose values head the table's columns, and dimension whose values head its
+            rows. A dimension of several fields is represented by its first field.
         quantity : str
             Output column.
 
         Returns
         -------
         DataFrame
-            Field values ascend in both directions; NaN where no case finished.
+            Values of the quantity. The field values of columns and rows ascend; NaN where no case
+            finished.
         """
         rows = _matching(self.finished, self.beside(across, up))
         plane = rows.pivot_table(index=up.paths[0], columns=across.paths[0], values=quantity)

@@ -381,6 +381,12 @@ def _as_field_type(value: object, tables: Mapping[str, Any], path: str) -> Any: 
         The base scenario as nested mappings.
     path : str
         Dotted path of the field.
+
+    Returns
+    -------
+    object
+        The number as float or int, like the field's value in the base scenario; the given value if
+        no exact conversion is possible.
     """
     present = value_at(tables, *(parse_path(path) or ()))
     if isinstance(present, bool) or isinstance(value, bool):
