@@ -189,7 +189,9 @@ class RouteFlights:
         """
         is_first = not self._begun and self._is_pruned and not self._mission.easier
         if is_first and solution.status.is_solved and self._scenario.solver.max_refinements > 0:
-            self._begun[number] = self._mission.until_usable(solution)
+            refined = self._mission.until_usable(solution)
+            if refined is not solution:
+                self._begun[number] = refined
 
     def _most(self, most: int, error: float) -> int:
         """Return how many of the cheapest journeys are to be solved on a finer mesh.
