@@ -87,6 +87,20 @@ def plan(file, told):
     return {"s": spent, "ended": found.status.value, "energy_J": found.energy}
 
 
+def usable(file, told):
+    """Solve a scenario to its first usable plan; to its end where a package knows of none."""
+    from pyomo_quad.flight import Planner
+
+    scenario, states, watched = scenario_of(file, told), [], {}
+    if "show" in inspect.signature(Planner.solve).parameters:
+        watched["show"] = states.append
+        watched["progress"] = lambda _line: not (states and states[-1].has_usable)
+    started = time.process_time()
+    found = Planner().solve(scenario, **watched)
+    spent = time.process_time() - started
+    return {"s": spent, "ended": found.status.value, "energy_J": found.energy}
+
+
 def ducted_fan(_file, _told):
     """Turn a planar ducted fan 1 m aside at a price of time, refined to 1e-6.
 
