@@ -184,7 +184,9 @@ class _Refinement(Generic[S]):
         error = max(e.largest for e in errors)
         self.records.append(_record(known, error))
         history = tuple(self.records)
-        solution = self._shown(known.updated(error_estimate=error, history=history))
+        # Ipopt converged, even if an earlier refinement ended above its tolerance.
+        done = {"status": Status.CONVERGED, "error_estimate": error, "history": history}
+        solution = self._shown(known.updated(**done))
         return self._advanced(solution, errors) if solution.status is Status.CONVERGED else solution
 
     def _advanced(self, solution: S, errors: tuple[ErrorEstimate, ...]) -> S | None:

@@ -203,3 +203,15 @@ def test_a_known_solution_within_the_tolerance_is_the_result():
     )
     assert (again.objective, again.mesh) == (known.objective, known.mesh)
     assert not solved
+
+
+def test_a_refinement_that_ended_above_its_tolerance_can_be_continued():
+    problem = collocation.compile(bryson_denham.build())
+    cut = problem.solve(
+        mesh=Mesh.uniform(3, 3), tolerance=1e-6, refinement=RefinementOptions(max_meshes=2)
+    )
+    assert cut.status is Status.TOLERANCE_NOT_MET
+    told = {"mesh": cut.mesh, "warm_start": cut, "tolerance": 1e-6}
+    continued = problem.solve(**told, refinement=RefinementOptions(known=cut))
+    assert continued.status is Status.CONVERGED
+    assert continued.objective == pytest.approx(4.0 / (9.0 * bryson_denham.WALL), rel=1e-5)
