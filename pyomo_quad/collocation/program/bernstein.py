@@ -126,9 +126,10 @@ class BernsteinRows:
     def scales(self, own: Scaling) -> FloatArray:
         """Return scaling factors of the bounds on coefficients, shape (n_coefficients,).
 
-        `own` is the scaling of the program to which the bounds are added. If the unknowns are
-        scaled by its factors, and each bound on a coefficient by the result, the largest absolute
-        entry in each of the bounds' rows of the scaled constraint matrix is 1.
+        `own` is the scaling of the program to which the bounds are added. The bound on a
+        coefficient is a linear constraint. The factor of the constraint is chosen so that the
+        largest absolute derivative of the scaled constraint with respect to the scaled unknowns
+        is 1.
         """
         rows = self.coefficients
         entries = np.abs(rows.data) / own.unknowns[rows.indices]
@@ -138,16 +139,17 @@ class BernsteinRows:
         """Estimate by how much the bounds on Bernstein coefficients raise the objective.
 
         A polynomial may satisfy a bound while one of its Bernstein coefficients would exceed it.
-        The increase of the objective by the bound on that coefficient is estimated as the
-        multiplier of its bound times the distance between the coefficient and the value of the
-        polynomial at the coefficient's abscissa.
+        To bound that coefficient then raises the objective without need. The increase is estimated
+        as the multiplier of the coefficient's bound, times the distance between the coefficient and
+        the value of the polynomial at the coefficient's abscissa.
 
         Parameters
         ----------
         result : IpoptResult
-            Solution of the program to which these constraints were appended.
+            Solution of the program whose last constraints are these bounds on coefficients.
         gap : float
-            Complementarity gap of that solution, in the unit of the objective.
+            Complementarity gap of that solution, in the unit of the objective: the sum of
+            multipliers times slacks over all inequalities.
         elements : int
             Number of elements of the mesh.
 

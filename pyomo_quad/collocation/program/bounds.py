@@ -1,6 +1,8 @@
 """Bounds and scaling of a nonlinear program, and errors for programs that cannot be solved.
 
-Scaling: see docs/theory/refinement.md, eqs. (12) to (15).
+The scaling divides each unknown by its magnitude. The scaling factors of the constraints and of the
+objective follow from their derivatives at a point: see docs/theory/refinement.md, eqs. (12) to
+(15).
 """
 
 from __future__ import annotations
@@ -64,7 +66,8 @@ def bounds_of(
         Fraction of the horizon, time-dependent parameters and constant parameters, at the start of
         the horizon and just after each jump of a parameter.
     fixed : dict
-        Values of variables fixed at declared times, by (variable name, fraction of the horizon).
+        Values of variables fixed at declared times (members of the continuous set), by (variable
+        name, fraction of the horizon).
     left_out : frozenset of str, optional
         Names of conditions (constraints at single declared times) that are not imposed.
 
@@ -112,7 +115,8 @@ def limits_of(
         Fraction of the horizon, time-dependent parameters and constant parameters, at the start of
         the horizon and just after each jump of a parameter.
     fixed : dict
-        Values of variables fixed at declared times, by (variable name, fraction of the horizon).
+        Values of variables fixed at declared times (members of the continuous set), by (variable
+        name, fraction of the horizon).
 
     Returns
     -------
@@ -240,9 +244,10 @@ def _refuse_crossed(program: Transcription, lower: FloatArray, upper: FloatArray
 def _refuse_crossed_times(program: Transcription) -> None:
     """Raise an error if the bounds of free times contradict the order of these times.
 
-    A free time is a static variable that gives the physical time of a declared time. The order is
-    contradicted if the least value of one declared time is not below the greatest value of a later
-    declared time.
+    A declared time is a member of the continuous set. A free time is a static variable (a variable
+    without time) that gives the physical time of a declared time. The order is contradicted if the
+    least value that the bounds permit for one time is not below the greatest value that they permit
+    for a later time.
     """
     compiled, clock = program.compiled, program.compiled.declared.clock
     parameters = program.data.parameters
@@ -295,9 +300,10 @@ _ROW_RANGE = (1e-8, 1e8)
 def scaling_of(program: Transcription, bounds: Bounds, z: FloatArray) -> Scaling:
     """Return scaling factors of a nonlinear program at a point.
 
-    The factor of an unknown is the inverse of its magnitude. The magnitude is the one that the
-    model declares for the variable, else the largest absolute value among the variable's values at
-    the point `z` and its `bounds` below 1e6 (see `nominal_magnitudes`). The factors of constraints
+    `z` are the unknowns at the point, and `bounds` the bounds of the program. The factor of an
+    unknown is the inverse of its variable's magnitude. The magnitude is the one that the model
+    declares for the variable; else it is the largest absolute value among the variable's values in
+    `z` and the variable's bounds below 1e6 (see `nominal_magnitudes`). The factors of constraints
     and objective follow from their derivatives at `z`.
     """
     return scaling_by(program, nominal_magnitudes(program, bounds, z), z)
@@ -364,9 +370,10 @@ def nominal_magnitudes(program: Transcription, bounds: Bounds, z: FloatArray) ->
 def _magnitude(slot: Slot, bounds: Bounds, z: FloatArray, columns: Any) -> float:
     """Return the magnitude of one variable, on which the scaling of its unknowns depends.
 
-    `slot` is the variable, and `columns` are the positions of its unknowns. The result is the
-    magnitude that the model declares, if any; else the largest absolute value among the variable's
-    values in the unknowns `z` and its bounds below 1e6; else 1.
+    `slot` is the variable, and `columns` are the positions of its unknowns. `bounds` and `z` are
+    the bounds and the values of all unknowns of the program. The result is the magnitude that the
+    model declares, if any. Otherwise it is the largest absolute value among the variable's values
+    and bounds, without bounds of 1e6 or more; it is 1 if all of these are zero.
     """
     if slot.nominal is not None:
         return slot.nominal
@@ -378,10 +385,11 @@ def _magnitude(slot: Slot, bounds: Bounds, z: FloatArray, columns: Any) -> float
 
 
 def refuse_unsolvable(program: Transcription, bounds: Bounds, z: FloatArray) -> None:
-    """Raise an error if a program is not finite at the initial point `z`, or over-determined.
+    """Raise an error if a program has values that are not finite, or is over-determined.
 
-    A program is over-determined if it has more equations than free unknowns (unknowns with unequal
-    bounds), and if these equations are linear and contradict each other.
+    The values are those of constraints, objective and derivatives at the initial point `z`. A
+    program is over-determined if it has more equations than free unknowns (unknowns with unequal
+    `bounds`), and if these equations are linear and contradict each other.
 
     Raises
     ------
@@ -468,13 +476,13 @@ _ROUNDING = 1e-9
 
 
 def without_settled_rows(program: NonlinearProgram, bounds: Bounds, z: FloatArray) -> Bounds:
-    """Return bounds without those of satisfied constraints that involve fixed unknowns only.
+    """Return a copy of bounds that drops satisfied constraints which contain fixed unknowns only.
 
-    The result is a copy of `bounds`, in which the bounds of such constraints are infinite, because
-    these constraints are redundant. An example is a path equality at a point where all states in
-    the equality are fixed. The equality has no derivatives with respect to free unknowns, which
-    would make the equations appear linearly dependent. The constraints are evaluated at the
-    unknowns `z`.
+    Such constraints are redundant, and their bounds are infinite in the copy. An example is a path
+    equality at a point where all states in the equality are fixed. The derivatives of this equality
+    with respect to all free unknowns are zero. If the equality were kept, the equations would
+    appear linearly dependent. `bounds` are the bounds of `program`, and `z` are the unknowns at
+    which its constraints are evaluated.
     """
     rows, columns = program.jacobianstructure()
     is_free = bounds.lower < bounds.upper
@@ -502,9 +510,9 @@ def is_defined(program: Transcription, z: FloatArray) -> bool:
 
 
 def refuse_not_finite(program: Transcription, z: FloatArray) -> None:
-    """Raise an error if an equation, the objective or a derivative is not finite at a point.
+    """Raise an error if an equation, the objective or a derivative is not finite at the guess.
 
-    `z` are the unknowns at this point, which is the initial guess.
+    `z` are the unknowns at the initial guess.
 
     Raises
     ------

@@ -209,8 +209,8 @@ class SimpleBound:
     slope : float
         Coefficient of the variable in the constraint; 1 for bounds that the variable declares.
     lower, upper : casadi.SX
-        Bounds of the variable itself, already divided by `slope`, as expressions of parameters and,
-        over time, of the fraction of the horizon.
+        Bounds of the variable itself, already divided by `slope`. They are expressions of the
+        parameters and, if the bound holds over time, of the fraction of the horizon.
     """
 
     name: str
@@ -351,8 +351,8 @@ class CompiledModel:
     """Compiled continuous model: CasADi functions of a collocation point and of the conditions.
 
     The data of a point are the fraction of the horizon, the time-dependent parameters and the
-    constant parameters. A condition is a constraint among values at declared times, static
-    variables (without time) and integrals.
+    constant parameters. A condition is a constraint among values at declared times (members of the
+    continuous set), static variables (variables without time) and integrals.
 
     Attributes
     ----------
@@ -425,9 +425,10 @@ class CompiledModel:
     def scaled(self, magnitudes: Mapping[str, float]) -> CompiledModel:
         """Return a copy of the model with given magnitudes of its variables, for the scaling.
 
-        `magnitudes` maps names to magnitudes. A name is that of a variable, or of the Pyomo
-        component of which the variable is a member. A variable whose names are both missing has no
-        declared magnitude in the copy.
+        The scaling divides each unknown by the magnitude of its variable. `magnitudes` maps names
+        to magnitudes. A name is that of a variable, or of the Pyomo component of which the variable
+        is a member. If the mapping has neither name, the variable has no declared magnitude in the
+        copy. The result is the model itself if no magnitude changes.
         """
         d = self.declared
         kinds = (d.states, d.algebraics, d.statics)
@@ -580,8 +581,8 @@ def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> l
 
     `equation` is a constraint over time, with a lower and an upper limit. The data are the fraction
     of the horizon and the parameters. `moves` returns whether a given limit depends on static
-    variables (variables without time). Each limit that does becomes a separate constraint, in which
-    the limit is subtracted from the constraint's expression.
+    variables (variables without time). Each limit that depends on static variables becomes a
+    separate constraint, in which the limit is subtracted from the constraint's expression.
     """
     below, above = moves(equation.lower), moves(equation.upper)
     if not (below or above):

@@ -1,11 +1,18 @@
 """Problems with several horizons: their declarations, their coupling, and the joint program.
 
-A constraint over a continuous set, or on values of one set alone, belongs to that set's horizon.
-The objective and all other constraints form the coupling. In the coupling, static variables replace
-the values of the horizons at declared times and the integrals over the horizons. A static variable
-that replaces a state at a declared time shares one unknown with that state. Any other such variable
-equals the value that it replaces by a constraint of the horizon's program. The joint nonlinear
-program has the unknowns of each horizon first, then the remaining static variables.
+Each continuous set of the model is a horizon, for which a nonlinear program is built. A constraint
+over the set, or on values at times of this set alone, belongs to the horizon's program. The
+objective and all other constraints form the coupling.
+
+In the coupling, static variables (variables without time) replace the integrals over the horizons,
+and the values of the horizons' variables at declared times (members of the sets). A static variable
+that replaces a state shares one unknown with that state. For any other replacement, a constraint of
+the horizon's program makes the static variable equal to the replaced value or integral. An integral
+that enters the objective linearly, and no constraint of the coupling, is not replaced, but becomes
+a part of the objective of the horizon's program.
+
+The joint nonlinear program has the unknowns of each horizon first, then the static variables that
+share no unknown with a state.
 """
 
 from __future__ import annotations
@@ -48,12 +55,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Link:
-    """Static variable that stands for a value of a horizon in constraints on several horizons.
+    """Static variable that stands for a value of one horizon in the coupling of several horizons.
+
+    The value is that of a variable over the horizon at a single time. The coupling consists of the
+    objective and the constraints on several horizons.
 
     Attributes
     ----------
     slot : Slot
-        The static variable.
+        The static variable (a variable without time).
     reader : ModelReader
         Reader of the horizon's declarations.
     value : casadi.SX
@@ -82,14 +92,15 @@ class Link:
 
 
 class CouplingWriter(TemplateWriter):
-    """Translator of the constraints and the objective that couple several horizons to CasADi.
+    """Translator from Pyomo to CasADi, for constraints on several horizons and for the objective.
 
-    The translator replaces each value of a horizon by a static variable that equals the value.
+    The translator replaces each variable of a horizon at a single time by a static variable (a
+    variable without time) that equals it.
 
     Attributes
     ----------
     links : dict
-        The static variables, by the name of the value that each variable replaces.
+        The static variables as `Link` objects. The key is the Pyomo name of what each replaces.
     """
 
     def __init__(self, readers: list[ModelReader], statics: dict[str, Slot]) -> None:
@@ -188,14 +199,16 @@ class CoupledDeclarations:
     horizons : dict
         Declarations of each horizon and their reader, by the name of the continuous set.
     coupling : Declarations, ModelReader
-        The objective, and the conditions on values of several horizons or of no horizon, with their
-        reader.
+        The objective, and the constraints without time that concern several horizons or none, with
+        their reader.
     states : dict
-        Static variables of the coupling that equal a state of a horizon. The key is the variable's
-        name; the value is the name of the horizon, and the state with its declared time.
+        For each static variable (variable without time) of the coupling that equals a state of a
+        horizon, by the name of the static variable: the name of the horizon, and the state with its
+        declared time (a member of the continuous set).
     links : tuple of str
-        Names of the static variables that equal a value of a horizon other than a state. A
-        condition on the horizon imposes each equality, and has the same name as the variable.
+        Names of the static variables that equal another variable of a horizon at a declared time,
+        such as a control. Each equality is a constraint of the horizon, and this constraint has the
+        name of the static variable.
     """
 
     horizons: dict[str, tuple[Declarations, ModelReader]]

@@ -35,8 +35,9 @@ def definitions(
     """Find equations without time derivatives that define one algebraic variable each.
 
     An equation defines an algebraic variable if the variable enters with a constant coefficient,
-    and if other equations define all other algebraic variables that enter in this way. For example,
-    ``k == exp(-1 / x)`` defines k and leaves x free; ``p - q == y`` defines neither p nor q.
+    and if other equations define all other algebraic variables that enter with a constant
+    coefficient. For example, ``k == exp(-1 / x)`` defines k, but not x, which enters nonlinearly.
+    ``p - q == y`` defines neither p nor q, unless another equation defines one of them.
 
     Parameters
     ----------

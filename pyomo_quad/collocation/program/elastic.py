@@ -201,10 +201,11 @@ def least_violation(
 ) -> LeastViolation:
     """Find a point at which the sum of scaled constraint violations is least.
 
-    Each constraint may be violated by a slack, measured in units of the constraint's scale, at the
-    same penalty for every constraint (an l1 elastic program, without the objective). Ipopt's
-    barrier therefore leaves the same slack in each constraint. On every mesh, this slack is far
-    below the threshold at which a constraint counts as violated.
+    The search solves an l1 elastic program without the objective: each constraint may be violated
+    by a slack, measured in units of the constraint's scale, and the penalty per unit is the same
+    for every constraint. Because the penalties are equal, Ipopt's barrier leaves about the same
+    slack in each constraint that could be satisfied. On every mesh, this slack is far below the
+    threshold at which a constraint counts as violated.
 
     Parameters
     ----------

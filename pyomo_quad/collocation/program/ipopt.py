@@ -1,7 +1,7 @@
 """Ipopt through cyipopt: settings, callbacks, progress, and the best iterate of a failed solve.
 
-The barrier's complementarity gap and the role of the barrier: see docs/theory/refinement.md, eq.
-(16).
+Ipopt's barrier leaves a complementarity gap at the solution: the sum of multipliers times slacks of
+all inequalities. What the gap means for the objective: see docs/theory/refinement.md, eq. (16).
 """
 
 from __future__ import annotations
@@ -33,8 +33,10 @@ if TYPE_CHECKING:
 class Status(Enum):
     """Outcome of a solve.
 
-    `TOLERANCE_NOT_MET`: Ipopt converged on the last mesh, but the mesh refinement did not reach its
-    tolerance. `INTERRUPTED`: a time limit or the user stopped the solve.
+    `CONVERGED`: Ipopt converged, and so did the mesh refinement, if any. `TOLERANCE_NOT_MET`: Ipopt
+    converged on the last mesh, but the mesh refinement did not reach its tolerance. `INFEASIBLE`:
+    the constraints appear to have no solution. `INTERRUPTED`: a time limit or the user stopped the
+    solve. `NOT_CONVERGED`: any other failure, for example at the limit of iterations.
     """
 
     CONVERGED = "converged"
@@ -164,9 +166,10 @@ class SolverOptions:
         """Return the settings for a warm start that converges to a point of the central path.
 
         Many trajectories have nearly the same cost, and the controls of the optimum may differ
-        greatly from mesh to mesh. A positive barrier parameter selects a point of the central path
-        (the curve of optima for positive barrier parameters), which differs little from mesh to
-        mesh. A start that is practically at the selected point keeps its variables on their bounds.
+        greatly from mesh to mesh. The central path is the curve of optima for positive barrier
+        parameters. A given positive parameter selects one point of this curve, and the controls at
+        the selected point differ little from mesh to mesh. A start that is practically at the
+        selected point keeps its variables on their bounds.
         A start far from it is first moved inside its bounds, and the solve begins with a larger
         barrier parameter. If the solve began on the bounds with the final parameter, bounds that
         become active or inactive would shorten nearly every step.
@@ -197,9 +200,9 @@ class SolverOptions:
         Ipopt does not reduce it, so that the remaining gap would differ from mesh to mesh. In that
         case the solve begins with the final value.
 
-        A large change shifts the times at which limits become active. A warm start on its bounds
-        would then shorten the steps of many iterations, so the start is moved well inside the
-        bounds.
+        A large change of the objective shifts the times at which bounds become active. If the start
+        lay on its bounds, many iterations would then take short steps only. The start is therefore
+        moved well inside the bounds.
 
         Parameters
         ----------
@@ -729,12 +732,13 @@ def run_past_the_barrier(
     multipliers: Multipliers | None = None,
     progress: Progress | None = None,
 ) -> IpoptResult:
-    """Solve a program as `run` does, and continue until the complementarity gap is negligible.
+    """Solve a program by Ipopt, and repeat the solve until the complementarity gap is negligible.
 
-    Ipopt stops when complementarity gap and gradients are small relative to the scaled objective.
-    If the objective is steep at the initial point, its scaling factor becomes so small that the gap
-    may exceed the objective itself. The solve is then repeated with a larger factor on the
-    objective, until the gap is a small fraction of the objective.
+    The gap is the sum of multipliers times slacks of all inequalities (`barrier_gap`). Ipopt stops
+    when gap and gradients are small in units of the scaled objective. If the objective is steep at
+    the initial point, its scaling factor becomes so small that the gap may exceed the objective
+    itself. The solve is then repeated, at most twice, with a larger factor on the objective, until
+    the gap is a small fraction of the objective.
 
     Parameters
     ----------
@@ -812,9 +816,10 @@ def _result(
 ) -> IpoptResult:
     """Return the outcome of Ipopt as an `IpoptResult`.
 
-    After a failed solve, the result holds the iterate with the least constraint violation, which
-    `callbacks` has recorded together with the progress. `z` and `info` are the results of cyipopt,
-    `wall` is the wall-clock time [s], and `stopped` is true if the user interrupted the solve.
+    `callbacks` has recorded the progress and the iterate with the least constraint violation. After
+    a failed solve, the result holds this iterate, unless the iterates diverged. `z` (the unknowns)
+    and `info` are the results of cyipopt, `wall` is the wall-clock time [s], and `stopped` is true
+    if the user interrupted the solve.
 
     Raises
     ------

@@ -1,8 +1,10 @@
 """Nonlinear programs (NLPs): interface, bounds, scaling, multipliers, and extension.
 
-An `ExtendedProgram` adds unknowns, linear constraints and quadratic costs to a program. Extended
-programs are used for elastic programs (constraints with penalised slacks), bounds between the
-collocation points, damped controls, and unknowns that keep Ipopt from treating a program as square.
+An `ExtendedProgram` adds unknowns, linear constraints and quadratic costs to a program. It serves
+four purposes: penalised slacks in the constraints (elastic programs); bounds between the
+collocation points; a quadratic cost that keeps controls near given values (damping); and unknowns
+that keep Ipopt from treating a program as a square system, whose equations alone determine the
+solution.
 """
 
 from __future__ import annotations
@@ -234,7 +236,7 @@ class ExtendedProgram:
     share : float
         Weight of the original objective; 0 leaves it out.
     prices : ndarray, shape (n_more,)
-        Cost of each further unknown.
+        Cost per unit of each further unknown.
     columns, weights, near : ndarray, shape (k,)
         Positions in w of the k unknowns with a quadratic cost, each listed once; weight of each
         cost; and value of the unknown at which the cost is zero.

@@ -5,8 +5,8 @@ than once; `casadi.cse` merges equal terms and does not change a single rounding
 an interpolation table, however, `casadi.cse` writes out the whole table, which takes a second for a
 table of a million numbers.  Therefore each call is replaced by symbols before the expressions are
 differentiated, and inserted again after equal terms have been merged.  The symbols need no
-derivatives, because a call returns the coefficients of a Taylor polynomial, which are constants
-(`collocation.reading.local_splines`).
+derivatives: a call returns the coefficients of a Taylor polynomial, and these coefficients count as
+constants in all derivatives (`collocation.reading.local_splines`).
 """
 
 from __future__ import annotations

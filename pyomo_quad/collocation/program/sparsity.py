@@ -1,8 +1,9 @@
 """Layout of the unknowns, sparsity patterns of derivatives, and assembly of their nonzeros.
 
-The derivatives at a single point have the same structure at all points. Index arrays, computed once
-per mesh, add their values into the sparse matrices of the nonlinear program. The compact form of
-the program: see docs/theory/transcription.md, eq. (4).
+The derivatives of the equations at a single collocation point have the same sparsity pattern at all
+points. Index arrays, computed once per mesh, tell to which nonzeros of the nonlinear program's
+sparse matrices each of these derivatives is added. The time derivatives of the states are no
+unknowns, but linear combinations of the states: see docs/theory/transcription.md, eq. (4).
 """
 
 from __future__ import annotations
@@ -241,10 +242,11 @@ def _chosen(columns: IndexArray, width: int) -> csr_matrix:
 
 
 class Contributions:
-    """Contributions to the entries of a sparse matrix, collected to make a `Scatter` of them.
+    """Collector of contributions to the entries of a sparse matrix.
 
     A source is a number that a CasADi function returns at each evaluation. A contribution adds a
-    weight times a source to the entry at (row, column) of the matrix.
+    weight times a source to the entry at (row, column) of the matrix. From the collected
+    contributions, `scatter` makes the linear map from all sources to the nonzeros of the matrix.
     """
 
     def __init__(self) -> None:
@@ -391,10 +393,13 @@ class JacobianScatter:
         Gradient of the objective with its integrals held constant.
     integrals : tuple of Scatter
         Gradients of the integrals that enter the objective directly.
-    slope_sources, slope_integrals : ndarray of int
-        Positions, among the sources from conditions and objective, of the derivatives of the
-        objective with respect to integrals that enter it directly; and the positions of these
-        integrals among all integrals that enter it directly.
+    slope_sources : ndarray of int
+        Positions of the derivatives of the objective with respect to integrals that enter it
+        directly, among the sources from conditions (constraints at declared times) and objective.
+        Derivatives that are always zero are omitted.
+    slope_integrals : ndarray of int
+        For each of these derivatives, the position of its integral among all integrals that enter
+        the objective directly.
     n_integrals : int
         Number of integrals that enter the objective directly.
     n_path_sources : int

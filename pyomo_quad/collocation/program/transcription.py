@@ -1,6 +1,9 @@
-"""Nonlinear program of a compiled model on one mesh, and places of its parts in the model.
+"""Nonlinear program of a compiled model on one mesh, and names of its constraints and unknowns.
 
-Compact form and quadrature: see docs/theory/transcription.md, eqs. (4) and (5).
+The unknowns are the states at the nodes, the algebraic variables at the collocation points, and the
+static variables (variables without time). The time derivatives of the states are no unknowns, but
+linear combinations of the states at the nodes: see docs/theory/transcription.md, eq. (4). Integrals
+over the horizon are weighted sums over the collocation points (Radau quadrature), eq. (5).
 """
 
 from __future__ import annotations
@@ -28,7 +31,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """Place of a constraint or unknown in the model, for messages.
+    """Name, time, element and collocation point of a constraint or unknown, for messages.
 
     Attributes
     ----------
@@ -36,9 +39,10 @@ class Place:
         Full name of the equation or variable.
     time : float, optional
         Physical time; the fraction of the horizon if start or end of the horizon is a variable;
-        None for a component without time.
+        None for a constraint that is not imposed at each collocation point, or a variable without
+        time.
     element, point : int, optional
-        Index of the element, from 0, and number of the collocation point in it, from 1.
+        Index of the element, from 0, and number of the collocation point in the element, from 1.
     """
 
     name: str
@@ -56,9 +60,10 @@ class Place:
 
 
 def _at_point(program: Transcription, name: str, point: int) -> Place:
-    """Return the `Place` of an equation or variable at a collocation point.
+    """Return name, time, element and point (a `Place`) of an equation or variable at a point.
 
-    `name` is the name of the equation or variable, and `point` the index of the point on the mesh.
+    The point is a collocation point of the mesh of `program`, and `point` is its index. `name` is
+    the name of the equation or variable.
     """
     mesh = program.mesh
     if mesh is None:
@@ -73,9 +78,10 @@ def _at_point(program: Transcription, name: str, point: int) -> Place:
 
 
 def row_place(program: Transcription, row: int) -> Place:
-    """Return the place in the model of a constraint of the program, given its index `row`.
+    """Return name, time, element and collocation point of the constraint with the index `row`.
 
-    The place consists of the equation's name, time, element and collocation point.
+    `program` is the nonlinear program to which the constraint belongs. Time, element and point are
+    None for a constraint that is not imposed at each collocation point.
     """
     compiled = program.compiled
     declared = compiled.declared
@@ -89,9 +95,10 @@ def row_place(program: Transcription, row: int) -> Place:
 
 
 def unknown_place(program: Transcription, column: int) -> Place:
-    """Return the place in the model of an unknown of the program, given its index `column`.
+    """Return name, time, element and collocation point of the unknown with the index `column`.
 
-    The place consists of the variable's name, time, element and collocation point.
+    `program` is the nonlinear program to which the unknown belongs. Element and point are None for
+    a state at the start of the horizon; for a variable without time, the time is None too.
     """
     layout, declared = program.layout, program.compiled.declared
     if column >= layout.unknowns - layout.n_statics:
@@ -173,7 +180,7 @@ class Transcription:
         return type(self), (self.compiled, self.mesh, self.data)
 
     def with_data(self, data: Data) -> Transcription:
-        """Return a separate program on the same mesh with other parameter values."""
+        """Return a separate program on the same mesh with the parameter values `data`."""
         # Not `copy.copy`, which rebuilds all parts as unpickling does.
         other = object.__new__(type(self))
         vars(other).update(vars(self))
