@@ -556,7 +556,8 @@ class SymbolTable:
     addresses : AddressBook
         Splitter of indices into time and the other indices.
     free : mapping
-        Declared time (member of the continuous set) -> static variable that replaces it.
+        Declared time (member of the continuous set) -> static variable that gives its physical
+        time.
     statics : dict
         Static variables by name; several horizons share the dictionary.
     """
@@ -586,8 +587,8 @@ class SymbolTable:
     def _clock(self, free: Mapping[float, Any]) -> PhaseTimes:
         """Return start, end and free times of the horizon in CasADi symbols, as `PhaseTimes`.
 
-        `free` maps members of the continuous set (declared times) to the static variables,
-        variables without time, that replace them.
+        `free` maps members of the continuous set (declared times) to static variables (variables
+        without time) that give the physical times of these members.
         """
         declared = self._copy.declared_times or (0.0, 1.0)
         ends = {declared[0]: "horizon.start", declared[-1]: "horizon.end"}

@@ -126,7 +126,7 @@ class ExpressionWriter:
         Returns
         -------
         (bool, Any)
-            True and the expression to descend; else False and its CasADi expression.
+            True and the expression into which to descend; else False and its CasADi expression.
         """
         go_on, value = self._before_child(None, expression, 0)
         return go_on, expression if go_on else value
@@ -247,7 +247,8 @@ class TemplateWriter:
     ----------
     copy : WorkingCopy
     free : mapping
-        Declared time (member of the continuous set) -> static variable that replaces it.
+        Declared time (member of the continuous set) -> static variable that gives its physical
+        time.
     statics : dict, optional
         Static variables by name, shared by several horizons.
 
@@ -725,7 +726,7 @@ def _attempt(say: Callable[[Any], Statement], symbol: TimeSymbol) -> Statement |
 
 
 def _refuse_number(name: str, error: Exception | None = None) -> NoReturn:
-    """Raise an error that names a component whose rule uses time as a number although it must not.
+    """Raise an error for a rule that calculates with time as a number although times are free.
 
     If the solve determines times of the model (free times), the physical times are unknown when the
     rules of the model are called. A rule may then compare its time with declared times (members of

@@ -300,10 +300,10 @@ def singular_order(solution: Solution) -> int:
     """Return the order of a singular arc of a solution: 0 (no singular arc), 1, or 2 (2 or higher).
 
     On a singular arc a control lies between its limits, and the Hamiltonian has no curvature in the
-    control. This curvature is taken with the states unchanged: only the control changes, and with it
-    the rates (derivatives of the states) and the algebraic variables that the equations require to
-    change. The arc is of order 1 if the Hamiltonian has curvature in the direction in which the
-    control drives the states (Robbins 1967; Kelley, Kopp and Moyer 1967).
+    control. This curvature is taken with the states unchanged: with the control, only those rates
+    (derivatives of the states) and algebraic variables change that the equations require to change.
+    The arc is of order 1 if the Hamiltonian has curvature in the direction in which the control
+    drives the states (Robbins 1967; Kelley, Kopp and Moyer 1967).
 
     Two kinds of collocation points are not examined. At points at which a bound of a state or a
     path inequality is active, this limit determines the control. Elements with a single collocation
