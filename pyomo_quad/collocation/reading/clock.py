@@ -178,17 +178,20 @@ FreeTimes = Mapping[Any, Any]
 def free_times(
     sets: tuple[Any, ...], final_time: Any, times: FreeTimes | None
 ) -> dict[str, dict[float, Any]]:
-    """Collect the static variables that replace declared times, by name of the continuous set.
+    """Collect the static variables that give the physical times of free declared times.
+
+    A declared time is a member of a continuous set. It is free if a static variable (a variable
+    without time), and not the number in the set, gives its physical time.
 
     Parameters
     ----------
     sets : tuple of ContinuousSet
-        Horizons of the model.
+        Continuous sets of the model, one for each horizon.
     final_time : Var, optional
-        Static variable that replaces the end of the only horizon.
+        Static variable for the physical end of the horizon, in a model with a single horizon.
     times : mapping, optional
-        Declared time -> static variable that replaces it; for several horizons, a mapping of this
-        kind for each continuous set, by name.
+        Declared time -> static variable for its physical time; for several horizons, a mapping of
+        this kind for each continuous set, by name of the set.
 
     Returns
     -------
@@ -198,7 +201,7 @@ def free_times(
     Raises
     ------
     TranscriptionError
-        If a set or a time is not declared, or its replacement is not a static variable.
+        If a set or a time is not declared, or a given variable is not a static variable.
     """
     given: dict[str, dict[float, Any]] = {s.name: {} for s in sets}
     if final_time is not None:
@@ -271,11 +274,12 @@ def _declared(time: Any, at: Any) -> float:
 
 
 def _refuse_unusable(time: Any, sets: tuple[Any, ...], given: dict[float, Any]) -> None:
-    """Raise an error if a variable that is to replace a declared time cannot be used.
+    """Raise an error if a variable cannot serve as the physical time of a declared time.
 
     A declared time is a member of the continuous set `time`. `given` maps declared times to the
-    variables that replace them. Each of these variables must be a static variable: a variable that
-    none of the continuous sets `sets` indexes. No variable may replace two declared times.
+    variables that give their physical times. Each of these variables must be a static variable: a
+    variable that none of the continuous sets `sets` indexes. No variable may serve for two declared
+    times.
     """
     taken: dict[str, float] = {}
     for at, variable in given.items():

@@ -51,8 +51,9 @@ class WorkingCopy:
     model : ConcreteModel
         The clone.
     time : ContinuousSet or None
-        Continuous set of the horizon; None for a model without time, or for the coupling of
-        horizons.
+        Continuous set of the horizon that this working copy represents. None for a model without
+        time, and for the working copy with which the constraints and the objective that couple
+        several horizons are read.
     template_time : float
         The added time.
     declared_times : tuple of float
@@ -202,9 +203,9 @@ _EXPANDED = (Var, DerivativeVar, Param, Constraint, Expression, Integral, Suffix
 def _drop_unexpanded(copy: Any, time: Any) -> None:
     """Delete components over time for which Pyomo cannot make a member at an added time.
 
-    Active blocks and objectives over time have been refused before, so that the deleted components
-    do not contribute to the nonlinear program. `copy` is the clone of the user's model from which
-    they are deleted, and `time` is its continuous set.
+    An error has been raised before for active blocks and objectives over time, so that the deleted
+    components do not contribute to the nonlinear program. `copy` is the clone of the user's model
+    from which the components are deleted, and `time` is the continuous set that indexes them.
     """
     for component in list(copy.component_objects(descend_into=True)):
         is_unknown = isinstance(component, IndexedComponent) and component.ctype not in _EXPANDED
@@ -266,8 +267,8 @@ def _refuse_unsupported(model: Any, times: tuple[Any, ...]) -> None:
 def _keep_parameters(copy: Any, time: Any) -> None:
     """Make immutable parameters over time mutable, so that expressions contain their symbols.
 
-    Pyomo writes the number of an immutable parameter into an expression, but the symbol of a
-    mutable parameter, which can be translated to a function of time.
+    Pyomo writes the number of an immutable parameter into an expression. It writes a mutable
+    parameter itself, and the engine can translate the parameter to a function of time.
 
     `copy` is the clone of the user's model that is changed, and `time` the continuous set by which
     the parameters are indexed.
@@ -284,6 +285,9 @@ def _keep_parameters(copy: Any, time: Any) -> None:
 
 def copies_with_template_times(model: Any) -> tuple[WorkingCopy, ...]:
     """Clone a model and add one interior time, the template time, to each of its continuous sets.
+
+    The engine reads the equations over time at the template time. `model` is the user's model; it
+    is not changed.
 
     Returns
     -------

@@ -209,13 +209,13 @@ class RelationReader:
     ) -> list[PointCondition]:
         """Return the conditions that follow from a constraint's members at start and end.
 
-        The conditions supplement the equation over time, which is imposed at the collocation
-        points.
+        A condition is a constraint at a single time. The conditions supplement the equation over
+        time, which is imposed at the collocation points.
 
         The collocation points include the end of the horizon but not its start. If the equation
         contains states, but no rates (time derivatives of states) or algebraic variables, a
         condition therefore imposes it at the start; any other equation is not imposed there. A
-        member at the end that differs from the path equation becomes a separate condition.
+        member at the end that differs from the equation over time becomes a separate condition.
         `equation` is the constraint as an equation over time, and `instances` has its members at
         declared times, the members of the continuous set.
         """
@@ -505,7 +505,7 @@ class ModelReader:
         self._require_variables()
 
     def declarations(self, cost: Any, objective: Any) -> Declarations:
-        """Return the declarations of the model.
+        """Return the model in CasADi symbols: variables, parameters, constraints and objective.
 
         Parameters
         ----------
@@ -551,9 +551,9 @@ class ModelReader:
         )
 
     def _read_expressions(self) -> None:
-        """Translate every named expression over time once, although no equation may contain it.
+        """Translate every named expression over time once, even if no equation contains it.
 
-        The parameters in these expressions thus become known to the compiled program, and a
+        The parameters in these expressions thus become parameters of the compiled program, and a
         solution can evaluate the expressions later.
         """
         for component in self.copy.model.component_objects(

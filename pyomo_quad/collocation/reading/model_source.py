@@ -366,6 +366,7 @@ class LiveModel:
         Parameters
         ----------
         declared : Declarations
+            The model in CasADi symbols: its parameters and variables are those to be copied.
         horizon : (float, float)
             Times between which functions of time are approximated by polynomials.
         """
@@ -522,8 +523,9 @@ class ModelSnapshot:
 def as_reading(signal: Callable[[float], float], time: float) -> Reading:
     """Return a function's value at a time as a `Reading`, which the function `jumps` requires.
 
-    The function `jumps` finds the times at which the numbers or the key of a `Reading` jump. The
-    result has the function's value as its only number, and no key, so that `jumps` finds the times
-    at which the value jumps.
+    A `Reading` has numbers, and a key that identifies the form of an expression. The function
+    `jumps` finds the times at which the numbers jump or the key changes. The result has the value
+    of the function `signal` at `time` as its only number, and no key, so that `jumps` finds the
+    times at which the value jumps.
     """
     return Reading(None, (signal(time),))

@@ -208,6 +208,8 @@ class Schedule:
     def reading(self, time: float) -> Reading:
         """Return the form and the numbers of the rule's result at a time.
 
+        Results of the rule have the same form if they differ in their numbers only.
+
         Raises
         ------
         TranscriptionError
@@ -217,7 +219,11 @@ class Schedule:
         return _remembered(self._known, self._place(time), self._read)
 
     def _read(self, time: float) -> Reading:
-        """Call the rule at a time, and return form and numbers of its result."""
+        """Call the rule at a time, and return form and numbers of its result.
+
+        Results of the rule have the same form if they differ in their numbers only. A form that
+        appears for the first time is registered.
+        """
         statement = self._say(time)
         numbers: list[float] = []
         structure = tuple(_structure(part, numbers) for part in statement.parts)
@@ -270,7 +276,10 @@ class Schedule:
         return _remembered(self._rows, self._place(time), self._row)
 
     def _row(self, time: float) -> list[float]:
-        """Return the result of `row` at a time by calling the rule, without use of the cache."""
+        """Call the rule at a time, and return the data that the compiled forms read.
+
+        The data are those that the method `row` returns, but `row` looks them up in a cache first.
+        """
         found = self._read(time)
         row = [float(key == found.key) for key in list(self._forms)[: len(self._chosen)]]
         for key, form in self._forms.items():
@@ -319,11 +328,12 @@ class Schedule:
         return result
 
     def _share_body_with_skipped(self, forms: list[list[Any]]) -> None:
-        """Replace the bodies of forms that skip the constraint by the linear body of another form.
+        """Give the forms that skip the constraint the body of another form, if that is linear.
 
-        `forms` has lower bound, body and upper bound of each form, and is changed in place. A
-        skipped constraint has no bounds, so that its body has no effect. With equal bodies in all
-        forms, a constraint on a single variable remains a bound of that variable.
+        Results of the rule have the same form if they differ in their numbers only. `forms` has
+        lower bound, body and upper bound of each form, as CasADi expressions, and is changed in
+        place. A skipped constraint has no bounds, so that its body has no effect. With equal bodies
+        in all forms, a constraint on a single variable remains a bound of that variable.
         """
         is_skipped = [f.statement.is_skipped for f in self._forms.values()]
         if any(is_skipped) and not all(is_skipped):
@@ -426,10 +436,11 @@ def jumps(reading: Callable[[float], Reading], times: Sequence[float]) -> Iterat
 def _jumps_between(
     reading: Callable[[float], Reading], start: float, end: float, resolution: float
 ) -> Iterator[float]:
-    """Yield the times from `start` to `end` at which the key or a number of a `Reading` jumps.
+    """Yield the times from `start` to `end` at which a function of time jumps.
 
-    `reading` maps a time to a `Reading`, as in `jumps`. Bisection locates each jump to within
-    `resolution`.
+    The function `reading` maps a time to a `Reading`, which has numbers and a key. Every change of
+    the key is a jump. A change of a number is a jump if halving the interval around it does not
+    reduce the change. Bisection locates each jump to within `resolution`, a time.
     """
     while reading(start).key != reading(end).key:
         before, after = start, end
@@ -446,10 +457,11 @@ def _jumps_between(
 def _steps(
     reading: Callable[[float], Reading], start: float, end: float, resolution: float
 ) -> Iterator[float]:
-    """Yield the times from `start` to `end` at which a number of a `Reading` jumps.
+    """Yield the times from `start` to `end` at which one of several functions of time jumps.
 
-    A number jumps if halving the interval around its change does not reduce the change. `reading`
-    maps a time to a `Reading`, as in `jumps`. Bisection locates each jump to within `resolution`.
+    The function `reading` maps a time to a `Reading`, whose numbers are the values of the
+    functions. A number jumps if halving the interval around its change does not reduce the change.
+    Bisection locates each jump to within `resolution`, a time.
     """
     for k, (first, last) in enumerate(
         zip(reading(start).numbers, reading(end).numbers, strict=True)
@@ -580,7 +592,9 @@ class Interpolant:
     def reading(self, time: float) -> Reading:
         """Return the values at a time as a `Reading` without a key, for the function `jumps`.
 
-        The function `jumps` finds the times at which the numbers or the key of a `Reading` jump.
+        A `Reading` has numbers, here the values of all functions, and a key that identifies the
+        form of an expression. The function `jumps` finds the times at which the numbers jump or the
+        key changes.
         """
         return Reading(None, tuple(self.row(time)))
 

@@ -556,7 +556,8 @@ class SymbolTable:
     addresses : AddressBook
         Splitter of indices into time and the other indices.
     free : mapping
-        Declared time (member of the continuous set) -> static variable that replaces it.
+        Declared time (member of the continuous set) -> static variable that gives its physical
+        time.
     statics : dict
         Static variables by name; several horizons share the dictionary.
     """
@@ -586,8 +587,8 @@ class SymbolTable:
     def _clock(self, free: Mapping[float, Any]) -> PhaseTimes:
         """Return start, end and free times of the horizon in CasADi symbols, as `PhaseTimes`.
 
-        `free` maps members of the continuous set (declared times) to the static variables,
-        variables without time, that replace them.
+        `free` maps members of the continuous set (declared times) to static variables (variables
+        without time) that give the physical times of these members.
         """
         declared = self._copy.declared_times or (0.0, 1.0)
         ends = {declared[0]: "horizon.start", declared[-1]: "horizon.end"}
@@ -637,11 +638,12 @@ class SymbolTable:
         return self._signal(data, address)
 
     def _refuse_other_horizon(self, data: Any) -> None:
-        """Raise an error if a variable or parameter is indexed by the time of another horizon.
+        """Raise an error if the Pyomo data object `data` is indexed by the time of another horizon.
 
-        A model may have several horizons, each with a continuous set. Equations over the time of
-        one horizon must not contain values over the time of another. `data` is the Pyomo variable
-        or parameter in an expression over this horizon.
+        A model may have several horizons, each with a continuous set. This table of symbols belongs
+        to one of them. `data` is a variable or parameter that an expression of this horizon
+        contains; such expressions must not contain variables or parameters over the time of another
+        horizon.
         """
         other = self._copy.other_of(data.parent_component()) if self._copy.others else None
         if other is not None:
@@ -688,7 +690,8 @@ class SymbolTable:
     def _is_clock(self, data: Any) -> bool:
         """Return whether a parameter over time is time itself, because its rule returns its index.
 
-        An example is ``Param(m.t, rule=lambda m, t: t)``.
+        An example is ``Param(m.t, rule=lambda m, t: t)``. `data` is a member of the parameter, a
+        Pyomo data object.
         """
         component, index = data.parent_component(), self._addresses.of(data).index
         is_time_where_declared = all(
@@ -729,11 +732,12 @@ class SymbolTable:
         return self.signals[name].symbol
 
     def _physical_time(self, time: float) -> Any:
-        """Return physical time as a CasADi expression.
+        """Return the physical time that corresponds to a time in an index, as a CasADi expression.
 
-        At the template time (the added interior time at which equations are read), the result is an
-        expression that holds at any time. At a declared time (a member of the continuous set), the
-        result is the physical time to which the declared time corresponds.
+        `time` is the time in the index. If it is the template time (the added interior time at
+        which equations are read), the result is an expression that holds at any time. If it is a
+        declared time (a member of the continuous set that the user gave it), the result is the
+        physical time to which the declared time corresponds.
         """
         return self.clock.time if time == self._copy.template_time else self.clock.time_at(time)
 

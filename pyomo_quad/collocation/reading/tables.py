@@ -87,7 +87,7 @@ class Spline:
     def written(self, arguments: Sequence[Any]) -> Any:
         """Return the value of the spline as a CasADi expression of its arguments.
 
-        The cost of an evaluation does not depend on the size of the table.
+        The cost of an evaluation does not depend on the number of data points.
 
         `arguments` are CasADi expressions, one for each axis of the spline.
         """
@@ -95,7 +95,10 @@ class Spline:
 
     @cached_property
     def _local(self) -> LocalSpline:
-        """The spline as a `LocalSpline`, whose cost does not depend on the table's size."""
+        """The spline in the form of a `LocalSpline`.
+
+        The cost of evaluating a `LocalSpline` does not depend on the number of data points.
+        """
         return LocalSpline.of(self.knots, self.coefficients, self.degree)
 
     @cached_property
@@ -232,7 +235,7 @@ class TableUse:
     Attributes
     ----------
     name : str
-        Name of the table, of the equation and of the argument, for messages.
+        Text for messages that names the table, the component with the equation, and the argument.
     expression : casadi.SX
         The argument.
     lower, upper : float
@@ -338,7 +341,9 @@ def _bounds(argument: Any) -> tuple[float | None, float | None]:
 def _range(argument: Any) -> tuple[float, float]:
     """Return the interval of an argument in which a function is compared with its symbolic form.
 
-    The result is the interval between the argument's bounds, or (0.1, 0.9) if a bound is missing.
+    The symbolic form is the CasADi expression that a Python function returns when it is called with
+    symbols. `argument` is the argument of the function, a Pyomo expression. The result is the
+    interval between its bounds, or (0.1, 0.9) if a bound is missing.
     """
     lower, upper = _bounds(argument)
     return (0.1, 0.9) if lower is None or upper is None else (float(lower), float(upper))

@@ -94,6 +94,7 @@ class ModelValues:
     source : LiveModel or ModelSnapshot
         The Pyomo model, or the values that a pickle keeps.
     declared : Declarations
+        The model in CasADi symbols, which determines the order of its numbers.
     """
 
     def __init__(self, source: LiveModel | ModelSnapshot, declared: Declarations) -> None:

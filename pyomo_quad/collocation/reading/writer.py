@@ -126,7 +126,7 @@ class ExpressionWriter:
         Returns
         -------
         (bool, Any)
-            True and the expression to descend; else False and its CasADi expression.
+            True and the expression into which to descend; else False and its CasADi expression.
         """
         go_on, value = self._before_child(None, expression, 0)
         return go_on, expression if go_on else value
@@ -247,7 +247,8 @@ class TemplateWriter:
     ----------
     copy : WorkingCopy
     free : mapping
-        Declared time (member of the continuous set) -> static variable that replaces it.
+        Declared time (member of the continuous set) -> static variable that gives its physical
+        time.
     statics : dict, optional
         Static variables by name, shared by several horizons.
 
@@ -308,7 +309,7 @@ class TemplateWriter:
     def path_equation(
         self, component: Any, index: tuple[Any, ...], instance: Any
     ) -> PathEquation | None:
-        """Return a constraint over time as a path equation.
+        """Return a constraint over time as a `PathEquation`: lower <= expression <= upper.
 
         The result is None if the constraint's rule skips every interior time.
 
@@ -428,9 +429,9 @@ class TemplateWriter:
     def _over_time(self, name: str, say: Callable[[Any], Statement]) -> tuple[list[Any], bool]:
         """Return the parts of a rule's result as functions of time, and whether it is an equality.
 
-        The parts are the two sides of an equation, or bounds and body of an inequality. The rule is
-        called once with a symbol for time. If that fails because the rule needs time as a number,
-        for example to compare it, the rule is called at as many times as needed.
+        The parts are lower bound, body and upper bound of a constraint, or a single expression. The
+        rule is called once with a symbol for time. If the rule needs time as a number, for example
+        to compare it, the rule is called at many times instead.
 
         Parameters
         ----------
@@ -517,12 +518,13 @@ class TemplateWriter:
         return any(s.name == name for s in self.schedules)
 
     def scheduled_beside(self, time: float, side: int = -1) -> dict[str, tuple[Any, float]]:
-        """Return values just before or after a time of data that only Python functions can supply.
+        """Return the values that data without a formula of time have just before or after a time.
 
-        Two kinds of data over time are no CasADi expressions of time: the branch that a rule takes
-        and the numbers that it then uses, for rules that branch on time; and the indicators of the
-        phases of the horizon. Equations contain symbols for these data. The result maps the name of
-        each symbol to (symbol, value).
+        Equations contain symbols for two kinds of data that Python functions, and no CasADi
+        expressions of time, supply. For rules that branch on time, the data are the branch that a
+        rule takes, and the numbers that the rule uses in this branch. For a horizon with phases,
+        the data are the indicators of the phases, each 1 at times of its phase and 0 elsewhere. The
+        result maps the name of each symbol to (symbol, value).
 
         `time` is a time in the range of the continuous set. `side` is -1 for values just before the
         time, 1 for values just after it.
@@ -724,10 +726,12 @@ def _attempt(say: Callable[[Any], Statement], symbol: TimeSymbol) -> Statement |
 
 
 def _refuse_number(name: str, error: Exception | None = None) -> NoReturn:
-    """Raise the error for a rule that uses a free time as a number.
+    """Raise an error for a rule that calculates with time as a number although times are free.
 
-    A free time is determined by the solve, so that it has no number when the rule is called. `name`
-    is the name of the component with the rule. `error` is the exception of the rule, if any.
+    If the solve determines times of the model (free times), the physical times are unknown when the
+    rules of the model are called. A rule may then compare its time with declared times (members of
+    the continuous set), but must not calculate with it as a number. `name` is the name of the
+    component. `error` is the exception that the rule raised, None if it raised none.
     """
     told = "" if error is None else f" ({raised(error)})"
     raise TranscriptionError(

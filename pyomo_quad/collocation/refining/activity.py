@@ -50,7 +50,8 @@ def switch_elements(solution: Solution) -> frozenset[int]:
 def _limits_on_algebraics(solution: Solution) -> NDArray[np.bool_]:
     """Return for each limit over time whether it limits algebraic variables alone.
 
-    The result has shape (n_limits,), in the order of `active_limits`.
+    The result has shape (n_limits,). Its order is that of the limits in the columns of the array
+    that `active_limits` returns.
     """
     program, layout = solution.program, solution.program.layout
     path, n = program.compiled.path, layout.n_states
@@ -69,8 +70,9 @@ def _changing(
     Parameters
     ----------
     solution : Solution
+        Solution whose mesh has the elements.
     limits : ndarray of bool, shape (n_limits,)
-        The chosen limits.
+        True for the chosen limits.
     active : ndarray of bool, shape (n_points, n_limits)
         Whether each limit is active at each collocation point.
     """
@@ -95,10 +97,11 @@ def known_boundaries(solution: Solution) -> NDArray[np.bool_]:
 
 
 def active_limits(solution: Solution) -> NDArray[np.bool_]:
-    """Return whether each limit over time is active at each point, shape (n_points, n_limits).
+    """Return whether each limit over time is active at each collocation point.
 
-    The limits are, in this order: lower bounds of states and algebraic variables, their upper
-    bounds, lower sides of path equations, and their upper sides. At an interior-point solution the
+    The result has shape (n_points, n_limits). The limits are, in this order: lower bounds of states
+    and algebraic variables, their upper bounds, lower sides of path equations, and their upper
+    sides. At an interior-point solution the
     product of a limit's multiplier and slack (distance to the limit) is the same small number
     everywhere. A limit is active where its scaled multiplier is larger than its scaled slack.
     """
@@ -150,9 +153,10 @@ def _zero(times: FloatArray, values: FloatArray) -> float:
 
 
 def _pulls_and_slacks(solution: Solution) -> tuple[FloatArray, FloatArray]:
-    """Return the multipliers and the slacks of all limits, from which `active_limits` decides.
+    """Return the multipliers and the slacks of all limits over time, in the order of the limits.
 
-    The slack is the distance of the limited value from its limit.
+    The slack is the distance of the limited value from its limit. `active_limits` compares
+    multipliers and slacks to decide which limits are active.
 
     Returns
     -------

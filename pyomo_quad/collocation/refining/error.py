@@ -142,11 +142,12 @@ class ErrorEstimate:
     Attributes
     ----------
     states : ndarray, shape (n_elements, n_states)
-        Largest error between the points, relative to the larger of the state's largest magnitude
-        and its nominal magnitude (1 unless declared), scaled so that the allowed error equals the
-        tolerance.
+        Largest error between the collocation points, relative to the larger of the state's largest
+        magnitude and its nominal magnitude (1 unless declared), scaled so that the allowed error
+        equals the tolerance.
     violation : ndarray, shape (n_elements,)
-        Violation of path equations and bounds between the points, relative to max(1, abs(bound)).
+        Violation of path equations and bounds between the collocation points, relative to
+        max(1, abs(bound)).
     objective : ndarray, shape (n_elements,)
         Change of the objective by an element's state errors, estimated from the costates,
         extrapolated, relative to the objective's nominal magnitude (`Solution.nominal_objective`).
@@ -157,9 +158,10 @@ class ErrorEstimate:
         The same as `objective`, but relative to the objective's own magnitude, and doubled to allow
         for the unknown error of the controls. Zero unless all other errors are below the tolerance.
     restraint : ndarray, shape (n_elements,)
-        Cost of the bounds that are imposed between the points, extrapolated, relative to the
-        nominal magnitude of the objective. The cost may use up only a fraction of the tolerance; it
-        is divided by this fraction, so that the quotient can be compared with the whole tolerance.
+        Cost of the bounds that are imposed between the collocation points, extrapolated, relative
+        to the nominal magnitude of the objective. The cost may use up only a fraction of the
+        tolerance; it is divided by this fraction, so that the quotient can be compared with the
+        whole tolerance.
     integrals : ndarray, shape (n_elements,)
         Error of the quadrature of the objective and of every integral, relative to the objective
         and to max(1, abs(integral)).
@@ -206,7 +208,7 @@ class ErrorEstimate:
         """Largest error of the objective and of the integrals, over all elements.
 
         Three kinds of error count: the effect of state errors on the objective, the cost of bounds
-        between the points, and the errors of the quadrature.
+        that are imposed between the collocation points, and the errors of the quadrature.
         """
         parts = (self.objective, self.restraint, self.integrals)
         return float(max(part.max(initial=0.0) for part in parts))
@@ -376,8 +378,8 @@ def densely_sampled(solution: Solution) -> _Samples:
 def _dense_places(degree: int) -> FloatArray:
     """Return the places at which limits are checked in an element, as numbers from 0 to 1.
 
-    0 is the start of the element and 1 its end. The first place is just after the start, which
-    belongs to the previous element. `degree` is the degree of the element.
+    0 is the start of the element and 1 its end. The first place is just after the start, because
+    the start itself belongs to the previous element. `degree` is the degree of the element.
     """
     return np.linspace(_START, 1.0, _SAMPLES * (degree + 1) + 1)
 
@@ -505,8 +507,8 @@ def _state_corrections(solution: Solution, slopes: FloatArray) -> list[FloatArra
     solution : Solution
         Solution whose mesh has the elements.
     slopes : ndarray, shape (sum of (degree + 1) over the elements, n_states)
-        Errors of the rates: the changes of the rates with which the differential equations hold.
-        They are given at the Radau points of the next higher degree in each element.
+        Errors of the rates: the changes of the rates after which the rates satisfy the differential
+        equations. They are given at the Radau points of the next higher degree in each element.
 
     Returns
     -------
@@ -699,8 +701,9 @@ def _breaches(
     `Allowance`, the violation itself counts.
 
     `samples` has the variables of `solution` at many times in each element, with controls clipped
-    to their limits if `Allowance.control_breach` is finite. `weight` is 1, or less if
-    `Allowance.state_error` is larger than the tolerance of the refinement.
+    to their limits if `Allowance.control_breach` is finite. `weight` is 1 unless `allowance` sets a
+    tolerance on the states; a large tolerance on the states gives a small weight, so that large
+    residuals of equations are allowed too.
     """
     mesh = solution.mesh
     residuals, limits, controls = (

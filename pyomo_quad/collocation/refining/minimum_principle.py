@@ -240,7 +240,9 @@ def state_error(
 
     The estimate is the largest of three numbers.
 
-    The first is the sum of the errors of all elements.
+    The first is the largest estimated error of the solution or, if that is larger, twice the sum
+    over all elements of the errors of a state. The factor of two allows for the unknown error of
+    the controls.
 
     The second applies to a singular arc, where only the objective determines the control. The
     objective is flat about its optimum, so that a small error of the objective allows a large error
@@ -248,15 +250,19 @@ def state_error(
     relative error or, if that is larger, of `change`.
 
     The third applies if limits become active or inactive inside elements, because the mesh then
-    restricts the times of these changes. It is the largest of three effects: the violation of
-    limits; the change of the states if a control jumps at another time within the one-point element
-    that was cut around the jump; and, without a singular arc, the change of the states since the
-    previous mesh.
+    restricts the times of these changes. It is the largest of the following effects:
+
+    - the violation of limits;
+    - the change of the states if a control jumps at another time within an element with a single
+      collocation point (the refinement cuts such narrow elements around jumps);
+    - the change of the states since the previous mesh, unless there is a singular arc.
 
     Parameters
     ----------
     solution : Solution
+        Solution whose distance from the optimum is estimated.
     error : ErrorEstimate
+        Its estimated errors.
     before : Solution, optional
         Solution on the previous mesh; given if limits become active or inactive inside elements.
     change : float
@@ -294,11 +300,14 @@ def singular_order(solution: Solution) -> int:
     """Return the order of a singular arc of a solution: 0 (no singular arc), 1, or 2 (2 or higher).
 
     On a singular arc a control lies between its limits, and the Hamiltonian has no curvature in the
-    control and in the variables that follow from it directly. The arc is of order 1 if the
-    Hamiltonian has curvature in the states that the control changes (Robbins 1967; Kelley, Kopp and
-    Moyer 1967). Two kinds of collocation points are not examined: points in elements with a single
-    point, which were cut around jumps; and points at which a limit on a state is active, because
-    the limit determines the control there.
+    control. This curvature is taken with the states unchanged: with the control, only those rates
+    (derivatives of the states) and algebraic variables change that the equations require to change.
+    The arc is of order 1 if the Hamiltonian has curvature in the direction in which the control
+    drives the states (Robbins 1967; Kelley, Kopp and Moyer 1967).
+
+    Two kinds of collocation points are not examined. At points at which a bound of a state or a
+    path inequality is active, this limit determines the control. Elements with a single collocation
+    point are left out because the refinement cuts such elements around jumps of controls.
     """
     program, n = solution.program, solution.program.layout.n_states
     held = solution.trajectory.algebraics
@@ -350,8 +359,9 @@ def _barriers(solution: Solution) -> FloatArray:
 def _is_between(solution: Solution) -> NDArray[np.bool_]:
     """Return whether a control may be singular at each collocation point, shape (n_points,).
 
-    A control may be singular at a point where no path inequality and no bound of a state is active,
-    in an element with more than one point.
+    A control may be singular at a point where no path inequality and no bound of a state is active.
+    Points of elements with a single collocation point are excluded, because the refinement cuts
+    such elements around jumps of controls.
     """
     layout = solution.program.layout
     states, algebraics = layout.n_states, layout.n_algebraics

@@ -585,12 +585,12 @@ def _is_limited_by_the_barrier(
 ) -> bool:
     """Return whether Ipopt's barrier, not the mesh, limits the accuracy of a solution.
 
-    Two conditions must hold. First, the error of every element is at most `fine`. Two parts of the
-    error, which are estimated only if all other errors meet the tolerance, are not counted: the
-    possible costs of control switches at a wrong time, and the costs of state errors relative to
-    the objective's own magnitude. Second, the complementarity gap (the error that Ipopt's barrier
-    leaves in the objective) exceeds `tolerance`, or the scaled objective is so small that it has no
-    influence on Ipopt's convergence test.
+    The solution must have converged, and two conditions must hold. First, the error of every
+    element is at most `fine`. Two parts of the error, which are estimated only if all other errors
+    meet the tolerance, are not counted: the possible costs of control switches at a wrong time, and
+    the costs of state errors relative to the objective's own magnitude. Second, the complementarity
+    gap (the error that Ipopt's barrier leaves in the objective) exceeds `tolerance`, or the scaled
+    objective is so small that it has no influence on Ipopt's convergence test.
 
     `solution` has a single horizon; `errors` holds its error estimate.
     """
@@ -723,11 +723,11 @@ def _objective_change(solution: Solution, tolerance: float) -> float:
 def _gains_too_little(records: Sequence[MeshRecord]) -> bool:
     """Return whether refinement should stop because the last two solves gained too little.
 
-    True if each of the last two solves took more than 150 iterations, and the error after the
-    second solve is more than half the error after the first solve.
+    True if each of the last two solves took more than 150 iterations, and the estimated error after
+    the last solve is more than half the error after the solve before.
 
-    `records` has one record per mesh solved so far, in order. The result is False for fewer than
-    three records.
+    `records` has one record per mesh solved so far, in order. The result is False before the third
+    solve.
     """
     if len(records) < 3:
         return False

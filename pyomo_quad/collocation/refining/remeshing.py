@@ -184,11 +184,15 @@ def refined_mesh(
     Parameters
     ----------
     solution : Solution
+        Solution on the present mesh.
     error : ErrorEstimate
+        Its estimated errors.
     marks : Marks
         Elements to refine, and elements whose degree must not be lowered.
     tolerance : float
+        Required relative error.
     options : RefinementOptions
+        Limits of degrees, widths and number of points of the mesh.
 
     Returns
     -------

@@ -96,7 +96,10 @@ def _jumping_elements(solution: Solution) -> frozenset[int]:
 def _hamiltonians(
     solution: Solution, points: NDArray[np.intp], fractions: FloatArray
 ) -> FloatArray:
-    """Return the Hamiltonian at collocation points, with time-dependent parameters of other times.
+    """Return the Hamiltonian at collocation points, with time-dependent parameters of given times.
+
+    `misplaced_switches` thus compares the Hamiltonians of two neighbouring points with the same
+    values of the time-dependent parameters.
 
     Parameters
     ----------
@@ -109,8 +112,8 @@ def _hamiltonians(
     Returns
     -------
     ndarray, shape (2, n)
-        Row 0 uses the costates integrated through the elements, row 1 the costates directly from
-        the multipliers. Per unit of the fraction of the horizon.
+        Hamiltonians per unit of the fraction of the horizon. Row 0 uses the costates integrated
+        through the elements, row 1 the costates directly from the multipliers.
     """
     program, n = solution.program, solution.program.layout.n_states
     variables = program.path_variables(solution.unknowns)[points]
