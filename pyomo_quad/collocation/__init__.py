@@ -111,9 +111,13 @@ def compile(  # noqa: A001  as casadi, re and builtins do
     model : ConcreteModel
         Model whose continuous sets are not discretised; it may have none, one or several.
     final_time : Var, optional
-        Static variable that is the free end of the horizon; see `Problem`.
+        Static variable (variable without time) that is the free end of the horizon, for a model
+        with one continuous set.
     times : mapping, optional
-        Declared times that are free, with the static variables that replace them; see `Problem`.
+        Free times, for example {1.0: m.T1}. The key 1.0 is a declared time (a member of the
+        continuous set), and the value is a static variable. The solve determines the variable,
+        which is the physical time at which the conditions declared at 1.0 hold. For a model with
+        several continuous sets, such a mapping for each set, by the set's name.
 
     Returns
     -------
@@ -158,11 +162,18 @@ def solve(
         Model whose continuous sets are not discretised; it may have none, one or several. Its
         variables receive the solution's values.
     final_time : Var, optional
-        Static variable that is the free end of the horizon; see `Problem`.
+        Static variable (variable without time) that is the free end of the horizon, for a model
+        with one continuous set.
     times : mapping, optional
-        Declared times that are free, with the static variables that replace them; see `Problem`.
+        Free times, for example {1.0: m.T1}. The key 1.0 is a declared time (a member of the
+        continuous set), and the value is a static variable. The solve determines the variable,
+        which is the physical time at which the conditions declared at 1.0 hold. For a model with
+        several continuous sets, such a mapping for each set, by the set's name.
     mesh, tolerance, parameters, horizon, guess, warm_start, options, refinement, starts, progress
-        See `Problem.solve`, or `JointProblem.solve` for several continuous sets.
+        Initial mesh, tolerance of the mesh refinement, new values of parameters, ends of the
+        horizon, initial values of variables, solution to start from, settings of Ipopt, settings
+        of the mesh refinement, number of initial points, and function to call at each iteration.
+        `Problem.solve` describes them, or `JointProblem.solve` for several continuous sets.
 
     Returns
     -------

@@ -1,4 +1,7 @@
-"""Costates from the multipliers of a solution, by the covector mapping, and their errors.
+"""Costates of a solution, computed from its multipliers, and estimates of the costates' errors.
+
+The covector mapping relates the multipliers of the collocation equations, divided by the quadrature
+weights, to the costates of the optimal control problem.
 
 Derivation and sign rule: see docs/theory/transcription.md, eqs. (9) to (13).
 """
@@ -41,7 +44,8 @@ class Costates:
 
     The multipliers at the collocation points approximate the costates (`stages`), but their order
     of convergence is lower by 1 than the order of the states. More accurate values (`at_points`)
-    come from integrating the adjoint equations with `stages` over each element, from its left end.
+    come from integrating the adjoint equations over each element, from its left end, with the
+    multipliers inserted in the right-hand side of these equations.
 
     Attributes
     ----------
@@ -251,10 +255,16 @@ def costate_errors_of(
 
     Parameters
     ----------
-    program, z, multipliers, bounds
-        As in `costates_of`.
+    program : Transcription
+        Nonlinear program of the optimal control problem on one mesh.
+    z : ndarray, shape (n_unknowns,)
+        Unknowns of the program at the solution.
+    multipliers : Multipliers
+        Multipliers of constraints and bounds, as Ipopt returns them for the unscaled program.
+    bounds : Bounds
+        Bounds of unknowns and constraints.
     costates : Costates
-        Result of `costates_of`.
+        Costates of this solution, as `costates_of` returns them.
 
     Returns
     -------

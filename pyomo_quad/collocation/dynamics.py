@@ -235,7 +235,7 @@ class Dynamics:
 
     @property
     def signal_names(self) -> tuple[str, ...]:
-        """Full names of the time-dependent parameters, in the order of the method `moment`."""
+        """Full names of the time-dependent parameters, in the order in which `moment` has them."""
         return tuple(slot.name for slot in self._formulation.compiled.declared.signals)
 
     def moment(self, t: float) -> list[float]:
@@ -289,7 +289,9 @@ class Dynamics:
         Parameters
         ----------
         moment : casadi.SX or casadi.MX
-            Column of inputs, in the order of the method `moment`.
+            Column of the inputs that the method `moment` returns, in the same order: the fraction
+            of the horizon, the time-dependent parameters, and the numbers that select the form of a
+            rule.
         changed : mapping
             Full name of a time-dependent parameter -> symbol that replaces it.
         """
@@ -304,9 +306,11 @@ class Dynamics:
         Parameters
         ----------
         moment, x, u : casadi.SX or casadi.MX
-            Columns of symbols: time-dependent inputs as in `moment`, states and controls.
+            Columns of symbols: the time-dependent inputs of the equations, in the order in which
+            the method `moment` returns them; the states; and the controls.
         parameters : optional
-            Column of all constant parameters as in `parameter_column`; by default their values.
+            Column of all constant parameters, some of which may be symbols; the method
+            `parameter_column` returns such a column. By default the parameters have their values.
 
         Returns
         -------
@@ -390,7 +394,9 @@ class Dynamics:
         t : float
             Physical time.
         x : ndarray, shape (n_states,)
+            States.
         u : ndarray, shape (n_controls,)
+            Controls.
 
         Returns
         -------
@@ -405,8 +411,12 @@ class Dynamics:
 
         Parameters
         ----------
-        t, x, u
-            As in `rates`.
+        t : float
+            Physical time.
+        x : ndarray, shape (n_states,)
+            States.
+        u : ndarray, shape (n_controls,)
+            Controls.
 
         Returns
         -------
@@ -423,8 +433,12 @@ class Dynamics:
 
         Parameters
         ----------
-        t, x, u
-            As in `rates`.
+        t : float
+            Physical time.
+        x : ndarray, shape (n_states,)
+            States.
+        u : ndarray, shape (n_controls,)
+            Controls.
         """
         return self.rates_and_integrand(t, x, u)[1]
 
@@ -536,8 +550,10 @@ class Dynamics:
         keys : tuple of (str, index)
             For each component: its full name, and its index without the time (i for ``x[i, t]``,
             None for ``x[t]``).
-        t, states, controls : ndarray
-            As in `evaluate`.
+        t : ndarray, shape (n,)
+            Physical times.
+        states, controls : ndarray, shape (n, n_states) and (n, n_controls)
+            States and controls of the trajectory at these times.
 
         Returns
         -------
@@ -630,8 +646,8 @@ class Dynamics:
         Returns
         -------
         list of tuple of Violation
-            For each flight, the worst violation of each limit, the worst limit first, as in
-            `violations`.
+            For each flight, the worst violation of each limit over time. The limit with the
+            largest violation relative to max(1, abs(bound)) comes first.
         """
         limits = self.limits_of(instants)
         flights = (slice(k, k + len(t)) for k in range(0, len(instants.inputs[0]), len(t)))
@@ -1010,7 +1026,8 @@ def written_law(dynamics: Dynamics, law: Law, sizes: tuple[int, int, int]) -> An
     dynamics : Dynamics
         Right-hand side of the vehicle.
     law : callable
-        See `Law`.
+        Control law: (command, x, own) -> (controls, time derivatives of own), where x are the
+        vehicle's states, and own are the law's own states; see `Law`.
     sizes : (int, int, int)
         Numbers of time-dependent inputs of the equations (see `Dynamics.moment`), of joint states
         and of components of the command that the law follows. The joint state consists of the
@@ -1066,8 +1083,14 @@ def closed(
 
     Parameters
     ----------
-    dynamics, law, sizes
-        As in `written_law`.
+    dynamics : Dynamics
+        Right-hand side of the vehicle.
+    law : callable
+        Control law: (command, x, own) -> (controls, time derivatives of own), where x are the
+        vehicle's states, and own are the law's own states; see `Law`.
+    sizes : (int, int, int)
+        Numbers of time-dependent inputs of the equations (see `Dynamics.moment`), of joint states
+        and of components of the command that the law follows.
     numbers : mapping
         Symbols that replace parameters, by full name.
 

@@ -158,8 +158,10 @@ class Enclosure:
     def values_over(self, low: FloatArray, high: FloatArray, numbers: ArrayLike) -> Interval:
         """Return lower and upper bounds of the expressions over n boxes, without the gradient.
 
-        This costs less than `over`, which bounds the gradient, too. The parameters are those of
-        `over`. Each of the two results has shape (n_expressions, n).
+        This costs less than `over`, which bounds the gradient, too. `low` and `high` are the lower
+        and upper corners of the boxes, shape (n_variables, n). `numbers` are the values of the
+        symbols with single values, shape (n_numbers,). Each of the two results has shape
+        (n_expressions, n).
         """
         return self._values.over(low, high, numbers)[0]
 
@@ -169,6 +171,7 @@ class Enclosure:
         Parameters
         ----------
         points : ndarray, shape (n_variables, n)
+            Values of the variables at each point.
         numbers : array_like, shape (n_numbers,)
             Values of the symbols with single values.
 

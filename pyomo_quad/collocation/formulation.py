@@ -72,6 +72,9 @@ class WrittenComponents:
     def over_time(self, name: str, index: tuple[Any, ...]) -> Any:
         """Return the CasADi expression of a component, or None if no component has this name.
 
+        `name` is the component's full name, and `index` its index without the time: (i,) for
+        ``x[i, t]``.
+
         Raises
         ------
         TranscriptionError

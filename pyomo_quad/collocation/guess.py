@@ -66,7 +66,7 @@ def initial_point(
     values : ModelValues
         Reader of the values in the Pyomo model.
     guess : mapping, DataFrame or Trajectory, optional
-        See `Guess`.
+        The user's initial values of the variables; see `Guess`.
 
     Returns
     -------
@@ -118,8 +118,14 @@ def first_point(
 
     Parameters
     ----------
-    program, bounds, values, guess
-        As in `initial_point`.
+    program : Transcription
+        Nonlinear program on one mesh.
+    bounds : Bounds
+        Bounds of the program's unknowns.
+    values : ModelValues
+        Reader of the values in the Pyomo model.
+    guess : mapping, DataFrame or Trajectory, optional
+        The user's initial values of the variables; see `Guess`.
     seed : int, default 0
         If above 0, the point is random between the bounds; see `scattered`.
 

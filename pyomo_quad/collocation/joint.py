@@ -187,8 +187,12 @@ class JointSolution(Outcome):
 
         Parameters
         ----------
-        state, t, index
-            As in `Solution.costate`, on the horizon of the state.
+        state : Var or str
+            The state or its full name.
+        t : float or array
+            Physical times on the horizon of the state.
+        index : optional
+            Index of the state without the time: i for ``x[i, t]``; omitted for ``x[t]``.
 
         Returns
         -------
@@ -274,13 +278,24 @@ class JointProblem(Summarised):
         mesh : Mesh or mapping, optional
             A mesh for all horizons, or a mapping from the names of the continuous sets to meshes.
         guess : mapping, optional
-            As in `Problem.solve`, or with a guess per horizon under the name of its continuous set.
+            Initial values by the name of a variable: a function of time, a constant, or samples at
+            the times under the key "time". The mapping may also have, under the name of a
+            continuous set, such a guess for all variables of that horizon.
         warm_start : JointSolution or tuple of WarmStart, optional
             Solution of the same model on any meshes.
         horizon, starts
             Not supported for several horizons: other values than `None` and 1 raise an error.
-        tolerance, parameters, options, refinement, progress
-            As in `Problem.solve`.
+        tolerance : float, optional
+            Required relative error of the states; default 1e-6 if no mesh is given.
+        parameters : mapping, optional
+            New values of mutable parameters, by component or full name; a function of time for a
+            parameter over time.
+        options : SolverOptions, optional
+            Settings of Ipopt.
+        refinement : RefinementOptions, optional
+            Settings of the mesh refinement.
+        progress : callable, optional
+            Called with an `Iteration` at each iteration of Ipopt; returning False stops the solve.
 
         Returns
         -------
@@ -669,8 +684,25 @@ class JointProblem(Summarised):
 def compiled_of(model: Any, final_time: Any = None, times: FreeTimes | None = None) -> Any:
     """Return the compiled problem of a model: a `Problem`, or a `JointProblem`.
 
-    A model with several horizons gives a `JointProblem`. Each continuous set of the model that is
-    not discretised is a horizon. `final_time` and `times` are as in `Problem` and `JointProblem`.
+    Each continuous set of the model that is not discretised is a horizon. A model with several
+    horizons gives a `JointProblem`, any other model a `Problem`.
+
+    Parameters
+    ----------
+    model : ConcreteModel
+        Pyomo.DAE model.
+    final_time : Var, optional
+        Static variable (variable without time) that is the free end of the only horizon; not
+        allowed for several horizons.
+    times : mapping, optional
+        Free times, for example {1.0: m.T1}. The key 1.0 is a declared time (a member of the
+        continuous set), and the value is a static variable. The solve determines the variable,
+        which is the physical time at which the conditions declared at 1.0 hold. For several
+        horizons, such a mapping for each horizon, by the name of its continuous set.
+
+    Returns
+    -------
+    Problem or JointProblem
 
     Raises
     ------

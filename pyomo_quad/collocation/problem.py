@@ -442,8 +442,11 @@ class Problem(Summarised, Formulation):
 
         Parameters
         ----------
-        parameters, horizon
-            As in `solve`.
+        parameters : mapping, optional
+            New values of mutable parameters, by component or full name; a function of time for a
+            parameter over time.
+        horizon : (float, float), optional
+            Start and end of the horizon, in place of the ends of the continuous set.
         statics : ndarray, shape (n_statics,), optional
             Values of the static variables (variables without time); by default their values in the
             model, NaN where a variable has none.
@@ -539,7 +542,9 @@ def march(
     times: FloatArray,
     start: FloatArray,
 ) -> FloatArray:
-    """Integrate an ODE by the classical Runge-Kutta method, with ten steps between given times.
+    """Integrate an ODE by the classical Runge-Kutta method, to compute an initial guess.
+
+    Ten equal steps are taken between each two neighbouring times of `times`.
 
     Parameters
     ----------

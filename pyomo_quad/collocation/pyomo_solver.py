@@ -129,12 +129,15 @@ class PyomoSolver:
         symbolic_solver_labels : bool, optional
             Ignored: messages always name the model's components.
         final_time : Var, optional
-            Static variable that is the free end of the horizon; see `Problem`.
+            Static variable (variable without time) that is the free end of the horizon, for a model
+            with one continuous set.
         times : mapping, optional
-            Declared times that are free, with the static variables that replace them; see
-            `Problem`.
+            Free times, for example {1.0: m.T1}. The key 1.0 is a declared time (a member of the
+            continuous set), and the value is a static variable. The solve determines the variable,
+            which is the physical time at which the conditions declared at 1.0 hold. For a model
+            with several continuous sets, such a mapping for each set, by the set's name.
         **arguments
-            See `Problem.solve`: `tolerance`, `mesh`, `guess` and so on.
+            Further arguments of `Problem.solve`, such as `tolerance`, `mesh` and `guess`.
 
         Returns
         -------
@@ -182,9 +185,10 @@ class PyomoSolver:
 def _refuse_unknown(arguments: dict[str, Any], problem: Problem | JointProblem) -> None:
     """Raise an error if `PyomoSolver.solve` was called with an unknown keyword argument.
 
-    `arguments` are the keyword arguments that it does not use itself, and passes on to the method
-    `solve` of the compiled problem `problem`. An argument is unknown if that method does not accept
-    it either.
+    `arguments` are the keyword arguments that `PyomoSolver.solve` does not use itself, but passes
+    on to the method `solve` of `problem`, the compiled problem. An argument is unknown if the
+    compiled problem's method does not accept it. The argument `progress` of that method is refused,
+    too: `PyomoSolver.solve` sets it itself, to print the iterations.
     """
     known = {*signature(PyomoSolver.solve).parameters, *signature(problem.solve).parameters}
     taken = known - {"self", "model", "arguments", "progress"}

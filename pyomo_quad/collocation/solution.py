@@ -206,7 +206,7 @@ class Outcome(Summarised):
         Parameters
         ----------
         **changes
-            Attributes by name, as in `status` or `message`.
+            New values of attributes by name, for example of `status` or `message`.
         """
         return replace(self, **changes)
 
@@ -307,10 +307,10 @@ class Solution(Outcome):
         """Reference magnitude for changes of the objective, in the unit of the objective.
 
         The result is the larger of two numbers. The first is the magnitude of the objective. The
-        second is the inverse of the objective's scaling factor, which is the size of the
-        objective's derivatives at the initial point. The second number is limited to 10 max(1,
-        abs(objective)), because a penalty may make these derivatives far larger than the
-        derivatives near the solution.
+        second is the size of the objective's derivatives at the initial point, the inverse of the
+        objective's scaling factor. The second number is limited to 10 max(1, abs(objective)),
+        because a penalty term in the objective may make the derivatives at the initial point far
+        larger than those near the solution.
         """
         size = abs(self.objective)
         return max(size, min(1.0 / self.scaling.objective, _STEEPEST * max(1.0, size)))
@@ -373,7 +373,10 @@ class Solution(Outcome):
 
     @cached_property
     def times(self) -> FloatArray:
-        """Physical times of the nodes: start of the horizon and points, shape (n_points + 1,)."""
+        """Physical times of the nodes, shape (n_points + 1,).
+
+        The nodes are the start of the horizon and the collocation points.
+        """
         return np.asarray(self.timeline.time(self.mesh.node_fractions))
 
     def fractions(self, times: Any) -> FloatArray:
@@ -643,11 +646,13 @@ def solution_from(
     Parameters
     ----------
     problem : Formulation
+        Compiled problem that was solved.
     program : Transcription
         Nonlinear program on the last mesh.
     instance : Instance
         Parameter values, horizon and fixed variables of the solve.
     result : IpoptResult
+        Ipopt's result on the program: status, unknowns, multipliers and iterations.
     bounds, scaling : Bounds, Scaling
         Bounds and scaling factors with which the program was solved.
     """

@@ -1,7 +1,8 @@
 """Complete solve from a warm start or a guess, within limits of iterations and time.
 
-A warm start has a budget of iterations; if it exceeds the budget, the problem is solved from the
-guess. A solve that ends early returns the solution on the most accurate mesh that was solved.
+A solve from a warm start has a budget of iterations; if the solve exceeds the budget, the problem
+is solved from the guess. A solve that ends early returns the solution on the most accurate mesh
+that was solved.
 """
 
 from __future__ import annotations
@@ -199,6 +200,7 @@ def carried_out(
     options : SolverOptions or None
         Settings of Ipopt, with the time limit.
     refinement : RefinementOptions or None
+        Settings of the mesh refinement; None for the default settings.
     progress : callable or None
         Called at each iteration; returning False stops the solve.
     is_known : bool, default True

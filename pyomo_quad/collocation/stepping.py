@@ -54,7 +54,8 @@ class SteppedLoops:
     dynamics : Dynamics
         Right-hand side of the vehicle's equations.
     law : callable
-        Control law, as in `ClosedLoop`.
+        Control law: (command, x, own) -> (controls, time derivatives of own), where x are the
+        vehicle's states, and own are the law's own states; see `Law`.
     n_command, n_own : int
         Number of components of the command that the law follows, and number of the law's states.
     varied : sequence of str

@@ -86,7 +86,11 @@ def load_suffixes(*solutions: Solution) -> None:
 
 
 def _suffixes(solution: Solution) -> dict[str, Sensitivities]:
-    """Return the derivatives for the suffixes `dual`, `rc` and `costate`, by name of the suffix."""
+    """Return the objective's derivatives that the suffixes store, by the name of the suffix.
+
+    The names are "dual", "rc" and "costate"; `solution` has the multipliers from which the
+    derivatives are computed.
+    """
     problem = solution.problem
     dual, reduced = _sensitivities(solution)
     costates = Sensitivities()
@@ -174,9 +178,10 @@ def _assign_bounds(
     """Convert the multipliers of bounds to derivatives for the components that declare the bounds.
 
     The derivatives are those of the objective with respect to the values of the bounds. A bound may
-    come from the bounds of a variable, whose derivative is added to `reduced`, or from a constraint
-    on a single variable, whose derivative is added to `dual`; both are changed in place. `solution`
-    has the multipliers. `sign` is -1 if the objective is maximised, and 1 otherwise.
+    be declared with a variable; its derivative is then added to `reduced`, for the suffix `rc`. A
+    bound may also be declared by a constraint on a single variable; its derivative is then added to
+    `dual`, for the suffix of that name. Both arguments are changed in place. `solution` has the
+    multipliers. `sign` is -1 if the objective is maximised, and 1 otherwise.
     """
     program, bounds = solution.program, solution.bounds
     compiled = program.compiled

@@ -108,9 +108,10 @@ def judged(failed: Solution, found: LeastViolation) -> Solution:
     Returns
     -------
     Solution
-        Solution at that point. Its status is infeasible, with a message on the violated equations,
-        if the least violation is positive. The status is not converged if the least violation is
-        zero although Ipopt reported infeasibility. Otherwise the status is unchanged.
+        Solution at that point. If the least violation is positive, the status becomes "infeasible",
+        and the message names the violated equations. If the least violation is zero although Ipopt
+        reported infeasibility, the status becomes "not converged". Otherwise the status is
+        unchanged.
     """
     told = replace(
         failed,
@@ -135,6 +136,7 @@ def violation(failed: Solution, row: int, slack: float) -> tuple[str, str]:
     Parameters
     ----------
     failed : Solution
+        Result of the failed solve.
     row : int
         Row of the equation in the nonlinear program.
     slack : float
@@ -226,7 +228,8 @@ def doubted(solution: S) -> S:
     """Return a solution whose status and message record the doubts about it.
 
     There are three doubts: the problem has no objective; multipliers diverge while the Hamiltonian
-    is not constant; or a table is evaluated outside the range of its data.
+    is not constant; or an interpolation table of the model is evaluated outside the range of its
+    data.
     """
     return _within_tables(_undoubted(_without_objective(solution)))
 
@@ -248,9 +251,9 @@ def _without_objective(solution: S) -> S:
 def _undoubted(solution: S) -> S:
     """Change the status of a converged solution if its optimality conditions are meaningless.
 
-    The status becomes tolerance not met if multipliers diverge and the Hamiltonian is not constant,
-    which together show that the solution is wrong. The status is unchanged for a problem that
-    depends on time explicitly, whose Hamiltonian need not be constant.
+    The status becomes "tolerance not met" if multipliers diverge and the Hamiltonian is not
+    constant. These two signs together show that the solution may not be an optimum. If the problem
+    depends on time explicitly, its Hamiltonian need not be constant, and the status is unchanged.
     """
     for part in solution.parts if solution.status is Status.CONVERGED else ():
         names, warnings = diverging_multipliers(part), hamiltonian_warnings(part)
@@ -265,9 +268,9 @@ def _undoubted(solution: S) -> S:
 
 
 def _within_tables(solution: S) -> S:
-    """Mark a solution as not converged if a table is evaluated outside the range of its data.
+    """Mark a solution as not converged if it evaluates a table outside the range of its data.
 
-    The message names the table.
+    A table is an interpolation table of the model. The message of the solution names the table.
     """
     line = next(filter(None, map(outside_tables, solution.parts)), "")
     if not line:
