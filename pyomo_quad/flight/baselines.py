@@ -138,7 +138,7 @@ def declared_start(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
 def wanted_at_goal(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
     """Return the final values of the states that the mission requires: hover at the goal.
 
-    The rotor speeds are those of a vehicle that has released its payloads.
+    The rotor speeds in this hover are those of a vehicle that has released its payloads.
 
     Parameters
     ----------
@@ -169,8 +169,8 @@ def _hovering(
 def _charge_drawn(scenario: Scenario, dynamics: Dynamics) -> float:
     """Return the charge already drawn from the full battery at the start of the flight [A h].
 
-    It follows from the initial state of charge in `scenario`, and from the equation in `dynamics`
-    for the state of charge as a linear function of the charge drawn.
+    `scenario` gives the initial state of charge. In `dynamics`, the state of charge is a linear
+    function of the charge drawn; this equation is solved for the charge drawn.
     """
     states = np.zeros((2, len(dynamics.state_names)))
     states[1, dynamics.state_names.index(CHARGE_STATE)] = 1.0
@@ -330,9 +330,10 @@ def fly(
 class _Loop:
     """Closed loop of vehicle and controller as a system of differential equations.
 
-    Its joint state holds the states of the vehicle, of the controller, and the energy spent. The
-    vehicle is given by `dynamics`; `controller` follows the path `reference`. `duration` is the
-    duration of the flight [s], for the limit above which the vehicle counts as tumbling.
+    Its joint state holds the states of the vehicle, the states of the controller, and the energy
+    spent. `dynamics` has the equations of the vehicle; `controller` follows the path `reference`.
+    `duration` is the duration of the flight [s]. The longer it is, the more evaluations of the
+    right-hand side are allowed before the vehicle counts as tumbling and an error is raised.
     """
 
     def __init__(
@@ -354,10 +355,10 @@ class _Loop:
         self._guard = TumblingGuard("controlled flight", duration)
 
     def started(self, t: float, state: FloatArray, last: FloatArray | None) -> FloatArray:
-        """Return the initial joint state of vehicle, controller and energy at time t [s].
+        """Return the joint state of vehicle, controller and energy at the initial time t [s].
 
-        `state` is the initial state of the vehicle. `last` is the controller's state at the end of
-        the reference that it followed before; None for a controller that starts with this flight.
+        `state` is the initial state of the vehicle. If the controller followed another reference
+        before, `last` is the controller's state at the end of that reference; otherwise it is None.
         """
         body, before = state[self._body].tolist(), None if last is None else last.tolist()
         own = self._controller.started(self._reference(t), body, before)
@@ -490,8 +491,15 @@ def fly_reference(
 
     Parameters
     ----------
-    scenario, reference, dynamics, plan
-        As for `fly_baseline`.
+    scenario : Scenario
+        The mission with fixed times.
+    reference : Reference
+        Path that the controller follows.
+    dynamics : Dynamics
+        Simulated vehicle in its wind.
+    plan : Plan, optional
+        Plan to follow, if the reference is the plan. If given, its initial state is also the
+        initial state of the flight.
     integrator : Integrator, optional
         SciPy's integration method.
     rate_hz : float, optional
@@ -849,10 +857,11 @@ def _joined(parts: Sequence[Flown]) -> Flown:
 
 
 def refuse_other_vehicles(scenario: Scenario, dynamics: Dynamics) -> None:
-    """Raise an error for a model that lacks a state which the controller measures.
+    """Raise an error for a vehicle model that lacks a state which the controller measures.
 
     The controller needs the position, velocity, attitude and body rates of a quadrotor
-    (`MEASURED_STATES`).
+    (`MEASURED_STATES`). `dynamics` is the model with its states; `scenario` gives its name to the
+    message.
 
     Raises
     ------

@@ -81,11 +81,12 @@ class LimitDistance:
     def probability(self, present: float = 0.0, changed: float = 0.0) -> float:
         """Predict the probability that a flight breaks the limit, for a plan with another margin.
 
-        A margin is the amount by which a plan must stay inside the limit. The present plan is the
-        plan for which these statistics were computed. The prediction assumes that a plan with the
-        new margin stays exactly this far inside the limit at two kinds of times: where the present
-        plan is close to its own margin (the tightened limit is active), and where the present plan
-        is nearer to the limit than the new margin. At other times the plan is assumed unchanged.
+        A margin is the amount by which a plan must stay inside the limit: the plan keeps a limit
+        that is tightened by the margin. The present plan is the plan for which these statistics
+        were computed. Its distance from the limit at each time gives the assumed distance of a plan
+        with the new margin. Where the tightened limit is active in the present plan, or where the
+        present distance is smaller than the new margin, the new distance is equal to the new
+        margin. At all other times the distance does not change.
 
         Parameters
         ----------
@@ -232,9 +233,10 @@ def _gradients(spread: Spread) -> dict[str, FloatArray]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Miss:
-    """Random samples of the distance or the speed of flights in turbulence at a goal or waypoint.
+    """Random samples of one limited quantity of flights in turbulence at a goal or waypoint.
 
-    They are drawn for the instants at which the mission limits this distance or speed.
+    The quantity is the distance from the place, or the speed. There are samples for each instant at
+    which the mission limits the quantity.
 
     Attributes
     ----------
@@ -263,9 +265,9 @@ class Miss:
         return float(min((self.off > self.within).mean(axis=1).sum(), 1.0))
 
     def shrunk(self, share: float) -> "Miss":
-        """Return a copy whose distances or speeds are multiplied by the factor `share`.
+        """Return a copy in which the samples `off` are multiplied by the factor `share`.
 
-        A factor below 1 gives the distances or speeds in weaker turbulence.
+        A factor below 1 represents the distances or speeds in weaker turbulence.
         """
         return replace(self, off=share * self.off)
 

@@ -230,9 +230,10 @@ class Candidate:
     def from_warm_start(self) -> str | None:
         """Solve the mission from a warm start: variables and multipliers of an earlier solve.
 
-        If the solve does not converge, its result is kept as a failed solution. Only for missions
-        without regeneration is it discarded, so that other strategies are tried: their power has a
-        corner at zero, which makes the problem hard to solve directly.
+        If the solve does not converge, its result is as a rule kept as a failed solution. In a
+        mission without regeneration the power has a corner at zero, which makes the problem hard to
+        solve directly. For such a mission the result is discarded, so that other strategies are
+        tried.
 
         Returns
         -------
@@ -270,10 +271,10 @@ class Candidate:
     def is_long(self) -> bool:
         """Return whether the flight is so long that steady flight is a good initial guess.
 
-        A flight is long compared with the time in which the vehicle changes its attitude. The
+        Long means long compared with the time in which the vehicle changes its attitude. The
         result is False if the mission is solved already, or if its route is not straight. It is
-        also False for models that need another initial guess: a user's own model, and a power with
-        a corner at zero (no regeneration).
+        also False for two kinds of models that need another initial guess: a user's own model, and
+        a model without regeneration, whose power has a corner at zero.
         """
         mission = self.mission
         is_simple = self.solution is None and mission.problems.is_declared and not mission.easier
@@ -466,9 +467,10 @@ class Candidate:
         """Record why the mission failed, and decide whether it is infeasible.
 
         The status becomes "infeasible" if the mission's duration is below the least duration, or if
-        the elastic problem has no feasible point and no other result suggests that the mission is
-        possible. The elastic problem alone is no proof if other routes may be possible, because it
-        only searches near the last iterate of one solve.
+        the elastic problem (limits may be violated at a penalty) has no feasible point. In both
+        cases it is "not converged" instead if another result suggests that the mission is possible,
+        such as a feasible flight on a coarse mesh. The elastic problem alone is no proof if other
+        routes may be possible, because it only searches near the last iterate of one solve.
         """
         if self.diagnosis is None:
             return
@@ -510,10 +512,11 @@ class Candidate:
     def _remedies(self, diagnosis: Diagnosis) -> tuple[Relaxation, ...]:
         """Return the single limits whose relaxation alone would make the mission feasible.
 
-        `diagnosis` is the result of the elastic problem, in which limits may be violated at a
-        penalty. For each limit that this solution violates, and each that is active in it, the
-        elastic problem is solved again with this limit alone relaxed. Only the first few are tried.
-        Each limit is returned with its necessary relaxation.
+        `diagnosis` is the result of the elastic problem, in which all limits may be violated at a
+        penalty. It names the limits that the solution of this problem violates, and the limits that
+        are active there. For each of the first few of them, the elastic problem is solved again,
+        with this limit alone relaxed. If the limit turns out to be a remedy, it is returned
+        together with the relaxation that is necessary.
         """
         candidates = [r.name for r in diagnosis.relaxations] + [a.name for a in diagnosis.active]
         limits = [name for name in dict.fromkeys(candidates) if name.startswith(_LIMITS)]

@@ -227,8 +227,14 @@ def flight_frame(
 
     Parameters
     ----------
-    dynamics, t, states, controls, energy
-        As for `flight_columns`.
+    dynamics : Dynamics
+        Equations of the simulated vehicle; columns are omitted if the model lacks their component.
+    t : ndarray, shape (n,)
+        Times [s].
+    states, controls : ndarray, shapes (n, n_states), (n, n_controls)
+        States and controls at these times, in the order of the dynamics.
+    energy : ndarray, shape (n,)
+        Energy spent since the start [J].
 
     Returns
     -------

@@ -417,10 +417,10 @@ class BacksteppingLoop:
     The three axes are x, y and z, or roll, pitch and yaw. Law and proof: see
     docs/theory/controller.md, eqs. (1) to (7).
 
-    The nine states of the loop are, in order, xi_p (3) and xi_v (3), the effects of the actuators'
-    lag on the error and on the error rate, and d_hat (3), the estimated disturbance (an
-    acceleration). Errors are in m for the position and in rad for the attitude; rates and
-    accelerations are in the same unit per s and per s^2.
+    The loop has nine states, three for each quantity. In order they are xi_p, the effect of the
+    actuators' lag on the tracking error; xi_v, the effect of this lag on the error rate; and d_hat,
+    the estimated disturbance, which is an acceleration. Errors are in m for the position and in rad
+    for the attitude; rates and accelerations are in the same unit per s and per s^2.
     """
 
     outer: tuple[float, float, float]
@@ -593,10 +593,10 @@ def _size(vector: Sequence[float]) -> float:
 def followed_tilt(believed: Scenario) -> float:
     """Return the largest tilt that the controller of a scenario commands [rad].
 
-    `believed` is the scenario, with the vehicle, limits and gains that the controller assumes. It
-    may give this tilt as `baseline.gains.tilt_max`. Otherwise it is the tilt at which the largest
-    commanded thrust still balances the weight. In both cases it is at most the tilt that the limits
-    on roll and pitch allow.
+    `believed` is the scenario, with the vehicle, limits and gains that the controller assumes. If
+    the scenario sets `baseline.gains.tilt_max`, this value is the largest tilt. Otherwise the
+    largest tilt is that at which the largest commanded thrust still balances the weight. In both
+    cases the result is at most the tilt that the limits on roll and pitch allow.
     """
     limits, gains, gravity = believed.limits, believed.baseline.gains, believed.gravity
     spare = limits.thrust_max / believed.vehicle.total_mass - gravity
@@ -726,7 +726,8 @@ class AdaptiveController:
     Parameters
     ----------
     believed : Scenario
-        Vehicle, limits, gravity and gains that the controller assumes. It does not use the wind.
+        Scenario with the vehicle, limits, gravity and gains that the controller assumes. The wind
+        of the scenario is not used.
     mixer : ndarray, shape (4, n_rotors)
         Thrust and moments per squared rotor speed, as `mixer_matrix` returns them.
     learnt : sequence of three floats, optional
@@ -841,7 +842,8 @@ class AdaptiveController:
         Parameters
         ----------
         command : sequence of 22 floats
-            Command from the reference, as `command` returns it.
+            Input that the method `command` computes from the reference path: setpoint, planned
+            motion and released payload.
         body : sequence of twelve floats
             The `MEASURED_STATES`: position, velocity, attitude and body rates.
         omega : sequence of four floats
@@ -946,8 +948,10 @@ class AdaptiveController:
         """Return the commanded moments [N m], and the derivatives of the attitude loop's states.
 
         `setpoint` gives the yaw to follow, `tilt_acceleration` the commanded accelerations of roll
-        and pitch [rad/s^2]. `body` holds the `MEASURED_STATES`, `achieved` the present moments of
-        the rotors [N m], and `states` the `CONTROLLER_STATES`.
+        and pitch [rad/s^2]. `body` holds the `MEASURED_STATES` of the vehicle, `achieved` the roll,
+        pitch and yaw moments that the rotors produce at present [N m], and `states` the
+        `CONTROLLER_STATES`. The first result has the commanded roll, pitch and yaw moments, the
+        second the time derivatives of the nine states of the attitude loop.
         """
         command, attitude, body_rates = states[_COMMAND], body[6:9], body[9:12]
         turning = [

@@ -1,12 +1,17 @@
 """Corridors through a wind field: cheap routes that lie apart, found by a search on a grid.
 
-A corridor is a route through the wind field that is cheap and far from other cheap routes.  It is
-found on a grid of points about start and goal.  Straight lines join each point of the grid to 16
-neighbours, except through keep-out zones and where the wind is unknown.  The cost of a line is the
-cost of steady flight along it: (P(a) + price of time) / g per metre, at the ground speed g that
-makes this cost least.  The airspeed a follows from g and from the wind at both ends and in the
-middle of the line; the power P at airspeed a is tabulated once.  If the field changes with time,
-the wind at a place is taken at the time when a flight at constant speed would pass the place.
+A corridor is a route through the wind field that is cheap and far from other cheap routes.  The
+cost of a route is its energy plus its duration times the price of time [W].  If the duration of the
+mission is free, the mission states this price; if the duration is fixed, the price is chosen so
+that the cheapest route takes this duration.
+
+Corridors are found on a grid of points about start and goal.  Straight lines join each point of the
+grid to 16 neighbours, except through keep-out zones and where the wind is unknown.  The cost of a
+line is the cost of steady flight along it.  At airspeed a, ground speed g and power P(a), this is
+(P(a) + price of time) / g per metre, where g is chosen to make the cost least.  The airspeed
+follows from g and from the wind at both ends and in the middle of the line; the power is tabulated
+once for all airspeeds.  If the field changes with time, the wind at a place is taken at the time
+when a flight at constant speed would pass the place.
 
 Two searches by Dijkstra's method, from the start and from the goal, give the cheapest route through
 every grid point.  The cheapest of these routes is the first corridor.  The next corridor is the
@@ -15,10 +20,6 @@ found so far; the search ends when this route costs much more than the first [1]
 found in this way may make a needless detour through its grid point. Therefore corners are removed
 where a straight line costs no more, and the route is discarded if it then coincides with an earlier
 corridor.
-
-The price of time [W] is the weight of the duration in the cost. If the duration is free, the
-mission states the price; if the duration is fixed, the price is chosen so that the cheapest route
-takes this duration.
 
 .. [1] Abraham, Delling, Goldberg and Werneck, "Alternative routes in road networks",
    ACM Journal of Experimental Algorithmics 18 (2013): routes through one place.
@@ -137,7 +138,7 @@ class LineCosts:
         Duration of the leg, or a guess if the duration is free [s]. The wind at a place is taken at
         the time when a flight of this duration at constant speed passes the place.
     fastest : float
-        Largest ground speed [m/s].
+        Largest ground speed that the scenario allows [m/s], infinite without such a limit.
     """
 
     told: Scenario

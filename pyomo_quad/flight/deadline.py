@@ -26,8 +26,8 @@ class TimeIsUpError(SolveError):
 class _Watch:
     """Clock that measures the processor time of a thread against a time limit.
 
-    It also works in a process that was forked after the start. `is_over` states whether the limit
-    had passed at the last call of `look`.
+    The clock also works in a process that was forked after the clock was started: the time left at
+    the fork then remains. `is_over` states whether the limit had passed at the last call of `look`.
     """
 
     limit_s: float
@@ -44,7 +44,8 @@ class _Watch:
     def shortened(self, limit_s: float) -> Self:
         """Return a copy of this clock whose limit passes at most ``limit_s`` seconds from now.
 
-        The seconds are processor time. If less time is left to this clock, the copy has this time.
+        The seconds are processor time. If this clock's own limit passes earlier, the copy keeps
+        that limit.
         """
         now = time.thread_time()
         return replace(self, end=min(self.end, now + limit_s), seen=now, process=os.getpid())
@@ -66,8 +67,8 @@ _CURRENT: ContextVar[_Watch | None] = ContextVar("time_limit", default=None)
 class Deadline:
     """Context manager that stops solves and simulations in its block at the scenario's time limit.
 
-    A deadline inside the block of another deadline uses the limit of the outer deadline, because a
-    command has a single time limit.
+    A command has a single time limit. A deadline inside the block of another deadline therefore
+    uses the limit of the outer deadline, not that of `scenario`.
 
     Parameters
     ----------
@@ -76,7 +77,8 @@ class Deadline:
     progress : callable, optional
         Progress callback of the caller, which may stop a solve earlier.
     longest_s : float, optional
-        Shorter limit for this block [s of processor time].
+        Longest time for this block [s of processor time], if less than the time left until the
+        limit.
     """
 
     def __init__(
@@ -100,8 +102,8 @@ class Deadline:
     def __call__(self, iteration: Iteration) -> bool:
         """Return whether an Ipopt solve may continue; called at each iteration.
 
-        The result is False after the time limit, or if the caller's progress callback returns
-        False.
+        `iteration` describes the present iteration and is passed to the caller's progress callback.
+        The result is False after the time limit, or if that callback returns False.
         """
         if self._watch.look():
             return False

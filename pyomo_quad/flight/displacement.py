@@ -1,12 +1,13 @@
 """Displacements of a path on a coarse mesh that lead its simulated flight out of keep-out zones.
 
-With them, a coarse solution may become a usable plan: a plan that simulation confirms, at lower
-accuracy than requested.
-
 Between its collocation points, the path of a solution on a coarse mesh may cut corners of keep-out
-zones. A vehicle that follows the path under feedback (`flight.tracking`) cuts them too. It flies
-outside them if the path that it follows is pushed outwards while it is inside a zone. This costs
-one simulated flight for each attempt, and no solve. See docs/theory/tracking.md, eq. (8).
+zones. A vehicle that follows the path under feedback (`flight.tracking`) then enters the zones too.
+To avoid this, the path is displaced outwards during the time that the simulated flight spends
+inside a zone, and the flight is simulated again. Each attempt costs one simulated flight, and no
+solve. See docs/theory/tracking.md, eq. (8).
+
+With the displacements, a coarse solution may become a usable plan: a plan that simulation confirms,
+at lower accuracy than requested.
 """
 
 from __future__ import annotations
@@ -108,9 +109,9 @@ def pushes_out(dynamics: Dynamics, flown: Flown) -> Displacement:
     Returns
     -------
     tuple of Push
-        One push for each time span that the flight spends inside a zone. It lasts for this span.
-        Its direction is the shortest way out of the zone, and its length is a little more than this
-        way, both from the place where the flight is deepest inside.
+        One push for each time span that the flight spends inside a zone. The push lasts for this
+        span. Its vector is the shortest way out of the zone from the place where the flight is
+        deepest inside, made a little longer.
     """
     columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
     found: list[Push] = []
@@ -132,8 +133,8 @@ def pushes_out(dynamics: Dynamics, flown: Flown) -> Displacement:
 def moves_in_hovers(dynamics: Dynamics, flown: Flown, allowed: float) -> bool:
     """Return whether a flight exceeds the limit on the speed during hovers at waypoints.
 
-    `flown` has samples of the flight, and `allowed` the largest violation of the limit, relative to
-    the larger of 1 and the limit.
+    `dynamics` has the equations of the vehicle with this limit, `flown` samples of the flight.
+    `allowed` is the tolerated violation of the limit, relative to the larger of 1 and the limit.
     """
     found = dynamics.violations(flown.t, flown.states, flown.controls)
     return any(breach.name.startswith(_HOVER) and breach.relative > allowed for breach in found)

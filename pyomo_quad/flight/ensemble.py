@@ -114,10 +114,10 @@ class Ending:
     largest_deviation_m, peak_tilt_rad : float
         Largest distance from the reference position at the same time, and largest tilt.
     broken : mapping
-        Name of the limit in words -> largest violation, relative to the larger of 1 and the limit.
-        For the arrival it is the distance [m] or the speed [m/s] at the end, for the battery the
-        missing fraction of power or charge. The mapping is empty if the flight arrived and kept
-        every limit.
+        Name of each broken limit in words -> largest violation, relative to the larger of 1 and the
+        limit. For two kinds of limits the value is another: the distance [m] or the speed [m/s] at
+        the end for limits on the arrival, and the missing fraction of power or charge for the
+        battery. The mapping is empty if the flight arrived and kept every limit.
     """
 
     energy_J: float
@@ -203,6 +203,16 @@ class EnsembleSimulation:
     def fly(self, draws: Draws) -> FlownOften:
         """Simulate one flight for each set of random numbers.
 
+        Parameters
+        ----------
+        draws : Draws
+            Random parameters, noise and initial states of the n flights.
+
+        Returns
+        -------
+        FlownOften
+            Quantities over time and the outcome of each flight.
+
         Raises
         ------
         TimeIsUpError
@@ -280,11 +290,11 @@ class EnsembleSimulation:
     def _endings(
         self, flown: SteppedFlights, draws: Draws, off: FloatArray, tilt: FloatArray
     ) -> Iterator[Ending]:
-        """Yield the result of each flight.
+        """Yield the result of each of n flights: energy, arrival, deviations, broken limits.
 
-        `flown` has the simulated flights, `draws` their n sets of random numbers. `off` has the
-        largest distance of each flight from the reference [m], `tilt` its largest tilt [rad], both
-        of shape (n,).
+        `flown` has the samples of the simulated flights, `draws` the random numbers of each flight.
+        `off` has the largest distance of each flight from the reference [m], `tilt` the largest
+        tilt of each flight [rad], both of shape (n,).
         """
         count, samples = draws.count, len(flown.t)
         # Reorder the arrays: one flight after the other, each with all its samples.
@@ -343,9 +353,9 @@ class EnsembleSimulation:
 def _step_times(scenario: Scenario, fastest_rate: float) -> FloatArray:
     """Return the times of all integration steps of a flight [s].
 
-    The steps end at the times at which the noise of the turbulence changes, and at the given times
-    of the mission. `fastest_rate` is the decay rate of the fastest mode of the closed loop [1/s];
-    the steps are short enough to be stable for this mode.
+    They include the times at which the noise of the turbulence changes, and the times at which the
+    mission reaches and leaves its waypoints. `fastest_rate` is the decay rate of the fastest mode
+    of the closed loop [1/s]; the steps are short enough to be stable for this mode.
     """
     gains, end = scenario.baseline.gains, scenario.mission.fixed_duration
     fastest = max(gains.rotor, gains.attitude_rate, gains.force_identification)

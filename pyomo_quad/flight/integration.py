@@ -91,9 +91,10 @@ def integrate(
 def _within(rates: Rates, first: float, last: float) -> Rates:
     """Return the right-hand side with its time limited to the inside of an interval.
 
-    `rates` is the right-hand side: time [s] and states -> time derivatives. It jumps at both ends
-    of the interval, `first` and `last` [s]. For times at an end, the returned function evaluates it
-    slightly inside the interval, so that the integrator sees no jump.
+    `rates` is the right-hand side: time [s] and states -> time derivatives. It may jump at the ends
+    of the interval, the times `first` and `last` [s]. For a time at an end or outside, the returned
+    function evaluates the right-hand side slightly inside the interval, so that the integrator sees
+    no jump.
     """
     margin = _INSIDE * (last - first)
 

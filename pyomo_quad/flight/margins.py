@@ -86,9 +86,9 @@ class RiskTaken:
     limiting : tuple of str
         The limits that flights break most, in words, the most frequent first.
     least : float
-        Fraction of vehicles hovering at the goal that gusts carry farther from the goal, or make
-        faster, than a flight may be at its end. No plan has a smaller risk. Zero if it was not
-        computed.
+        Lower bound on the risk of every plan; zero if it was not computed. It is the fraction of
+        vehicles hovering at the goal that gusts carry beyond the limit on distance or on speed at
+        the end of a flight.
     advice : str
         Possible remedies for the user if the risk cannot be reached.
     stopped : str
@@ -223,9 +223,8 @@ def _narrowed(waypoint: Waypoint, margins: Mapping[str, float]) -> Waypoint:
 def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> tuple[float, ...]:
     """Return the times at which flights must pass the waypoints, from the times of a plan.
 
-    A plan may begin its hovers earlier than the mission requires, by the time `lead`. This is a
-    margin: flights that follow the plan have to hover only from the later time on, which the
-    mission requires.
+    As a margin, a plan may begin its hovers earlier than the mission requires, by the time `lead`.
+    Flights that follow the plan must hover only from the later time that the mission requires.
 
     Parameters
     ----------

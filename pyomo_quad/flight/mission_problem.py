@@ -237,7 +237,8 @@ class MissionProblem:
         Solution
             Result of the last solve, converged or not.
         Solution or None
-            The first successful solve with easier parameter values.
+            Solution of the first easier problem that was solved: `reached`, if it was given. None
+            if no easier problem was solved.
         """
         first = reached
         for numbers in easier:
@@ -363,7 +364,13 @@ class MissionProblem:
         flown : Solution
             Converged solution for the mission's own parameters.
         **changed
-            Attributes of `RefinementOptions` that replace those of `arguments`.
+            Attributes of `RefinementOptions`, as keyword arguments, that replace the mission's own
+            values.
+
+        Returns
+        -------
+        Solution
+            Result on the last mesh, converged or not.
         """
         refinement = replace(self.arguments["refinement"], known=flown, **changed)
         return self.solve(mesh=flown.mesh, warm_start=flown, refinement=refinement)

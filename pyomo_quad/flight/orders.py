@@ -1,9 +1,9 @@
 """Cheapest orders of places from a table of leg costs, and a lower bound on the cost of any order.
 
-A leg is the flight from one place to another. The table has the costs of the legs from the start in
-its first row, the costs of the legs to the goal in its last column, and the costs of the legs
-between the other places in between. The cost of a leg may depend on its direction. For the
-derivation of the bound, see docs/theory/orders.md, eqs. (2) to (5).
+A leg is the flight from one place to another. In the table, the row is the place where a leg begins
+and the column the place where it ends: first the start, then the other places, last the goal. The
+cost of a leg may depend on its direction. For the derivation of the bound, see
+docs/theory/orders.md, eqs. (2) to (5).
 """
 
 from dataclasses import dataclass
@@ -107,8 +107,9 @@ def best_orders(costs: FloatArray, count: int) -> list[_Order]:
 def cost_of(costs: FloatArray, order: _Order) -> float:
     """Return the cost of an order of places: the sum of the costs of its legs.
 
-    `costs` is the table of leg costs, with the legs from the start in row 0 and the legs to the
-    goal in the last column. `order` has the indices of the places in between, from 0.
+    `costs` is the table of leg costs: entry (i, j) is the cost of the leg from place i to place j,
+    place 0 is the start and the last place the goal. `order` has the numbers of the places between
+    them, counted from 0 (place k + 1 of the table is number k).
     """
     places = np.array([0, *(k + 1 for k in order), len(costs) - 1])
     return float(costs[places[:-1], places[1:]].sum())
@@ -118,11 +119,23 @@ def exact_orders(costs: FloatArray, count: int) -> list[_Order]:
     """Return the cheapest orders of the places between start and goal, by dynamic programming.
 
     The method is that of Held and Karp [1]_. A state of the recursion consists of the set of places
-    passed and the place passed last; the `count` best orders of each state are kept. Parameters and
-    result are as for `best_orders`.
+    passed and the place passed last; the `count` best orders of each state are kept.
 
     .. [1] Held and Karp, "A dynamic programming approach to sequencing problems", SIAM J. 10
        (1962).
+
+    Parameters
+    ----------
+    costs : ndarray, shape (n + 2, n + 2)
+        Cost of each leg (flight from one place to another). The legs from the start are in row 0,
+        the legs to the goal in the last column. The cost of a leg that is not allowed is infinite.
+    count : int
+        Number of orders to return; fewer are returned if fewer exist.
+
+    Returns
+    -------
+    list of tuple of int
+        Orders, the cheapest first, each as indices of places from 0 to n - 1.
     """
     n = len(costs) - 2
     best = np.full((1 << n, n, count), inf)
@@ -162,10 +175,23 @@ def search_orders(costs: FloatArray, count: int) -> list[_Order]:
     A local change exchanges two neighbouring blocks of the order, which keeps the direction of
     flight within the blocks, or reverses a block [1]_. Each step of a descent takes the best of all
     local changes. Descents are repeated from perturbed copies of the best order; the random numbers
-    are the same in every call. Parameters and result are as for `best_orders`.
+    are the same in every call.
 
     .. [1] Kanellakis and Papadimitriou, "Local search for the asymmetric traveling salesman
        problem", Operations Research 28 (1980).
+
+    Parameters
+    ----------
+    costs : ndarray, shape (n + 2, n + 2)
+        Cost of each leg (flight from one place to another). The legs from the start are in row 0,
+        the legs to the goal in the last column. The cost of a leg that is not allowed is infinite.
+    count : int
+        Number of orders to return; fewer are returned if fewer are found.
+
+    Returns
+    -------
+    list of tuple of int
+        Orders, the cheapest first, each as indices of places from 0 to n - 1.
     """
     finite = _without_infinities(costs)
     neighbours, random = _neighbours(len(costs) - 2), np.random.default_rng(0)
@@ -199,7 +225,8 @@ def _neighbours(n: int) -> IntArray:
     """Return all orders that a single local change makes from the order 0, 1, ..., n - 1.
 
     A local change exchanges two neighbouring blocks of the order, or reverses a block. Each row of
-    the result is an order of n indices.
+    the result is an order of n indices. Applied as an index array to any other order, a row makes
+    the same change there.
     """
     every = np.arange(n)
     rows = [
@@ -221,8 +248,9 @@ def _named(order: IntArray) -> _Order:
 def _cost(costs: FloatArray, orders: IntArray) -> FloatArray:
     """Return the cost of each of several orders of places, shape (n_orders,).
 
-    `costs` is the table of leg costs, with the start in row 0 and the goal in the last column. Each
-    row of `orders` has the indices of the places between start and goal, from 1.
+    `costs` is the table of leg costs: row 0 has the legs from the start, the last column those to
+    the goal. Each row of `orders` is one order of the places between start and goal, given by their
+    indices in the table, from 1.
     """
     between = costs[orders[:, :-1], orders[:, 1:]].sum(axis=1)
     return np.asarray(costs[0, orders[:, 0]] + between + costs[orders[:, -1], -1])
@@ -231,8 +259,9 @@ def _cost(costs: FloatArray, orders: IntArray) -> FloatArray:
 def nearest_first(costs: FloatArray) -> IntArray:
     """Return the greedy order of places, which always continues to the nearest remaining place.
 
-    `costs` is the table of leg costs or lengths, with the start in row 0 and the goal in the last
-    column. The result has the indices of the places between start and goal, from 1.
+    `costs` is the table of leg costs or lengths: row 0 has the legs from the start, the last column
+    the legs to the goal. The result has the places between start and goal, given by their indices
+    in the table, from 1.
     """
     order, left = [0], list(range(1, len(costs) - 1))
     while left:
@@ -243,10 +272,10 @@ def nearest_first(costs: FloatArray) -> IntArray:
 def _descended(costs: FloatArray, neighbours: IntArray, order: IntArray) -> IntArray:
     """Return the locally optimal order that steepest descent finds from an initial order.
 
-    `costs` is the table of leg costs, with the start in row 0 and the goal in the last column.
-    `order`, the initial order, and the result have the indices of the places between start and
-    goal, from 1. Each row of `neighbours`, from `_neighbours`, describes a local change of an
-    order. The descent ends when no local change reduces the cost of the order.
+    `costs` is the table of leg costs: row 0 has the legs from the start, the last column those to
+    the goal. The initial order `order` and the result have the places between start and goal, given
+    by their indices in the table, from 1. Each row of `neighbours`, a result of `_neighbours`,
+    describes a local change of an order. The descent ends when no local change reduces the cost.
     """
     cost = _cost(costs, order[None])[0]
     while True:
@@ -264,6 +293,9 @@ def least_cost(costs: FloatArray, reached: float) -> float:
     The result is the larger of two bounds: the cost of the cheapest assignment of a successor to
     each place, and the bound by spanning trees [1]_ for symmetric costs; see docs/theory/orders.md.
 
+    .. [1] Held and Karp, "The traveling-salesman problem and minimum spanning trees", Operations
+       Research 18 (1970).
+
     Parameters
     ----------
     costs : ndarray, shape (n + 2, n + 2)
@@ -273,8 +305,10 @@ def least_cost(costs: FloatArray, reached: float) -> float:
         Cost of a known order. The iteration that raises the bound by trees uses it as its target,
         and the result never exceeds it.
 
-    .. [1] Held and Karp, "The traveling-salesman problem and minimum spanning trees", Operations
-       Research 18 (1970).
+    Returns
+    -------
+    float
+        The lower bound, in the unit of `costs`.
     """
     finite = _without_infinities(costs)
     successors = finite[:-1, 1:].copy()
@@ -290,11 +324,11 @@ def _made_symmetric(costs: FloatArray, finite: FloatArray) -> FloatArray:
 
     A leg is the flight from one place to another. Climbs and head winds make its cost depend on the
     direction. To remove most of this dependence, each place gets a number, its potential, and the
-    difference of the potentials of its two ends is added to the cost of each leg. This does not
-    change the cost of any order; see docs/theory/orders.md, eq. (3). The symmetric cost of a leg is
-    then the cost in the cheaper direction. Legs that are allowed in one direction only do not
-    enter the potentials. `costs` is the table of leg costs, and `finite` the same table with large
-    numbers in place of infinite costs.
+    difference between the potentials of a leg's two ends is added to the cost of the leg. This does
+    not change the cost of any order; see docs/theory/orders.md, eq. (3). The symmetric cost of a
+    leg is then the cost in the cheaper direction. Legs that are allowed in one direction only are
+    not used to determine the potentials. `costs` is the table of leg costs, and `finite` the same
+    table with large numbers in place of infinite costs.
     """
     potential = np.zeros(len(costs))
     is_both = np.isfinite(costs + costs.T)[1:-1, 1:-1]

@@ -692,12 +692,13 @@ def se3_law(plant: OutsidePlant, path: ReferencePath, *, stiffness: float = 1.0)
 
 
 def _open_loop(plan: Plan, plant: OutsidePlant) -> tuple[OutsideLaw, list[float]]:
-    """Return the plan's controls as a control law, and the times between which it is smooth [s].
+    """Return a plan's controls as a control law, and the times between which it is smooth [s].
 
-    These times are the boundaries of the plan's mesh elements. The law returns the planned rotor
-    accelerations. If the motors of the simulator receive rotor-speed commands at a fixed rate
-    (`Habits.command_rate_hz` is given), the law adds the acceleration that removes the difference
-    between planned and actual rotor speed, so that the command equals the planned rotor speed.
+    The law is applied to RotorPy's vehicle `plant`. The times are the boundaries of the plan's mesh
+    elements. The law returns the planned rotor accelerations. If the motors of the simulator
+    receive rotor-speed commands at a fixed rate (`Habits.command_rate_hz` is given), the law adds
+    the acceleration that removes the difference between planned and actual rotor speed, so that the
+    command equals the planned rotor speed.
     """
     held, rotors = plan.trajectories, rotor_columns(plant.dynamics)
     start, end = held.horizon
