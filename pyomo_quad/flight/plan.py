@@ -55,7 +55,7 @@ FLIGHT_SAMPLES = 1001
 
 @dataclass(frozen=True, kw_only=True)
 class Trajectories:
-    """States, controls, energy and costates of a plan on its mesh, with their names.
+    """States, controls, energy and costates of a plan on its mesh, with the names of the columns.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class Trajectories:
     hamiltonian: FloatArray
 
     def fractions(self, t: FloatArray) -> FloatArray:
-        """Return times [s] as fractions of the flight's horizon, clipped to 0 and 1."""
+        """Return the times `t` [s] as fractions of the flight's horizon, clipped to 0 and 1."""
         start, end = self.horizon
         return np.clip((np.asarray(t, dtype=float) - start) / (end - start), 0.0, 1.0)
 
@@ -503,9 +503,10 @@ class Plan(Summarised):
 
     @property
     def mission_flown(self) -> Scenario:
-        """Scenario of the plan, in which the plan's times replace free times.
+        """Scenario of the plan, in which all times that the mission leaves free are fixed.
 
-        The times are the duration and the passing times of the waypoints.
+        The times are the duration of the flight and the passing times of the waypoints; they have
+        the values of the plan.
         """
         told = self.scenario
         if not told.mission.is_free and not told.mission.waypoints:
@@ -583,12 +584,12 @@ class Plan(Summarised):
     def energy_uncertainty(self) -> float:
         """Estimated fraction of the energy that a better flight near the plan may save.
 
-        For a verified plan this is the error estimate, which covers the error of the energy, but at
-        most the tolerance of the scenario. For any other plan it is the relative change of the
-        energy from the second last to the last mesh. If this change is smaller than the energy
-        tolerance of the lowest accuracy, `quick`, this tolerance replaces it, because two meshes
-        may agree by chance. If there was only one mesh, its estimated error takes the place of the
-        change; it is infinite if it is unknown.
+        For a verified plan, the fraction is the smaller of two values: the plan's error estimate,
+        which includes the error of the energy, and the tolerance that the scenario requests. For
+        any other plan, it is the relative change of the objective from the second last to the last
+        mesh. If the plan was solved on one mesh only, it is the error estimate instead, which is
+        infinite if no error could be estimated. In both of these cases it is at least the energy
+        tolerance of the lowest accuracy, `quick`, because two meshes may agree by chance.
         """
         if self.is_verified:
             return min(self.error_estimate, self.scenario.solver.tolerance)
@@ -605,7 +606,11 @@ class Plan(Summarised):
 
     @property
     def reached(self) -> str:
-        """Sentence on the progress of an unfinished search: mesh, energy, iteration and error."""
+        """Sentence on the state in which an unfinished search for the plan ended.
+
+        It states the number and the size of the last mesh, the energy, Ipopt's last iteration with
+        its infeasibility, and the estimated error.
+        """
         asked = self.scenario.solver.tolerance
         parts = [
             f"mesh {max(len(self.history), 1)} with {self.mesh.points} points",
@@ -641,8 +646,8 @@ class Plan(Summarised):
         planned final value. To first order, the estimate is the energy that a mission to the
         flight's final state would save compared with the planned mission. If the least energy is a
         convex function of the final state, the saving is at most this estimate. The energy of the
-        flight plus the estimate is therefore at least the energy of the optimum, and at least the
-        lower bound.
+        flight plus the estimate is therefore at least the least energy of the planned mission, and
+        so at least any lower bound on that energy.
 
         Parameters
         ----------
@@ -653,7 +658,8 @@ class Plan(Summarised):
         Returns
         -------
         float
-            Positive if the final state falls short of the planned final state.
+            Estimated energy [J]: positive if the flight ends short of the planned final state,
+            negative if it ends beyond.
         """
         held = self.trajectories
         planned = dict(zip(held.state_names, held.states[-1].tolist(), strict=True))
@@ -727,7 +733,10 @@ class Plan(Summarised):
         return dataset_of(self.to_frame(rate_hz)).assign_attrs(told)
 
     def columns(self, times: FloatArray) -> dict[str, FloatArray]:
-        """Return the columns of `to_frame` at given times [s], as a mapping from name to values."""
+        """Return the quantities of the plan at given times, by name of the column of `to_frame`.
+
+        `times` has n times [s]; each quantity is an array of shape (n,).
+        """
         return flight_columns(*self._sampled(times))
 
     def times(self, rate_hz: float | None = None) -> FloatArray:
@@ -767,10 +776,10 @@ class Plan(Summarised):
     def at(self, t: Sequence[float] | FloatArray) -> pd.DataFrame: ...
 
     def at(self, t: float | Sequence[float] | FloatArray) -> pd.Series | pd.DataFrame:
-        """Return the columns of `to_frame` at a time [s], or at several times.
+        """Return the columns of `to_frame` at a time `t` [s], or at several times.
 
-        For a single time the result is a series whose name is the time; for several times it is a
-        frame whose index is the time.
+        For a single time the result is a series, whose name is the time. For several times it is a
+        table with one row for each time, whose index is the time.
 
         Raises
         ------
@@ -800,8 +809,8 @@ class Plan(Summarised):
         Returns
         -------
         Flight
-            Result with the energy and the table of the plan, and with the final deviations and
-            violations of the simulated flight of its verification.
+            Energy and table of the plan, with two results of the simulation that verified the plan:
+            the deviations of the final state and the violations of limits.
         """
         verification = self.verification
         return Flight(

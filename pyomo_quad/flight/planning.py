@@ -41,9 +41,9 @@ class Planner(Problems):
     def until_stopped(self) -> AbstractContextManager[Callable[[], bool]]:
         """Return a context manager for a series of solves that the user may stop together.
 
-        Its value is a function without arguments, which returns whether the user has stopped one of
-        the solves. In this class the function always returns False; the planner of the command line
-        replaces it by one that returns whether Ctrl-C was pressed.
+        The value that the manager gives to a `with` statement is a function without arguments. The
+        function returns whether the user has stopped one of the solves. In this class it always
+        returns False; in the planner of the command line it returns whether Ctrl-C was pressed.
         """
         return nullcontext(lambda: False)
 
@@ -111,11 +111,12 @@ class Planner(Problems):
     def _solve_quickest(self, scenario: Scenario, start: Start | None, search: Search) -> Plan:
         """Solve for a flight in nearly the least duration of the mission.
 
-        After the minimum-time problem, flights of least energy are solved for fixed durations that
-        decrease towards the least duration. Each solve starts from the previous solution. The plan
-        returned is the last verified flight. `search` is the progress callback of all solves. If
-        the minimum-time problem cannot be solved, a plan without this aim is solved, with `start`
-        as its initial point, and returned with the status "not converged".
+        First, the minimum-time problem is solved. Then flights of least energy are solved for fixed
+        durations that decrease towards the least duration, each from the previous solution. The
+        plan returned is the last verified flight. If the minimum-time problem cannot be solved, the
+        mission is solved without the aim of least time, and the plan gets the status "not
+        converged". Only this solve starts from `start`, the initial point (None for the model's
+        own). `search` is the progress callback of all solves.
         """
         told = scenario.as_forecast()
         shortest = shortest_flight(self.builder(told), told, search, is_exact=True)

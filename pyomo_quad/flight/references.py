@@ -41,9 +41,9 @@ _STEP = Polynomial((1,))
 class Setpoint(NamedTuple):
     """Values of a reference path at one time: x, y, z and yaw with two time derivatives.
 
-    The accelerations exclude the acceleration that the reference expects from the air. A reference
-    that is a plan also gives the rates and accelerations of roll and pitch, `tilting`; it is None
-    for other references.
+    The accelerations exclude the acceleration that the reference expects from the air. `tilting`
+    has the rates and accelerations of roll and pitch if the reference is a plan; it is None for
+    other references, which do not define the attitude.
     """
 
     place: Sequence[float]

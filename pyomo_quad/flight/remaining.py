@@ -174,9 +174,11 @@ class Remainder:
     def mesh(self, t: float) -> Mesh:
         """Return the mesh of a plan made in flight for the rest of the mission, from time t [s].
 
-        It has short elements at the present time, the waypoints and the end. A solve on the same
-        mesh as the previous solve can reuse the structure of the equations. Therefore the mesh is
-        shortened only each time a fifth of the remaining time has passed.
+        It has short elements at the present time, the waypoints and the end. Solves at successive
+        times share one mesh as long as possible, because a solve on the mesh of the previous solve
+        can reuse the structure of the equations. A new mesh, for the shorter remaining time, is
+        made each time a fifth of the time that remained until the next waypoint or the end has
+        passed.
         """
         first = self.passages[0] if self.passages else self.end
         whole = first - self.begin
@@ -573,9 +575,10 @@ def _ahead(believed: Scenario, k: int) -> Scenario:
     """Return the mission that remains after its first k waypoints, for re-plans in flight.
 
     `believed` is the whole mission, with the wind and the vehicle that plans assume. If the vehicle
-    still has to hover at a waypoint, the remaining mission ends some time after the start of the
-    next hover. Its goal is the position of this waypoint, because the later parts of the mission do
-    not affect a hovering vehicle.
+    still has to hover at a waypoint, the remaining mission ends at the first waypoint with a hover,
+    some time after the hover has begun. The goal of the remaining mission is then the position of
+    that waypoint. The later parts of the mission are left out, because they do not affect a
+    hovering vehicle.
     """
     mission = believed.mission
     left = mission.waypoints[k:]

@@ -6,18 +6,18 @@ with adaptation follows the newest plan. Until the first re-plan, this is the pl
 take-off.
 
 A solve takes time, during which the vehicle flies on along its present plan. Each re-plan therefore
-begins at the time at which its solve is to be done, and at the state predicted for that time. If
-the vehicle is near its present plan, this is the planned state: the controller corrects the small
-deviation. Otherwise it is a state between the planned and the actual state, just so near to the
-actual state that the controller can correct the rest of the deviation (tube-based predictive
+begins at the time by which its solve is to be finished, and at the state predicted for that time.
+If the vehicle is near its present plan, this is the planned state: the controller corrects the
+small deviation. Otherwise it is a state between the planned and the actual state, just so near to
+the actual state that the controller can correct the rest of the deviation (tube-based predictive
 control). Each solve is warm-started from the previous re-plan (see `flight.remaining`).
 
 The limits of a re-plan are soft: they may be violated at a penalty. A solution therefore exists
 from every state from which rotors and battery can reach the goal. If a solve fails nevertheless,
-the vehicle follows its previous plan. There is one exception. A margin is the amount by which a
-limit was tightened for the plan. If the vehicle is nearer to a limit than its plan by more than the
-margin, the solve is repeated at once with many more iterations allowed, although the new plan may
-then be late.
+the vehicle follows its previous plan. The solve is repeated at once in one case only, with many
+more iterations allowed, although the new plan may then be late. This is the case if the vehicle is
+nearer to a limit than its plan by more than the margin, the amount by which the limit was tightened
+for the plan.
 
 No re-plan begins in the last seconds before the goal, a waypoint or a hover. A plan that must
 arrive exactly within seconds would counteract every gust at any cost, although the gust may have
@@ -27,9 +27,10 @@ next re-plan. Waypoints are passed at the times that the mission gives.
 
 A wind that differs from the forecast, or a mass that differs from the assumed mass, causes an
 acceleration that the equations of motion do not contain. The adaptation law of the controller
-estimates this acceleration from the flight. The re-plans include the estimate, unless they are to
-use the forecast alone: the vertical part as a changed mass (even if an updraft causes it), the
-horizontal part as an additional acceleration by the wind.
+estimates this acceleration from the flight. The equations of a re-plan include the vertical part of
+the estimate as a changed mass (even if an updraft causes it), and the horizontal part as an
+additional acceleration by the wind. Re-plans that are to use the forecast alone ignore the
+estimate.
 """
 
 from collections.abc import Callable
@@ -104,8 +105,8 @@ class _Leg:
     """Part of a flight, from `start` to `end` [s], in which the vehicle follows one plan.
 
     `course` has the plan, its reference path and its assumptions on mass and wind. `learnt` is the
-    estimated acceleration that the plan does not include, and `last` has the controller's states at
-    the start of the part.
+    estimated acceleration, along the world axes [m/s^2], that the plan does not include. `last` has
+    the controller's states at the start of the part (None at take-off).
     """
 
     course: Course
@@ -406,9 +407,9 @@ def fly_replanned(
     planner : Planner
         Planner that compiles the equations.
     plan : Plan, optional
-        Plan made before take-off; without it, the mission is planned first. Its margins apply to
-        the re-plans. If the flight ends off the goal, its costates give an estimate of the energy
-        that is needed to reach the goal.
+        Plan made before take-off; without it, the mission is planned first. The margins of this
+        plan apply to the re-plans. If the flight ends off the goal, the costates of this plan give
+        an estimate of the energy that is still needed to reach the goal.
     computer : callable, optional
         Takes the processor time of a solve on this machine [s] and returns the time that the solve
         takes aboard [s]; by default the time that the scenario states, or the processor time.

@@ -258,15 +258,19 @@ class _Tried:
     def missing_places(self) -> float:
         """Probability that a flight misses the goal or a waypoint for lack of thrust.
 
-        It includes only limits that no margin on a scenario field can make easier to keep, such as
-        the distance from the goal at the end. A flight breaks them less often only if the plan
-        leaves the rotors a reserve of thrust.
+        It is the sum of the probabilities of breaking those limits at the goal and the waypoints
+        for which a scenario field cannot be tightened, such as the distance from the goal at the
+        end. Flights break these limits less often only if the plan leaves the rotors a reserve of
+        thrust.
         """
         return sum(miss.probability for miss in self.missed if not miss.field)
 
     @property
     def astray(self) -> float:
-        """Distance between the goal and the end of the mean flight, which has no gusts [m]."""
+        """Distance from the goal [m] at the end of a flight that follows the plan without gusts.
+
+        A large distance shows that the rotors are too weak to follow the plan.
+        """
         columns = [self.spread.dynamics.state_names.index(name) for name in POSITION_STATES]
         goal = np.array(self.plan.scenario.mission.goal.position)
         return float(np.linalg.norm(self.spread.states[-1, columns] - goal))

@@ -196,10 +196,10 @@ class RouteFlights:
     def _most(self, most: int, error: float) -> int:
         """Return how many of the cheapest journeys are to be solved on a finer mesh.
 
-        A journey is a route for each leg of the mission. The result is ``most``, with one
-        exception. `error` is the relative error of the energies on the present mesh, within which
-        the journeys cannot be ranked. If it is within the tolerance of the mission, the result is
-        one, because any other journey then saves less energy than the tolerance.
+        A journey is a route for each leg of the mission. Journeys whose energies differ by less
+        than the relative error `error` of the present mesh cannot be ranked. As a rule, as many as
+        `most` of them are solved again. The exception is an `error` within the tolerance of the
+        mission: the result is then one, because any other journey saves less than the tolerance.
         """
         return 1 if error <= self._tolerance else most
 
@@ -307,10 +307,10 @@ class RouteFlights:
         return self.fly(journey)
 
     def refine(self, flown: Solution, meshes: int | None) -> Solution:
-        """Refine the mesh of a solution and solve again, on at most ``meshes`` meshes.
+        """Refine the mesh of a solution and solve again, with a limited number of meshes.
 
-        If ``meshes`` is None, the mesh is refined to the mission's tolerance. `flown` is the
-        solution on its present mesh, which counts as the first of the meshes.
+        `flown` is the solution on its present mesh. `meshes` is the largest number of meshes, of
+        which the present mesh is the first; None to refine to the mission's tolerance.
         """
         mission = self._mission
         if self._scenario.solver.max_refinements == 0 and not mission.easier:
@@ -451,10 +451,10 @@ _LOOKS = 8
 def sides_touched(told: Scenario, journey: Journey, solution: Solution) -> _SidesTouched:
     """Return the zones that a flight touches, with the sides on which it passes them, for each leg.
 
-    The result has one set of pairs (name of a zone, side) for each leg of the mission. A zone that
-    the optimum does not touch may be left out of the mission without changing the optimum. No
-    flight on another side of this zone is then cheaper, as long as it passes the other zones on the
-    same sides; see docs/theory/routes.md.
+    The result has one set of pairs (name of a zone, side) for each leg of the mission. It tells
+    which other journeys need not be solved. A zone that the optimum does not touch may be left out
+    of the mission without changing the optimum. A flight on another side of such a zone, with the
+    touched zones on the same sides, is therefore not cheaper; see docs/theory/routes.md.
 
     Parameters
     ----------
@@ -488,11 +488,11 @@ def sides_touched(told: Scenario, journey: Journey, solution: Solution) -> _Side
 
 
 def _is_dominated(journey: Journey, touched: _SidesTouched) -> bool:
-    """Return whether a journey need not be solved, because a known optimum costs no more.
+    """Return whether a journey need not be solved, because an optimum along another costs no more.
 
-    A journey is a route for each leg of the mission. This is the case if the journey passes each
-    zone that the optimum touches on the same side as the optimum. `touched` has one set of pairs
-    (name of such a zone, side) for each leg.
+    A journey is a route for each leg of the mission. A journey need not be solved if, on each leg,
+    it passes all zones that the known optimum touches on the same sides as the optimum. `touched`
+    describes the optimum: one set of pairs (name of a zone that it touches, side) for each leg.
     """
     return all(sides <= set(route.sides) for route, sides in zip(journey, touched, strict=True))
 

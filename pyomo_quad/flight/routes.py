@@ -407,8 +407,9 @@ _INSTANT = 1e-9
 class SpeedProfile(NamedTuple):
     """Samples of a motion from rest to rest along a straight line, in phases of constant jerk.
 
-    The 8 samples are the start of the motion and the ends of its seven phases. The arrays of times,
-    distances, speeds and accelerations, each of shape (8,), hold their values there.
+    The 8 samples are the start of the motion and the ends of its seven phases. `times` [s],
+    `distances` from the start [m], `speeds` [m/s] and `accelerations` [m/s^2] along the line are
+    the values at the samples, each of shape (8,).
     """
 
     times: FloatArray

@@ -59,10 +59,11 @@ class State:
     stage : Stage
         Present stage.
     energy_J : float
-        Energy of the last solution on a finished mesh [J]; infinite before the first solution.
+        Energy of the solution on the last mesh that was solved [J]; infinite before the first
+        solution.
     uncertainty : float
-        Relative change of this energy from the second last to the last mesh; infinite if there was
-        only one mesh.
+        Relative change of the energy from the second last to the last mesh that was solved;
+        infinite if fewer than two were solved.
     spent_s : float
         Processor time since the search began [s].
     has_usable : bool
@@ -140,18 +141,20 @@ class Search:
         """Whether it is too early in the search to spend time on making usable plans.
 
         A usable plan is a plan that simulation confirms at lower accuracy than requested. It is
-        needed only if the search is stopped before it ends. Most searches end soon, so that their
-        first solves (about two seconds) are not delayed by making usable plans. The property is
-        used if the highest accuracy, `proof`, is requested.
+        needed only if the search is stopped before it ends. During the first solves (about two
+        seconds), making usable plans would only delay the search, because most searches end soon by
+        themselves. The property is taken into account only if the highest accuracy, `proof`, is
+        requested.
         """
         return self.work - self._patient_from < _PATIENCE
 
     def restart_patience(self) -> None:
-        """Let `is_early` be true again for the next solves, as at the start of the search.
+        """Make no usable plans during the next solves, as during the first solves of the search.
 
-        This is called when the search has chosen the order of the waypoints, and begins to solve
-        the whole mission in this order. While `is_early` is true, no usable plans are made. A
-        usable plan is a plan that simulation confirms at lower accuracy than requested.
+        The property `is_early` becomes true again until these solves have taken about two seconds.
+        The method is called when the search has chosen the order of the waypoints, and begins to
+        solve the whole mission in this order. A usable plan is a plan that simulation confirms at
+        lower accuracy than requested.
         """
         self._patient_from = self.work
 
@@ -208,10 +211,11 @@ class Search:
             limits, because the simulation of the plan before it broke limits. Further plans are
             tried only while the search has no usable plan.
         points : int
-            Number of points of the mesh, by which the cost of the simulations is counted.
+            Number of points of the mesh, to which the cost of a simulation is taken as
+            proportional.
         is_early : bool
-            Whether it is too early in the search to spend time on a usable plan; only the energy is
-            then noted.
+            Whether it is too early in the search to spend time on a usable plan. If so, the energy
+            is noted for the progress display, and nothing else is done.
         """
         self._note(energy_J)
         share = _SHARE if self.usable is None else _SHARE_FOR_BETTER

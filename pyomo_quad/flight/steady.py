@@ -352,11 +352,12 @@ class SteadyFlight:
         return np.sum([self._over_speeds(_UNCREDITED, speed, index=j) for j in rotors], axis=0)
 
     def power_of_accelerating(self, speed: ArrayLike) -> FloatArray:
-        """Return the power for accelerating the rotors, per rotor acceleration [J s/rad].
+        """Return the power that speeds up all rotors together, per rotor acceleration [J s/rad].
 
-        All rotors turn at the speed `speed` [rad/s] and have the same acceleration. This part of
-        the power is stored in the rotors and returned when they slow down. Losses that do not
-        depend on the sign of the acceleration are excluded.
+        All rotors turn at the speed `speed` [rad/s] and have the same acceleration [rad/s^2]. The
+        result, of the shape of `speed`, is the part of the power that is stored in the rotors and
+        returned when they slow down, divided by the acceleration. Losses that do not depend on the
+        sign of the acceleration are excluded.
         """
         name = _UNCREDITED if self._dynamics.has(_UNCREDITED) else "power.rotor_power"
         up, down = (self.rotor_value(name, speed, sign) for sign in (1.0, -1.0))
@@ -375,7 +376,8 @@ class SteadyFlight:
         """Return a quantity of one rotor at given speeds [rad/s] and accelerations [rad/s^2].
 
         `name` is the name of an expression of the model that is indexed by rotor and time, such as
-        ``"rotors.motor_torque"``.
+        ``"rotors.motor_torque"``. All rotors have the same `speed` and `acceleration`, which are
+        broadcast to a common shape. The result has this shape and the unit of the expression.
         """
         speeds, accelerations = np.broadcast_arrays(
             np.asarray(speed, dtype=float), np.asarray(acceleration, dtype=float)
@@ -483,11 +485,12 @@ class SteadyFlight:
 class MomentumDemand:
     """Calculator of the thrust vector that a motion of the vehicle requires (momentum balance).
 
-    The acceleration by weight and air follows from the compiled equations with the rotors stopped.
-    The thrust must supply the rest of the motion's acceleration. The balance does not
-    depend on the attitude. If it is linear in the velocity, the thrust along each world axis is
-    mass * acceleration + drag * velocity + standing(t), where `standing` is the thrust that weight
-    and wind require at zero velocity.
+    Weight and air alone cause an acceleration, which is computed from the compiled equations with
+    the rotors stopped. The required thrust is the mass times the difference between the
+    acceleration of the motion and this acceleration; it does not depend on the attitude. If the
+    drag of the air is linear in the velocity, the required thrust along each world axis is
+    mass * acceleration + drag * velocity + standing(t). Here standing(t) is the thrust [N] that
+    weight and wind require at zero velocity at time t.
 
     Parameters
     ----------
@@ -499,8 +502,8 @@ class MomentumDemand:
     mass, drag : ndarray, shape (3,)
         Thrust required per acceleration [kg] and per velocity [kg/s] along each world axis.
     is_linear : bool
-        Whether the balance is linear in the velocity and separate for each axis; otherwise `drag`
-        has no meaning.
+        Whether the required thrust along each axis is linear in the velocity along this axis and
+        does not depend on the other velocities; otherwise `drag` has no meaning.
     """
 
     def __init__(self, dynamics: Dynamics) -> None:

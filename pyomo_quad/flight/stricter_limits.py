@@ -278,7 +278,9 @@ def _changed(numbers: Mapping[str, float], changes: Mapping[str, float]) -> dict
 
 
 def mesh_where_broken(solution: Solution, plan: Plan, figures: Figures) -> Mesh:
-    """Return a solution's mesh, finer where its simulated flight cuts through a keep-out zone.
+    """Return the mesh of a solution, refined at the times of violations of keep-out zones.
+
+    The violations are those of the simulated flight of the plan that was made from the solution.
 
     Parameters
     ----------
@@ -334,7 +336,8 @@ def _windows(
     figures : Figures
         Tolerances of the required accuracy.
     numbers : mapping
-        Full name of a parameter -> value of the stricter limit, which replaces the plan's value.
+        Full name of a parameter -> value of the limit that the flight is compared with, if this
+        limit is stricter than that of the mission; the other limits are those of the mission.
 
     Returns
     -------

@@ -349,7 +349,8 @@ class BestOrder:
         Parameters
         ----------
         found : OrderSearch
-            The order, as found from the costs of single flights between waypoints.
+            The order of the waypoints. It was found from the costs of separate flights from one
+            place of the mission to the next, from hover to hover.
 
         Returns
         -------

@@ -241,11 +241,11 @@ def _aside(
     """Return the change of a path's states at the element boundaries if the path is displaced.
 
     The result has the shape (n_elements + 1, n_states) and the state order of `dynamics`. Position
-    and velocity change by the given `displacement` and its time derivative. Attitudes are not
-    changed: the regulator finds the tilt that the displaced path takes. If the mission keeps the
-    heading, which the coarse solution `path` does at its collocation points only, yaw angle and yaw
-    rate are changed so that the yaw angle is constant. During each of the spans `rests` (start and
-    end time [s]), the velocity is changed to zero.
+    and velocity change by the given `displacement` and its time derivative. Roll and pitch are not
+    changed: the regulator finds the tilt that the displaced path takes. If the mission requires a
+    constant heading, yaw angle and yaw rate are changed so that the yaw angle is constant. (The
+    coarse solution, whose path is `path`, has a constant heading at its collocation points only.)
+    During each of the spans `rests` (start and end time [s]), the velocity is changed to zero.
     """
     aside = np.zeros_like(path.states)
     moved = displaced(path.borders, displacement)
@@ -286,7 +286,8 @@ def _regulator(
 
     Implements docs/theory/tracking.md, eqs. (2) to (4), by linearisation of the equations
     `dynamics` about the solution `coarse`. `borders` has the times of the element boundaries [s],
-    shape (n_elements + 1,).
+    shape (n_elements + 1,). `rests` has the start and end time [s] of each hover at a waypoint;
+    during these hovers the regulator gives deviations of the velocity a larger weight.
     """
     n_states, n_controls = len(dynamics.state_names), len(dynamics.control_names)
     # The controls are declared as constant states of the control law, so that `slopes` also

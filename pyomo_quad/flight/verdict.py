@@ -126,8 +126,9 @@ def verified(
 
     Unless the accuracy is the highest level, `proof`, feedback first corrects the controls
     (`flight.tracking`). Without this correction, the controls of a solution on a coarse mesh would
-    miss the goal. If the corrected flight breaks limits, the corrections are computed again, with
-    the deviations of that flight and with the path pushed out of zones (`flight.displacement`).
+    miss the goal. If the corrected flight breaks limits, the corrections are computed again: they
+    then anticipate the deviations of that flight, and lead the vehicle along a path that is
+    displaced out of the zones that the flight entered (`flight.displacement`).
 
     Parameters
     ----------
@@ -186,9 +187,11 @@ def _corrected(
 ) -> tuple[Plan, Verification, Flown]:
     """Correct a plan's controls by feedback until its flight keeps all limits, and simulate it.
 
-    The first flight follows the plan. Further flights anticipate the deviations of the flight
-    before them, and follow a path that is pushed out of the zones that flights entered, and at rest
-    in the hovers at waypoints if flights moved there.
+    A simulated flight under feedback follows the plan, and its controls are the corrected controls.
+    If it breaks limits, further flights under feedback are simulated. The corrections of each
+    flight anticipate the deviations that the flight before it had. The path that these flights
+    follow is displaced out of the zones that earlier flights entered. If an earlier flight moved
+    during a hover at a waypoint, the path is at rest during all hovers.
 
     Parameters
     ----------
@@ -206,10 +209,11 @@ def _corrected(
     Returns
     -------
     Plan
-        Plan with corrected controls; with its own controls if the vehicle cannot follow it.
+        Plan with corrected controls; the plan unchanged if the vehicle cannot follow it.
     Verification
-        Result of simulating the corrected controls without feedback. If the corrected flight is not
-        even a usable plan, the result of comparing that flight itself with limits and final states.
+        Comparison of a flight with limits and final states. As a rule, this flight is a simulation
+        of the corrected controls without feedback. If no flight under feedback meets even the
+        tolerances of a usable plan, it is the last flight under feedback.
     Flown
         Samples of the flight that was compared.
     """

@@ -400,7 +400,7 @@ def samples_of_path(
 
 @dataclass(frozen=True, kw_only=True)
 class Passage:
-    """Waypoint that a flight must pass within a radius [m] at a time [s].
+    """Waypoint that a flight must pass at the time `time_s` [s], at most `radius` [m] away.
 
     `position` has the coordinates of the waypoint [m].
     """
@@ -579,10 +579,11 @@ def tolerated(breach: Violation, figures: Figures) -> float:
 class _Found:
     """Largest errors of a simulated flight compared with its plan.
 
-    `miss` is the deviation of a final state or of a waypoint passage, and `energy` the deviation of
-    the energy, each relative to the larger of 1 and the value; deviations at waypoints are in m.
-    `breaches` has the violated limits. `lacking` is the missing fraction of battery power, charge
-    or voltage.
+    `miss` is the largest of two kinds of errors: the deviation of each final state from the plan,
+    relative to the larger of 1 and the planned value, and the distance [m] by which the flight
+    passes outside the radius of each waypoint. `energy` is the deviation of the energy, relative to
+    the larger of 1 J and the planned energy. `breaches` has the violations of limits. `lacking` is
+    the largest of the fractions of power, charge and motor voltage that the battery cannot supply.
     """
 
     miss: float
