@@ -66,9 +66,10 @@ _PARASITIC = Parameter(
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters that the model of a scenario declares in its block `aerodynamics`.
 
-    They are the coefficient of eq. (9) for `wind.coupling = "acceleration"`, and the coefficients
-    of the rotor forces and of the parasitic drag along the body axes, as far as the vehicle has
-    them. The coefficients of the isotropic drag are parameters of block `vehicle`.
+    They are the coefficient of eq. (9) of Yacef et al., if `wind.coupling` is "acceleration"; the
+    vehicle's coefficients of rotor drag and translational lift, unless all of these are zero; and
+    its coefficients of parasitic drag, unless all of these are zero. The coefficients of the
+    isotropic drag are parameters of block `vehicle`.
     """
     is_printed = scenario.wind.coupling is WindCoupling.ACCELERATION
     return (
@@ -90,17 +91,20 @@ def acts_in_body_axes(scenario: Scenario) -> bool:
 def declare_aerodynamics(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the aerodynamic force and moments on the vehicle in block `aerodynamics`.
 
-    The block gets the expressions `force_x`, `force_y` and `force_z` over time (world axes, N) and,
-    for a vehicle with rotor forces, `roll_moment`, `pitch_moment` and `yaw_moment` (body axes, N
-    m).
+    The block gets expressions over time: the forces along the world axes [N], `force_x`, `force_y`
+    and `force_z`, and the moments about the body axes [N m], `roll_moment`, `pitch_moment` and
+    `yaw_moment`. The moments are declared only if the vehicle has a coefficient of rotor drag or
+    translational lift, the two forces that act at each rotor.
 
     Parameters
     ----------
     m : ConcreteModel
-        Model that already declares `time`, `vehicle`, `wind` and the velocities of `rigid_body`;
-        the rotor speeds of `rotors` for a vehicle with rotor forces.
+        Model that already declares `time`, `vehicle`, `rotors`, `wind`, and velocities and attitude
+        in `rigid_body`.
     scenario : Scenario
-        Selects the coupling of the wind and the forces to declare.
+        Its `wind.coupling` says how the wind acts on the vehicle: through an isotropic drag, which
+        depends on the airspeed, or as the acceleration of eq. (9) of Yacef et al. The vehicle's
+        coefficients say which forces along the body axes are added.
     """
     b = m.aerodynamics = Block(doc="aerodynamic force")
     declare_parameters(b, scenario)
@@ -329,9 +333,11 @@ def _declare_rotor_moments(b: Block, m: ConcreteModel) -> None:
 def _declare_sum(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the sum of the aerodynamic forces along each body axis and each world axis [N].
 
-    The sum along a body axis consists of the rotor forces and the parasitic drag. The sum along a
-    world axis consists of these forces, rotated to world axes, and of the force that has been
-    declared in world axes already: the wind force of eq. (9) or the isotropic drag.
+    The sum along a body axis consists of the parasitic drag and of the drag and translational lift
+    of all rotors, as far as the vehicle of `scenario` has their coefficients. The sum along a world
+    axis consists of these forces, rotated to world axes, and of the force that `b` already has
+    along this world axis: the isotropic drag, or the wind force of eq. (9) of Yacef et al. `b` is
+    the block `aerodynamics` of the model `m`, to which the sums are added as expressions over time.
     """
     by_axis = any(scenario.vehicle.parasitic_drag)
     has_rotor_forces = scenario.vehicle.has_rotor_forces

@@ -1,5 +1,7 @@
 """The airspace: floor, ceiling, fence, edges of terrain and wind data, and keep-out zones.
 
+A keep-out zone is the intersection of one or more balls, which are explained after the table:
+
 symbol | name | unit | meaning
 c_k | centre[zone, ball, axis] | m | centre of ball k of a zone, on the axes of the ball
 n_k | normal[zone, ball, axis] | - | direction across an edge of a polygon, of length one
@@ -8,16 +10,16 @@ c | clearance | m | distance kept from every zone
 d_k | beyond[zone, ball] | m | distance of the vehicle from ball k (negative inside), minus c
 w | edge_width | m | width over which two faces of a zone are blended
 
-A zone is the intersection of balls (`scenario.airspace.Ball`). A ball measures distances in one
-coordinate (an interval), in two (a disk) or in three (a sphere). A cylinder is the intersection of
-a disk and an interval of height, a box that of three intervals. A prism over a convex polygon is
-the intersection of an interval across each edge and an interval of height. A place is outside the
-zone if it is outside at least one of the balls, that is, if the largest of the d_k is positive. A
-smooth lower bound replaces this maximum in the model, so that no place inside a zone is allowed.
-Near an edge of the zone, where two of the d_k differ by less than about w, places up to 0.14 w =
-70 mm outside the zone (0.28 w = 140 mm at the corners of a box) are forbidden, too. Elsewhere the
-forbidden places are exactly the zone. The clearance moves the faces outwards, so that edges stay
-sharp.
+A ball (`scenario.airspace.Ball`) contains the places within a radius of its centre. The distance is
+measured in one coordinate (an interval), in two (a disk) or in three (a sphere). A cylinder is the
+intersection of a disk and an interval of height, a box that of three intervals. A prism over a
+convex polygon is the intersection of an interval across each edge and an interval of height. A
+place is outside the zone if it is outside at least one of the balls, that is, if the largest of the
+d_k is positive. A smooth lower bound replaces this maximum in the model, so that no place inside a
+zone is allowed. Near an edge of the zone, where two of the d_k differ by less than about w, places
+up to 0.14 w = 70 mm outside the zone (0.28 w = 140 mm at the corners of a box) are forbidden, too.
+Elsewhere the forbidden places are exactly the zone. The clearance moves each face outwards by the
+distance c, and does not round the edges between the faces.
 
 A polygon with k corners has k + 1 faces, blended in the same way. Near a corner with several faces
 at nearly the same distance, up to 0.14 w more is forbidden for each further face.
@@ -129,8 +131,9 @@ def _axes_and_centre(ball: Ball) -> tuple[tuple[int, ...], tuple[float, ...]]:
 
     A ball contains the places whose distance from its centre, measured along one, two or three
     axes, is at most its radius. A ball of one axis is a slab between two parallel faces, a ball of
-    two axes a vertical cylinder. The slab across the edge of a polygon has a horizontal normal, so
-    that its centre is given along x and y.
+    two axes a vertical cylinder. A slab between an edge of a polygon and the farthest corner has a
+    horizontal normal in any direction. For such a slab, the returned axes are x and y, and the
+    returned centre is midway between the faces, on the normal through the origin.
 
     Returns
     -------

@@ -139,8 +139,8 @@ def declare_battery(m: ConcreteModel, scenario: Scenario) -> None:
     m : ConcreteModel
         Model that already declares `time`, `power` and `scaling_factor`.
     scenario : Scenario
-        Source of the battery's numbers; with relaxation or temperature, these states are declared
-        too.
+        Source of the battery's numbers. If the battery has the table `relaxation` or `thermal`, the
+        relaxation voltage or the temperature is declared as a further state.
     """
     b = m.battery = Block(doc="battery pack, Yacef et al., eqs. (4) and (5)")
     pack = scenario.battery

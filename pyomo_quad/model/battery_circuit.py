@@ -72,8 +72,9 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 def states_at_start(scenario: Scenario) -> dict[str, float]:
     """Return the initial values of the battery's states other than its charge, by full name.
 
-    The states are the relaxation voltage [V], the temperature [K] and the lost energy [J]. A state
-    that the model of the scenario does not declare is left out.
+    The states are the relaxation voltage [V], the temperature [K] and the lost energy [J]. A full
+    name is a name such as "battery.temperature". A state that the model of the scenario does not
+    declare is left out.
     """
     pack, states = scenario.battery, {}
     if pack.relaxation is not None:
@@ -95,12 +96,13 @@ def fields_after(scenario: Scenario, ended: Mapping[str, float]) -> dict[str, fl
     scenario : Scenario
         Scenario of the flight that has ended.
     ended : mapping
-        States at the end of that flight, by full name.
+        Values of the states at the end of that flight, by full name, as ``"battery.temperature"``.
 
     Returns
     -------
     dict
-        Dotted scenario field -> value; empty for a battery without relaxation and temperature.
+        Value of each field by its dotted path, as ``"battery.thermal.initial_temperature"``; empty
+        for a battery without relaxation and temperature.
     """
     fields = {}
     if _DROP in ended:
@@ -167,7 +169,8 @@ def _line(equation: object) -> str:
 def resistance_share(b: Block, t: float) -> NumericExpression:
     """Resistance at the cell's temperature over resistance at the reference temperature [-].
 
-    Arrhenius's law; see docs/theory/battery.md, eq. (7).
+    The ratio follows Arrhenius's law; see docs/theory/battery.md, eq. (7). `b` is the block
+    `battery`, and `t` the time in flight [s].
     """
     inverse = 1 / b.temperature[t] - 1 / b.reference_temperature
     return exp(b.activation_energy / GAS_CONSTANT * inverse)
@@ -176,7 +179,7 @@ def resistance_share(b: Block, t: float) -> NumericExpression:
 def resistance_at(b: Block, t: float) -> NumericExpression:
     """Ohmic resistance of the battery at its temperature [ohm].
 
-    See docs/theory/battery.md, eq. (4).
+    `b` is the block `battery`, and `t` the time in flight [s]. See docs/theory/battery.md, eq. (4).
     """
     if b.component("resistance_share") is None:
         return b.pack_resistance
@@ -186,8 +189,8 @@ def resistance_at(b: Block, t: float) -> NumericExpression:
 def source_voltage(b: Block, t: float) -> NumericExpression:
     """Open-circuit voltage less the relaxation voltage, before the ohmic drop [V].
 
-    Without a relaxation voltage in the scenario, this is the open-circuit voltage. See
-    docs/theory/battery.md, eq. (5).
+    Without a relaxation voltage in the scenario, this is the open-circuit voltage. `b` is the block
+    `battery`, and `t` the time in flight [s]. See docs/theory/battery.md, eq. (5).
     """
     if b.component("relaxation_voltage") is None:
         return b.open_circuit_voltage[t]
@@ -198,6 +201,7 @@ def slow_resistance(b: Block, t: float) -> NumericExpression:
     """Resistance of the RC pair at the battery's health and temperature [ohm].
 
     The RC pair (a resistor and a capacitor in parallel) models the slow part of the voltage drop.
+    `b` is the block `battery`, and `t` the time in flight [s].
     """
     of_pack = b.relaxation_resistance * b.cells_series / b.cells_parallel
     if b.component("resistance_factor") is not None:
@@ -209,8 +213,8 @@ def relaxation_balance(b: Block, t: float) -> RelationalExpression:
     """RC pair: the relaxation voltage tends to the battery current times the pair's resistance [V].
 
     The RC pair (a resistor and a capacitor in parallel) models the slow part of the voltage drop.
-    The result is the differential equation of the relaxation voltage, the voltage of this pair.
-    See docs/theory/battery.md, eq. (8).
+    The result is the differential equation of the relaxation voltage, the voltage of this pair, at
+    the time `t` [s]; `b` is the block `battery`. See docs/theory/battery.md, eq. (8).
     """
     settled = slow_resistance(b, t) * b.current[t]
     return (
@@ -222,7 +226,8 @@ def relaxation_balance(b: Block, t: float) -> RelationalExpression:
 def initial_relaxation(b: Block) -> RelationalExpression:
     """Relaxation voltage at the start, of all cells in series [V].
 
-    The result is the initial condition of the state `relaxation_voltage`.
+    The result is the initial condition of the state `relaxation_voltage` of `b`, the block
+    `battery`.
     """
     start = b.parent_block().time.first()
     return b.relaxation_voltage[start] == b.cells_series * b.initial_relaxation_voltage
@@ -231,8 +236,8 @@ def initial_relaxation(b: Block) -> RelationalExpression:
 def heat(b: Block, t: float) -> NumericExpression:
     """Heat of the pack's losses, Bernardi's equation without entropy [W].
 
-    The heat is the open-circuit voltage less the terminal voltage, times the current. See
-    docs/theory/battery.md, eq. (9).
+    The heat is the open-circuit voltage less the terminal voltage, times the current. `b` is the
+    block `battery`, and `t` the time in flight [s]. See docs/theory/battery.md, eq. (9).
     """
     return (b.open_circuit_voltage[t] - b.voltage[t]) * b.current[t]
 
@@ -240,9 +245,9 @@ def heat(b: Block, t: float) -> NumericExpression:
 def heat_balance(b: Block, t: float) -> RelationalExpression:
     """Lumped temperature: heat of the losses less the heat lost to the air [W].
 
-    The result is the differential equation of the temperature, which is equal in all cells: the
-    heat capacity times the rate of the temperature equals the difference of the two heat flows. See
-    docs/theory/battery.md, eq. (10).
+    The temperature is equal in all cells. The result is its differential equation at the time `t`
+    [s]: the heat capacity times the rate of the temperature equals the difference of the two heat
+    flows. `b` is the block `battery`. See docs/theory/battery.md, eq. (10).
     """
     cells = b.cells_series * b.cells_parallel
     warming = cells * b.heat_capacity * b.dtemperature_dt[t]
@@ -253,6 +258,6 @@ def heat_balance(b: Block, t: float) -> RelationalExpression:
 def initial_temperature(b: Block) -> RelationalExpression:
     """Temperature of the battery at the start [K].
 
-    The result is the initial condition of the state `temperature`.
+    The result is the initial condition of the state `temperature` of `b`, the block `battery`.
     """
     return b.temperature[b.parent_block().time.first()] == b.initial_pack_temperature

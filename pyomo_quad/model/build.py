@@ -230,7 +230,9 @@ def structure_key(scenario: Scenario) -> Hashable:
     Returns
     -------
     hashable
-        Equal for scenarios whose models differ only in parameter values and a fixed duration.
+        Equal for scenarios whose models differ only in the values of parameters and in the length
+        of a fixed duration. The compiled model of one such scenario can be solved for another one
+        with the values from `parameter_values`.
 
     Examples
     --------
@@ -309,7 +311,8 @@ def model_builder(scenario: Scenario, *, is_code_allowed: bool) -> Builder:
     Parameters
     ----------
     scenario : Scenario
-        Scenario whose field ``model`` may name a builder, relative to the scenario's folder.
+        Scenario whose field ``model`` may name the user's builder as ``file.py:function``, with the
+        file relative to the scenario's folder.
     is_code_allowed : bool
         Whether the user agreed to run code from a file.
 

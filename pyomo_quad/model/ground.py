@@ -9,9 +9,9 @@ z - L | height_limited_above | m | upper bound of the height above the ground, w
 The ground of `airspace.terrain` is bilinear between the points of its grid.  U and L are splines
 through values on the same grid (`scenario.surfaces`). These splines are twice differentiable with
 exact derivatives, and the cost of an evaluation does not grow with the grid (`collocation.Table`).
-The distance of U and L from the ground is at most `Surface.excess`. A flight at the height of the
-floor above U is therefore never lower above the ground than the floor requires, and higher by
-`Surface.excess` at most.
+The vertical distance of U and L from the ground is at most `Surface.excess`. A floor requires a
+least height above the ground. A flight at just this height above U is at or above the required
+height, by `Surface.excess` at most.
 
 Over flat ground both heights are z, and no block is declared.
 """
@@ -63,11 +63,12 @@ def declare_ground(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def height_above_ground(m: ConcreteModel, t: float, side: int = 1) -> Any:
-    """Return the height of the vehicle above the ground that a floor or ceiling limits [m].
+    """Return the vehicle's height above the ground, for the limit by a floor or a ceiling [m].
 
     Over terrain, the height is measured from a smooth surface: for a floor (`side` 1) from a
     surface that is nowhere below the ground, for a ceiling (`side` -1) from a surface that is
-    nowhere above the ground. Over flat ground, the height is z.
+    nowhere above the ground. Over flat ground, the height is z. `m` is the mission's model, and `t`
+    the time in flight [s].
     """
     b = m.component("ground")
     return m.rigid_body.z[t] if b is None else b.component(_SURFACES[side][1])[t]

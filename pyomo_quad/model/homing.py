@@ -17,10 +17,10 @@ g, so that the charge of the return is (1 + margin) i d / g. The wind along the 
 equal to the wind at the vehicle, and a difference of height counts as distance; the margin covers
 the errors of these assumptions.
 
-Over terrain the vehicle first climbs, without progress, until its height above the highest ground
-on the straight line to the home is the floor of the airspace (least height above the ground). The
-vehicle then flies level to the place above the home, and descends; the descent counts as distance.
-See docs/theory/homing.md.
+Over terrain the vehicle first climbs, without coming closer to the home, until its height above the
+highest ground on the straight line to the home is the floor of the airspace (least height above the
+ground). The vehicle then flies level to the place above the home, and descends; the descent counts
+as distance. See docs/theory/homing.md.
 """
 
 from collections.abc import Hashable
@@ -111,8 +111,9 @@ def terrain_key(scenario: Scenario) -> Hashable:
 def declare_homing(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the charge that a return flight needs at each time, and its limit, in block `homing`.
 
-    The limit holds at each time of the mission: charge drawn plus charge of the return to the
-    nearest home (the start or a rally point) does not exceed the usable charge of the pack.
+    The limit holds at each time of the mission: the charge drawn so far plus the charge of the
+    return to the nearest home (the start or a rally point) does not exceed the usable charge. The
+    usable charge is the capacity of the pack less the least charge that must remain in it.
 
     Parameters
     ----------

@@ -94,7 +94,7 @@ def declare_limits(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _less_reserve(b: Block, most: NumericExpression) -> NumericExpression:
-    """Return the largest rotor speed or thrust that a plan may use.
+    """Return the largest rotor speed [rad/s] or thrust [N] that a plan may use.
 
     The result is (1 - reserve) times `most`, the largest rotor speed or thrust of the vehicle. The
     fraction `reserve`, a parameter of the block `b`, is left to the controller that follows the
@@ -123,8 +123,9 @@ def _declare_validated_range(b: Block, m: ConcreteModel) -> None:
     """Limit airspeed, climb and descent to the range for which the vehicle's model is validated.
 
     The range is that of measured flights; the scenario requests these limits by
-    `limits.within_validated`. Each of the three (largest airspeed, fastest climb, fastest descent)
-    is declared in the block `b` only if the vehicle has a value for it.
+    `limits.within_validated`. Each of the three limits (largest airspeed, fastest climb, fastest
+    descent) is declared in `b`, the block `limits` of the model `m`, only if the vehicle has a
+    value for it.
     """
     if b.component("validated_airspeed") is not None:
 

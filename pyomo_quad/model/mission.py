@@ -170,8 +170,8 @@ def free_times(m: ConcreteModel, scenario: Scenario) -> dict[float, Any]:
     """Return the variables of the times that the plan chooses, by their nominal time [s].
 
     The times are the duration, if the duration is free, the passage of each waypoint and the end of
-    each hover at a waypoint. The nominal time is the member of the time set of the model `m` that
-    stands for the variable: the time estimated or prescribed by the scenario.
+    each hover at a waypoint. In the time set of the model `m`, each variable is represented by a
+    member, its nominal time: the time that the scenario prescribes or estimates.
     """
     *passages, end = scenario.nominal_times
     free: dict[float, Any] = {end: m.duration} if scenario.mission.is_free else {}
@@ -279,7 +279,11 @@ def _speed_squared(body: Block, t: float) -> NumericExpression:
 
 
 def declare_duration(m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare the duration of the flight as a variable within the limits of the mission [s]."""
+    """Declare the duration of the flight as a variable, for a mission whose duration is free [s].
+
+    The variable is added to the model `m`, whose block `mission` has the bounds of the duration.
+    The initial guess is the duration that the scenario estimates.
+    """
     nominal = scenario.nominal_duration
     m.duration = Var(
         bounds=(m.mission.duration_min, m.mission.duration_max),

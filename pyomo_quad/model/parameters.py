@@ -98,8 +98,9 @@ def parameters_in(block_name: str) -> Callable[[Table], Table]:
 def parameter_tables(scenario: Scenario) -> Iterator[tuple[str, tuple[Parameter, ...]]]:
     """Yield the name of each model block that has registered parameters, and its parameters.
 
-    The parameters are declarations, without values, of what the block of the scenario's model
-    contains; the decorator `parameters_in` registers the function that returns them.
+    Each `Parameter` is a declaration: it states name, unit and meaning of a number that the block
+    contains in the scenario's model. The decorator `parameters_in` registers for each block the
+    function that returns these declarations.
     """
     for block_name, table in _TABLES.items():
         yield block_name, tuple(table(scenario))

@@ -1,10 +1,12 @@
 """The electrical power of the rotors, by one of six models.
 
-Each model is a function that declares the power of every rotor without regard to regeneration.
-Regeneration then decides whether braking returns its full power or none. The energy of the flight
-is the integral of the sum, eq. (8) of the paper (Yacef et al.). The paper's second sum, over every
-speed for every rotor, is read as one sum over the four rotors. In the table, v and i are voltage
-and current of the motor, tau its torque, omega the rotor speed and alpha the rotor acceleration:
+Each model is a function that declares the power of every rotor, which may be negative while the
+rotor brakes. With regeneration (`power.regeneration`), this power counts as it is; without
+regeneration, a negative power is replaced by zero, with a smooth transition. The energy of the
+flight is the integral of the sum, eq. (8) of the paper (Yacef et al.). The paper's second sum, over
+every speed for every rotor, is read as one sum over the four rotors. In the table, v and i are
+voltage and current of the motor, tau its torque, omega the rotor speed and alpha the rotor
+acceleration:
 
 name | power of one rotor | convex in alpha | convex in thrust in steady flight
 motor | v i | yes | yes
@@ -22,8 +24,9 @@ energy than braking absorbs.
 Alternating acceleration and braking of the rotors saves no energy, except in the model
 `efficiency`: see docs/theory/bound.md, eqs. (5) and (6).
 
-Momentum theory, blade drag and climb, in moving air, `power.model momentum`; derivation and
-validated range: see docs/theory/momentum_power.md, eqs. (1) to (6).
+The rest of this text describes the model `momentum`, which consists of momentum theory, blade drag
+and the power of climb, all in moving air. For its derivation and validated range see
+docs/theory/momentum_power.md, eqs. (1) to (6). T is the thrust of all rotors together:
 
 symbol | name | unit | meaning
 v_i | induced_velocity | m/s | velocity that the rotors add to the air, equal for all rotors
@@ -157,8 +160,8 @@ def declare_power(m: ConcreteModel, scenario: Scenario) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        Model that already declares `time`, `vehicle` and `rotors`; for `momentum`, also the
-        airspeeds.
+        Model that already declares `time`, `vehicle` and `rotors`. The power model `momentum` also
+        needs `rigid_body` and the airspeeds of block `aerodynamics`.
     scenario : Scenario
         Selects the power model and whether braking rotors return energy.
     """

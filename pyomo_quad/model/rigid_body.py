@@ -155,6 +155,7 @@ def turning(b: Block, t: float) -> NumericExpression:
     """Return the rate of the yaw angle times cos(pitch), from the body rates [rad/s].
 
     The result is q sin(phi) + r cos(phi). A mission with constant heading limits its magnitude.
+    `b` is the block `rigid_body`, and `t` the time in flight [s].
     """
     return b.q[t] * sin(b.phi[t]) + b.r[t] * cos(b.phi[t])
 
@@ -188,13 +189,19 @@ def _declare_equated_rates(b: Block, m: ConcreteModel) -> None:
 
 
 def forward_axis(b: Block, t: float) -> tuple[NumericExpression, ...]:
-    """Return the unit vector of body x (forward) in world axes, shape (3,)."""
+    """Return the unit vector of body x (forward) in world axes, shape (3,).
+
+    `b` is the block `rigid_body`, and `t` the time in flight [s].
+    """
     theta, psi = b.theta[t], b.psi[t]
     return cos(theta) * cos(psi), cos(theta) * sin(psi), -sin(theta)
 
 
 def left_axis(b: Block, t: float) -> tuple[NumericExpression, ...]:
-    """Return the unit vector of body y (left) in world axes, shape (3,)."""
+    """Return the unit vector of body y (left) in world axes, shape (3,).
+
+    `b` is the block `rigid_body`, and `t` the time in flight [s].
+    """
     phi, theta, psi = b.phi[t], b.theta[t], b.psi[t]
     return (
         sin(phi) * sin(theta) * cos(psi) - cos(phi) * sin(psi),
@@ -204,7 +211,10 @@ def left_axis(b: Block, t: float) -> tuple[NumericExpression, ...]:
 
 
 def thrust_axis(b: Block, t: float) -> tuple[NumericExpression, ...]:
-    """Return the unit vector of body z, the direction of the thrust, in world axes, shape (3,)."""
+    """Return the unit vector of body z, the direction of the thrust, in world axes, shape (3,).
+
+    `b` is the block `rigid_body`, and `t` the time in flight [s].
+    """
     phi, theta, psi = b.phi[t], b.theta[t], b.psi[t]
     return (
         cos(phi) * sin(theta) * cos(psi) + sin(phi) * sin(psi),
@@ -221,8 +231,10 @@ BODY_AXES: tuple[BodyAxis, ...] = (forward_axis, left_axis, thrust_axis)
 def _moment(m: ConcreteModel, name: str, t: float) -> NumericExpression:
     """Return the moment of rotors and air about a body axis [N m].
 
-    `name` is "roll_moment", "pitch_moment" or "yaw_moment". Air adds a moment only for a vehicle
-    with rotor forces.
+    The rotors' thrust and drag torque make the moment of the rotors. The moment of the air is that
+    of rotor drag and translational lift, and is absent if the vehicle has no coefficients of these
+    forces. `m` is the mission's model, `name` is "roll_moment", "pitch_moment" or "yaw_moment", and
+    `t` is the time in flight [s].
     """
     of_rotors, of_air = m.rotors.component(name)[t], m.aerodynamics.component(name)
     return of_rotors if of_air is None else of_rotors + of_air[t]
@@ -272,8 +284,9 @@ def _declare_tilting_balances(b: Block, m: ConcreteModel) -> None:
 def _declare_yaw_balance(b: Block, m: ConcreteModel, attitude: Attitude) -> None:
     """Declare the moment balance about body z.
 
-    With the exact attitude kinematics (`vehicle.attitude = "euler"`), it includes the yaw moment by
-    which accelerating rotors turn the body. The paper (Yacef et al.) omits this moment.
+    With the exact attitude kinematics (`attitude` is "euler"), the balance includes the yaw moment
+    by which accelerating rotors turn the body. The paper (Yacef et al.) omits this moment. The
+    balance is added to `b`, the block `rigid_body` of the model `m`.
     """
     is_exact = attitude is Attitude.EULER
     what = " with the rotors' reaction: body z" if is_exact else ": moment balance about body z"

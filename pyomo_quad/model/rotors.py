@@ -30,8 +30,9 @@ def _by_rotor(
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the model parameters for positions and directions of rotation of the rotors.
 
-    A standard cross of four rotors without rotor forces needs no parameters of this kind, because
-    eq. (7) of Yacef et al. contains its geometry.
+    Eq. (7) of Yacef et al. contains the geometry of a standard cross of four rotors. A standard
+    cross therefore needs no such parameters, unless the vehicle has rotor drag or translational
+    lift: these forces depend on the airspeed at each rotor, and need the positions.
     """
     vehicle = scenario.vehicle
     ahead = Parameter(
@@ -100,8 +101,9 @@ def declare_rotors(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare rotor speeds, their accelerations and the mixer in block `rotors`.
 
     Speeds are states and accelerations are controls. The mixer gives the total thrust [N], the
-    moments about the body axes [N m] and the speed imbalance [rad/s]: the sum of the rotor speeds,
-    each with the sign of its direction of rotation, which determines the gyroscopic moments.
+    moments about the body axes [N m] and the speed imbalance [rad/s]. The speed imbalance is the
+    sum of the rotor speeds, each with the sign of its direction of rotation; the gyroscopic moments
+    are proportional to this sum.
 
     Parameters
     ----------
@@ -173,7 +175,8 @@ def _declare_mixer_of_places(b: Block, m: ConcreteModel) -> None:
 
     Thrust and moments are sums over the rotors, with the position and the direction of rotation of
     each rotor. The speed imbalance, the sum of the rotor speeds with the signs of their directions
-    of rotation, is declared, too.
+    of rotation, is declared, too. All are expressions over time in `b`, the block `rotors` of the
+    model `m`.
     """
 
     @b.Expression(b.rotor, m.time, doc="thrust of one rotor [N]")

@@ -19,12 +19,12 @@ With a = V / L, each filter has one of two state forms (see docs/theory/risk.md,
 MIL-HDBK-1797 gives half the lengths of MIL-F-8785C, but uses twice the length in the filters. At
 low altitude the two specifications therefore give the same spectra.
 
-Gusts are frozen (Taylor's hypothesis) only for a vehicle that crosses them faster than they change
-by themselves, which takes about L / sigma (Tennekes and Lumley, 1972, section 1.5). Therefore V is
-the airspeed, but at least sigma_u. The axes are horizontal and vertical, as in the specification at
-low altitude, and keep the direction of the mission's mean relative wind, because axes along the
-airspeed would turn the gusts whenever the vehicle turns. Turbulence acts on simulated flights only;
-no plan includes it.
+A gust changes by itself in a time of about L / sigma (Tennekes and Lumley, 1972, section 1.5).
+Gusts are frozen (Taylor's hypothesis) only for a vehicle that crosses them in less than this time.
+Therefore V is the airspeed, but at least sigma_u. The axes of the gusts are horizontal and
+vertical, as in the specification at low altitude, and keep the direction of the mission's mean
+relative wind, because axes along the airspeed would turn the gusts whenever the vehicle turns.
+Turbulence acts on simulated flights only; no plan includes it.
 """
 
 from collections.abc import Callable, Sequence
@@ -106,7 +106,11 @@ PARAMETERS = (
 
 
 def turbulence_values(scenario: Scenario) -> dict[str, float]:
-    """Return the values of the parameters in block `wind.turbulence`, by full name."""
+    """Return the values of the parameters in block `wind.turbulence`, by full name.
+
+    The parameters are the wind at 6 m above the ground, `wind.turbulence.wind_at_6_m` [m/s], and
+    the direction of the mean airflow over the vehicle, `wind.turbulence.direction` [rad].
+    """
     return dict(parameter_items(_BLOCK, PARAMETERS, scenario))
 
 
@@ -129,8 +133,8 @@ def vertical_length(height: Any) -> Any:
 def vertical_deviation(wind_at_6_m: Any) -> Any:
     """Return the standard deviation sigma_w of gusts [m/s]: MIL-F-8785C, section 3.7.3.4.
 
-    sigma_w is that of the vertical gusts: a tenth of `wind_at_6_m`, the mean wind at 6 m above the
-    ground [m/s].
+    sigma_w is the standard deviation of the vertical gusts. It is a tenth of `wind_at_6_m`, the
+    mean wind at 6 m above the ground [m/s].
     """
     return 0.1 * wind_at_6_m
 
@@ -138,8 +142,9 @@ def vertical_deviation(wind_at_6_m: Any) -> Any:
 def horizontal_deviation(wind_at_6_m: Any, height: Any) -> Any:
     """Return the standard deviation sigma_u = sigma_v of gusts [m/s]: MIL-F-8785C, figure 11.
 
-    These are the horizontal gusts. `wind_at_6_m` is the mean wind at 6 m above the ground [m/s],
-    `height` the height above the ground [m] at which the gusts act.
+    sigma_u and sigma_v are the standard deviations of the gusts along two horizontal axes.
+    `wind_at_6_m` is the mean wind at 6 m above the ground [m/s], and `height` the height above the
+    ground [m] at which the gusts act.
     """
     return vertical_deviation(wind_at_6_m) / (0.177 + 0.000823 * height / _FOOT) ** 0.4
 
@@ -147,7 +152,8 @@ def horizontal_deviation(wind_at_6_m: Any, height: Any) -> Any:
 def longitudinal_gust(deviation: Any, state: Any) -> Any:
     """Return the longitudinal gust u [m/s].
 
-    `deviation` is its standard deviation [m/s], `state` the state xi_1 of its filter.
+    `deviation` is the standard deviation of the gust [m/s], and `state` the dimensionless state
+    xi_1 of the shaping filter that generates the gust.
     """
     return deviation * sqrt(2) * state
 
@@ -155,8 +161,8 @@ def longitudinal_gust(deviation: Any, state: Any) -> Any:
 def transverse_gust(deviation: Any, state: Any, lag: Any) -> Any:
     """Return the transverse gust v or w [m/s].
 
-    `deviation` is its standard deviation [m/s]; `state` and `lag` are the states xi_1 and xi_2 of
-    its filter, of which xi_2 lags xi_1.
+    `deviation` is the standard deviation of the gust [m/s]. `state` and `lag` are the dimensionless
+    states xi_1 and xi_2 of the shaping filter that generates the gust; xi_2 lags xi_1.
     """
     return deviation * (sqrt(3) * state + (1 - sqrt(3)) * lag)
 
@@ -209,9 +215,9 @@ def _declare_scales(b: Block, m: ConcreteModel) -> None:
     """Declare height, standard deviations, crossing speed and rates V / L of the filters.
 
     They are expressions over time in `b`, the block `wind.turbulence` of the model `m`. The height
-    is that above ground, within the range for which the specification holds. The crossing speed V
-    is the speed at which the vehicle crosses the frozen gusts, and L a length scale of the
-    turbulence.
+    is the vehicle's height above the ground, limited to the range for which the specification
+    holds. The crossing speed V is the speed at which the vehicle crosses the frozen gusts, and L a
+    length scale of the turbulence.
     """
 
     @b.Expression(m.time, doc="h: height at which the laws are read [m]")

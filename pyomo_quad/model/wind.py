@@ -18,11 +18,12 @@ that is nowhere below the ground (`model.ground`). Below the larger of 0.1 m and
 law is valid, the wind is constant: the laws use a smooth maximum of h and this lowest height. The
 maximum increases with h, and equals h to 1e-12 m if h is half a metre above the lowest height or
 higher. A wind measured over heights is a cubic spline through the measurements between the lowest
-and the highest height, and constant beyond them, with the same smoothing. Its heights are also
-measured above the ground; the heights of a wind field are coordinates z.
+and the highest height, and constant beyond them, with the same smoothing. The heights of these
+measurements are heights above the ground, but the heights of a wind field are coordinates z.
 
-A wind measured over time is the cubic spline of the wind time through its rows. The spline is twice
-differentiable at any time, so that a plan may choose its times. After the last row it is constant.
+A wind measured over time is a function of the wind time: the cubic spline through the measurements,
+and a constant after the last measurement. The spline is twice differentiable at any time, so that
+the plan may choose the duration and the times at which waypoints are passed.
 
 A wind that varies from place to place is declared in `wind_field`.
 
@@ -103,8 +104,9 @@ def _measured_heights(wind: Wind) -> tuple[float, ...]:
 def _least_height(wind: Wind) -> float:
     """Return the lowest height above ground at which the wind of a scenario is defined [m].
 
-    For a wind measured over heights it is the lowest of these. For a wind profile it is the larger
-    of 0.1 m and the roughness length, at which and below which the logarithmic law has no wind.
+    For a wind measured over heights, this is the lowest of the measured heights. For a wind profile
+    it is 0.1 m or the roughness length, whichever is larger: the logarithmic law gives no wind at
+    the roughness length, and is not valid below.
     """
     if wind.profile is not None:
         return max(_LEAST_HEIGHT_M, wind.profile.roughness or 0.0)
@@ -332,8 +334,9 @@ def _add_velocity(
 ) -> None:
     """Declare the wind along the world axis `name` as an expression over time [m/s].
 
-    `rule` is a Pyomo rule for the wind at the reference height. The declared wind is converted to
-    the vehicle's height by the wind profile, if there is one. `said` begins the documentation text
+    The expression is added to `b`, the block `wind` of the model `m`. `rule` is a Pyomo rule for
+    the wind at the reference height of the wind profile. The declared wind is converted to the
+    vehicle's height by the profile, if the scenario has one. `said` begins the documentation text
     of the declared expression, as in "wind along world x".
     """
 
@@ -396,8 +399,10 @@ def _declare_shapes(b: Block, m: ConcreteModel, heights: FloatArray) -> None:
     """Declare the basis functions of the spline over height for a wind measured at some heights.
 
     The spline is a cubic not-a-knot spline in the height, a weighted sum of the basis functions.
-    Below the lowest and above the highest of `heights` [m], at which the wind was measured, it is
-    constant, with the same smoothing as a wind profile.
+    `heights` [m] are the heights at which the wind was measured. Below the lowest and above the
+    highest of these heights, the spline is constant; the transition is smoothed as in a wind
+    profile. The basis functions, at the vehicle's height, are expressions over time in `b`, the
+    block `wind` of the model `m`.
     """
     shares, functions = _shares(heights), _truncated_powers(_shares(heights))
 

@@ -63,17 +63,17 @@ def smooth_positive(number: Any, width: Any) -> Any:
 
 
 def declare_field(m: ConcreteModel, grid: WindGrid, scenario: Scenario) -> list[Expression]:
-    """Declare the tables of a wind field and return the wind components at the vehicle [m/s].
+    """Declare the splines of a wind field and return the wind components at the vehicle [m/s].
 
     Parameters
     ----------
     m : ConcreteModel
-        Model that already declares `time`, `rigid_body` and `wind`, which has `wind_time` and
-        `field_unit`.
+        Model that already declares `time`, `rigid_body` and, in block `wind`, the wind time
+        `wind_time` [s] and the factor `field_unit` [m/s], by which the splines are multiplied.
     grid : WindGrid
         Grid points and wind components of the field.
     scenario : Scenario
-        Its `wind.beyond` says whether places are clipped to the grid.
+        Its `wind.beyond` says whether the vehicle's place is clipped to the range of the grid.
 
     Returns
     -------

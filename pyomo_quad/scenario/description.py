@@ -167,7 +167,7 @@ def editor_schema(model: type[BaseModel], title: str, required: tuple[str, ...])
     Parameters
     ----------
     model : type of BaseModel
-        Model of the whole file.
+        Pydantic model of the whole file, either a scenario or a study.
     title : str
         Title of the schema.
     required : tuple of str
@@ -205,7 +205,7 @@ def writable_fields(model: type[BaseModel]) -> tuple[WritableField, ...]:
     Parameters
     ----------
     model : type of BaseModel
-        Model of the whole file.
+        Pydantic model of the whole file, either a scenario or a study.
 
     Returns
     -------

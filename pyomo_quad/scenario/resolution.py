@@ -849,7 +849,8 @@ def _longest(tables: Mapping[str, Any]) -> tuple[tuple[str, str], object]:
     """Return the path of the field that sets an upper limit on the duration, and the limit [s].
 
     The field is `mission.duration` if the duration is fixed, and otherwise the field for the
-    greatest duration. Wind files must cover this time. `tables` are the scenario's tables.
+    greatest duration. A measured wind must cover the flight up to this limit. `tables` are the
+    scenario's tables.
     """
     is_free = value_at(tables, "mission", "duration") == FREE
     field = _LONGEST if is_free else ("mission", "duration")

@@ -52,10 +52,11 @@ _LEAST_VOLUME = 1e-6
 def _volume(*rows: Sequence[float]) -> float:
     """Return the squared volume that three vectors, `rows`, span: their Gram determinant.
 
-    The function is called with three vectors that have one number for each rotor: its coordinates
-    along body x and along body y, as fractions of the largest arm, and its direction of rotation, 1
-    or -1. These are proportional to the moments that the rotor produces about the three body axes.
-    A determinant near zero shows that the rotors cannot turn the vehicle about every axis.
+    Each vector has one number for each rotor. The first two vectors are the rotors' coordinates
+    along body x and along body y, as fractions of the largest arm. The third vector has the
+    directions of rotation, 1 or -1. The three numbers of a rotor are proportional to the moments
+    that this rotor produces about the three body axes. A determinant near zero shows that the
+    rotors cannot turn the vehicle about every axis.
     """
     (a, b, c), (_, d, e), (_, _, f) = (
         [sum(map(mul, one, other)) for other in rows] for one in rows
