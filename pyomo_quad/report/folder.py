@@ -339,8 +339,9 @@ def _remove(folder: Path) -> None:
 def _files(folder: Path) -> Iterator[str]:
     """Yield the relative names of all files in a folder, including links to folders.
 
-    The manifest of an output folder is made from these names, and they are compared with it to find
-    files that this package did not write. Raises OSError if the folder cannot be read.
+    The manifest of an output folder, a list of its files, is made from these names. Later the names
+    are compared with the manifest to find files that this package did not write. Raises OSError if
+    the folder cannot be read.
     """
 
     def fail(error: OSError) -> NoReturn:
