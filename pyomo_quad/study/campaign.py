@@ -2,9 +2,9 @@
 
 Each flight is planned with the state of charge, the relaxation voltage and the temperature at which
 the flight before it ended, with a warm start from the previous plan of the same mission.  The
-flights on one charge end before the first flight that has no plan, because it would leave less
-charge than the reserve, or because the voltage would fall below its limit.  The battery neither
-rests between two flights nor ages.
+flights on one charge end before the first flight that has no plan. A flight has no plan if it would
+leave less charge than the reserve, or if the voltage would fall below its limit.  The battery
+neither rests between two flights nor ages.
 """
 
 from collections.abc import Iterator, Sequence

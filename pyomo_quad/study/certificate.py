@@ -815,8 +815,8 @@ def _fit(
 ) -> tuple[Chebyshev, FloatArray, bool]:
     """Fit a polynomial of the rotor speed to computed values of the model's thrust or power.
 
-    Some lower bounds on the energy apply only if thrust and power are polynomials of the rotor
-    speed, which `is_exact` tells.
+    The result `is_exact` tells whether thrust or power is a polynomial of the rotor speed. Some
+    lower bounds on the energy apply only if both are.
 
     Parameters
     ----------

@@ -254,9 +254,9 @@ def _available_thrust(scenario: Scenario, steady: SteadyFlight) -> tuple[str, fl
     """Return the limit that permits the least thrust, and the largest thrust that it permits [N].
 
     The limit is given in words, as "field = value". Limits on rotor speed, on thrust and on rotor
-    acceleration are compared. The limit on rotor acceleration limits the thrust because the rotors
-    start and end at hover speed: they are fastest half way through the flight. `scenario` has the
-    limits and the duration, and `steady` computes the thrust at a given rotor speed.
+    acceleration are compared. The limit on rotor acceleration limits the thrust, because the rotors
+    start and end at hover speed and so can be fastest half way through the flight. `scenario` has
+    the limits and the duration, and `steady` computes the thrust at a given rotor speed.
     """
     limits = scenario.limits
     # Rotors start and end at hover speed, so they can be fastest half way through the flight.

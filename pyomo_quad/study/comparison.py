@@ -1,6 +1,6 @@
 """Comparison of the flights of a mission in one table, and the effect of adaptation.
 
-Adaptation is the controller's estimate of the disturbance acceleration, which it compensates.
+Adaptation means that the controller estimates the disturbance acceleration, and compensates it.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -282,8 +282,8 @@ def leg_rows(
     Returns
     -------
     list of dict
-        One mapping from `LegColumn` to value for each leg and hover; the list is empty for a
-        mission without waypoints.
+        One mapping from `LegColumn` to value for each leg and hover. The list is empty for a
+        mission without waypoints, or if the table lacks energy or position.
     """
     if not mission.mission.waypoints or not {ENERGY, *_PLACE}.issubset(flown):
         return []

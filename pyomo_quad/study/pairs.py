@@ -289,11 +289,11 @@ class Pairs:
         return min(allowed + strongest, max(terminal, float(np.linalg.norm(self._middle))) + apart)
 
     def _most_of_first(self) -> float:
-        """Return the upper limit of a pair's first coordinate, at the largest thrust.
+        """Return the largest value of a pair's first coordinate that the largest thrust permits.
 
-        A pair is a thrust and an airspeed. Its first coordinate is the rotor speed, and the limit
-        is in rad/s; for the power model `momentum` the first coordinate is the induced velocity,
-        and the limit is in m/s. The search over pairs covers the values from zero to this limit.
+        A pair is a combination of thrust and airspeed. Its first coordinate is the rotor speed
+        [rad/s], or for the power model `momentum` the induced velocity [m/s]. The search over pairs
+        covers first coordinates from zero to this value.
         """
 
         def excess(first: float) -> float:
