@@ -274,10 +274,10 @@ def _finish_swap(final: Path, path: str | Path, aside: Path) -> None:
     """Finish the replacement of an old output folder by a new one.
 
     The replacement begins with a renaming of the new folder, which is complete, to a hidden name
-    that contains "ready", beside the final folder. This function renames the old folder to `aside`, then the new folder to
-    `final`. If a run is killed between the two renamings, no final folder exists, and the next run
-    does the second renaming. Nothing is done if there is no hidden folder with this name, or if no
-    run of this package made it.
+    that contains "ready", beside the final folder. This function renames the old folder to `aside`,
+    then the new folder to `final`. If a run is killed between the two renamings, no final folder
+    exists, and the next run does the second renaming. Nothing is done if there is no hidden folder
+    with this name, or if no run of this package made it.
 
     Parameters
     ----------
