@@ -275,14 +275,14 @@ def draw_above_hover(axes: Axes, flights: Sequence[StyledFlight], hover_power_W:
 
 
 def cut_flights(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
-    """Return the flights whose power has short peaks beyond the axis of the power panel.
+    """Return the flights with short peaks of power that a panel of power over time does not show.
 
-    The axis does not extend to short peaks that would flatten all curves.
+    The vertical axis of the panel does not extend to short peaks that would flatten all curves.
 
     Parameters
     ----------
     flights : sequence of StyledFlight
-        Flights drawn in one panel; the first is the plan, which always lies inside the axis.
+        Flights drawn in one panel; the first is the plan, whose power is always shown completely.
     """
     window = _power_window(flights)
     if window is None:

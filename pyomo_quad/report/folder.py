@@ -271,13 +271,13 @@ def _lock(final: Path, path: str | Path) -> Iterator[None]:
 
 
 def _finish_swap(final: Path, path: str | Path, aside: Path) -> None:
-    """Move a finished new output folder, if one waits under its hidden name, to the final path.
+    """Finish the replacement of an old output folder by a new one.
 
-    A new folder that is to replace an old one is first renamed to a hidden name that contains
-    "ready", beside the final folder. This function renames the old folder to `aside`, then the new
-    folder to `final`. If a run is killed between the two renamings, no final folder exists, and the
-    next run does the second renaming. A hidden folder that no run of this package made is not
-    moved.
+    The replacement begins with a renaming of the new folder, which is complete, to a hidden name
+    that contains "ready", beside the final folder. This function renames the old folder to `aside`,
+    then the new folder to `final`. If a run is killed between the two renamings, no final folder
+    exists, and the next run does the second renaming. Nothing is done if there is no hidden folder
+    with this name, or if no run of this package made it.
 
     Parameters
     ----------
@@ -339,8 +339,9 @@ def _remove(folder: Path) -> None:
 def _files(folder: Path) -> Iterator[str]:
     """Yield the relative names of all files in a folder, including links to folders.
 
-    The manifest of an output folder is made from these names, and they are compared with it to find
-    files that this package did not write. Raises OSError if the folder cannot be read.
+    The manifest of an output folder, a list of its files, is made from these names. Later the names
+    are compared with the manifest to find files that this package did not write. Raises OSError if
+    the folder cannot be read.
     """
 
     def fail(error: OSError) -> NoReturn:

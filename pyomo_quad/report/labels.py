@@ -86,9 +86,10 @@ def write_labels(axes: Axes, labels: Sequence[Label]) -> None:
 
 
 def _shifts(size: FloatArray) -> Iterable[FloatArray]:
-    """Yield ten possible offsets from a point to the middle of its label [points], the best first.
+    """Yield ten possible offsets of a label's middle from the place that it names, the best first.
 
-    `size` is the width and height of the label [points].
+    The offsets, and the width and height of the label in `size`, are in typographic points (1/72
+    inch).
     """
     half = size / 2 + _GAP
     for across, up in ((0.0, 1.0), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, 1), (1, -1), (-1, -1)):

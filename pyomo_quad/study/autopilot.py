@@ -167,17 +167,17 @@ def fly_cruise(
 def _with_longest_wait(
     scenario: Scenario, settings: CruiseSettings, planner: Planner
 ) -> tuple[Scenario, Dynamics]:
-    """Return scenario and dynamics of an autopilot's flight with the longest wait at the goal.
+    """Return mission and dynamics of an autopilot's flight that ends with a long wait at the goal.
 
-    `fly_cruise` and the search for settings simulate this flight first, in order to find the time
-    at which the vehicle arrives. The longest wait is the last waiting time in `SETTLINGS_S`.
-    `settings` are the limits on speed, acceleration and jerk with which the autopilot flies the
-    mission `scenario`; `planner` holds the compiled equations.
+    The wait is the last waiting time in `SETTLINGS_S`. `fly_cruise` and the search for settings
+    simulate this flight first, in order to find the time at which the vehicle arrives. `scenario`
+    is the mission, `settings` are the autopilot's limits on speed, acceleration and jerk, and
+    `planner` holds the compiled equations.
 
     Returns
     -------
     Scenario
-        The mission, flown by the autopilot with the given settings.
+        The mission, with the passing times and the duration of this flight.
     Dynamics
         Dynamics of the vehicle in this scenario.
     """
@@ -192,13 +192,15 @@ def _least(scenario: Scenario) -> float:
 
 
 def _end(scenario: Scenario, settings: CruiseSettings, flown: Flown, dynamics: Dynamics) -> float:
-    """Return the time at which the vehicle has arrived in a simulated flight of an autopilot [s].
+    """Return the time at which a simulated flight of an autopilot can end [s].
 
-    The vehicle has arrived if it is near the goal and nearly at rest. The time is not earlier than
-    the end of the reference trajectory. In a mission of fixed duration it is not earlier than the
-    end of the mission. If the vehicle does not arrive, it is the end of the simulation. `scenario`
-    is the mission, `settings` are the autopilot's limits on speed, acceleration and jerk, `flown`
-    is the flight, simulated with the longest wait at the goal; `dynamics` names its states.
+    The flight can end when the vehicle has arrived: it is near the goal and nearly at rest. `flown`
+    is the flight, simulated with a long wait at the goal after the autopilot's reference trajectory
+    has reached it. The result is the first time in `flown` at which the vehicle has arrived, but
+    not earlier than the time at which the reference trajectory reaches the goal and, in a mission
+    of fixed duration, not earlier than the end of the mission. If the vehicle does not arrive, the
+    result is the last time in `flown`. `scenario` is the mission, `settings` are the autopilot's
+    limits on speed, acceleration and jerk, and `dynamics` names the states in `flown`.
     """
     moving = cruise_at(scenario.cruising(settings)).mission.fixed_duration
     places, velocities = (
@@ -297,12 +299,13 @@ def _search(scenario: Scenario, plan: Plan | None, planner: Planner) -> tuple[Tr
 def _start_of_search(
     scenario: Scenario, planner: Planner
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the initial simplex of the search for an autopilot's settings, as vertex and factors.
+    """Return the first settings of the search for an autopilot's settings, and three factors.
 
-    The search uses Nelder and Mead's method. The vertex is a triple of speed [m/s], acceleration
-    [m/s^2] and jerk [m/s^3]. The simplex has three further vertices; in each of these, one setting
-    of the triple is multiplied by its factor, so that there are three factors. `scenario` is the
-    mission, and `planner` holds the compiled equations.
+    The settings are a triple of speed [m/s], acceleration [m/s^2] and jerk [m/s^3]. The search uses
+    Nelder and Mead's method. The first settings are one vertex of its initial simplex. The factors,
+    one for each setting, give the three other vertices: in each of them, one of the first settings
+    is multiplied by its factor. `scenario` is the mission, and `planner` holds the compiled
+    equations.
     """
     places = np.array(scenario.mission.positions)
     lengths = np.linalg.norm(np.diff(places, axis=0), axis=1)

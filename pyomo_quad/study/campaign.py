@@ -1,9 +1,10 @@
 """Campaign: repeated missions on one battery charge until no further flight is possible.
 
 Each flight is planned with the state of charge, the relaxation voltage and the temperature at which
-the flight before it ended, with a warm start from the previous plan of the same mission.  A charge
-ends before the first flight that has no plan: the flight would leave less charge than the reserve,
-or the voltage would fall below its limit.  The battery neither rests between two flights nor ages.
+the flight before it ended, with a warm start from the previous plan of the same mission.  The
+flights on one charge end before the first flight that has no plan. A flight has no plan if it would
+leave less charge than the reserve, or if the voltage would fall below its limit.  The battery
+neither rests between two flights nor ages.
 """
 
 from collections.abc import Iterator, Sequence
@@ -60,11 +61,13 @@ class CampaignFlight:
     Attributes
     ----------
     charge, number : int
-        Number of the battery charge, and of the flight on this charge, from 1.
+        Which charging of the battery the flight uses, and which flight on this charging it is, both
+        counted from 1.
     plan : Plan
         Plan of the flight.
     charge_at_start, charge_at_end : float
-        State of charge in per cent of the capacity.
+        State of charge of the battery at the start and at the end of the flight, in per cent of the
+        capacity.
     lowest_voltage_V : float
         Lowest voltage of the battery during the flight.
     """
@@ -134,17 +137,17 @@ def fly_campaign(
     Parameters
     ----------
     missions : sequence of Scenario
-        Missions with the same battery and vehicle, repeated in this order; each battery charge
-        begins with the state of charge of the first mission.
+        Missions with the same battery and vehicle, repeated in this order. On each new battery
+        charge, the first flight starts with the state of charge that the first mission states.
     planners : sequence of Planner
-        One for each mission.
+        For each mission, a planner that solves it.
     charges : int, default 1
         Number of battery charges to use up.
 
     Returns
     -------
     Campaign
-        All flights, and the reason for which each charge ended.
+        All flights, and the reason for which the flights on each charge ended.
 
     Raises
     ------
@@ -198,7 +201,8 @@ def _planned(present: Scenario, last: Plan | None, planner: Planner) -> Plan | s
     """Return the plan of a campaign's next flight, or the reason in words if there is none.
 
     `present` is the mission with the present state of the battery. `last` is the previous plan of
-    the same mission, which gives the warm start. `planner` solves the mission.
+    the same mission, which gives the warm start; None for the first flight of the mission.
+    `planner` solves the mission.
     """
     if last is not None:
         before = last.scenario.battery.initial_state_of_charge

@@ -491,9 +491,10 @@ def _bound_by_legs(
 def _energy_returned(scenario: Scenario, planner: Planner) -> float:
     """Return the energy that slowing rotors can give back at the goal after a payload release [J].
 
-    The vehicle is lighter at the goal than at the start, so that its rotors turn more slowly in the
-    hover at the goal. The energy is subtracted from the lower bound (docs/theory/bound.md, eq.
-    (7)).
+    After the release the vehicle is lighter at the goal than at the start, so that its rotors turn
+    more slowly in the hover at the goal. The energy is subtracted from the lower bound
+    (docs/theory/bound.md, eq. (7)). It is zero if the mission `scenario` releases no payload.
+    `planner` holds the compiled equations of the vehicle.
     """
     if not scenario.mission.released:
         return 0.0
@@ -511,7 +512,8 @@ def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand
     The bound follows from the least power over all combinations (pairs) of thrust and airspeed; the
     module `study.pairs` computes it. In some missions with a wind field there is a second bound,
     which takes account of the places at which the winds blow (`_bound_of_places`); the larger of
-    the two is returned. `demand` is the thrust that the momentum balance requires for a motion.
+    the two is returned. `scenario` is the mission, `planner` holds the compiled equations, and
+    `demand` is the thrust that the momentum balance requires for a motion.
 
     Returns
     -------
@@ -604,18 +606,18 @@ def _bound_of_places(
 ) -> float:
     """Return a lower bound on the energy in a wind field that includes the place of each wind [J].
 
-    The bound of `study.pairs` allows every wind of the field everywhere. This bound
-    (docs/theory/bound.md, eq. (25)) allows in each horizontal cell of the field's grid only the
-    winds of this cell. `_has_places` tells whether it applies. The result is minus infinity if the
-    search finds no such bound.
+    The bound of `study.pairs` assumes that every wind of the field may blow everywhere. The bound
+    of this function (docs/theory/bound.md, eq. (25)) assumes in each horizontal cell of the field's
+    grid only the winds of this cell. `_has_places` tells whether it applies. The result is minus
+    infinity if the search finds no such bound.
 
     Parameters
     ----------
     scenario : Scenario
         The mission, without waypoints.
     pairs_in : callable
-        Takes the corners of a polyhedron of winds [m/s], shape (n, 3), and returns the pairs of
-        thrust and airspeed in these winds.
+        Takes the corners of a polyhedron of winds [m/s], shape (n, 3), and returns the vehicle's
+        pairs of thrust and airspeed for these winds, a `Pairs`.
     winds : ndarray, shape (n_winds, 3)
         Corners of the polyhedron of all winds of the field, all horizontal [m/s].
     power : float
@@ -813,8 +815,8 @@ def _fit(
 ) -> tuple[Chebyshev, FloatArray, bool]:
     """Fit a polynomial of the rotor speed to computed values of the model's thrust or power.
 
-    Some lower bounds on the energy apply only if thrust and power are polynomials of the rotor
-    speed, which `is_exact` tells.
+    The result `is_exact` tells whether thrust or power is a polynomial of the rotor speed. Some
+    lower bounds on the energy apply only if both are.
 
     Parameters
     ----------

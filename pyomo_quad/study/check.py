@@ -254,8 +254,9 @@ def _available_thrust(scenario: Scenario, steady: SteadyFlight) -> tuple[str, fl
     """Return the limit that permits the least thrust, and the largest thrust that it permits [N].
 
     The limit is given in words, as "field = value". Limits on rotor speed, on thrust and on rotor
-    acceleration are compared. For the last, rotors start and end at hover speed, so that they are
-    fastest half way through the flight. `steady` computes the thrust at a given rotor speed.
+    acceleration are compared. The limit on rotor acceleration limits the thrust, because the rotors
+    start and end at hover speed and so can be fastest half way through the flight. `scenario` has
+    the limits and the duration, and `steady` computes the thrust at a given rotor speed.
     """
     limits = scenario.limits
     # Rotors start and end at hover speed, so they can be fastest half way through the flight.
@@ -553,11 +554,12 @@ def plan_cautions(plan: "Plan", *, planner: "Planner | None" = None) -> tuple[st
 
 
 def _attitude_cautions(plan: "Plan", planner: "Planner | None") -> Iterator[str]:
-    """Yield a caution if a plan with simplified attitude equations misses the goal with exact ones.
+    """Yield a caution if a plan with simplified attitude equations in fact misses the goal.
 
     The simplified equations are those of Yacef et al. (`vehicle.attitude` "paper"), which set the
-    Euler rates equal to the body rates. The controls of the plan are simulated with exact Euler
-    rates. `planner` holds the compiled equations; None for a new planner.
+    Euler rates equal to the body rates. The controls of the plan are simulated with the exact
+    relation between Euler rates and body rates, and the caution is given if this flight misses the
+    goal. `planner` holds the compiled equations; None for a new planner.
     """
     told = plan.scenario.as_forecast()
     is_printed = told.vehicle.attitude is Attitude.PAPER

@@ -1,6 +1,6 @@
 """Comparison of the flights of a mission in one table, and the effect of adaptation.
 
-Adaptation is the controller's estimate of the disturbance acceleration, which it compensates.
+Adaptation means that the controller estimates the disturbance acceleration, and compensates it.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -222,10 +222,10 @@ def compare_flights(
 
 
 def against_hovering(excess_J: float, digits: int = 2) -> str:
-    """Return an energy above hovering in words, such as "3.20 J less than hovering".
+    """Return in words how much more or less energy than hovering a flight takes.
 
-    `excess_J` is the energy of a flight less the energy of hovering for the same time, and `digits`
-    the number of decimals.
+    An example is "3.20 J less than hovering". `excess_J` is the energy of the flight less the
+    energy of hovering for the same time, and `digits` the number of decimals.
     """
     return f"{abs(excess_J):.{digits}f} J {'less' if excess_J < 0.0 else 'more'} than hovering"
 
@@ -282,7 +282,8 @@ def leg_rows(
     Returns
     -------
     list of dict
-        Values by `LegColumn`; none for a mission without waypoints.
+        One mapping from `LegColumn` to value for each leg and hover. The list is empty for a
+        mission without waypoints, or if the table lacks energy or position.
     """
     if not mission.mission.waypoints or not {ENERGY, *_PLACE}.issubset(flown):
         return []

@@ -238,9 +238,10 @@ def fly_cruise_often(
 ) -> Ensemble:
     """Simulate an autopilot, straight between waypoints, many times in random winds.
 
-    With the same seed, the winds are the same as in `fly_plan_often`. The autopilot waits at the
-    goal until at least half of the flights arrive and break no limit, but at most for the longest
-    waiting time in `SETTLINGS_S` [s]. All flights last at least `least_s`.
+    With the same seed, the winds are the same as in `fly_plan_often`. In all flights the autopilot
+    waits at the goal for the same time, so that the vehicle can settle. The waiting times in
+    `SETTLINGS_S` [s] are tried in increasing order. The first waiting time with which at least half
+    of the flights arrive and break no limit is used, or else the longest one.
 
     Parameters
     ----------

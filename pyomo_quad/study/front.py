@@ -1,9 +1,9 @@
 """Energy-time front: least energy of a mission of free duration against its duration.
 
-Each point of the front minimises energy + price * duration, where the price of time [W] is a
-weight that the mission sets or this study varies.  No other flight is both shorter and cheaper.
-Where the least energy is convex in the duration, each price selects one flight, and the slope of
-the front there is minus the price.
+Each point of the front is a flight that minimises energy + price * duration, where the price of
+time [W] is a weight that the mission sets or this study varies.  No other flight is both shorter
+and cheaper than a flight of the front.  Where the least energy is convex in the duration, each
+price selects one flight, and the slope of the front at this flight is minus the price.
 """
 
 from math import isclose, isfinite, nan
@@ -40,9 +40,9 @@ def energy_time_front(
     """Return energy and duration of a free-duration mission for several prices of time.
 
     The price of time [W] is the weight of the duration in the objective energy + price * duration.
-    Each solve starts from the plan, and therefore passes zones on the same sides as the plan. It
-    keeps the plan's mesh, which is accurate enough for energies; limits between the mesh points are
-    not checked.
+    Each solve starts from the plan, and therefore passes keep-out zones on the same sides as the
+    plan. It keeps the plan's mesh, which is accurate enough for energies; limits between the mesh
+    points are not checked.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
 """Headline of a run: its main results in a few sentences.
 
 The sentences state energy and duration of the plan, its energy saving, and the success of its
-simulated flights in turbulence. The saving is over the autopilot tuned for least energy
-(`study.autopilot`). A run without this flight compares the plan with the smooth baseline, or else
-with the flight of least energy that arrived within the limits.
+simulated flights in turbulence. The saving is the difference from the flight of the autopilot tuned
+for least energy (`study.autopilot`). If a run has no flight of this autopilot, the plan is compared
+with the smooth baseline, or else with the flight of least energy that arrived within the limits.
 """
 
 from collections.abc import Iterable, Mapping

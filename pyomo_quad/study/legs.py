@@ -1,9 +1,10 @@
 """Lower bound on the energy of a flight through waypoints, by Lagrange duality.
 
 A leg is the flight from one waypoint to the next. A passage is the instant at a waypoint. A price
-is the Lagrange multiplier (dual variable) of a quantity that the mission fixes; here these are
-momentum and time. As momentum is mass times velocity, the price of momentum times the mass is a
-price of velocity.  Derivation: see docs/theory/bound.md, eqs. (12) and (13).
+is the Lagrange multiplier (dual variable) of a condition that every flight of the mission meets:
+the price of momentum belongs to the momentum balance, and the price of time to the limit on the
+duration. As momentum is mass times velocity, the price of momentum times the mass is a price of
+velocity.  Derivation: see docs/theory/bound.md, eqs. (12) and (13).
 
 symbol | meaning
 d_k, T_k, m_k | displacement of leg k, its duration, and the mass on it
@@ -26,8 +27,9 @@ At a passage with a speed limit y may jump; this lowers the bound by the limit t
 
 If the T_k are free and only their sum is limited, a price of time mu < G_k with A_k >= 0 gives the
 lower bound  sum of 2 sqrt(A_k (G_k - mu)) + mu (sum of T_k):  a closed form, which holds for all
-passing times and durations.  The closed form equals the least value, over all fixed times, of the
-bound for fixed times, because both have the same slope in every T_k at that point.
+passing times and durations.  The closed form equals the least value, over all fixed T_k, of the
+bound for fixed T_k. For at T_k = sqrt(A_k / (G_k - mu)) the two bounds are equal, and both have the
+slope mu in every T_k.
 """
 
 from __future__ import annotations
@@ -192,18 +194,18 @@ class Itinerary:
         Parameters
         ----------
         prices : ndarray, shape (n_prices, 3)
-            Prices y (multipliers) of velocity at the ends of the legs, J per m/s: price of momentum
-            times the mass on the leg. Between its two ends a leg has linearly changing prices. Two
-            legs share the price at the waypoint between them, unless it limits the speed.
+            Prices y (Lagrange multipliers) of velocity at the ends of the legs, J per m/s: price of
+            momentum times the mass on the leg. The price changes linearly with time along a leg.
+            Two legs have the same price at the waypoint between them; only if this waypoint limits
+            the speed, the prices before and after it may differ.
 
         Returns
         -------
         gained, spent : ndarray, shape (n_legs,)
             A_k [J s] and G_k [W] of each leg.
         jumped : float
-            Term of the bound for the jumps of the prices, J: minus the speed limit times the length
-            of the jump, summed over the waypoints with a speed limit, where a price may jump; not
-            positive.
+            Term of the bound for the jumps of the price at waypoints with a speed limit, J: minus
+            the speed limit times the length of the jump, summed over these waypoints; not positive.
         slopes : ndarray, shape (2 n_legs + 1, n_prices, 3)
             Gradients with respect to the prices: n_legs of A_k, then n_legs of G_k, last that of
             `jumped`.
@@ -237,15 +239,16 @@ class Itinerary:
     def bound(self, price: FloatArray) -> float:
         """Return a lower bound on the energy for all allowed passing times and durations [J].
 
-        For given prices, the bound is the least value over the durations of the legs. It is
-        maximised over the prices (multipliers) of velocity at the ends of the legs.
+        The bound is a function of the prices (Lagrange multipliers) of velocity at the ends of the
+        legs: for given prices, it is the least value over the durations of the legs. The result is
+        its maximum over the prices.
 
         Parameters
         ----------
         price : ndarray, shape (3,)
-            Price (multiplier) of thrust, W/N, from which the search begins. The first prices of
-            velocity are this price times the mass at the start of the flight, less a multiple of
-            the displacement from the start, so that the bound is finite.
+            Multiplier of thrust, W/N, for the start of the search. The search starts with prices of
+            velocity that are this multiplier times the mass at the start of the flight, less a
+            multiple of the displacement from the start, so that the bound is finite.
         """
         places = np.zeros((self._size, 3))
         for first, last, displacement in zip(

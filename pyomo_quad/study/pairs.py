@@ -1,7 +1,9 @@
 """Lower bound on the energy of flights whose power or drag depends on the airspeed.
 
-A price is the multiplier (dual variable) of a quantity that the mission fixes.  Derivation: see
-docs/theory/bound.md, eqs. (14) to (23).
+Every flight from rest to rest meets three conditions: momentum and kinetic energy of the vehicle
+are the same at both ends, and the position changes by the displacement of the mission.  A price is
+the Lagrange multiplier (dual variable) of one of these conditions.  A pair is a combination of
+thrust and airspeed.  Derivation: see docs/theory/bound.md, eqs. (14) to (23).
 
 symbol | meaning
 u, v, W | thrust, airspeed and wind, world axes
@@ -15,26 +17,28 @@ T, a, r | size of the thrust, airspeed along it and across it
 
 Every flight from rest to rest has m dv/dt = u + f - s.  So over the duration the mean of u + f - s
 is zero. The mean of v . (u + f - s) is zero too, because the airspeed is equal at both ends. The
-mean of v + W is the displacement divided by the duration.  With three prices this gives
+mean of v + W is the displacement divided by the duration.  With the prices of these three
+conditions this gives
 
-energy >= w . displacement + duration * H,
-H = least of P - p . (u + f - s) - w . (v + W) - eta v . (u + f - s) over all pairs u, v.
+energy >= w . displacement + duration * (least H over all pairs u, v),
+H = P - p . (u + f - s) - w . (v + W) - eta v . (u + f - s).
 
 These equations hold for a steady wind.  Where the wind differs from place to place, eta is the
-price of the kinetic energy of the motion relative to air of velocity U, and H is the least over the
-winds too.  The price of momentum is then p + eta (W - U), and H is concave in W: its least value
-over winds in a polyhedron is found at a corner.
+price of the kinetic energy of the motion relative to air of velocity U, and the least H is taken
+over the winds too.  The price of momentum is then p + eta (W - U). The least H over all pairs is a
+concave function of W: its least value over winds in a polyhedron is found at a corner.
 
 P depends on T, a and r alone, not on the orientation of the pair (u, v) in space. The orientation
-with the largest sum of the price terms is known: this largest sum is the sum of the singular values
-of the matrix (u + f) p' + v q' with q = w - eta s, where ' denotes the transpose.  H is thus the
-least over three numbers: T, a and r.  In the computation the first number is not T but the rotor
-speed, from which the equations give the thrust; with the power model `momentum` it is the induced
-velocity, from which the declared balance gives rotor speed and thrust.
+in which the terms of the prices subtract most is known: the subtracted sum is then the sum of the
+singular values of the matrix (u + f) p' + v q' with q = w - eta s, where ' denotes the transpose,
+apart from terms that do not depend on the orientation.  H is thus minimised over three numbers
+only: T, a and r.  In the computation the first number is not T but the rotor speed, from which the
+equations give the thrust; with the power model `momentum` it is the induced velocity, from which
+the model's balance of thrust and induced velocity gives rotor speed and thrust.
 
-The least value is bounded from below by branch and bound: the compiled equations are enclosed over
-boxes with their slopes, and a box is halved until H is proven to be nowhere in the box below the
-best point found by more than a tolerance.
+The least H is bounded from below by branch and bound. A box is a range of the three numbers; the
+compiled equations give bounds on the values and the slopes of H in a box.  A box is halved until H
+is proven to be nowhere in it smaller, by more than a tolerance, than the smallest H found so far.
 
 With the power model `momentum`, the profile power of one rotor with the thrust t is
 c t^1.5 + k t^0.5 with coefficients c and k (k is written m in docs/theory/bound.md, eq. (17)); k is
@@ -108,9 +112,9 @@ POWER_TOLERANCE = 1e-3
 class MotionPrices:
     """Multipliers (prices) of momentum, displacement and kinetic energy on one leg of the flight.
 
-    They are Lagrange multipliers of the changes of these quantities, which the mission fixes. The
-    lower bound on the energy is a dual function of them. A leg is the flight from one waypoint to
-    the next.
+    The mission fixes by how much a flight changes momentum, position and kinetic energy of the
+    vehicle. The prices are the Lagrange multipliers of these conditions, and the lower bound on the
+    energy is a dual function of the prices. A leg is the flight from one waypoint to the next.
 
     Attributes
     ----------
@@ -131,10 +135,13 @@ class Pairs:
     """All combinations (pairs) of thrust and airspeed of a vehicle, with the power that they take.
 
     The power is computed by the compiled equations. A pair has three coordinates: rotor speed
-    (induced velocity for the power model `momentum`), and airspeed along and across the thrust. The
-    class searches for the least value over all pairs of the function H, the power minus terms with
-    the multipliers (prices) of momentum, displacement and kinetic energy. It proves a lower bound
-    on this value, from which a lower bound on the energy follows.
+    (induced velocity for the power model `momentum`), and airspeed along and across the thrust.
+
+    A pair changes momentum, position and kinetic energy of the vehicle at certain rates. The
+    mission fixes the total changes of these quantities over a flight; a price is the Lagrange
+    multiplier of such a total change. The function H is the power of a pair minus the three rates,
+    each times its price. The class searches for the least H over all pairs and proves a lower bound
+    on it. A lower bound on the energy of every flight follows.
 
     Parameters
     ----------
@@ -194,15 +201,16 @@ class Pairs:
         return self._dynamics.expressions(tuple(keys), self._dynamics.start, self._values(*at))
 
     def _of_rotors(self, first: Symbol, along: Symbol, across: Symbol) -> tuple[Any, ...]:
-        """Return rotor speed, thrust, power, `excess` and `margin` of a pair: CasADi expressions.
+        """Return rotor speed, thrust, power and two further CasADi expressions of a pair.
 
-        A pair of thrust and airspeed has the coordinates `first` (rotor speed [rad/s], or induced
-        velocity [m/s] for the power model `momentum`), `along` and `across` (airspeed along and
-        across the thrust [m/s]). The results are, in this order: rotor speed [rad/s]; total thrust
-        [N]; `power`, the total power of rotors with equal speeds [W]; `excess` [W]; and `margin`,
-        of which only the sign has a meaning. Where `margin` is negative, rotors with unequal speeds
-        and the same total thrust may take less power, but at most `excess` less. Where `margin` is
-        not negative, equal speeds take the least power, and `excess` has no meaning.
+        The coordinates of a pair of thrust and airspeed are `first` (rotor speed [rad/s], or
+        induced velocity [m/s] for the power model `momentum`), `along` and `across` (airspeed along
+        and across the thrust [m/s]). The first three results are: rotor speed [rad/s], total thrust
+        [N], and total power [W] of rotors with equal speeds. The last two results tell what rotors
+        with unequal speeds and the same total thrust may save: `excess` [W] and `margin`, of which
+        only the sign is used. If `margin` is negative, unequal rotors may take less power, but at
+        most `excess` less. If `margin` is not negative, equal speeds take the least power, and
+        `excess` has no meaning.
         """
         each = range(1, len(self._rotors) + 1)
         powers: list[tuple[str, Any]] = [("power.total", None)]
@@ -238,12 +246,13 @@ class Pairs:
     def _at(self, points: FloatArray, numbers: Sequence[float] = (0.0,) * 4) -> FloatArray:
         """Evaluate the function H and its parts at n pairs of thrust and airspeed.
 
-        H is the power of a pair minus the terms of the prices (multipliers of momentum,
-        displacement and kinetic energy). `points` holds the three coordinates of each pair, shape
-        (3, n): rotor speed [rad/s] (induced velocity [m/s] for the power model `momentum`),
-        airspeed along and across the thrust [m/s]. `numbers` are the four numbers through which H
-        depends on the prices, from the method `numbers`; four zeros stand for no prices, so that H
-        is the power.
+        H is the power of a pair minus the rates at which the pair changes momentum, position and
+        kinetic energy of the vehicle, each times its price (Lagrange multiplier). `points` holds
+        the three coordinates of each pair, shape (3, n): rotor speed [rad/s] (induced velocity
+        [m/s] for the power model `momentum`), airspeed along and across the thrust [m/s]. H depends
+        on the prices through four numbers only, which the argument `numbers` holds; the method of
+        the same name computes them. By default all four are zero, as for prices of zero, and H is
+        the power.
 
         The result has the shape (8, n). Its rows are: H [W] without the terms that are the same for
         all pairs (`_constant`), thrust [N], rotor speed [rad/s], margin, force of the air across
@@ -259,11 +268,11 @@ class Pairs:
     def _fastest(self, scenario: Scenario) -> float:
         """Return an upper limit on the airspeed of every flight that begins at rest [m/s].
 
-        The search for the least value of the function H covers airspeeds up to this limit. It is
+        The search over pairs of thrust and airspeed covers airspeeds up to this limit. The limit is
         the smaller of two speeds. The first is the speed limit in `scenario` plus the speed of the
         strongest wind. The second is the airspeed at which the drag equals the largest thrust plus
-        the length of `standing`, the thrust that holds the vehicle still: a vehicle cannot
-        accelerate beyond it. If the wind differs from place to place, the second speed is increased
+        the length of `standing`, the thrust that holds the vehicle still; no vehicle accelerates
+        beyond this airspeed. If the wind differs from place to place, the second speed is increased
         accordingly. The result is infinite if the scenario has no speed limit and the drag never
         becomes so large. Implements docs/theory/bound.md, eq. (22).
         """
@@ -280,11 +289,11 @@ class Pairs:
         return min(allowed + strongest, max(terminal, float(np.linalg.norm(self._middle))) + apart)
 
     def _most_of_first(self) -> float:
-        """Return the upper limit of a pair's first coordinate, at the largest thrust.
+        """Return the largest value of a pair's first coordinate that the largest thrust permits.
 
-        A pair is a thrust and an airspeed. Its first coordinate is the rotor speed, and the limit
-        is in rad/s; for the power model `momentum` the first coordinate is the induced velocity,
-        and the limit is in m/s. The search over pairs covers the values from zero to this limit.
+        A pair is a combination of thrust and airspeed. Its first coordinate is the rotor speed
+        [rad/s], or for the power model `momentum` the induced velocity [m/s]. The search over pairs
+        covers first coordinates from zero to this value.
         """
 
         def excess(first: float) -> float:
@@ -297,12 +306,14 @@ class Pairs:
     def numbers(self, prices: MotionPrices, mass: float) -> tuple[float, ...]:
         """Return the four numbers through which the function H depends on the prices.
 
-        H is the power of a pair of thrust and airspeed minus the terms of the prices, multipliers
-        of momentum, displacement and kinetic energy. Let p, w and eta be these three multipliers,
-        given by `prices`, and s the thrust that holds the vehicle still (`standing` times `mass`).
-        The numbers are, in order: the length of p; the components of w - eta s along p and across
-        p; and eta. `mass` is the mass as a fraction of the mass at the start. See
-        docs/theory/bound.md, eq. (16).
+        H is the power of a pair of thrust and airspeed minus the rates at which the pair changes
+        momentum, position and kinetic energy of the vehicle, each times its price. A price is the
+        Lagrange multiplier of the total change, which the mission fixes. `prices` are p (of
+        momentum), w (of displacement) and eta (of kinetic energy). `mass` is the mass as a fraction
+        of the mass at the start, and s, `standing` times `mass`, is the thrust that holds the
+        vehicle still. The numbers are, in order: the length of p; the component of w - eta s along
+        p; the length of its component across p; and eta. They leave out the terms of H that are the
+        same for all pairs. See docs/theory/bound.md, eq. (16).
         """
         displacement = prices.displacement - prices.motion * mass * self.standing
         size = float(np.linalg.norm(prices.momentum))
@@ -314,11 +325,12 @@ class Pairs:
     def _in_wind(self, prices: MotionPrices, wind: FloatArray) -> MotionPrices:
         """Return the prices of one leg converted to the motion through the air in one wind.
 
-        `prices` are the multipliers of momentum, displacement and kinetic energy on the leg. The
-        kinetic energy in them is that of the motion relative to air that moves with the wind U, the
-        middle of the range of all winds of the mission. `wind` is the wind that blows, shape (3,)
-        [m/s]. Only the price of momentum changes: the price of kinetic energy times (wind - U) is
-        added. Implements docs/theory/bound.md, eq. (20).
+        `prices` are the Lagrange multipliers of the changes of momentum, position and kinetic
+        energy on the leg. The kinetic energy is here that of the motion relative to air of velocity
+        U, the middle of the range of all winds of the mission. `wind` is the wind that blows, shape
+        (3,) [m/s]. The returned prices refer to the kinetic energy of the motion relative to `wind`
+        instead: the price of kinetic energy times (wind - U) is added to the price of momentum, and
+        the other prices are unchanged. Implements docs/theory/bound.md, eq. (20).
         """
         return replace(prices, momentum=prices.momentum + prices.motion * (wind - self._middle))
 
@@ -328,12 +340,13 @@ class Pairs:
     def cheapest(self, prices: MotionPrices, mass: float) -> tuple[float, list[FloatArray]]:
         """Search by sampling for the least value of H, and for the pairs of its local minima.
 
-        H is the power of a pair minus the terms of the prices, multipliers of momentum,
-        displacement and kinetic energy (docstring of this module). The range of all pairs is
-        sampled in each of the given winds (the corners of the polyhedron of winds), and the least
-        local minima are refined. The least value found may lie above the true minimum; `least`
-        returns a proven lower bound. Each returned pair becomes a constraint of the linear program
-        for the prices.
+        H is the power of a pair of thrust and airspeed minus the rates at which the pair changes
+        momentum, position and kinetic energy of the vehicle, each times its price. A price is the
+        Lagrange multiplier of the total change, which the mission fixes. The range of all pairs is
+        sampled in each wind at a corner of the polyhedron of winds, and the least local minima are
+        refined. The least value found may lie above the true minimum; `least` returns a proven
+        lower bound. Each returned pair becomes a constraint of the linear program for the best
+        prices.
 
         Parameters
         ----------
@@ -369,20 +382,21 @@ class Pairs:
     ) -> FloatArray:
         """Return proven lower bounds on G, the least value of H in still air, shape (n,) [W].
 
-        H is the power of a pair of thrust and airspeed minus the terms of the prices, multipliers
-        of momentum, displacement and kinetic energy. G is its least value over all pairs. The
-        result has one bound for each item of `prices`. Implements docs/theory/bound.md, eq. (23).
+        H is the power of a pair of thrust and airspeed minus the rates at which the pair changes
+        momentum, position and kinetic energy of the vehicle, each times its price (Lagrange
+        multiplier of the total change). G is the least H over all pairs. The result has one bound
+        for each item of `prices`. Implements docs/theory/bound.md, eq. (23).
 
         Parameters
         ----------
         prices : sequence of n MotionPrices
-            Multipliers in H. The price of momentum already includes the effect of the wind.
+            Multipliers in H. The effect of a wind is already included in the price of momentum.
         above : ndarray, shape (n,)
             Upper bound on G for each item of `prices` [W], such as the value of H at a sampled
-            pair. The search is faster if it is close to G.
+            pair. The search is faster if this bound is close to G.
         tolerance : float
             The result is below the smaller of G and `above` by at most this amount [W], unless the
-            search ends early because of its effort.
+            search ends early because it has examined too many boxes of pairs.
         """
         constants = np.array([self._constant(p, 1.0, np.zeros(3)) for p in prices])
         numbers = np.array([self.numbers(p, 1.0) for p in prices]).T
@@ -415,9 +429,10 @@ class Pairs:
     def _minima(self, prices: MotionPrices, mass: float) -> tuple[FloatArray, FloatArray]:
         """Find local minima of the function H over the pairs of thrust and airspeed, by sampling.
 
-        H is the power of a pair minus the terms of the prices, multipliers of momentum,
-        displacement and kinetic energy. `prices` are the multipliers for the motion through the air
-        in one wind, from `_in_wind`; `mass` is the mass as a fraction of the mass at the start.
+        H is the power of a pair minus the rates at which the pair changes momentum, position and
+        kinetic energy of the vehicle, each times its price (Lagrange multiplier of the total
+        change). `prices` are the prices for the motion through the air in one wind, from
+        `_in_wind`; `mass` is the mass as a fraction of the mass at the start.
 
         The first result holds the pairs at the minima, shape (3, n): rotor speed [rad/s] (induced
         velocity [m/s] for the power model `momentum`), airspeed along and across the thrust [m/s].
@@ -458,18 +473,20 @@ class Pairs:
     ) -> list[FloatArray]:
         """Return power and derivatives of H for a pair of thrust and airspeed, and rotated copies.
 
-        H is the power of a pair minus the terms of the prices, multipliers of momentum,
-        displacement and kinetic energy. `at` has the three coordinates of the pair, shape (3,):
-        rotor speed (induced velocity for the power model `momentum`), airspeed along and across the
-        thrust. These leave open how the pair is turned in space; it is turned such that H is least.
-        `prices` are the prices of the motion through the air in the wind `wind` [m/s], from
+        H is the power of a pair minus the rates at which the pair changes momentum, position and
+        kinetic energy of the vehicle, each times its price (Lagrange multiplier of the total
+        change). `at` has the three coordinates of the pair, shape (3,): rotor speed (induced
+        velocity for the power model `momentum`), airspeed along and across the thrust. The
+        coordinates leave open how the pair is turned in space; the pair is turned such that H is
+        least. `prices` are the prices for the motion through the air in the wind `wind` [m/s], from
         `_in_wind`, and `mass` is the mass as a fraction of the mass at the start.
 
         Each item of the result has shape (8,): the power [W], then the derivatives of H with
         respect to the prices of momentum (3) [N], displacement (3) [m/s] and kinetic energy (1)
         [W]. The first item belongs to the pair, the others to copies that are rotated about the
-        vertical. The copies have the same power only if the thrust that holds the vehicle still
-        (`standing`) is vertical; otherwise there is only the first item.
+        vertical: the power is the same, and the derivatives are rotated. This requires that the
+        thrust that holds the vehicle still (`standing`) is vertical; otherwise only the first item
+        is returned.
         """
         momentum, displacement = (
             prices.momentum,
@@ -493,12 +510,13 @@ class Pairs:
     def least(self, prices: MotionPrices, mass: float, tolerance: float) -> float:
         """Return a proven lower bound on H over all pairs and winds, by branch and bound [W].
 
-        H is the power of a pair of thrust and airspeed minus the terms of the prices, multipliers
-        of momentum, displacement and kinetic energy (docstring of this module). `prices` are these
-        multipliers on one leg, and `mass` is the mass as a fraction of the mass at the start. The
-        bound is at most ``tolerance`` [W] below the least value, unless the search ends early
-        because of its effort. H is concave in the wind, so the corners of the polyhedron of winds
-        suffice: docs/theory/bound.md, eq. (20).
+        H is the power of a pair of thrust and airspeed minus the rates at which the pair changes
+        momentum, position and kinetic energy of the vehicle, each times its price. A price is the
+        Lagrange multiplier of the total change, which the mission fixes. `prices` are the prices on
+        one leg of the flight, and `mass` is the mass on it as a fraction of the mass at the start.
+        The result is at most ``tolerance`` [W] below the least H, unless the search ends early
+        because it has examined too many boxes of pairs. The least H is concave in the wind, so the
+        corners of the polyhedron of winds suffice: docs/theory/bound.md, eq. (20).
         """
         sampled = self.cheapest(prices, mass)[0]
         proven = sampled
@@ -513,11 +531,13 @@ class Pairs:
     def _proven(self, numbers: FloatArray, sampled: FloatArray, tolerance: float) -> FloatArray:
         """Return proven lower bounds on the least value of H, for n sets of prices [W].
 
-        H is the power of a pair of thrust and airspeed minus the terms of the prices (multipliers),
-        here without the terms that are the same for all pairs (`_constant`). The search is a branch
-        and bound over boxes, which are ranges of the three coordinates of a pair. It keeps the
-        smallest value of H found so far and ends if no box can contain a value that is smaller by
-        more than `tolerance` [W], or after a fixed number of boxes.
+        H is the power of a pair of thrust and airspeed minus the rates at which the pair changes
+        momentum, position and kinetic energy of the vehicle, each times its price (Lagrange
+        multiplier of the total change). Terms that are the same for all pairs (`_constant`) are
+        left out here. The search is a branch and bound over boxes, which are ranges of the three
+        coordinates of a pair. It keeps the smallest value of H found so far and ends if no box can
+        contain a value that is smaller by more than `tolerance` [W], or after a fixed number of
+        boxes.
 
         `numbers`, shape (4, n), has in each column the four numbers through which H depends on one
         set of prices, from the method `numbers`. `sampled`, shape (n,), has for each set the value
@@ -552,20 +572,23 @@ class Pairs:
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Return which boxes may contain a pair within the limits whose H is below ``enough``.
 
-        A box is a range of the three coordinates of a pair of thrust and airspeed; H is the power
-        of a pair minus the terms of the prices (multipliers). The limits of the vehicle are the
-        largest thrust, the least rotor speed and the fastest airspeed. This test, which bounds the
-        values of H and of these quantities over each box, is much faster than `_box`, which also
-        bounds slopes.
+        A box is a range of the three coordinates of a pair of thrust and airspeed. H is the power
+        of a pair minus the rates at which the pair changes momentum, position and kinetic energy of
+        the vehicle, each times its price (Lagrange multiplier of the total change). The limits of
+        the vehicle are the largest thrust, the least rotor speed and the largest airspeed. The test
+        compares bounds on H, thrust, rotor speed and airspeed over each box with ``enough`` and
+        these limits. It is much faster than `_box`, which also bounds slopes.
 
         Parameters
         ----------
         low, high : ndarray, shape (3, n)
             Lower and upper ends of the boxes along the three coordinates.
         numbers : ndarray, shape (4, n)
-            Four numbers that follow from the prices, as `numbers` returns them, for each box.
+            For each box, the four numbers through which H depends on the prices, from the method
+            `numbers`.
         enough : ndarray, shape (n,)
-            Value of H above which a box is excluded [W].
+            For each box, the value of H [W]: the box is excluded if H is nowhere in it below this
+            value.
 
         Returns
         -------
@@ -592,16 +615,18 @@ class Pairs:
     ) -> tuple[FloatArray, FloatArray, NDArray[np.int_]]:
         """Bound the function H from below in n boxes of the branch and bound search.
 
-        A box is a range of the three coordinates of a pair of thrust and airspeed; H is the power
-        of a pair minus the terms of the prices (multipliers). Implements docs/theory/bound.md, eq.
-        (18).
+        A box is a range of the three coordinates of a pair of thrust and airspeed. H is the power
+        of a pair minus the rates at which the pair changes momentum, position and kinetic energy of
+        the vehicle, each times its price (Lagrange multiplier of the total change). Implements
+        docs/theory/bound.md, eq. (18).
 
         Parameters
         ----------
         low, high : ndarray, shape (3, n)
-            Lower and upper ends of the boxes.
+            Lower and upper ends of the boxes along the three coordinates.
         numbers : ndarray, shape (4, n)
-            Four numbers that follow from the prices, as `numbers` returns them, for each box.
+            For each box, the four numbers through which H depends on the prices, from the method
+            `numbers`.
         is_alike : ndarray of bool, shape (n,)
             Whether rotors with equal thrusts take the least power for all pairs in the box.
 
@@ -663,10 +688,14 @@ def bound_of_pairs(
 ) -> float:
     """Return a lower bound on the energy of a flight in legs, for all allowed passing times [J].
 
-    The best prices (Lagrange multipliers) are found by cutting planes (Kelley, 1960): a linear
-    program is solved for the prices over the known pairs of thrust and airspeed, then the pairs of
-    least power at these prices are added to it. The bound is finally proven for the best prices
-    found.
+    A leg is the flight from one waypoint to the next; a passing time is the time at a waypoint. A
+    pair is a combination of thrust and airspeed. The mission fixes by how much a flight changes
+    momentum, position and kinetic energy of the vehicle. Any Lagrange multipliers of these
+    conditions give a lower bound on the energy; the multipliers with the largest bound are the
+    solution of a linear program with one constraint for each pair. They are searched for by cutting
+    planes (Kelley, 1960): the program is solved with the pairs found so far, then those pairs are
+    added that limit the bound most near this solution. Finally the bound is proven over all pairs
+    for the best multipliers found.
 
     Parameters
     ----------
@@ -675,7 +704,8 @@ def bound_of_pairs(
     legs : sequence of Leg
         Legs of the flight, from `legs.legs_of`.
     shared : sequence of tuple of float
-        Least and greatest duration of each group of legs, from `legs.legs_of`, s.
+        Least and greatest duration of each group of legs (the legs between two fixed times), from
+        `legs.legs_of`, s.
     power : float
         Power of hover [W], to which tolerances are relative.
     """
@@ -690,9 +720,11 @@ def prices_of_pairs(
 ) -> tuple[list[MotionPrices], _Program]:
     """Search for the multipliers (prices) that give the largest lower bound on a flight's energy.
 
-    The prices are multipliers of momentum, displacement and kinetic energy on each leg of the
-    flight. They are found by cutting planes, as `bound_of_pairs` explains. The bound is computed
-    here from sampled pairs of thrust and airspeed, and is therefore not yet proven.
+    The mission fixes by how much a flight changes momentum, position and kinetic energy of the
+    vehicle. The prices are the Lagrange multipliers of these conditions, for each leg of the flight
+    (from one waypoint to the next). They are found by cutting planes, as `bound_of_pairs` explains.
+    The bound is computed here from sampled pairs of thrust and airspeed, and is therefore not yet
+    proven.
 
     Parameters
     ----------
@@ -701,7 +733,8 @@ def prices_of_pairs(
     legs : sequence of Leg
         Legs of the flight, from `legs.legs_of`.
     shared : sequence of tuple of float
-        Least and greatest duration of each group of legs, from `legs.legs_of`, s.
+        Least and greatest duration of each group of legs (the legs between two fixed times), from
+        `legs.legs_of`, s.
     power : float
         Power of hover [W], to which tolerances are relative.
 
@@ -738,18 +771,21 @@ def prices_of_pairs(
 
 
 class _Program:
-    """Linear program for the prices that maximise the lower bound on a flight's energy.
+    """Linear program for the multipliers that maximise the lower bound on a flight's energy.
 
-    The prices are multipliers of momentum, displacement and kinetic energy. A pair is a thrust and
-    an airspeed of the vehicle. The bound must hold for all pairs; the program contains one linear
-    constraint for each pair that is known so far.
+    The mission fixes by how much a flight changes momentum, position and kinetic energy of the
+    vehicle; the prices are the Lagrange multipliers of these conditions. A pair is a combination of
+    thrust and airspeed. H is the power of a pair minus the rates at which the pair changes the
+    three quantities, each times its price. The bound contains the least H over all pairs; the
+    program has one linear constraint for each pair that is known so far.
 
     Parameters
     ----------
     legs : sequence of Leg
         Legs of the flight, from `legs.legs_of`.
     shared : sequence of tuple of float
-        Least and greatest duration of each group of legs, from `legs.legs_of`, s.
+        Least and greatest duration of each group of legs (the legs between two fixed times), from
+        `legs.legs_of`, s.
     power : float
         Power of hover [W], to which tolerances are relative.
     standing : ndarray, shape (3,)
@@ -809,10 +845,12 @@ class _Program:
     def add(self, k: int, pair: FloatArray) -> None:
         """Add a constraint: the least H of leg ``k`` is at most the value of H at a given pair.
 
-        H is the power of a pair of thrust and airspeed minus the terms of the prices (multipliers),
-        a linear function of the prices. The least H of each leg and the prices are unknowns of the
-        program. `k` is the index of the leg. `pair` is an array from `Pairs.cheapest`, shape (8,):
-        the power of the pair [W], then the derivatives of H with respect to the prices.
+        H is the power of a pair of thrust and airspeed minus the rates at which the pair changes
+        momentum, position and kinetic energy of the vehicle, each times its price (Lagrange
+        multiplier). H is a linear function of the prices. Unknowns of the program are the prices
+        and the least H of each leg. `k` is the index of the leg. `pair` is an array from
+        `Pairs.cheapest`, shape (8,): the power of the pair [W], then the derivatives of H with
+        respect to the prices.
         """
         mass, line = self._legs[k].mass, np.zeros(self.size)
         line[:3], line[self._of(self._displacement, k)] = -pair[1:4] / mass, -pair[4:7]
@@ -823,11 +861,12 @@ class _Program:
     def solve(self) -> tuple[FloatArray, float]:
         """Solve the linear program; return its unknowns at the optimum, and the optimal value [J].
 
-        The unknowns, shape (size,), are the prices (multipliers), from which `prices` makes the
-        prices on each leg, and auxiliary variables. The program has constraints only for the pairs
-        of thrust and airspeed that are known so far. Its optimal value is therefore not below any
-        lower bound on the energy that multipliers can give. The search for prices ends when the
-        best bound found is close to this value.
+        The unknowns, shape (size,), are the Lagrange multipliers of momentum, displacement and
+        kinetic energy, and auxiliary variables. The method `prices` computes the multipliers on
+        each leg from the unknowns. The program has constraints only for the pairs of thrust and
+        airspeed that are known so far. Its optimal value is therefore, up to a tolerance, an upper
+        bound on all lower bounds on the energy that any multipliers can prove. The search for
+        multipliers ends when the largest lower bound found is close to the optimal value.
         """
         limits = np.full((self.size, 2), [-inf, inf])
         limits[: self._least] = np.stack([-self._dearest, self._dearest], axis=1)
@@ -838,9 +877,10 @@ class _Program:
         return found.x, -float(found.fun)
 
     def prices(self, solution: FloatArray) -> list[MotionPrices]:
-        """Return the prices (multipliers) on each leg from the unknowns of the linear program.
+        """Return the prices on each leg from the unknowns of the linear program.
 
-        `solution` holds the values of all unknowns, shape (size,), as `solve` returns them.
+        Prices are the Lagrange multipliers of momentum, displacement and kinetic energy. `solution`
+        holds the values of all unknowns, shape (size,), as `solve` returns them.
         """
         return [
             MotionPrices(
@@ -854,13 +894,16 @@ class _Program:
     def bound(self, prices: Sequence[MotionPrices], least: FloatArray) -> float:
         """Return the lower bound on the flight's energy [J] that given prices (multipliers) prove.
 
-        `prices` are the multipliers of momentum, displacement and kinetic energy on each leg.
-        `least` holds for each leg the least value of H, or a lower bound on it, shape (n_legs,)
-        [W]; H is the power of a pair of thrust and airspeed minus the terms of the prices. The
-        bound is the sum of two parts: for each leg, the price of displacement times the
-        displacement, less what the allowed distance from the nominal waypoints can save; for each
-        group of legs, its duration times the least H of its legs, at the least or the greatest
-        duration, whichever gives less.
+        `prices` are the Lagrange multipliers of momentum, displacement and kinetic energy on each
+        leg. H is the power of a pair of thrust and airspeed minus the rates at which the pair
+        changes these quantities, each times its price. `least` holds for each leg the least H over
+        all pairs, or a lower bound on it, shape (n_legs,) [W].
+
+        The bound is the sum of two parts. The first is the sum over the legs of the price of
+        displacement times the displacement, less what the allowed distance from the nominal
+        waypoints can save. The second is the sum over the groups of legs (the legs between two
+        fixed times) of the duration of the group times the least H on its legs; the least or the
+        greatest duration counts, whichever gives less.
         """
         found = sum(
             float(p.displacement @ leg.displacement)

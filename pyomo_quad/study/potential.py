@@ -4,23 +4,26 @@ The bound of `study.pairs` assumes that the most favourable wind of the field bl
 bound of this module uses the winds that the field has at each place. A potential is a function of
 the horizontal position. Its gradient at each place is limited such that the energy of any motion in
 the winds there, minus terms for the changes of momentum and kinetic energy, is at least the
-potential that the motion gains. Over a flight from rest to rest, these terms vanish. The rise of
-the potential from the start to the goal, with terms for the difference in height and the duration,
-is then a lower bound on the energy of every flight, along any path. Derivation: see
-docs/theory/bound.md, eqs. (23) to (27).
+potential that the motion gains. Over a flight from rest to rest, the terms for these changes
+vanish. The rise of the potential from the start to the goal, with terms for the difference in
+height and the duration, is then a lower bound on the energy of every flight, along any path.
+Derivation: see docs/theory/bound.md, eqs. (23) to (27).
 
-A price is a multiplier (dual variable), as in `study.pairs`, which also explains the thrust u, the
-airspeed v, the force of the air f, the thrust s at rest and the power P. A pair is a combination of
-u and v.
+A price is the Lagrange multiplier (dual variable) of the total change of momentum, position or
+kinetic energy over a flight, which the mission fixes. A pair is a combination of thrust and
+airspeed.
 
 symbol | meaning
+u, v | thrust and airspeed of a pair
+f, s | force of the air, and thrust that holds the vehicle still at zero airspeed
+P | power of the vehicle, a function of u and v
 phi(x, y) | potential: linear in each of two triangles of a cell of the field's grid [J]
 q | gradient of the potential, and as third component the price of vertical displacement [N]
 o, eta | price of momentum [W/N] in still air, and of kinetic energy, equal at all places
 W | wind
 a | price of momentum [W/N] in the wind W: o + eta W
 G(a, q) | least value of P - a . (u + f - s) - q . v - eta v . (u + f - s) over all pairs u, v
-h | lower bound on the part of the power that the terms of the prices do not include [W]
+h | lower bound on the power less the terms of the prices and of the potential [W]
 
 A gradient q is allowed in the wind W if G(o + eta W, q) >= h + q . W.  G is a concave function of a
 and q together.  Therefore linear interpolation between proven values of G gives lower bounds on G,
@@ -73,8 +76,9 @@ class PlacePrices:
     """Multipliers (prices) in the bound by a potential that are equal at all places of a field.
 
     A potential is a function of the horizontal place whose rise from start to goal gives a lower
-    bound on the energy of every flight. The prices multiply quantities whose integral over a flight
-    from rest to rest is known, such as the acceleration.
+    bound on the energy of every flight. The mission fixes by how much a flight changes momentum,
+    kinetic energy and height of the vehicle; the prices are the Lagrange multipliers of these
+    changes.
 
     Attributes
     ----------
@@ -85,8 +89,9 @@ class PlacePrices:
     climb : float
         Price of vertical displacement [N].
     power : float
-        Power (h) that every motion spends at least, in addition to the terms of the prices and of
-        the potential [W].
+        Power (h) that every motion spends at least [W], in addition to the rates at which it
+        changes momentum, kinetic energy, height and potential, the first three each times its
+        price.
     """
 
     offset: FloatArray
@@ -98,10 +103,11 @@ class PlacePrices:
     def of(cls, prices: MotionPrices, middle: FloatArray) -> PlacePrices:
         """Make the prices that are equal at all places of a field from prices for some winds.
 
-        Prices are Lagrange multipliers, from which a lower bound on the energy follows. `prices`
-        are multipliers that `study.pairs` found for a range of winds. Their price of momentum
-        refers to the wind `middle`, shape (3,) [m/s], in the middle of the range; it is converted
-        to still air.
+        Prices are the Lagrange multipliers of the changes of momentum, position and kinetic energy
+        over a flight. `prices` are multipliers that `study.pairs` found for a range of winds. The
+        wind in the middle of this range is `middle`, shape (3,) [m/s]. In `prices` the kinetic
+        energy is that of the motion relative to air of the velocity `middle`, in the result that of
+        the motion over ground; the price of momentum is converted accordingly.
         """
         return cls(
             offset=prices.momentum - prices.motion * middle,
@@ -117,16 +123,17 @@ class PlacePrices:
     ) -> GradientTable:
         """Tabulate the function G over prices of momentum and gradients of a potential.
 
-        G is the least value, over all combinations of thrust and airspeed, of the power minus terms
-        with the multipliers (prices) of momentum, displacement and kinetic energy. The gradient of
-        the potential is the price of horizontal displacement. G depends on the horizontal length of
-        the price of momentum, the length of the gradient, and the angle between the two.
+        G is the least value in still air, over all combinations of thrust and airspeed, of the
+        power minus the rates at which momentum, position and kinetic energy change, each times its
+        price (Lagrange multiplier). The gradient of the potential is the price of horizontal
+        displacement. G depends on the horizontal length of the price of momentum, the length of the
+        gradient, and the angle between the two.
 
         Parameters
         ----------
         least : callable
-            Takes a sequence of n prices of motions through the air; returns G, or lower bounds on
-            G, shape (n,) [W].
+            Takes a sequence of n sets of prices; returns G, or lower bounds on G, for each set,
+            shape (n,) [W].
         sizes : ndarray, shape (n_sizes,)
             Lengths of the horizontal part of the price of momentum [W/N], increasing.
         lengths : ndarray, shape (_DIRECTIONS, n_lengths)
@@ -161,10 +168,11 @@ class PlacePrices:
 class GradientTable:
     """Table of the function G over prices of momentum and gradients of a potential.
 
-    G is the least value, over all combinations of thrust and airspeed, of the power minus terms
-    with the multipliers (prices) of momentum, displacement and kinetic energy. The gradient of the
-    potential is the price of horizontal displacement. A lower bound on the energy of flights may
-    use only potentials with a limited gradient; `gradients` computes these limits from G.
+    G is the least value in still air, over all combinations of thrust and airspeed, of the power
+    minus the rates at which momentum, position and kinetic energy change, each times its price
+    (Lagrange multiplier). The gradient of the potential is the price of horizontal displacement. A
+    lower bound on the energy of flights may use only potentials with a limited gradient;
+    `gradients` computes these limits from G.
 
     Attributes
     ----------
@@ -185,15 +193,16 @@ class GradientTable:
     def gradients(self, prices: PlacePrices, winds: FloatArray) -> FloatArray | None:
         """Return the allowed gradients of a potential in each of n winds, as polygons.
 
-        A potential is a function of the horizontal place. A gradient [J/m] is allowed in a wind if
-        the power of every motion in this wind is at least the rate at which the motion gains
-        potential, plus the terms of the multipliers `prices`. Implements docs/theory/bound.md, eq.
-        (26).
+        A potential is a function of the horizontal place. A motion in a wind changes the momentum,
+        the kinetic energy and the height of the vehicle, and gains potential along the gradient. A
+        gradient [J/m] is allowed in a wind if the power of every motion in this wind is at least
+        the sum of these rates, those of the first three each times its price (Lagrange multiplier),
+        plus `prices.power`. Implements docs/theory/bound.md, eq. (26).
 
         Parameters
         ----------
         prices : PlacePrices
-            Prices with which the table was computed; `power` may differ.
+            Prices with which the table was computed; only the attribute `power` may differ.
         winds : ndarray, shape (n, 2)
             Horizontal winds [m/s].
 
@@ -242,9 +251,10 @@ def _last_positive(at: FloatArray, values: FloatArray) -> FloatArray:
 class Sampled:
     """Approximation of the function G by its least value over samples.
 
-    G is the least value, over all combinations (pairs) of thrust and airspeed, of the power minus
-    terms with the multipliers (prices) of momentum, displacement and kinetic energy. The
-    approximation is the least value over samples of pairs, so that it is not below G.
+    A pair is a combination of thrust and airspeed. G is the least value in still air, over all
+    pairs, of the power minus the rates at which the pair changes momentum, position and kinetic
+    energy of the vehicle, each times its price (Lagrange multiplier). The approximation is the
+    least value over samples of pairs, so that it is not below G.
 
     Parameters
     ----------
@@ -258,8 +268,9 @@ class Sampled:
     def __call__(self, prices: Sequence[MotionPrices]) -> FloatArray:
         """Return approximate values of the function G for n sets of prices, shape (n,) [W].
 
-        `prices` holds n sets of multipliers of momentum, displacement and kinetic energy of a
-        motion through the air. G is the least power of such a motion minus the terms of the prices.
+        `prices` holds n sets of Lagrange multipliers of momentum, displacement and kinetic energy.
+        G is the least value in still air, over all combinations of thrust and airspeed, of the
+        power minus the rates at which these quantities change, each times its price.
         """
         thrust, lift, aside, power, along, across = self._samples
         drag = -(aside * across + lift * along)
@@ -327,9 +338,10 @@ class Places:
     def rise(self, gradients: FloatArray) -> float:
         """Return the largest rise of a potential from start to goal [J], with a limited gradient.
 
-        A potential is a function of the horizontal place; the rise gives a lower bound on the
-        energy of every flight. It is the optimal value of a linear program. Tolerances of the
-        solver make the result slightly smaller. Implements docs/theory/bound.md, eq. (27).
+        A potential is a function of the horizontal place; its rise gives a lower bound on the
+        energy of every flight. The largest rise is the optimal value of a linear program.
+        Tolerances of the solver make the result slightly smaller. Implements docs/theory/bound.md,
+        eq. (27).
 
         Parameters
         ----------
@@ -366,9 +378,10 @@ class Places:
 def _common_edges(polygons: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the edges of the intersections of polygons, as linear inequalities.
 
-    For each cell of the wind field's grid, the polygons of allowed gradients in several winds are
-    intersected. A gradient q is in the intersection if ``normal . q <= most`` for each of its
-    edges.
+    Each polygon contains the gradients that a potential, a function of the horizontal place, may
+    have in one wind. For each cell of the wind field's grid, the polygons of several winds are
+    intersected. A gradient q is in the intersection if ``normal . q <= most`` for each edge of the
+    intersection.
 
     Parameters
     ----------
@@ -402,9 +415,11 @@ class _Search:
     """Calculator of lower bounds on the energy by a potential, approximate and proven.
 
     A potential is a function of the horizontal place whose rise from start to goal gives a lower
-    bound on the energy of every flight. Its gradient is limited by the function G, the least power
-    of a motion minus the terms of multipliers (prices). An approximate bound uses sampled values of
-    G, a proven bound uses proven lower bounds on G.
+    bound on the energy of every flight. Its gradient is limited by the function G. G is the least
+    value in still air, over all combinations of thrust and airspeed, of the power minus the rates
+    at which momentum, position and kinetic energy change, each times its price (Lagrange
+    multiplier). An approximate bound uses sampled values of G, a proven bound uses proven lower
+    bounds on G.
 
     Parameters
     ----------
@@ -438,13 +453,13 @@ class _Search:
     def _bound(self, prices: PlacePrices, table: GradientTable) -> float:
         """Return the lower bound on the energy that follows from a table of the function G [J].
 
-        A potential is a function of the horizontal place whose rise from start to goal gives a
-        lower bound on the energy of every flight. A gradient of the potential is allowed in a wind
-        if the power of every motion in this wind is at least the rate at which the motion gains
-        potential, plus the terms of the multipliers `prices`. `table` has the function G, the least
-        power of a motion minus the terms of the prices, from which the allowed gradients follow.
-        The result is minus infinity if the gradient zero is not allowed in one of the winds of the
-        field.
+        The bound is the largest rise, from start to goal, of a potential (a function of the
+        horizontal place), plus terms for height and duration. The gradient of the potential is
+        limited by the function G, which `table` holds: the least value in still air, over all
+        combinations of thrust and airspeed, of the power minus the rates at which momentum,
+        position and kinetic energy change, each times its price (Lagrange multiplier). `prices` are
+        the prices that are equal at all places. The result is minus infinity if even the gradient
+        zero is not allowed in one of the winds of the field.
         """
         gradients = table.gradients(prices, self._winds)
         if gradients is None:
@@ -455,11 +470,12 @@ class _Search:
     def with_power(self, prices: PlacePrices) -> PlacePrices | None:
         """Return prices with the `power` that gives the largest approximate bound on the energy.
 
-        `prices` are multipliers from which the lower bound follows, with the attribute `power`
-        zero. The attribute is the power that every motion spends at least, in addition to the terms
-        of the multipliers; only this attribute is changed. If the least duration is less than half
-        the greatest duration, the duration counts as free, and `power` remains zero. The result is
-        None if these multipliers give no bound.
+        The bound is a sum of three terms: the rise of a potential from start to goal, a term for
+        the height, and `power` times the duration. A larger `power` allows only smaller gradients
+        of the potential. `prices` are the Lagrange multipliers in the bound, with the attribute
+        `power` zero; only this attribute is changed. If the least duration is less than half the
+        greatest duration, the duration counts as free, and `power` remains zero. The result is None
+        if these multipliers give no bound.
         """
         table = prices.table(self._sampled, self._sizes(prices), self._lengths)
         most = float(table.values[:, 0, 0].min())
@@ -476,15 +492,15 @@ class _Search:
         return replace(prices, power=float(found.x))
 
     def proven(self, prices: PlacePrices) -> float:
-        """Return a proven lower bound on the energy, for given prices (multipliers) [J].
+        """Return a proven lower bound on the energy, for given prices (Lagrange multipliers) [J].
 
-        The bound is the largest rise, from start to goal, of a function of the horizontal place
-        (the potential), plus terms for height and duration. A gradient of the potential is allowed
-        in a wind if the power of every motion in this wind is at least the rate at which the motion
-        gains potential, plus the terms of the prices. This condition is proven by lower bounds on
-        the function G, the least power minus these terms. To save time, the bounds are computed
-        only near the largest gradients that samples of G allow. The result is minus infinity if the
-        gradient zero is not allowed in one of the winds of the field.
+        The bound is the largest rise, from start to goal, of a potential (a function of the
+        horizontal place), plus terms for height and duration. The gradient of the potential is
+        limited by proven lower bounds on the function G: the least value in still air, over all
+        combinations of thrust and airspeed, of the power minus the rates at which momentum,
+        position and kinetic energy change, each times its price. To save time, these lower bounds
+        are computed only near the largest gradients that samples of G allow. The result is minus
+        infinity if even the gradient zero is not allowed in one of the winds of the field.
         """
         table = prices.table(self._sampled, self._sizes(prices), self._lengths)
         gradients = table.gradients(prices, self._winds)

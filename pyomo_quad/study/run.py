@@ -107,10 +107,10 @@ class RunResult(Summarised):
 
     @property
     def gap_percent(self) -> float | None:
-        """Optimality gap: energy of the plan above the lower bound, in per cent of its energy.
+        """Optimality gap: energy of the plan above the lower bound, in per cent of the former.
 
-        No flight of the mission can save more energy compared with the plan. None if no bound is
-        known, if the plan has no flight, or if it was made for a forecast of the wind.
+        No flight of the mission can save more than this part of the plan's energy. None if no bound
+        is known, if the plan has no flight, or if the plan was made for a forecast of the wind.
         """
         if not self.flights or self.scenario.wind.forecast is not None:
             return None

@@ -142,8 +142,9 @@ def _arrivals(results: SweepResults) -> Iterator[dict[str, Any]]:
     """Yield, for each kind of controlled flight, the cases in which the flight missed the goal.
 
     The kinds are the flights of the controller along the plan or along a baseline's reference
-    trajectory. Each item holds the kind's name, its number of flights, the row numbers of the cases
-    without arrival, and the largest distance from the goal in these cases [m].
+    trajectory. `results` is the result table of the sweep. Each item holds the kind's name, its
+    number of flights, the row numbers of the cases without arrival, and the largest distance from
+    the goal in these cases [m].
     """
     rows = results.finished
     for column in map(str, rows.columns):
