@@ -298,7 +298,7 @@ def _powers(known: Known, hover: RotorHover) -> tuple[dict[str, Estimate], float
     -------
     tuple of (dict, float)
         Estimate of each parameter by its field in the table `vehicle`, and the hover power [W]
-        that follows from the estimates alone; a measured hover power does not change the latter.
+        that follows from the estimates alone, even if the owner has measured the hover power.
     """
     electronics = _ELECTRONICS_W * (known.mass / _AT_KG) ** _ELECTRONICS_EXPONENT
     loss = 1 / hover.drive_efficiency
