@@ -46,9 +46,10 @@ class Command(IntEnum):
 
 
 class Frame(IntEnum):
-    """Numbers of MAVLink's coordinate frames, which define the level from which altitudes count.
+    """Numbers of MAVLink's coordinate frames.
 
-    `MISSION` is the frame of a command without a position.
+    A frame defines the level from which the altitude in a command counts. `MISSION` is the frame of
+    a command without a position.
     """
 
     GLOBAL = 0

@@ -455,8 +455,8 @@ def fit_pieces(
     """Approximate a plan by a spline of polynomial pieces of equal duration.
 
     The number of pieces is increased until position and yaw are within the permitted deviation. The
-    spline has degree 7. At both ends of the flight it has the plan's velocity, acceleration and
-    jerk; its derivatives up to the sixth are continuous.
+    spline has degree 7, and its derivatives up to the sixth are continuous. At both ends of the
+    flight the spline has the plan's velocity, acceleration and jerk.
 
     Parameters
     ----------

@@ -76,7 +76,8 @@ class FittedParameter:
     name : str
         Name of the field.
     base, value, deviation : float
-        Value before the fit, fitted value, and its standard deviation, in the field's unit.
+        Value before the fit, fitted value, and standard deviation of the fitted value, in the
+        field's unit.
     is_determined : bool
         Whether the measurements determine the field; otherwise it keeps its value.
     is_at_bound : bool

@@ -68,10 +68,10 @@ _FASTEST_STEPS, _SLOWEST_S = 1.0, 1000.0
 
 @dataclass(frozen=True, kw_only=True)
 class PackParameter:
-    """Field of a battery, such as its resistance, with its fitted value and standard deviation.
+    """Field of a battery, such as the resistance, with fitted value and standard deviation.
 
-    Value and deviation are in the field's unit. The deviation is a jackknife estimate over the
-    groups of the cross-validation.
+    Value and deviation are in the field's unit. The deviation is a jackknife estimate: it follows
+    from the fits of the cross-validation, each of which leaves out one group of flights.
     """
 
     name: str
@@ -132,7 +132,7 @@ class _Flown(NamedTuple):
         Mean voltage per cell [V] and mean power [W] before the load; the values of the first row if
         the log of the flight begins under load.
     aloft : int
-        Number of rows from the first row to the last row under load, which count as flight.
+        Number of rows from the first row to the last row under load. These rows count as flight.
     """
 
     name: object

@@ -1,9 +1,10 @@
 """Power and efficiency of one rotor, and the least energy of any flight under f_r.
 
 f_r is the efficiency of motor and rotor of Yacef et al. Power and f_r are sampled from the declared
-equations. The least energy is a lower bound (floor) on the energy of every flight: it lets the
-rotors alternate arbitrarily fast between speeds and accelerations ("chattering"), whose mean power
-is the convex envelope of the power. The report's template `examination.md.j2` gives the derivation.
+equations. The least energy is a lower bound (floor) on the energy of every flight, even of a flight
+whose rotors alternate arbitrarily fast between speeds and accelerations ("chattering"). The mean
+power of such alternations is at least the convex envelope of the power. The report's template
+`examination.md.j2` gives the derivation.
 """
 
 from dataclasses import dataclass

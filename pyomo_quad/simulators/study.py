@@ -554,10 +554,11 @@ def _rows(
 ) -> Iterator[tuple[dict[str, Any], Flown, Flight | None]]:
     """Simulate flights, and yield the table row of each flight.
 
-    The row also compares each flight with an earlier flight of the package's own model along the
-    same reference trajectory. This earlier flight is under the same controller or, if there is none
-    under the same controller, under the adaptive controller. The row contains the difference of
-    the energies in percent, and the distance between the final positions of the two flights.
+    The row also compares a flight in RotorPy with an earlier flight of the package's own model
+    along the same reference trajectory. This earlier flight is under the same controller or, if
+    there is none under the same controller, under the adaptive controller. The row contains the
+    difference of the energies in percent, and the distance between the final positions of the two
+    flights. A flight of the package's own model is compared with itself.
 
     Parameters
     ----------

@@ -2,8 +2,8 @@
 
 The owner states at least the vehicle's mass and the size of its propellers, and possibly the length
 of its arms, its battery and other data. From these data the module computes or estimates every
-parameter of the vehicle that a scenario needs, such as moments of inertia and drag coefficients,
-and its limits and battery. Each estimate has a range of uncertainty.
+parameter of the vehicle that a scenario needs, such as moments of inertia and drag coefficients, as
+well as the vehicle's limits and battery. Each estimate has a range of uncertainty.
 
 Derivation: see docs/theory/vehicle_from_data.md.
 """
