@@ -212,7 +212,8 @@ def _flown(
 ) -> tuple[Scenario, "Flight"]:
     """Simulate the flight that the options of the command `fly` describe.
 
-    A plan is made first if the flight follows a plan, or if the mission's times are free.
+    A plan is made first in three cases: the flight follows a plan; the duration of the mission is
+    free; or the flight is re-planned and the passing time of a waypoint is free.
 
     Parameters
     ----------

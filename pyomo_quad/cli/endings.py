@@ -66,6 +66,7 @@ class Interruption:
 
         A second signal shortens the time until the end. In a process that runs other code besides
         the command, such as tests, no timer is set, and a second signal raises KeyboardInterrupt.
+        The arguments are those that Python passes to every signal handler; they are not used.
 
         Raises
         ------
@@ -126,8 +127,8 @@ def stop_on_interrupt() -> Iterator[Interruption]:
     """Context manager: record a signal as a request to stop, instead of ending the process.
 
     A solve inside the ``with`` block checks the record at each iteration, so that it can stop and
-    return its best iterate. The process still ends if the block takes longer after the signal than
-    the time that `Interruption` allows.
+    return its best iterate. The process still ends if the block takes too long after the signal:
+    more than half a second, or a minute if the command has a plan worth reporting.
 
     Yields
     ------
@@ -183,7 +184,7 @@ def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[No
 
 
 def _enforce(patience_s: float) -> bool:
-    """Set a timer that ends the process, unless an earlier timer is set.
+    """Set a timer that ends the process, unless a timer is already set that ends it sooner.
 
     Parameters
     ----------

@@ -85,8 +85,9 @@ def fly_declared(
         Mission and wind.
     reference : Reference or None
         Reference trajectory that the adaptive controller follows. If None, the plan's controls are
-        applied without feedback. For `CRUISE`, an autopilot flies at the cruise speed of the
-        scenario or, if the scenario gives none, at the speed with the least energy.
+        applied without feedback. `Reference.CRUISE` is a flight in the manner of an autopilot, at
+        the cruise speed of the scenario or, if the scenario gives none, at the cruise speed with
+        the least energy.
     plan : Plan or None
         Plan of the scenario; None if the flight needs no plan.
     """

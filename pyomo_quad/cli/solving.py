@@ -254,8 +254,8 @@ def _lacks_risk(plan: Plan) -> bool:
     """Return whether flights of a plan break limits more often than the scenario permits.
 
     The scenario's risk is the permitted probability that a flight breaks a limit. The result is
-    False if the scenario states no risk, if the risk of the plan was not assessed, or if the plan
-    may not be flown anyway, because its own simulation does not confirm it.
+    False if the scenario states no risk, if the risk of the plan was not assessed, or if the
+    simulation of the plan does not confirm it, so that the plan may not be flown anyway.
     """
     is_stated = plan.scenario.mission.risk is not None
     return is_stated and plan.is_flyable and plan.risk is not None and not plan.risk.is_satisfied

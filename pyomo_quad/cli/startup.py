@@ -32,10 +32,10 @@ def import_scipy_alone() -> None:
     """Prevent Pyomo from importing further slow modules when SciPy or matplotlib is imported.
 
     Pyomo installs import hooks. When SciPy or matplotlib is first imported, the hooks import
-    further modules that Pyomo may need later, which takes half a second for each library. This
-    function removes the hooks, after the hook for NumPy has run. Pyomo then imports the further
-    modules only when it uses them. In a process that runs other code besides the command, such as
-    tests, the function does nothing.
+    further modules that Pyomo may need later. These imports take half a second for SciPy and half a
+    second for matplotlib. This function removes the hooks, after the hook for NumPy has run. Pyomo
+    then imports the further modules only when it uses them. In a process that runs other code
+    besides the command, such as tests, the function does nothing.
     """
     if _is_own and _PYOMO_WATCHERS not in sys.modules and "scipy" not in sys.modules:
         importlib.import_module("numpy")

@@ -377,16 +377,17 @@ def _parameter_lines(
 ) -> Iterator[str]:
     """Yield a line to print for each parameter of a fit: value and standard deviation.
 
-    A parameter that the measurements do not determine keeps its value; its line states this. The
-    line also states whether the fitted value lies at the end of its permitted range.
+    A parameter that the measurements do not determine keeps the value before the fit, and its line
+    states this. The line of any other parameter states if the value lies at the end of the
+    parameter's permitted range.
 
     Parameters
     ----------
     parameters : sequence
         The fitted parameters.
     together : sequence of (str, str)
-        Each parameter that the measurements do not determine, with the parameter that has the same
-        effect on the power; "" if no parameter has the same effect.
+        Each parameter that the measurements do not determine, with the parameter whose effect on
+        the power is most similar; "" if no parameter has a similar effect.
     """
     partners = dict(together)
     for one in parameters:

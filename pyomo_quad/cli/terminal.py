@@ -142,9 +142,9 @@ def _plain_lines(started: float) -> Callable[["State"], None]:
 def _state_of(now: "State") -> str:
     """Return a line on `now`, the present state of a search for a plan, for the progress display.
 
-    The line gives the stage of the search, the energy on the last mesh that was solved and its
-    relative change from the mesh before, whether a plan that may be flown has been found, the
-    iteration of the solver, the number of mesh points and the processor time.
+    The line gives the stage of the search, the energy of the solution on the last mesh, the
+    relative change of this energy from the mesh before, whether a plan that may be flown has been
+    found, the iteration of the solver, the number of mesh points and the processor time.
     """
     best = "no energy yet"
     if isfinite(now.energy_J):

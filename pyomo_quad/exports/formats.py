@@ -205,6 +205,8 @@ def _points(motion: Motion, t: FloatArray, make: dict[str, type]) -> list[object
 def sampled_deviation(motion: Motion, rate_hz: float) -> float:
     """Return the largest distance [m] between a plan and a cubic spline through its samples.
 
+    The spline has the plan's position and velocity at each sample.
+
     Parameters
     ----------
     motion : Motion
@@ -219,7 +221,8 @@ def sampled_deviation(motion: Motion, rate_hz: float) -> float:
 def _between(motion: Motion, t: FloatArray, place: FloatArray, velocity: FloatArray) -> float:
     """Return the largest distance [m] between a plan and a cubic spline through setpoints.
 
-    The distance is computed at the setpoints and halfway between them.
+    The spline has the position and velocity of each setpoint. The distance is computed at the
+    times of the setpoints and halfway between them.
 
     Parameters
     ----------
@@ -548,6 +551,7 @@ def _deviation(legs: Legs, motion: Motion) -> float:
     """Return the largest distance [m] between a plan and straight legs that approximate it.
 
     The distance is between the position on the plan and the position on the legs at the same time.
+    `legs` are the straight legs, and `motion` is the plan's motion.
     """
     t = motion.samples(len(legs.times) / motion.duration * 100)
     return float(np.linalg.norm(legs.at(t) - motion.position(t), axis=1).max())

@@ -76,8 +76,9 @@ class _Item:
     """MAVLink command of a ground station's mission, with its seven parameters.
 
     A parameter is None if the file does not give it. The seventh parameter is normally the altitude
-    [m]. A QGroundControl file may give the altitude in a separate entry, too, which is used for
-    altitudes above the terrain. The attribute `altitude` is this entry, or None if there is none.
+    [m]. A QGroundControl file may also give the altitude in a separate entry; altitudes above the
+    terrain are read from this entry. The attribute `altitude` is the separate entry, or None if
+    there is none.
     The attribute `where` names file and command in error messages.
     """
 
@@ -444,12 +445,12 @@ def _height(item: _Item, home: GeodeticOrigin, notes: Counter[str]) -> float:
     Parameters
     ----------
     item : _Item
-        The command. If its altitude is above the terrain, it is treated as the height above home.
+        The command. An altitude that counts from the terrain is treated as the height above home.
     home : GeodeticOrigin
         Home position of the mission.
     notes : Counter of str
         Contents of the file that a scenario cannot represent; the function adds a remark if the
-        altitude is above the terrain.
+        altitude counts from the terrain.
     """
     written = item.params[6]
     if item.frame in _ABOVE_SEA and written is not None:
@@ -474,7 +475,7 @@ def _apply(item: _Item, place: _Place, notes: Counter[str]) -> None:
         The command.
     place : _Place
         Place where the vehicle is at this command: the last place to which the mission has made it
-        fly. The function changes its time of hover, or whether a gripper is opened there.
+        fly. The function changes the place's time of hover, or whether a gripper is opened there.
     notes : Counter of str
         Contents of the file that a scenario cannot represent; any other command is added to them.
     """

@@ -46,9 +46,10 @@ class Command(IntEnum):
 
 
 class Frame(IntEnum):
-    """Numbers of MAVLink's coordinate frames, which define the level from which altitudes count.
+    """Numbers of MAVLink's coordinate frames.
 
-    `MISSION` is the frame of a command without a position.
+    A frame defines the level from which the altitude in a command counts. `MISSION` is the frame of
+    a command without a position.
     """
 
     GLOBAL = 0
@@ -149,7 +150,11 @@ def thin(motion: Motion, path_error_m: float) -> Legs:
 
 
 def _passing_times(motion: Motion) -> list[float]:
-    """Return the times [s] at which a plan reaches and leaves the mission's waypoints."""
+    """Return the times [s] at which a plan reaches and leaves the mission's waypoints.
+
+    The times are in ascending order, without repetition. `motion` is the plan's motion, with the
+    mission.
+    """
     waypoints = motion.mission.mission.waypoints
     reached = [(w.at, w.hold) for w in waypoints if w.at is not None]
     times = [time for at, hold in reached for time in (at, at + hold)]
@@ -237,7 +242,11 @@ def _speeds(legs: Legs) -> FloatArray:
 
 
 def _releases(legs: Legs, scenario: Scenario) -> set[int]:
-    """Return the indices of the positions in `legs.places` at which payload is released."""
+    """Return the indices of the positions in `legs.places` at which payload is released.
+
+    `legs` are the straight legs that approximate a plan. `scenario` is the plan's mission, whose
+    waypoints state where payload is released.
+    """
     passed = [(w.at, w.hold) for w in scenario.mission.waypoints if w.release and w.at is not None]
     return {int(np.abs(legs.times - (at + hold)).argmin()) for at, hold in passed}
 
@@ -281,7 +290,10 @@ def _item(command: Command, frame: Frame, params: list[Any]) -> dict[str, Any]:
 
 
 def _globe(places: Sequence[Sequence[float]], origin: GeodeticOrigin) -> list[list[float]]:
-    """Convert positions x, y, z [m] to rows of latitude [deg], longitude [deg] and height [m]."""
+    """Convert positions x, y, z [m] to rows of latitude [deg], longitude [deg] and height [m].
+
+    `places` has one position in each row; `origin` is the position of x = y = z = 0 on earth.
+    """
     rows: list[list[float]] = origin.geodetic(np.reshape(places, (-1, 3))).tolist()
     return rows
 

@@ -46,9 +46,9 @@ class ProvenPlan:
     mission : Scenario
         The mission, with the plan's duration and passing times of waypoints.
     trajectories : Trajectories
-        States and controls of the plan. A report's table does not say which of its columns are
-        states. For a plan read from a report, every column is therefore listed as a state and as a
-        control.
+        States and controls of the plan. If the plan is read from a report, every column of the
+        report's table is listed both as a state and as a control, because the table does not
+        distinguish states from controls.
     is_paper_plan : bool
         Whether the scenario states no risk (`mission.risk`, the permitted probability that a flight
         breaks a limit). The plan then has no margins from its limits, and a controller that
@@ -320,8 +320,8 @@ class Motion:
         Parameters
         ----------
         rate_hz : float
-            Number of times per second, which is increased so that the interval divides the
-            duration of the flight evenly.
+            Least number of times per second. The actual number may be larger, so that the
+            interval divides the duration of the flight evenly.
         """
         count = int(np.ceil(self.duration * rate_hz * (1.0 - 1e-12)))
         return np.linspace(0.0, self.duration, max(count, 1) + 1)
@@ -334,7 +334,11 @@ class Motion:
 
 
 def _mesh(times: FloatArray, degrees: tuple[int, ...]) -> Mesh:
-    """Return the mesh with elements of the given degrees and nodes at the given times."""
+    """Return the mesh with elements of the given degrees and nodes at the given times.
+
+    `times` are the times of all nodes [s], shape (n_nodes,), and `degrees` the polynomial degrees
+    of the elements, whose sum is n_nodes - 1.
+    """
     ends = times[np.concatenate(([0], np.cumsum(degrees)))]
     fractions = (ends - ends[0]) / (ends[-1] - ends[0])
     return Mesh(breakpoints=tuple(fractions.tolist()), degrees=degrees)
@@ -451,8 +455,8 @@ def fit_pieces(
     """Approximate a plan by a spline of polynomial pieces of equal duration.
 
     The number of pieces is increased until position and yaw are within the permitted deviation. The
-    spline has degree 7. At both ends of the flight it has the plan's velocity, acceleration and
-    jerk; its derivatives up to the sixth are continuous.
+    spline has degree 7, and its derivatives up to the sixth are continuous. At both ends of the
+    flight the spline has the plan's velocity, acceleration and jerk.
 
     Parameters
     ----------

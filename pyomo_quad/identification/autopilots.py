@@ -45,8 +45,9 @@ def _reader_errors(autopilot: str, package: str) -> Iterator[None]:
     """Context manager: turn failures of another package's log reader into a one-line ScenarioError.
 
     Readers such as `pyulog` print the errors that they find, and raise exceptions of many types for
-    damaged logs. The printed text is suppressed. `autopilot` and `package` are the names in the
-    message. Errors of the file system and a lack of memory are not converted.
+    damaged logs. The printed text is suppressed. `autopilot` is the name of the autopilot, and
+    `package` the name of the reader's package; both are for the message of the error. Errors of the
+    file system and a lack of memory are not converted.
     """
     try:
         with redirect_stdout(StringIO()):

@@ -76,7 +76,8 @@ class FittedParameter:
     name : str
         Name of the field.
     base, value, deviation : float
-        Value before the fit, fitted value, and its standard deviation, in the field's unit.
+        Value before the fit, fitted value, and standard deviation of the fitted value, in the
+        field's unit.
     is_determined : bool
         Whether the measurements determine the field; otherwise it keeps its value.
     is_at_bound : bool
@@ -171,17 +172,20 @@ class Identification:
         return np.hypot(north, east) * self.scenario.vehicle.anemometer_factor
 
     def excess(self, slowest: float, fastest: float) -> float:
-        """Return the mean of measured minus computed power over the rows in a range of airspeeds.
+        """Return the mean of measured minus computed power in cruise, in a range of airspeeds.
+
+        The computed power is that of the fit to all flights.
 
         Parameters
         ----------
         slowest, fastest : float
-            Range of horizontal airspeed [m/s].
+            Least and greatest horizontal airspeed of the range [m/s].
 
         Returns
         -------
         float
-            Mean difference over the rows in cruise [W]; NaN without such rows.
+            Mean difference over the rows of the log in cruise in this range [W]; NaN without such
+            rows.
         """
         is_between = (slowest <= self.airspeeds) & (self.airspeeds < fastest)
         is_meant = (self.frame[PHASE] == CRUISE).to_numpy() & is_between
@@ -311,18 +315,19 @@ class Fit:
         """Repeat the fit for random draws of the flights (bootstrap), to estimate its uncertainty.
 
         For each draw, as many flights as the log has are chosen at random, with replacement, and
-        the parameters are fitted to them by robust least squares. The computed power is linearised
-        about the fit to all flights, which is exact for parameters that enter linearly.
+        the parameters are fitted to them by robust least squares. In these fits the computed power
+        is linearised in the parameters about `values`. The linearisation is exact for parameters
+        that enter the power linearly.
 
         Parameters
         ----------
         values : ndarray, shape (n,)
-            Fit to all flights.
+            Values of the parameters from the fit to all flights.
 
         Returns
         -------
         ndarray, shape (draws, n)
-            Fitted values of each draw.
+            Fitted values of the parameters, one row for each draw.
         """
         slopes = self.slopes(values)
         at, first = self.windows(self.power(values), self.everything)
@@ -381,7 +386,8 @@ class Fit:
 def component(name: str) -> str:
     """Return the full name of the model's parameter that a field of the vehicle sets.
 
-    Examples are ``vehicle.drag_linear`` and ``power.climb_power_factor``.
+    `name` is the field's name. Examples of full names are ``vehicle.drag_linear`` and
+    ``power.climb_power_factor``.
     """
     return f"{_VEHICLE_BLOCK if name in _OF_MOTION else _POWER_BLOCK}{name}"
 
@@ -404,8 +410,8 @@ def _bounds(name: str) -> tuple[float, float]:
 def _most_drag(scenario: Scenario, frame: pd.DataFrame, power: int) -> float:
     """Return the upper bound of a drag coefficient in the fit.
 
-    With this coefficient, the drag equals the vehicle's weight, so that level flight is tilted by
-    45°, at the largest airspeed in the log.
+    At the upper bound, the drag at the largest airspeed in the log equals the vehicle's weight, so
+    that the vehicle is tilted by 45° in level flight at this airspeed.
 
     Parameters
     ----------

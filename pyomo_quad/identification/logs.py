@@ -122,7 +122,7 @@ def read_voltages(file: Path, flown: pd.DataFrame) -> pd.DataFrame:
     file : Path
         The log.
     flown : DataFrame
-        Rows of the log from `read_logs`, which name the flights.
+        Rows of the log from `read_logs`. Only the flights that occur in these rows are read.
 
     Returns
     -------
@@ -175,8 +175,9 @@ def _names(frames: Sequence[pd.DataFrame]) -> "pd.Series[Any]":
 def once_each(frame: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, str]]:
     """Remove flights that are copies of other flights.
 
-    Two flights are copies if their rows agree in single precision, with times counted from the
-    first row; a copy written in decimals may lack the last digits.
+    Two flights are copies if their rows agree, with times counted from the first row of each
+    flight. Numbers are compared in single precision only, because a copy written in decimals may
+    lack the last digits.
 
     Parameters
     ----------
@@ -443,14 +444,14 @@ def _time_complaints(flight: str, times: np.ndarray) -> Iterator[str]:
 
 
 def refuse_wrong_units(frame: pd.DataFrame, mass_kg: float, source: str) -> None:
-    """Raise an error if power or payload of a flight seem to be in another unit.
+    """Raise an error if the power of a flight seems not to be in W, or the payload not in kg.
 
     Parameters
     ----------
     frame : DataFrame
         Rows of the flights.
     mass_kg : float
-        Mass of the vehicle without payload.
+        Mass of the vehicle without payload, to which power and payload are compared.
     source : str
         Name of the log, for the message.
 

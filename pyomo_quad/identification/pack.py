@@ -68,10 +68,10 @@ _FASTEST_STEPS, _SLOWEST_S = 1.0, 1000.0
 
 @dataclass(frozen=True, kw_only=True)
 class PackParameter:
-    """Field of a battery, such as its resistance, with its fitted value and standard deviation.
+    """Field of a battery, such as the resistance, with fitted value and standard deviation.
 
-    Value and deviation are in the field's unit. The deviation is a jackknife estimate over the
-    groups of the cross-validation.
+    Value and deviation are in the field's unit. The deviation is a jackknife estimate: it follows
+    from the fits of the cross-validation, each of which leaves out one group of flights.
     """
 
     name: str
@@ -129,9 +129,10 @@ class _Flown(NamedTuple):
         Power of the pack [W] and voltage per cell [V], in time steps that are equally long for all
         flights.
     rest : (float, float)
-        Mean voltage per cell [V] and mean power [W] before the load.
+        Mean voltage per cell [V] and mean power [W] before the load; the values of the first row if
+        the log of the flight begins under load.
     aloft : int
-        Number of rows from the first row to the last row under load, which count as flight.
+        Number of rows from the first row to the last row under load. These rows count as flight.
     """
 
     name: object
@@ -204,7 +205,7 @@ class Record:
         return np.asarray(current.sum(axis=0) * self.step / 3600.0)
 
     def part(self, chosen: NDArray[np.int64]) -> "Record":
-        """Return a record with some of the flights; `chosen` holds their numbers, from 0."""
+        """Return a record with some of the flights; `chosen` holds their column numbers, from 0."""
         part = object.__new__(Record)
         part.step, part.reading, part.cells = self.step, self.reading, self.cells
         part.names = [self.names[k] for k in chosen]
@@ -322,14 +323,21 @@ class Circuit:
         return voltage, open_circuit
 
     def whole(self, record: Record, values: FloatArray, factor: FloatArray) -> FloatArray:
-        """Return the computed cell voltage [V] of all flights at all times of the record.
-
-        The shape is (n_times, n_flights).
+        """Return the computed cell voltage under load of all flights at all times of the record.
 
         Parameters
         ----------
-        record, values, factor
-            As in `voltages`.
+        record : Record
+            Measured powers.
+        values : ndarray, shape (n,)
+            Logarithms of the fitted fields.
+        factor : ndarray, shape (n_flights,)
+            Factor on the resistance of each flight's pack.
+
+        Returns
+        -------
+        ndarray, shape (n_times, n_flights)
+            Cell voltages [V].
         """
         return self.voltages(record, values, factor, len(record.power))[0]
 
@@ -352,7 +360,7 @@ class Circuit:
         Returns
         -------
         ndarray, shape (n_flights,)
-            Charges of the whole pack.
+            Charge that the whole pack of each flight has lost [A h].
         """
         voltage, power = record.rest.T
         told = {name: number[:1] for name, number in self.numbers(values, factor).items()}
@@ -600,6 +608,11 @@ def _error_per_cell(record: Record, computed: FloatArray, axis: int | None = Non
         Computed voltages [V per cell].
     axis : int, optional
         0 for one error per flight; by default one error over all flights.
+
+    Returns
+    -------
+    float or ndarray, shape (n_flights,)
+        One error over all flights, or the error of each flight.
     """
     counted = record.after_reading(record.is_aloft)
     squares = np.where(counted, (computed - record.voltage) ** 2, 0.0)
@@ -609,8 +622,8 @@ def _error_per_cell(record: Record, computed: FloatArray, axis: int | None = Non
 def _rows(record: Record, computed: FloatArray) -> pd.DataFrame:
     """Return measured and computed cell voltage [V] over time in one table, flight by flight.
 
-    `computed` has the shape (n_times, n_flights); times at which a flight has no record are left
-    out.
+    `record` has the measured voltages. `computed` are the computed cell voltages [V], shape
+    (n_times, n_flights). Times at which a flight has no measured voltage are left out.
     """
     flights = np.broadcast_to(np.array(record.names, dtype=object), record.power.shape)
     times = np.broadcast_to(record.step * np.arange(len(computed))[:, None], record.power.shape)

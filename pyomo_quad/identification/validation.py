@@ -129,7 +129,7 @@ def folds(frame: pd.DataFrame, count: int = _FOLDS) -> list[NDArray[np.object_]]
     frame : DataFrame
         Rows of the flights.
     count : int, optional
-        Largest number of groups.
+        Number of groups; with fewer flights, each flight is a group.
 
     Returns
     -------
@@ -144,17 +144,21 @@ def folds(frame: pd.DataFrame, count: int = _FOLDS) -> list[NDArray[np.object_]]
 def cross_validated(frame: pd.DataFrame, fitted: Fitted) -> FloatArray:
     """Compute the power of each row by a fit without the row's flight.
 
+    The flights are divided into groups by `folds`. The power in the flights of a group is computed
+    by a fit to the flights of all other groups.
+
     Parameters
     ----------
     frame : DataFrame
         Rows of the flights.
     fitted : callable
-        Function that fits a model to given rows, and returns its power in every row [W].
+        Function that fits a model to the rows that a boolean array of shape (n_rows,) selects, and
+        returns the power that the fitted model gives in every row [W].
 
     Returns
     -------
     ndarray, shape (n_rows,)
-        Power by a fit to the flights of all other groups of `folds` [W].
+        Computed power of each row [W].
     """
     of_row = frame[FLIGHT].to_numpy()
     power = np.zeros(len(frame))
@@ -176,7 +180,8 @@ def trials(frame: pd.DataFrame, fitted: Fitted) -> tuple[Trial, ...]:
     frame : DataFrame
         Rows of the flights.
     fitted : callable
-        Function that fits a model to given rows, and returns its power in every row [W].
+        Function that fits a model to the rows that a boolean array of shape (n_rows,) selects, and
+        returns the power that the fitted model gives in every row [W].
     """
 
     def trial(name: str, fitted_on: str, seen: Rows, tried_on: str, tried: Rows) -> Trial:

@@ -287,8 +287,8 @@ def _plan(scenario: Scenario, planner: Planner) -> Plan:
 def _flown(plan: Plan) -> Flight:
     """Return the planned flight, together with the result of a simulation of its controls.
 
-    If the planner has not simulated them, because its solve did not converge, they are simulated
-    here, so that the report can show a flight even if no optimum was found.
+    The planner does not simulate the controls if the solve has not converged. In this case this
+    function simulates them, so that the report can show a flight even if no optimum was found.
     """
     if plan.verification is not None:
         return plan.flight()

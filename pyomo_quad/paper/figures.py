@@ -37,9 +37,10 @@ _HEADROOM = 0.6  # space above the energy of hovering [kJ]
 def draw_floors(study: PaperStudy) -> Figure:
     """Draw the least energy of any flight against the bound on the rotor acceleration.
 
-    The energy is computed with the efficiency f_r of motor and rotor of Yacef et al. There is one
-    curve for each interpretation of f_r: with lower limits on torque and efficiency (regularised),
-    and as the bare polynomial (literal).
+    The bound is an upper bound on the absolute rotor acceleration. The energy is computed with the
+    efficiency f_r of motor and rotor of Yacef et al. There is one curve for each interpretation of
+    f_r: with lower limits on torque and efficiency (regularised), and as the bare polynomial
+    (literal).
 
     Parameters
     ----------

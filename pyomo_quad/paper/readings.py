@@ -204,9 +204,9 @@ def run_trial(trial: MeshTrial) -> TrialOutcome:
 def _fly(scenario: Scenario, solution: Solution, priced: Dynamics) -> tuple[float, float]:
     """Simulate the controls of a solution, and compute the energy under the efficiency f_r.
 
-    f_r is the efficiency of motor and rotor of Yacef et al. The motion does not depend on the
-    power. It is simulated with the motors' electrical power, which is always finite, whereas the
-    power under f_r is infinite where f_r is zero.
+    f_r is the efficiency of motor and rotor of Yacef et al. The power under f_r is infinite where
+    f_r is zero. The motion does not depend on the power; the motion is therefore simulated with the
+    motors' electrical power, which is always finite.
 
     Parameters
     ----------

@@ -1,9 +1,10 @@
 """Power and efficiency of one rotor, and the least energy of any flight under f_r.
 
 f_r is the efficiency of motor and rotor of Yacef et al. Power and f_r are sampled from the declared
-equations. The least energy is a lower bound (floor) on the energy of every flight: it lets the
-rotors alternate arbitrarily fast between speeds and accelerations ("chattering"), whose mean power
-is the convex envelope of the power. The report's template `examination.md.j2` gives the derivation.
+equations. The least energy is a lower bound (floor) on the energy of every flight, even of a flight
+whose rotors alternate arbitrarily fast between speeds and accelerations ("chattering"). The mean
+power of such alternations is at least the convex envelope of the power. The report's template
+`examination.md.j2` gives the derivation.
 """
 
 from dataclasses import dataclass
@@ -120,8 +121,8 @@ def chattering_floors(
 ) -> FloatArray:
     """Compute lower bounds on the energy of any flight in calm air under the efficiency f_r.
 
-    f_r is the efficiency of motor and rotor of Yacef et al. The rotors may alternate between speeds
-    and accelerations arbitrarily fast ("chattering").
+    f_r is the efficiency of motor and rotor of Yacef et al. The lower bounds hold even for flights
+    whose rotors alternate arbitrarily fast between speeds and accelerations ("chattering").
 
     Parameters
     ----------
@@ -134,8 +135,8 @@ def chattering_floors(
     -------
     ndarray, shape (len(bounds), 2)
         Each row holds an upper bound on the absolute rotor acceleration [rad/s²], and the lower
-        bound on the energy [J] of flights within it, which is minus infinity if f_r reaches zero at
-        a permitted acceleration.
+        bound on the energy [J] of flights that keep this upper bound. The energy is minus infinity
+        if f_r reaches zero at a permitted acceleration.
     """
     scenario = paper_scenario(Experiment.CALM, reading.values())
     largest = max(bounds)
@@ -152,8 +153,8 @@ def chattering_floors(
 def floor_energy(scenario: Scenario, sampled: RotorMap, bound: float) -> float:
     """Compute a lower bound on the energy of any flight whose rotor acceleration is bounded.
 
-    The rotors may alternate between speeds and accelerations arbitrarily fast. f_r is the
-    efficiency of motor and rotor of Yacef et al.
+    The lower bound holds even for flights whose rotors alternate arbitrarily fast between speeds
+    and accelerations. f_r is the efficiency of motor and rotor of Yacef et al.
 
     Parameters
     ----------
@@ -237,9 +238,9 @@ class EfficiencyMap:
     torque : ndarray, shape (k,)
         Motor torques [N m].
     efficiency : ndarray, shape (n, k)
-        The bare polynomial, which may be negative.
+        Efficiency f_r, a polynomial of speed and torque; without lower limit, it may be negative.
     steady_torque : ndarray, shape (n,)
-        Torque of a rotor that does not accelerate [N m].
+        Torque of a rotor that keeps each of the speeds [N m].
     """
 
     speed: FloatArray

@@ -238,10 +238,11 @@ def baseline_row(study: PaperStudy, flown: BaselineFlight) -> dict[str, Any]:
     """Return the table row that compares a flight under the adaptive controller with the optimum.
 
     The optimum is the plan of the same experiment under the same power model. The controlled flight
-    ends near the goal only. The energy that it still needs to reach the exact goal state is
-    estimated with the costates of the optimum and added to its energy; nothing is added if the
-    solve found no optimum. The energy that the optimum saves is given in percent of this sum, and
-    in percent of the part of this sum above the energy of hovering.
+    does not end exactly at the goal. The energy that the controlled flight still needs to the exact
+    goal state is estimated with the costates of the optimum. This estimate is added to the energy
+    of the controlled flight; nothing is added if the solve found no optimum. The energy that the
+    optimum saves is given in percent of this sum, and in percent of the part of this sum above the
+    energy of hovering.
 
     Parameters
     ----------

@@ -136,8 +136,8 @@ class SteadyCurve:
 def _least(cost: Callable[[FloatArray | float], FloatArray], trials: FloatArray) -> float:
     """Return the argument at which a cost function of one variable, such as a speed, is least.
 
-    The best of the arguments `trials`, in ascending order, is refined by a bounded search between
-    its two neighbours.
+    `cost` is the function, and `trials` are arguments in ascending order. The best of them is
+    refined by a bounded search between its two neighbours.
     """
     best = int(np.argmin(cost(trials)))
     low, high = trials[max(0, best - 1)], trials[min(len(trials) - 1, best + 1)]

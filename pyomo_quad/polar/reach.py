@@ -267,6 +267,10 @@ def _boundary_on(
 ) -> dict[str, Any]:
     """Return how far the vehicle flies on one course, as a row of `Reach.boundary`.
 
+    The flight over the resulting distance, with the way back if `share` includes it,
+    takes the usable charge: the charge from the full battery to the least state of charge that the
+    scenario allows. The distance is shorter if wind or ground are not known so far from the start.
+
     Parameters
     ----------
     course : float

@@ -225,8 +225,8 @@ class Arrivals(NamedTuple):
 def arrivals(flights: pd.DataFrame, controller: str) -> Arrivals:
     """Count the flights of one controller in RotorPy, by their outcome.
 
-    A flight is confirmed or not, depending on whether a simulation by a second integrator gives the
-    same result; of the confirmed flights, those that arrived at the goal are counted, too.
+    A flight counts as confirmed if a simulation by a second integrator gives the same result. Of
+    the confirmed flights, those that arrived at the goal are counted, too.
 
     Parameters
     ----------
@@ -360,7 +360,10 @@ class _Mission:
         return Flown(at, name, followed, partial(fly_under, plant, name, law, self.plan))
 
     def path(self, followed: Reference) -> ReferencePath:
-        """Return a reference trajectory of the mission as a function of time."""
+        """Return a reference trajectory of the mission as a function of time.
+
+        `followed` selects the trajectory, for example the plan or a smooth path to the goal.
+        """
         return reference_path(self.scenario, followed, self.plan)
 
 
@@ -443,12 +446,14 @@ def _flights(mission: _Mission) -> Iterator[Flown]:
 
 
 def _leaps(mission: _Mission, limited: OutsidePlant) -> Iterator[Flown]:
-    """Yield flights whose commanded position jumps from the start to the goal at once.
+    """Yield descriptions of flights whose commanded position jumps from start to goal at once.
 
-    One flight is of the package's own vehicle model. The flights in RotorPy show the effect of a
-    limit on the rotors' acceleration. They are made with the vehicle `limited`, RotorPy's model
-    with this limit, and with the same vehicle without the limit. `mission` is the mission of all
-    flights. The flights are not simulated yet.
+    Each yielded object describes one flight and holds the function that simulates the flight. All
+    flights have the mission `mission`. The first flight is of the package's own vehicle model under
+    the adaptive controller. The other four are in RotorPy, with two vehicles and two controllers.
+    The first vehicle is `limited`, RotorPy's vehicle with the scenario's upper limit on the
+    absolute rotor acceleration; the second is the same vehicle without this limit. The controllers
+    are the adaptive one and RotorPy's SE3. The comparison shows the effect of the limit.
     """
     unlimited = OutsidePlant(mission.scenario.with_values(_NO_SLEW_LIMIT), mission.dynamics)
     yield mission.declared(Pilot.ADAPTIVE, Reference.STEP)
@@ -458,11 +463,13 @@ def _leaps(mission: _Mission, limited: OutsidePlant) -> Iterator[Flown]:
 
 
 def _why_se3_misses(mission: _Mission, plant: OutsidePlant) -> Iterator[Flown]:
-    """Yield flights in RotorPy that show why RotorPy's controller SE3 misses the goal in wind.
+    """Yield descriptions of flights that show why RotorPy's controller SE3 misses the goal in wind.
 
-    In some of the flights the controller has larger gains; in others it has a feedforward of the
-    aerodynamic force. `mission` is the mission of all flights, and `plant` the simulated vehicle.
-    The flights are not simulated yet.
+    Each yielded object describes one flight in RotorPy and holds the function that simulates the
+    flight. In two flights, along a smooth reference trajectory and along the plan, the controller
+    has larger gains. In a third flight, along the smooth trajectory, it has the usual gains and a
+    feedforward of the aerodynamic force. `mission` is the mission of all flights, and `plant` the
+    simulated vehicle.
     """
     for followed in (Reference.QUINTIC, Reference.PLAN):
         path = mission.path(followed)
@@ -496,10 +503,13 @@ def _against_the_air(path: ReferencePath, plant: OutsidePlant) -> ReferencePath:
 
 
 def _flights_of_set(mission: _Mission) -> Iterator[Flown]:
-    """Yield flights of one of RotorPy's vehicles, in RotorPy and in the package's own model.
+    """Yield descriptions of flights of one of RotorPy's vehicles, in both models.
 
-    They all follow the plan of `mission`, a mission of this vehicle, under different controllers or
-    without feedback. The flights are not simulated yet.
+    The models are RotorPy's and the package's own. Each yielded object describes one flight and
+    holds the function that simulates the flight. All flights follow the plan of `mission`, a
+    mission of this vehicle: under the adaptive controller, under RotorPy's controller SE3 (in
+    RotorPy only), and without feedback. In one more flight under SE3, the heading of the plan is
+    turned by the angle between the body axes of the two models.
     """
     theirs = OutsidePlant(
         mission.scenario,
@@ -522,11 +532,11 @@ def _flights_of_set(mission: _Mission) -> Iterator[Flown]:
 
 
 def _flights_by_drag(mission: _Mission) -> Iterator[Flown]:
-    """Yield flights along a plan that show the effect of the point at which drag acts.
+    """Yield descriptions of flights that show the effect of the point at which drag acts.
 
     In RotorPy the drag acts at the rotors, in the package's model at the centre of mass. The plan
-    of `mission` is flown in both, under adaptive control and without feedback. The flights are not
-    simulated yet.
+    of `mission` is flown in both models, under adaptive control and without feedback. Each yielded
+    object describes one flight and holds the function that simulates the flight.
     """
     plant = OutsidePlant(mission.scenario, mission.dynamics)
     for pilot in (Pilot.OPEN_LOOP, Pilot.ADAPTIVE):
@@ -544,16 +554,18 @@ def _rows(
 ) -> Iterator[tuple[dict[str, Any], Flown, Flight | None]]:
     """Simulate flights, and yield the table row of each flight.
 
-    The row contains the flight's differences from the flight of the package's own model that
-    follows the same reference under the same controller or, if there is none, under the adaptive
-    controller.
+    The row also compares a flight in RotorPy with an earlier flight of the package's own model
+    along the same reference trajectory. This earlier flight is under the same controller or, if
+    there is none under the same controller, under the adaptive controller. The row contains the
+    difference of the energies in percent, and the distance between the final positions of the two
+    flights. A flight of the package's own model is compared with itself.
 
     Parameters
     ----------
     case : str
         Mission, a key of `CASES`.
     flights : iterator of Flown
-        Flights to simulate.
+        Descriptions of the flights to simulate, in order.
 
     Yields
     ------

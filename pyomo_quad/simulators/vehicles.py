@@ -3,7 +3,7 @@
 RotorPy's rotors are placed diagonally, two ahead and two behind; the package's rotors are on the
 body axes x and y. The vehicle is therefore turned by 45 degrees, so that its first rotor is ahead
 and its fourth rotor to the left. If the moments of inertia Ixx and Iyy differ, the turn creates a
-product of inertia of half their difference, which is neglected.
+product of inertia of half their difference. This product of inertia is neglected.
 """
 
 from math import hypot

@@ -2,8 +2,8 @@
 
 The owner states at least the vehicle's mass and the size of its propellers, and possibly the length
 of its arms, its battery and other data. From these data the module computes or estimates every
-parameter of the vehicle that a scenario needs, such as moments of inertia and drag coefficients,
-and its limits and battery. Each estimate has a range of uncertainty.
+parameter of the vehicle that a scenario needs, such as moments of inertia and drag coefficients, as
+well as the vehicle's limits and battery. Each estimate has a range of uncertainty.
 
 Derivation: see docs/theory/vehicle_from_data.md.
 """
@@ -298,7 +298,7 @@ def _powers(known: Known, hover: RotorHover) -> tuple[dict[str, Estimate], float
     -------
     tuple of (dict, float)
         Estimate of each parameter by its field in the table `vehicle`, and the hover power [W]
-        that follows from the estimates alone; a measured hover power does not change the latter.
+        that follows from the estimates alone, even if the owner has measured the hover power.
     """
     electronics = _ELECTRONICS_W * (known.mass / _AT_KG) ** _ELECTRONICS_EXPONENT
     loss = 1 / hover.drive_efficiency

@@ -4,7 +4,7 @@ Derivation, sources and ranges: see docs/theory/vehicle_from_data.md, eqs. (1) t
 
 symbol | name | unit | meaning
 D, p | diameter, pitch | m | as printed on the propeller, "10x4.5" in inches
-C_T | coefficient | - | T = C_T rho n^2 D^4, n in revolutions per second
+C_T | coefficient | - | thrust = C_T rho n^2 D^4, with air density rho and n revolutions per second
 sigma | _SOLIDITY | - | blade area divided by disc area
 c_d | _DRAG_AT | - | mean drag coefficient of the blade, at the Reynolds number _REYNOLDS_AT
 FM | figure_of_merit | - | ideal power divided by shaft power, in hover

@@ -74,8 +74,9 @@ class PowerBand:
     def ranked(self) -> tuple[tuple[Cause, float], ...]:
         """Return each cause with its mean relative effect on the power, the largest effect first.
 
-        The effect is half the difference of the powers at both ends of the quantity's range,
-        divided by the power.
+        The effect is half the absolute difference between the powers at both ends of the range of
+        the uncertain quantity, divided by the best estimate of the power. It is averaged over the
+        airspeeds.
         """
         shares = [
             float(np.nanmean(np.abs(one.high - one.low) / (2 * self.power))) for one in self.causes
@@ -132,8 +133,9 @@ def _causes(vehicle: EstimatedVehicle) -> list[tuple[str, str, Numbers, Numbers]
     Returns
     -------
     list of (str, str, Numbers, Numbers)
-        Name of the quantity, measurement that would determine it, and the changed values of the
-        vehicle's fields with the quantity at the lower and at the upper end of its range.
+        For each quantity: its name, the measurement that would determine it, and two mappings from
+        the names of vehicle fields to changed values. The first mapping is for the lower end of the
+        quantity's range, the second for the upper end.
     """
     value = {name: one.value for name, one in vehicle.fields.items()}
     ends = {name: (one.low, one.high) for name, one in vehicle.fields.items()}
