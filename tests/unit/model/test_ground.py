@@ -137,6 +137,9 @@ def test_a_plan_crosses_a_hill_at_its_floor_and_is_verified_between_its_points(t
     over = places[:, 2] - hill(places[:, 0], places[:, 1])
     # Between the points of its grid, the hill is higher than the ground by less than 0.05 m.
     assert over.min() > 3.0 - 0.05
-    assert plan.scenario.airspace.height_above_ground(places).min() == pytest.approx(3.0, abs=3e-3)
+    # It touches the floor, but for the centimetres by which its path may be pushed off.
+    lowest = plan.scenario.airspace.height_above_ground(places).min()
+    allowed = FIGURES[plan.scenario.solver.accuracy].intrusion
+    assert 3.0 - allowed <= lowest <= 3.05
     flat = Planner().solve(plan.scenario.replace({"airspace.terrain": None}))
     assert plan.energy > 1.0001 * flat.energy
