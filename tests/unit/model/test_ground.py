@@ -13,6 +13,7 @@ from pyomo_quad.model import build_model
 from pyomo_quad.model.build import parameter_values, structure_key
 from pyomo_quad.model.screening import screen_model
 from pyomo_quad.scenario import load_scenario
+from pyomo_quad.scenario.accuracy import FIGURES
 
 NAMES = ("rigid_body.x", "rigid_body.y", "rigid_body.z")
 
