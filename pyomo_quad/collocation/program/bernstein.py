@@ -176,8 +176,8 @@ class Restraint:
         objective increases where a Bernstein coefficient would exceed its bound while the
         polynomial satisfies the bound.
     gap : float
-        Complementarity gap at the solution, in the unit of the objective: the sum of multipliers
-        times slacks over all inequalities, which Ipopt's barrier leaves.
+        Complementarity gap that Ipopt's barrier leaves at the solution, in the unit of the
+        objective: the sum of multipliers times slacks over all inequalities.
     """
 
     cost: FloatArray

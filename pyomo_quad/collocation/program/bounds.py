@@ -1,8 +1,8 @@
 """Bounds and scaling of a nonlinear program, and errors for programs that cannot be solved.
 
 The scaling divides each unknown by its magnitude. The scaling factors of the constraints and of the
-objective follow from their derivatives at a point: see docs/theory/refinement.md, eqs. (12) to
-(15).
+objective follow from their derivatives at given values of the unknowns: see
+docs/theory/refinement.md, eqs. (12) to (15).
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Limit:
-    """Bounds that one declaration of the model imposes on unknowns of the nonlinear program.
+    """Bounds that one Pyomo variable or constraint imposes on unknowns of the nonlinear program.
 
     Attributes
     ----------
     name : str
-        Name of the variable or constraint that declares the bounds.
+        Name of the variable or constraint.
     columns : ndarray of int, shape (n,)
         Positions of the bounded unknowns.
     lower, upper : ndarray, shape (n,)
@@ -201,9 +201,9 @@ def _fixed(program: Transcription, fixed: dict[tuple[str, float], float]) -> Ite
 def limits_at_points(program: Transcription) -> Iterator[Limit]:
     """Yield the bounds of static variables, and of single states at declared times.
 
-    A static variable is a variable without time. The bounds come from the declarations of static
-    variables, and from conditions (constraints at declared times) on a single state or a single
-    static variable.
+    A static variable is a variable without time; a declared time is a member of the continuous set.
+    The bounds are those of the Pyomo variables without time, and those from conditions (constraints
+    at declared times) on a single state or a single static variable.
     """
     compiled, layout = program.compiled, program.layout
     declared = compiled.declared
@@ -279,7 +279,8 @@ def _refuse_crossed_rows(program: Transcription, lower: FloatArray, upper: Float
 def crossed(place: object, lower: float, upper: float) -> TranscriptionError:
     """Return the error for a lower bound that exceeds the upper bound of the same quantity.
 
-    `place` is the variable or constraint with its time, which begins the message.
+    `place` gives the name of the variable or constraint, and its time; the message begins with it.
+    `lower` and `upper` are the two bounds.
     """
     return TranscriptionError(
         f"{place}: lower bound {lower:g} is above upper bound {upper:g}; relax one of the two."
@@ -298,13 +299,14 @@ _ROW_RANGE = (1e-8, 1e8)
 
 
 def scaling_of(program: Transcription, bounds: Bounds, z: FloatArray) -> Scaling:
-    """Return scaling factors of a nonlinear program at a point.
+    """Return scaling factors of a nonlinear program, for given values of its unknowns.
 
-    `z` are the unknowns at the point, and `bounds` the bounds of the program. The factor of an
-    unknown is the inverse of its variable's magnitude. The magnitude is the one that the model
-    declares for the variable; else it is the largest absolute value among the variable's values in
-    `z` and the variable's bounds below 1e6 (see `nominal_magnitudes`). The factors of constraints
-    and objective follow from their derivatives at `z`.
+    `z` are the values of the unknowns, and `bounds` the bounds of the program. The factor of an
+    unknown is the scaling factor of its variable in the Pyomo model, if the model has one.
+    Otherwise it is the inverse of the variable's magnitude: the largest absolute value among the
+    variable's values in `z` and the variable's bounds below 1e6. (The function
+    `nominal_magnitudes` computes the magnitudes.) The factors of constraints and objective follow
+    from their derivatives at `z`.
     """
     return scaling_by(program, nominal_magnitudes(program, bounds, z), z)
 
@@ -350,10 +352,10 @@ def _largest_slopes(program: NonlinearProgram, nominal: FloatArray, z: FloatArra
 def nominal_magnitudes(program: Transcription, bounds: Bounds, z: FloatArray) -> FloatArray:
     """Return the magnitude of each unknown, on which its scaling depends, shape (n_unknowns,).
 
-    All unknowns of a variable have the same magnitude. If the model declares a scaling factor of
+    All unknowns of a variable have the same magnitude. If the Pyomo model has a scaling factor of
     the variable, the magnitude is the inverse of this factor. Otherwise the magnitude is the
-    largest absolute value among the variable's values at `z` and its bounds below 1e6; it is 1 if
-    all of these are zero.
+    largest absolute value among the variable's values in `z` (the unknowns of the program) and its
+    bounds below 1e6; it is 1 if all of these are zero.
     """
     layout, declared = program.layout, program.compiled.declared
     nominal = np.ones(layout.unknowns)
@@ -371,9 +373,10 @@ def _magnitude(slot: Slot, bounds: Bounds, z: FloatArray, columns: Any) -> float
     """Return the magnitude of one variable, on which the scaling of its unknowns depends.
 
     `slot` is the variable, and `columns` are the positions of its unknowns. `bounds` and `z` are
-    the bounds and the values of all unknowns of the program. The result is the magnitude that the
-    model declares, if any. Otherwise it is the largest absolute value among the variable's values
-    and bounds, without bounds of 1e6 or more; it is 1 if all of these are zero.
+    the bounds and the values of all unknowns of the program. If the Pyomo model has a scaling
+    factor of the variable, the result is the inverse of this factor. Otherwise it is the largest
+    absolute value among the variable's values and bounds, without bounds of 1e6 or more; it is 1 if
+    all of these are zero.
     """
     if slot.nominal is not None:
         return slot.nominal

@@ -1,7 +1,7 @@
-"""The continuous model as CasADi functions of a single collocation point.
+"""The model before discretisation, as CasADi functions of a single collocation point.
 
-The functions are compiled once per model, independently of the mesh, and evaluated at all points by
-CasADi's `map`.
+The functions are compiled once per model, independently of the mesh. CasADi's method `map`
+evaluates them at all collocation points.
 """
 
 from __future__ import annotations
@@ -198,16 +198,16 @@ def _is_fixed_at_start_only(declared: Declarations, slot: Slot) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class SimpleBound:
-    """Bound on a single variable, as declared by the variable itself or by a constraint.
+    """Bound on a single variable: of the Pyomo variable itself, or from a constraint on it alone.
 
     Attributes
     ----------
     name : str
-        Name of the variable or constraint that declares the bound.
+        Name of the variable or constraint from which the bound comes.
     variable : str
         Name of the bounded variable's symbol.
     slope : float
-        Coefficient of the variable in the constraint; 1 for bounds that the variable declares.
+        Coefficient of the variable in the constraint; 1 for bounds of the Pyomo variable itself.
     lower, upper : casadi.SX
         Bounds of the variable itself, already divided by `slope`. They are expressions of the
         parameters and, if the bound holds over time, of the fraction of the horizon.
@@ -221,7 +221,10 @@ class SimpleBound:
 
 
 def _own_limits(slot: Slot) -> SimpleBound:
-    """Return the bounds that a variable (`slot`) declares, in the form of a `SimpleBound`."""
+    """Return a Pyomo variable's own bounds, without those from constraints, as a `SimpleBound`.
+
+    `slot` is the variable.
+    """
     return SimpleBound(
         name=slot.name, variable=slot.name, slope=1.0, lower=slot.lower, upper=slot.upper
     )
@@ -348,7 +351,7 @@ class TableArguments:
 
 @dataclass(frozen=True, kw_only=True)
 class CompiledModel:
-    """Compiled continuous model: CasADi functions of a collocation point and of the conditions.
+    """Model as CasADi functions: equations at one collocation point, conditions and objective.
 
     The data of a point are the fraction of the horizon, the time-dependent parameters and the
     constant parameters. A condition is a constraint among values at declared times (members of the

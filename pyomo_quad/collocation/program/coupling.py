@@ -100,7 +100,8 @@ class CouplingWriter(TemplateWriter):
     Attributes
     ----------
     links : dict
-        The static variables as `Link` objects. The key is the Pyomo name of what each replaces.
+        The static variables as `Link` objects. The key is the name, with its time, of the Pyomo
+        variable that the static variable replaces.
     """
 
     def __init__(self, readers: list[ModelReader], statics: dict[str, Slot]) -> None:
@@ -123,9 +124,10 @@ class CouplingWriter(TemplateWriter):
     def leaf(self, data: Any) -> Any:
         """Return the symbol for a Pyomo variable or parameter that couples several horizons.
 
-        The variable or parameter `data` appears in the objective or in a constraint on several
-        horizons. If it is a value of one horizon, the result is the symbol of a static variable (a
-        variable without time) that equals this value.
+        The variable or parameter `data` (a leaf of a Pyomo expression) appears in the objective or
+        in a constraint on several horizons. If `data` is a variable over one horizon at a single
+        time, the result is the symbol of a static variable (a variable without time) that equals
+        it.
         """
         over = self.copy.other_of(data.parent_component())
         if over is None:
@@ -194,17 +196,20 @@ class CouplingWriter(TemplateWriter):
 class CoupledDeclarations:
     """Declarations of a model with several horizons, separated by horizon.
 
+    Declarations are the variables, equations and objective of the Pyomo model, as CasADi symbols
+    and expressions. A `ModelReader` has made them from the Pyomo model.
+
     Attributes
     ----------
     horizons : dict
-        Declarations of each horizon and their reader, by the name of the continuous set.
+        Declarations of each horizon and their reader, by the name of the horizon's continuous set.
     coupling : Declarations, ModelReader
         The objective, and the constraints without time that concern several horizons or none, with
         their reader.
     states : dict
-        For each static variable (variable without time) of the coupling that equals a state of a
-        horizon, by the name of the static variable: the name of the horizon, and the state with its
-        declared time (a member of the continuous set).
+        Static variables (variables without time) of the coupling that equal a state of a horizon.
+        The name of the static variable is the key; the value is a pair: the name of the horizon,
+        and the state with its declared time (a member of the continuous set).
     links : tuple of str
         Names of the static variables that equal another variable of a horizon at a declared time,
         such as a control. Each equality is a constraint of the horizon, and this constraint has the
@@ -224,8 +229,13 @@ def read_horizons(model: Any, times: FreeTimes | None) -> CoupledDeclarations:
     ----------
     model : ConcreteModel
     times : mapping, optional
-        For each continuous set, by name: the static variables (variables without time) that replace
-        members of the set; see `JointProblem`.
+        For each continuous set, by name: a mapping from members of the set to the static variables
+        (variables without time) that give their physical times. It is the argument `times` of
+        `JointProblem`, the class of problems with several horizons.
+
+    Returns
+    -------
+    CoupledDeclarations
 
     Raises
     ------
@@ -280,8 +290,9 @@ def _refuse_gaps(
 
     An equality between a value at the end of one horizon and a value at the start of another is
     meant to continue the first horizon in the second. The equality is refused if the second horizon
-    is declared to start later than the first horizon ends. A gap is accepted if a static variable
-    replaces the end of the first or the start of the second horizon.
+    starts later than the first horizon ends, according to their continuous sets. A gap is accepted
+    if a static variable (a variable without time) gives the physical time of the end of the first
+    or of the start of the second horizon.
 
     Parameters
     ----------
@@ -290,8 +301,8 @@ def _refuse_gaps(
     links : list of Link
         Static variables that stand for values of the horizons in these constraints.
     free : dict
-        For each continuous set, by name: the static variables (variables without time) that replace
-        members of the set; see `JointProblem`.
+        For each continuous set, by name: a mapping from members of the set to the static variables
+        that give their physical times.
     """
     for condition in conditions:
         names = symbol_names(condition.expression)
@@ -543,7 +554,7 @@ class CoupledProgram:
 
     @property
     def is_negated(self) -> bool:
-        """Whether the declared objective is maximised, so that its negative is minimised."""
+        """Whether the Pyomo model maximises its objective, so that the negative is minimised."""
         return self.programs[0].is_negated
 
     def objective(self, z: FloatArray) -> float:

@@ -87,8 +87,9 @@ def with_defined(
 ) -> FloatArray:
     """Compute the algebraic variables that equations define, at several points.
 
-    Definitions may depend on each other. If the dependencies are circular and the residuals do not
-    decrease, the variables are returned unchanged.
+    The defining equations may depend on each other and are solved by repeated substitution. If
+    their largest residual does not fall below a millionth of its initial value, as may happen if
+    the dependencies are circular, the variables are returned unchanged.
 
     Parameters
     ----------
@@ -99,7 +100,7 @@ def with_defined(
     data : ndarray, shape (n_points, n_data)
         Fraction of the horizon and parameters, one row per point.
     given : list of Definition
-        Result of `definitions`.
+        The defining equations and their variables, as the function `definitions` returns them.
 
     Returns
     -------

@@ -1,10 +1,11 @@
 """Elastic programs: nonlinear programs whose constraints may be violated at a penalty.
 
-With the objective, and slacks (violations) in the equations over time, the optimum of an elastic
-program is an initial point near which these equations can be satisfied. Without the objective, and
-with slacks in every constraint, the optimum is the least sum of violations. A positive sum shows
-that no choice of the unknowns within their bounds, near the point where the search ended, satisfies
-all constraints: the verdict "infeasible".
+There are two kinds of elastic programs. The first kind keeps the objective, and has slacks
+(permitted violations) in the equations over time. Its optimum serves as the initial point of a
+solve, because these equations can be satisfied near it. The second kind has slacks in every
+constraint, and minimises the sum of violations instead of the objective. If the least sum is
+positive, no choice of the unknowns within their bounds, near the point where the search ended,
+satisfies all constraints: the problem is reported as infeasible.
 """
 
 from __future__ import annotations
@@ -114,9 +115,10 @@ def priced(program: Transcription, scaling: Scaling, z: FloatArray) -> ExtendedP
     """Return a program whose equations over time may be violated by slacks at a penalty.
 
     One unit of slack changes the value of an equation by the equation's scale, which is the inverse
-    of its factor in `scaling`. The penalty per unit of slack is weighted by the quadrature weight
-    of the collocation point, so that it does not depend on the mesh. The shape of the point `z`
-    gives the number of unknowns; its values have no effect.
+    of its factor in `scaling`. The penalty per unit of slack is proportional to the quadrature
+    weight of the collocation point. The sum of all penalties therefore approximates an integral
+    over the horizon, whatever the mesh. The size of `z` (the unknowns) gives the number of
+    unknowns; the values in `z` have no effect.
     """
     is_equality, mesh = program.compiled.is_equality, program.mesh
     rows = np.flatnonzero(np.tile(is_equality, program.n_points))

@@ -165,13 +165,14 @@ class SolverOptions:
     def on_central_path(self, parameter: float, distance: StartDistance) -> SolverOptions:
         """Return the settings for a warm start that converges to a point of the central path.
 
-        Many trajectories have nearly the same cost, and the controls of the optimum may differ
+        If many trajectories have nearly the same cost, the controls of the optimum may differ
         greatly from mesh to mesh. The central path is the curve of optima for positive barrier
         parameters. A given positive parameter selects one point of this curve, and the controls at
-        the selected point differ little from mesh to mesh. A start that is practically at the
-        selected point keeps its variables on their bounds.
-        A start far from it is first moved inside its bounds, and the solve begins with a larger
-        barrier parameter. If the solve began on the bounds with the final parameter, bounds that
+        the selected point differ little from mesh to mesh.
+
+        If the start practically coincides with the selected point, its variables stay on their
+        bounds. If the start is far from the selected point, it is first moved inside its bounds,
+        and the solve begins with a larger barrier parameter. Without these measures, bounds that
         become active or inactive would shorten nearly every step.
 
         Parameters
@@ -196,9 +197,9 @@ class SolverOptions:
         The barrier leaves a gap in the objective: the barrier parameter times the number of
         inequality bounds. The initial barrier parameter is chosen so that this gap equals the
         expected change, because with a larger gap the iterates would first move away from the warm
-        start and then return. If the chosen parameter is already about as small as the final value,
-        Ipopt does not reduce it, so that the remaining gap would differ from mesh to mesh. In that
-        case the solve begins with the final value.
+        start and then return. If the chosen parameter is already about as small as the barrier
+        parameter at which Ipopt ends a solve, Ipopt does not reduce it, and the remaining gap would
+        differ from mesh to mesh. In that case the solve begins with the final barrier parameter.
 
         A large change of the objective shifts the times at which bounds become active. If the start
         lay on its bounds, many iterations would then take short steps only. The start is therefore
@@ -255,10 +256,10 @@ class SolverOptions:
         """Return the settings for a warm start on a mesh that differs in few elements.
 
         With the usual initial barrier parameter of a warm start, the iterates would first move away
-        from a start that is nearly optimal. With a smaller parameter, controls on which the
-        objective hardly depends stay near their values on the previous mesh. The smaller value was
-        tested on a flight of 1 km against the wind, whose mesh was refined to five times as many
-        points.
+        from a start that is nearly optimal. With the smaller parameter of these settings, controls
+        on which the objective hardly depends stay near their values on the previous mesh. This
+        parameter was tested on a flight of 1 km against the wind, whose mesh was refined to five
+        times as many points.
         """
         pushes = tuple((name, _WELL_INSIDE) for name in _PUSHES)
         return replace(self, extra=(*self.extra, ("mu_init", _LOW_BARRIER), *pushes))
@@ -273,7 +274,7 @@ class Iteration:
     iteration : int
         Number of the iteration, from 0 in each solve.
     objective : float
-        Objective as declared.
+        Objective of the Pyomo model, not negated if it is maximised.
     infeasibility, dual_infeasibility : float
         Largest violation of the scaled constraints, and of the scaled stationarity conditions.
     barrier : float
@@ -404,7 +405,7 @@ class _Callbacks:
     progress : callable or None
         The caller's callback, called at each iteration.
     sign : float
-        -1 if the declared objective is maximised, else 1.
+        -1 if the Pyomo model maximises its objective, else 1.
     floor : float
         Value of the objective below which an iteration counts as evidence that the problem is
         unbounded.
@@ -676,11 +677,11 @@ def _with_idle_unknowns(
     """Add unknowns so that Ipopt does not treat the program as a square system.
 
     If there are as many equations as free unknowns, Ipopt solves the equations alone: it stops at
-    the first point that satisfies them, whatever the objective, and it refuses a program with more
-    equations. Ipopt must do neither if some equations follow from others, for example an end
-    condition that a conserved quantity satisfies: the feasible point is then not unique. An added
-    unknown appears as a square in the objective and in no equation, so that it stays zero and
-    changes nothing else.
+    the first point that satisfies them, whatever the objective. If there are more equations than
+    free unknowns, Ipopt refuses the program. Both are wrong if some equations follow from others,
+    because the feasible point is then not unique. An example is an end condition on a conserved
+    quantity. The added unknowns make the free unknowns outnumber the equations. Each appears as a
+    square in the objective and in no equation, so that it stays zero and changes nothing else.
 
     Parameters
     ----------
@@ -734,11 +735,11 @@ def run_past_the_barrier(
 ) -> IpoptResult:
     """Solve a program by Ipopt, and repeat the solve until the complementarity gap is negligible.
 
-    The gap is the sum of multipliers times slacks of all inequalities (`barrier_gap`). Ipopt stops
-    when gap and gradients are small in units of the scaled objective. If the objective is steep at
-    the initial point, its scaling factor becomes so small that the gap may exceed the objective
-    itself. The solve is then repeated, at most twice, with a larger factor on the objective, until
-    the gap is a small fraction of the objective.
+    The gap is the sum of multipliers times slacks of all inequalities; the function `barrier_gap`
+    computes it. Ipopt stops when gap and gradients are small in units of the scaled objective. If
+    the objective is steep at the initial point, its scaling factor becomes so small that the gap
+    may exceed the objective itself. The solve is then repeated, at most twice, with a larger factor
+    on the objective, until the gap is a small fraction of the objective.
 
     Parameters
     ----------

@@ -185,7 +185,7 @@ class NonlinearProgram(Protocol):
 
     @property
     def is_negated(self) -> bool:
-        """Whether the declared objective is maximised, so that its negative is minimised."""
+        """Whether the Pyomo model maximises its objective, so that the negative is minimised."""
 
     def objective(self, z: FloatArray) -> float:
         """Return the objective to minimise at the unknowns `z`."""
@@ -265,7 +265,7 @@ class ExtendedProgram:
 
     @property
     def is_negated(self) -> bool:
-        """Whether the declared objective is maximised; False if the objective is left out."""
+        """Whether the Pyomo model maximises its objective; False if the objective is left out."""
         return bool(self.share and self.program.is_negated)
 
     def split(self, w: FloatArray) -> tuple[FloatArray, FloatArray]:

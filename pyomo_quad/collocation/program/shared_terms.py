@@ -1,12 +1,13 @@
 """Common subexpressions of derivatives, found without writing out the data of tables.
 
 CasADi differentiates column after column, so that a Jacobian or Hessian contains many terms more
-than once; `casadi.cse` merges equal terms and does not change a single rounding.  For each call of
-an interpolation table, however, `casadi.cse` writes out the whole table, which takes a second for a
-table of a million numbers.  Therefore each call is replaced by symbols before the expressions are
-differentiated, and inserted again after equal terms have been merged.  The symbols need no
-derivatives: a call returns the coefficients of a Taylor polynomial, and these coefficients count as
-constants in all derivatives (`collocation.reading.local_splines`).
+than once. The function `casadi.cse` merges equal terms, and leaves every result the same to the
+last bit. For each call of an interpolation table, however, `casadi.cse` writes out the whole table,
+which takes a second for a table of a million numbers. Therefore each call is replaced by symbols
+before the expressions are differentiated, and inserted again after equal terms have been merged.
+The symbols need no derivatives: a call returns the coefficients of a Taylor polynomial, and these
+coefficients count as constants in all derivatives. The module `collocation.reading.local_splines`
+creates these calls.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ class WithoutCalls:
     rows : casadi.SX
         The expressions.
     calls : tuple of (casadi.SX, casadi.Function, casadi.SX)
-        Symbols of a result, the table's function, and its arguments, in the order of evaluation:
+        For each call of a table: the symbols that stand for its result, the function that evaluates
+        the table, and the arguments of the call. The calls are in the order of evaluation, because
         arguments may contain the symbols of earlier calls.
     """
 

@@ -219,7 +219,7 @@ class Transcription:
 
     @property
     def is_negated(self) -> bool:
-        """Whether the declared objective is maximised, so that its negative is minimised."""
+        """Whether the Pyomo model maximises its objective, so that the negative is minimised."""
         return self._sign < 0.0
 
     @property
@@ -297,7 +297,7 @@ class Transcription:
     def integrals(self, z: FloatArray) -> FloatArray:
         """Return the value of every integral, by Radau quadrature, shape (n_integrals,).
 
-        The integrals are those over the horizon, which the model declares. `z` are the unknowns.
+        The integrals are those over the horizon in the Pyomo model. `z` are the unknowns.
         """
         densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
         return self._weights() @ densities
@@ -320,9 +320,9 @@ class Transcription:
         """Return the magnitude of the objective, as a reference for its relative errors.
 
         The magnitude is the larger of two numbers: the absolute value of the objective at the
-        unknowns `z`, and the integral of the absolute value of its running cost
-        (`objective_density`). In the latter, positive and negative parts of the running cost do not
-        cancel.
+        unknowns `z`, and the integral of the absolute value of its running cost. In the latter,
+        positive and negative parts of the running cost do not cancel. (The method
+        `objective_density` returns the running cost.)
         """
         parts = float(self._weights() @ np.abs(self.objective_density(z)))
         return max(abs(self.objective(z)), parts)
@@ -331,8 +331,9 @@ class Transcription:
         """Return derivatives of the objective with respect to integrals that enter it directly.
 
         An integral enters the objective directly if no static variable (a variable without time)
-        stands for it in the objective. The derivatives are those of the objective as declared, at
-        the unknowns `z`; there is one for each of these integrals.
+        stands for it in the objective. The derivatives are those of the objective of the Pyomo
+        model (not negated if it is maximised) at the unknowns `z`; there is one for each of these
+        integrals.
         """
         sources = self._point[1](self.point_variables(z), self._point_data)[0].ravel()
         return self._jacobian.objective_slopes(sources)
@@ -382,8 +383,10 @@ class Transcription:
     def _derivative_sources(self, z: FloatArray) -> FloatArray:
         """Return the derivatives from which gradient and Jacobian are assembled, cached for `z`.
 
-        The derivatives are the values of CasADi functions at the unknowns `z`, as one array, in the
-        order that `jacobian_scatter` expects.
+        The derivatives are the values of CasADi functions at the unknowns `z`, as one array: the
+        nonzeros of the Jacobian of path equations and integrands, point by point, then the nonzeros
+        of the Jacobian of conditions (constraints at declared times) and objective, and a final 1.
+        The function `jacobian_scatter` makes the linear maps that assemble them.
         """
         if self._differentiated is None or not np.array_equal(self._differentiated, z):
             path = np.zeros(0)
@@ -439,11 +442,12 @@ class Transcription:
 
         The shape is (n_points, n_equations + n_integrals), with one row per collocation point. The
         weight of a path equation is its multiplier. The weight of an integrand is the quadrature
-        weight of the point times the weight of its integral in the Lagrangian (`integral_weights`).
+        weight of the point times the weight of its integral in the Lagrangian. (The method
+        `integral_weights` returns the weights of the integrals.)
 
         `z` are the unknowns, and `multipliers` the multipliers of all constraints of the program.
-        `factor` multiplies the declared objective in the Lagrangian; by default 1, or -1 if it is
-        maximised.
+        `factor` multiplies the objective of the Pyomo model in the Lagrangian; by default 1, or -1
+        if the objective is maximised.
         """
         n, points = self.compiled.n_equations, self.layout.points
         on_integral = self.integral_weights(z, multipliers, factor)
@@ -461,8 +465,8 @@ class Transcription:
         multiplier of the constraint that makes both equal.
 
         `z` are the unknowns, and `multipliers` the multipliers of all constraints of the program.
-        `factor` multiplies the declared objective in the Lagrangian; by default 1, or -1 if it is
-        maximised.
+        `factor` multiplies the objective of the Pyomo model in the Lagrangian; by default 1, or -1
+        if the objective is maximised.
         """
         factor = self._sign if factor is None else factor
         weights = np.zeros(len(self.compiled.declared.integrals))
@@ -476,10 +480,11 @@ class Transcription:
 
         The result has the shape (n_points, n_variables). Entry (i, j) is the second derivative with
         respect to variable j at collocation point i, per unit of the fraction of the horizon
-        (divided by the quadrature weight of the point). The variables are in the order of
-        `path_variables`. The entries are the diagonals of the Hessians that `path_hessians`
-        returns. `z` are the unknowns, and `multipliers` the multipliers of all constraints of the
-        program.
+        (divided by the quadrature weight of the point). The variables are in this order: rates
+        (derivatives of the states with respect to the fraction of the horizon), states, algebraic
+        and static variables. The entries are the diagonals of the Hessians that the method
+        `path_hessians` returns. `z` are the unknowns, and `multipliers` the multipliers of all
+        constraints of the program.
         """
         path = self.compiled.path
         held = self._path_hessian(z, multipliers)
@@ -493,9 +498,10 @@ class Transcription:
 
         The result has the shape (n_points, n_variables, n_variables), with one Hessian per
         collocation point, per unit of the fraction of the horizon (divided by the quadrature weight
-        of the point). It contains the terms of path equations and integrands. The variables are in
-        the order of `path_variables`. `z` are the unknowns, and `multipliers` the multipliers of
-        all constraints of the program.
+        of the point). Each Hessian contains the terms of path equations and integrands. The
+        variables are in this order: rates (derivatives of the states with respect to the fraction
+        of the horizon), states, algebraic and static variables. `z` are the unknowns, and
+        `multipliers` the multipliers of all constraints of the program.
         """
         path = self.compiled.path
         held, n = self._path_hessian(z, multipliers), path.values.size1_in(0)
@@ -553,9 +559,10 @@ class Transcription:
         """Return the integrands' contribution to the Lagrangian at the points, shape (n_points,).
 
         The contribution at a collocation point is the sum of all integrands, each multiplied by the
-        weight of its integral in the Lagrangian (`integral_weights`). Its integral over the
-        fraction of the horizon is the contribution of all integrals to the Lagrangian. `z` are the
-        unknowns, and `multipliers` the multipliers of all constraints of the program.
+        weight of its integral in the Lagrangian. (The method `integral_weights` returns these
+        weights.) The integral of the contribution over the fraction of the horizon is the part of
+        the Lagrangian that comes from all integrals. `z` are the unknowns, and `multipliers` the
+        multipliers of all constraints of the program.
         """
         densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
         return np.asarray(densities @ self.integral_weights(z, multipliers))
