@@ -66,8 +66,9 @@ class LocalSpline:
     function : casadi.Function
         Rounded arguments -> value, gradient and upper triangle of the Hessian of the spline.
     kept : tuple of casadi.Function
-        Derivatives of `function`, all zero. They are kept here because CasADi would otherwise
-        construct them anew for each expression.
+        Derivatives of `function`, all zero: the rounded arguments count as constants, and the
+        Taylor polynomial supplies the derivatives of the spline. They are kept here because CasADi
+        would otherwise construct them anew for each expression.
     """
 
     roundings: tuple[float, ...]

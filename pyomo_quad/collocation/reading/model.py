@@ -130,11 +130,12 @@ class RelationReader:
         conditions.extend(self._between(equation, template, instances))
 
     def _refuse_alike(self, component: Any, instances: list[Any]) -> None:
-        """Raise an error for a constraint without a rule whose members are alike at all times.
+        """Raise an error for a constraint that has no rule, and the same members at all times.
 
-        Members are alike if they differ in their times only. The constraint is probably meant for
-        all times, but the engine imposes it at the declared times only. `component` is the
-        constraint, and `instances` are its members.
+        Members count as the same if they differ in their times only. The constraint is probably
+        meant for all times, but without a rule the engine can impose it at the declared times (the
+        members of the continuous set) only. `component` is the constraint, and `instances` are its
+        members.
         """
         if all(self._is_alike(instances[0], other) for other in instances[1:]):
             raise TranscriptionError(
@@ -443,8 +444,9 @@ def read_declarations(
     final_time : Var, optional
         Static variable of the model that becomes the end of the horizon.
     times : mapping, optional
-        Free times: declared time (a member of the continuous set) -> static variable that gives the
-        physical time; see `Problem`.
+        Free times, which the solve determines: declared time (a member of the continuous set) ->
+        static variable that gives the physical time. See the argument `times` of the class
+        `Problem`.
 
     Returns
     -------
@@ -612,10 +614,11 @@ class ModelReader:
     ) -> frozenset[str]:
         """Return the names of the states that equations without time derivatives determine.
 
-        Each equation determines at most one state. If the model has derivatives in space, the
-        discretisation in space has added one equation for each of these derivatives. An added
-        equation determines the derivative for which it was added, and therefore no state; the name
-        of this derivative is in the result too.
+        Such states need no differential equation. An example is the boundary value of a variable
+        that is discretised in space. Each equation determines at most one state. The discretisation
+        has also added one equation for each derivative in space. An added equation determines the
+        derivative for which it was added, and therefore no state; the name of this derivative is in
+        the result too.
 
         `states` are the states whose time derivatives appear in no equation. `read` has one item
         per equality over time: the names of the symbols in it.

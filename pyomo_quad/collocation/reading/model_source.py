@@ -121,8 +121,8 @@ class LiveModel:
     schedules : tuple of Schedule or Phases
         Functions of time for quantities that the model does not state as expressions of time. A
         `Schedule` returns the branch that a rule takes at a time, and the numbers that it then
-        uses. `Phases` returns which phase of the horizon contains the time. The quantities are
-        those of `Declarations.scheduled`.
+        uses. `Phases` returns which phase of the horizon contains the time. The symbols of the
+        quantities are listed in `Declarations.scheduled`, an attribute of the translated model.
     """
 
     def __init__(self, model: Any, time: Any, schedules: tuple[Schedule | Phases, ...]) -> None:

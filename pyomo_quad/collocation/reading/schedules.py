@@ -232,7 +232,7 @@ class Schedule:
         return found
 
     def _sort(self, found: Reading, statement: Statement, time: float) -> None:
-        """Assign the result of a rule to its form, and register a new form.
+        """Assign the result of a rule to its form, or register the form if it is new.
 
         A form is an expression with its numbers as parameters. After compilation, an unknown form
         raises an error. `found` has the form and the numbers of the result `statement` of the rule
@@ -328,12 +328,15 @@ class Schedule:
         return result
 
     def _share_body_with_skipped(self, forms: list[list[Any]]) -> None:
-        """Give the forms that skip the constraint the body of another form, if that is linear.
+        """Replace the bodies of forms without bounds by the body of a form with bounds.
 
-        Results of the rule have the same form if they differ in their numbers only. `forms` has
-        lower bound, body and upper bound of each form, as CasADi expressions, and is changed in
-        place. A skipped constraint has no bounds, so that its body has no effect. With equal bodies
-        in all forms, a constraint on a single variable remains a bound of that variable.
+        Results of the rule have the same form if they differ in their numbers only. A form without
+        bounds results where the rule skips the constraint, so that the body has no effect there.
+        The body that replaces it must be linear; otherwise nothing is changed. With equal bodies in
+        all forms, a constraint on a single variable remains a bound of that variable.
+
+        `forms` has lower bound, body and upper bound of each form, as CasADi expressions, and is
+        changed in place.
         """
         is_skipped = [f.statement.is_skipped for f in self._forms.values()]
         if any(is_skipped) and not all(is_skipped):
@@ -566,7 +569,8 @@ class Interpolant:
     pieces : tuple of ndarray, shape (degree + 1, n_functions)
         Chebyshev coefficients of each piece.
     refusal : str
-        Message for times outside the edges, or if there are no pieces.
+        Message of the error that is raised for a time outside the edges, or for any time if there
+        are no pieces.
     """
 
     edges: tuple[float, ...]

@@ -189,8 +189,8 @@ RegisterNumericType(Instant)
 class _TrapezoidProbe:
     """Stand-in for a block, in which the continuous set consists of two equal times.
 
-    With this block, the rule of a `pyomo.dae.Integral` sums a single trapezoid and returns its
-    integrand; see `integrand`.
+    With this block, the rule of a `pyomo.dae.Integral` sums a single trapezoid and returns the
+    integrand of the integral. The function `integrand` uses it for this purpose.
     """
 
     def __init__(self, block: Any, continuous_set: Any, symbol: TimeSymbol | Instant) -> None:
@@ -442,7 +442,8 @@ class PointCondition:
 class Integral:
     """Integral over the horizon: its symbol in constraints and objective, and its integrand.
 
-    The integrand is a CasADi expression per unit of the fraction of the horizon.
+    The integrand is a CasADi expression, to be integrated over the fraction of the horizon from 0
+    to 1. It already contains the factor d (physical time) / d (fraction of the horizon).
     """
 
     name: str

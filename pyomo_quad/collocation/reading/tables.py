@@ -66,7 +66,7 @@ class Spline:
         points : sequence of ndarray
             Grid points of each argument, rising.
         values : ndarray
-            One axis per argument.
+            Values at the grid points, with one array axis per argument.
         degree : int
         """
         held, knots = np.asarray(values, dtype=float), []
@@ -205,7 +205,11 @@ class Table(PythonCallbackFunction):
 
 
 def _refuse_unfit(points: Sequence[FloatArray], values: FloatArray) -> None:
-    """Raise an error for grid points or values that do not define an interpolation table."""
+    """Raise an error for grid points or values that do not define an interpolation table.
+
+    `points` has the grid points of each argument, which must rise, and `values` the values of the
+    table at these points, with one array axis per argument.
+    """
     for axis, at in enumerate(points, start=1):
         if at.ndim != 1 or at.size <= _CUBIC:
             raise TranscriptionError(

@@ -68,7 +68,11 @@ class Instance:
         }
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Instance:
-        """Return the instance itself: it is immutable, and its functions are the caller's."""
+        """Return the instance itself.
+
+        The instance is immutable, and the functions of time that it contains belong to the caller
+        and are not copied. `memo` is Python's record of copied objects, which is not needed.
+        """
         return self
 
     def _picklable(
@@ -77,7 +81,8 @@ class Instance:
         """Return a parameter's value in a form that can be pickled.
 
         `name` is the name of the parameter, and `given` its value from the caller. A function of
-        time becomes piecewise polynomials over the horizon; a number is returned unchanged.
+        time becomes piecewise polynomials over the horizon. A number, and a function that can be
+        pickled already (`Interpolant` or `Steps`), is returned unchanged.
         """
         if not callable(given) or isinstance(given, Interpolant | Steps):
             return given

@@ -126,7 +126,8 @@ class ExpressionWriter:
         Returns
         -------
         (bool, Any)
-            True and the expression into which to descend; else False and its CasADi expression.
+            True and `expression` itself to descend into it; otherwise False and the CasADi
+            expression into which `expression` is translated.
         """
         go_on, value = self._before_child(None, expression, 0)
         return go_on, expression if go_on else value
@@ -137,7 +138,8 @@ class ExpressionWriter:
         Returns
         -------
         (bool, Any)
-            True and None to descend; else False and the argument's CasADi expression.
+            True and None to descend into the argument `child`; otherwise False and the CasADi
+            expression into which `child` is translated.
         """
         if child.__class__ in native_types:
             return False, child
@@ -494,7 +496,9 @@ class TemplateWriter:
         variable without time) that gives the physical time to which a declared time corresponds. If
         the rule of a constraint is ``m.x[t] == t``, the time on its right-hand side becomes this
         physical time, an expression of free times, instead of the number of the declared time.
-        Members whose physical time depends on no free time are returned unchanged.
+
+        `data` is the member. A member whose physical time depends on no free time is returned
+        unchanged.
         """
         component, address = data.parent_component(), self.addresses.of(data)
         rule, clock = rule_of(component), self.symbols.clock
@@ -518,10 +522,10 @@ class TemplateWriter:
         return any(s.name == name for s in self.schedules)
 
     def scheduled_beside(self, time: float, side: int = -1) -> dict[str, tuple[Any, float]]:
-        """Return the values that data without a formula of time have just before or after a time.
+        """Return, just before or after a time, the data that Python functions of time supply.
 
-        Equations contain symbols for two kinds of data that Python functions, and no CasADi
-        expressions of time, supply. For rules that branch on time, the data are the branch that a
+        The equations contain symbols for these data, because no CasADi expression of time exists
+        for them. There are two kinds. For rules that branch on time, the data are the branch that a
         rule takes, and the numbers that the rule uses in this branch. For a horizon with phases,
         the data are the indicators of the phases, each 1 at times of its phase and 0 elsewhere. The
         result maps the name of each symbol to (symbol, value).
@@ -539,11 +543,11 @@ class TemplateWriter:
         }
 
     def _within(self, time: float) -> float:
-        """Return the midpoint of the interval between two declared times that contains a time.
+        """Return the midpoint of the interval in which a time lies.
 
-        Declared times are members of the continuous set. If times are free (determined by the
-        solve), a rule is called with the midpoint instead of the time itself, because its result
-        may change at declared times only.
+        Neighbouring declared times (members of the continuous set) bound the interval. If times are
+        free (determined by the solve), a rule is called with the midpoint instead of `time` itself,
+        because the result of the rule may then change at declared times only.
         """
         declared = self.copy.declared_times
         after = min(max(bisect_left(declared, time), 1), len(declared) - 1)

@@ -101,9 +101,9 @@ def active_limits(solution: Solution) -> NDArray[np.bool_]:
 
     The result has shape (n_points, n_limits). The limits are, in this order: lower bounds of states
     and algebraic variables, their upper bounds, lower sides of path equations, and their upper
-    sides. At an interior-point solution the
-    product of a limit's multiplier and slack (distance to the limit) is the same small number
-    everywhere. A limit is active where its scaled multiplier is larger than its scaled slack.
+    sides. At an interior-point solution the product of a limit's multiplier and slack (distance to
+    the limit) is the same small number everywhere. A limit is active where its scaled multiplier is
+    larger than its scaled slack.
     """
     pulls, slacks = _pulls_and_slacks(solution)
     return np.asarray(pulls > slacks)

@@ -106,10 +106,10 @@ class Allowance:
     Attributes
     ----------
     control_breach : float
-        Largest violation of a control's bound between the collocation points at which the control
-        is not clipped to the bound, relative to max(1, abs(bound)). If the violation is larger, the
-        effect of clipping on states and objective counts as error. If it is smaller, the change of
-        states that the violation causes counts as error.
+        Tolerable violation of a control's bound between the collocation points, relative to
+        max(1, abs(bound)). A control that violates its bound by more is clipped, and the effect of
+        clipping on states and objective counts as error. A control that violates its bound by less
+        is not clipped, and the change of states that the violation causes counts as error.
     limit_breach : float
         Largest tolerable violation of any other limit, relative to max(1, abs(limit)). If the
         violation is larger, the violation itself counts as error. If it is smaller, its effect on
@@ -118,10 +118,11 @@ class Allowance:
         Tolerance on the final states, relative to max(1, abs(final state)).
     state_error : float, optional
         Tolerance on the error of the states between the points, relative to their magnitudes; by
-        default the tolerance of the refinement. A larger value suffices if the controls are
-        corrected by feedback in a simulation, because the error then changes the objective only to
-        second order. The tolerance on the residuals of algebraic equations between the points is
-        then ten times this value, because the simulation solves these equations.
+        default the tolerance of the refinement. A larger value suffices if a simulation corrects
+        the controls by feedback and does not fly them in open loop, because the error then changes
+        the objective only to second order. The tolerance on the residuals of algebraic equations
+        between the points is then ten times this value, because the simulation solves these
+        equations.
     """
 
     control_breach: float = np.inf
@@ -237,10 +238,11 @@ def estimate_error(
     solution : Solution
         Solution on one mesh, whose errors between the collocation points are estimated.
     tolerance : float, optional
-        Tolerance with which the errors will be compared. Errors of states are scaled so that their
-        limits (`Allowance.state_error` and `Allowance.final_miss`) become this tolerance. The costs
-        of misplaced control switches count only if all other errors are below the tolerance, so
-        that coarse elements are refined first.
+        Tolerance with which the errors will be compared. The errors of the states have tolerances
+        of their own, the attributes `state_error` and `final_miss` of `allowance`; they are scaled
+        so that they can be compared with `tolerance` too. The costs of misplaced control switches
+        count only if all other errors are below the tolerance, so that coarse elements are refined
+        first.
     allowance : Allowance, optional
         Tolerances for flying the controls in open loop.
 

@@ -177,8 +177,8 @@ class _Refinement(Generic[S]):
     def continue_from(self, known: S) -> S | None:
         """Choose the next meshes after a solution that is known already, without a new solve.
 
-        `known` is a converged solution on the first meshes. The result is that of
-        `with_next_meshes`.
+        `known` is a converged solution on the first meshes. The result is the final solution if the
+        refinement ends, and None if it continues.
         """
         errors = self._errors(known)
         error = max(e.largest for e in errors)
@@ -411,7 +411,8 @@ class _Refinement(Generic[S]):
     def _has_settled(self, solution: Outcome) -> bool:
         """Return whether the objective has changed little since the previous mesh.
 
-        It has if the relative change to the objective of `solution` is not more than half the
+        The result is true if the relative difference between the objective of `solution`, the
+        solution on the present mesh, and the objective on the previous mesh is at most half the
         tolerance of the refinement.
         """
         return _objective_change(solution.parts[0], self.tolerance) <= _SETTLED * self.tolerance
@@ -463,17 +464,18 @@ class _Refinement(Generic[S]):
         return change * last.nominal_objective if math.isfinite(change) else None
 
     def _gap_to_leave(self, solution: Outcome, errors: tuple[ErrorEstimate, ...]) -> float:
-        """Return the complementarity gap at which the next solve may stop, over the objective.
+        """Return the relative complementarity gap at which the next solve may stop.
 
         The gap is the error that Ipopt's barrier leaves in the objective; the result is relative to
         the objective. `solution` is the solution on the present meshes, and `errors` has its
         estimated errors, one for each horizon.
 
         The result is 0.3 times the relative error that objective and integrals have on the present
-        meshes, as estimated in `errors`. If bounds are imposed between the collocation points, the
-        relative change of the objective since the previous mesh counts instead, if it is larger.
-        The result is at most 1e-3, but not less than 0.2 times the tolerance. A smaller gap is not
-        useful while the times at which limits become active change from mesh to mesh.
+        meshes, as estimated in `errors`. With bounds imposed between the collocation points, the
+        larger of this error and the relative change of the objective since the previous mesh takes
+        the place of the error. The result is at most 1e-3, but not less than 0.2 times the
+        tolerance. A smaller gap is not useful while the times at which limits become active change
+        from mesh to mesh.
         """
         unknown = max(e.of_integrals for e in errors)
         if any(part.restraint is not None for part in solution.parts):
@@ -497,8 +499,9 @@ def _firmer(firmness: float, settled: int) -> float:
 class _MeshSolve(Search[S], Generic[S]):
     """Search for the solution on the next meshes of a refinement.
 
-    The search tries the strategies of `strategies.STRATEGIES` for a further mesh of the refinement,
-    in the order of that table.
+    The table `STRATEGIES` in the module `strategies` lists the ways in which a solve may be tried.
+    The search tries those that the table gives for a further mesh of a refinement, in the order of
+    the table.
 
     Attributes
     ----------
@@ -528,10 +531,11 @@ class _MeshSolve(Search[S], Generic[S]):
     def holds(self, fact: Fact) -> bool:
         """Return whether a condition that a strategy requires is true at this stage of the search.
 
-        `fact` is the condition. The conditions are that there is a warm start (`Fact.WARM_START`),
-        and that the next solution is expected near the previous one (`Fact.KEPT_NEAR`) or not
-        (`Fact.FREE`). It is expected near if controls are damped, or if the change of the objective
-        is known, so that Ipopt starts with a small barrier parameter.
+        `fact` is the condition, one of three: there is a warm start (`Fact.WARM_START`); the next
+        solution is expected near the previous solution (`Fact.KEPT_NEAR`); it is not expected near
+        the previous solution (`Fact.FREE`). The next solution is expected near the previous
+        solution if controls are damped, or if the expected change of the objective is known, so
+        that Ipopt starts with a small barrier parameter.
         """
         is_kept_near = self.change is not None or _are_damped(self.dampings)
         has_warm = self.start.warm is not None
@@ -670,12 +674,14 @@ def _result_above_tolerance(ended: S, reached: _Reached[S] | None, tolerance: fl
 
 
 def _cut_off(reached: _Reached[S]) -> S:
-    """Return the kept solution if a restart of the refinement used up the allowed number of meshes.
+    """Return the result of a refinement that has to stop after a restart, above its tolerance.
 
-    A restart begins the refinement again from better controls. `reached` holds the solution that
-    met the tolerance before the restart; this solution is returned. Its status and message are
-    changed to state that better controls exist. If the solution is itself the result of an earlier
-    restart, its estimated error is at least the improvement of the objective by that restart.
+    A restart begins the refinement again from better controls. The refinement may have to stop
+    before it meets the tolerance again, for example because it has used up the allowed number of
+    meshes. `reached` holds the solution that met the tolerance before the restart; this solution is
+    returned. Its status and message are changed to state that better controls exist. If the
+    solution is itself the result of an earlier restart, its estimated error is at least the
+    improvement of the objective by that restart.
     """
     own = reached.solution.parts[0].error_estimate
     return _doubted(reached.solution.updated(error_estimate=max(own, reached.earned)))

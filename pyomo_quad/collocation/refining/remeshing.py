@@ -81,14 +81,14 @@ class RefinementOptions:
 
     @property
     def breach_between_points(self) -> float:
-        """Largest violation of a bound that is allowed between the points, over max(1, abs(bound)).
+        """Largest relative violation of a bound that is allowed between the collocation points.
 
-        The points are the collocation points. If the result is finite, solves with a warm start
-        impose the bounds between the points as well, up to this violation; if it is infinite,
-        bounds are imposed at the points only. It is finite if `limits_move` is true and the
-        tolerances on violations in `allowance` are positive. It is infinite if `allowance` sets a
-        tolerance on the states: a simulation then corrects the controls by feedback, and shows
-        violations between the points.
+        The violation is relative to max(1, abs(bound)). If the result is finite, solves with a warm
+        start impose the bounds between the points as well, up to this violation; if it is infinite,
+        bounds are imposed at the points only. It is infinite if `allowance` sets a tolerance on the
+        states: a simulation then corrects the controls by feedback, and shows violations between
+        the points. Otherwise it is finite if `limits_move` is true and the tolerances on violations
+        in `allowance` are positive.
         """
         if self.allowance.state_error is not None:
             return math.inf

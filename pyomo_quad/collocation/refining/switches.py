@@ -96,10 +96,11 @@ def _jumping_elements(solution: Solution) -> frozenset[int]:
 def _hamiltonians(
     solution: Solution, points: NDArray[np.intp], fractions: FloatArray
 ) -> FloatArray:
-    """Return the Hamiltonian at collocation points, with time-dependent parameters of given times.
+    """Return the Hamiltonian at collocation points, with parameters taken at other times.
 
-    `misplaced_switches` thus compares the Hamiltonians of two neighbouring points with the same
-    values of the time-dependent parameters.
+    The function `misplaced_switches` compares the Hamiltonians of two neighbouring points. The
+    time-dependent parameters must have the same values for both points, and are therefore taken at
+    given times instead of the times of the points.
 
     Parameters
     ----------
