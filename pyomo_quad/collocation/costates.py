@@ -60,8 +60,8 @@ class Costates:
     hamiltonian : ndarray, shape (n_points,)
         Hamiltonian of the minimised objective, per unit of time.
     sizes : ndarray, shape (n_states,)
-        Largest magnitude of each costate over the horizon. The value is at least 1e-9 times the
-        magnitude of the objective divided by the magnitude of the state.
+        Largest magnitude of each costate over the horizon, but at least 1e-9 a / b, where a is the
+        magnitude of the objective, and b the largest magnitude of the state over the horizon.
     """
 
     mesh: Mesh
@@ -151,8 +151,8 @@ def costates_of(
     timeline : Timeline
         Mapping from fractions of the horizon to physical times.
     objective : float
-        Magnitude of the objective. A costate counts as zero if its product with the magnitude of
-        its state is below 1e-9 times this magnitude.
+        Magnitude of the objective. A costate counts as zero if its product with the largest
+        magnitude of its state is below 1e-9 times the magnitude of the objective.
 
     Returns
     -------
@@ -248,10 +248,13 @@ def costate_errors_of(
     """Estimate the largest error of each costate over the horizon, relative to its magnitude.
 
     Where the solution is smooth, the adjoint equations are integrated once more, with the costates
-    `Costates.at_points`. The estimate is twice the resulting change of each costate. A limit on a
-    state that becomes active or inactive inside an element may change the costates by a jump
-    anywhere in that element. If the limit's multiplier does not vary smoothly over an element, the
-    error therefore includes the multiplier's full effect on all costates in the element.
+    at the collocation points (`costates.at_points`) in their right-hand side. The estimate is twice
+    the resulting change of each costate.
+
+    A limit on a state that becomes active or inactive inside an element may cause a jump of the
+    costates at an unknown time in that element. If the limit's multiplier does not vary smoothly
+    over an element, the estimate therefore includes the multiplier's full effect on all costates in
+    the element.
 
     Parameters
     ----------

@@ -39,8 +39,9 @@ _SoftRow = tuple[str, int, int, float, float, float]
 class SoftRows:
     """One-sided limits that a diagnosis may relax: sign * (value - limit) <= slack * size.
 
-    The slack is a non-negative unknown of the elastic program. All limits that one component of the
-    model declares (a family) share a slack.
+    The diagnosis solves an elastic program, which relaxes the limits by as little as possible. The
+    slack is a non-negative unknown of this program. All limits that one component of the model
+    declares (a family) share a slack.
 
     Attributes
     ----------
@@ -126,11 +127,11 @@ class SoftRows:
 def _soft_unknowns(limits: list[Limit], scaling: Scaling) -> Iterator[_SoftRow]:
     """Yield the one-sided limits on unknowns of the nonlinear program, for `SoftRows.of`.
 
-    `limits` are the declared limits on unknowns. A limit with a lower and an upper side gives two
-    one-sided limits for each unknown. The reference magnitude of a limit follows from the unknown's
-    scaling factor in `scaling`. The items are tuples (name of the declaring component, -1 in place
-    of the index of a constraint, index of the unknown, 1 for an upper or -1 for a lower limit,
-    value of the limit, reference magnitude).
+    `limits` are the limits on unknowns that the Pyomo model declares. A limit with a lower and an
+    upper side gives two one-sided limits for each unknown. The reference magnitude of a limit
+    follows from the unknown's scaling factor in `scaling`. The items are tuples (name of the
+    component that declares the limit, -1 in place of the index of a constraint, index of the
+    unknown, 1 for an upper or -1 for a lower limit, value of the limit, reference magnitude).
     """
     for limit in limits:
         for k, column in enumerate(limit.columns):

@@ -160,8 +160,9 @@ class Dynamics:
         algebraic variables enter nonlinearly. `core` holds the equations, split into a nonlinear
         part, which Newton's method solves, and a linear part. `inputs` are the symbols of the
         function's inputs: columns of states, controls, static variables and data (fraction of the
-        horizon and parameters). The outputs of the function are those of `_compile`: rates with
-        algebraic variables, and the objective's integrand with the time per unit of the fraction.
+        horizon and parameters). The function has two outputs: the rates followed by the algebraic
+        variables that equations determine, and the objective's integrand followed by the derivative
+        of time with respect to the fraction of the horizon.
         """
         newton = casadi.rootfinder("slopes", "newton", core.residual, {"abstol": _NEWTON_TOLERANCE})
         symbols = [casadi.MX.sym(f"i{k}", i.shape[0]) for k, i in enumerate(inputs)]
@@ -172,9 +173,10 @@ class Dynamics:
     def without_iterations(self) -> Dynamics:
         """Return the same right-hand side with implicit equations solved by 20 Newton steps.
 
-        The returned right-hand side consists of CasADi's fast scalar expressions (SX). Where
-        equations are implicit, CasADi's Newton iteration costs ten times as much as the evaluation
-        of all other equations.
+        The Newton steps are written out, so that the returned right-hand side consists of CasADi's
+        fast scalar expressions (SX). CasADi's own Newton iteration, which the steps replace, costs
+        ten times as much as the evaluation of all other equations. A right-hand side without
+        implicit equations is returned unchanged.
         """
         if self._right_hand_side.is_a("SXFunction"):
             return self
@@ -563,9 +565,9 @@ class Dynamics:
 
     @property
     def states_used_up(self) -> tuple[str, ...]:
-        """Names of the states that a flight uses up: initial value given, final value free.
+        """Names of the states with a given initial value and a free final value.
 
-        An example is the charge of a battery.
+        An example is the charge of a battery, which a flight uses up.
         """
         declared = self._formulation.compiled.declared
         # A state at the end remains free if only the objective depends on it.
@@ -713,7 +715,7 @@ def split_algebraics(formulation: Formulation) -> tuple[tuple[Slot, ...], tuple[
     Returns
     -------
     tuple of Slot, tuple of Slot
-        Controls, and determined variables, in declared order.
+        Controls, and determined variables, in the order in which the model declares them.
 
     Examples
     --------
@@ -771,8 +773,8 @@ def control_limits(
 def _objective_density(formulation: Formulation) -> Any:
     """Return the integrand of the objective of a compiled problem, as a CasADi expression.
 
-    The objective is the declared one, also if it is maximised. The integrand is per unit of the
-    fraction of the horizon.
+    The integrand has the sign of the objective in the Pyomo model, also if that objective is
+    maximised. It is per unit of the fraction of the horizon.
     """
     declared = formulation.compiled.declared
     density = casadi.SX(0)
@@ -1198,8 +1200,9 @@ class ClosedLoop:
         """Return partial derivatives of the joint state's time derivative at n times.
 
         The joint state consists of the states of vehicle and law, and the integral of the
-        objective's integrand; `rates` returns its time derivative. At a corner of the law, for
-        example where `fmin` switches, the partial derivatives are one-sided.
+        objective's integrand; the method `rates` returns its time derivative. Where the control law
+        has a kink, for example where `fmin` switches between its arguments, the partial derivatives
+        are one-sided.
 
         Parameters
         ----------

@@ -157,7 +157,7 @@ class FirstSolve(Search[S], Generic[S]):
 
         Any successful result ends it. A failed result ends it only if it comes from the solve that
         the caller requested, and if that solve diverged (the problem is unbounded) or the caller
-        allows few iterations only.
+        allows it fewer than 200 iterations.
         """
         is_hasty = self.options.max_iterations < PATIENCE
         is_first = found is self.first
@@ -210,8 +210,9 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     def holds(self, fact: Fact) -> bool:
         """Return whether the condition `fact` of a strategy is true at this stage of the search.
 
-        The conditions of this class concern the numbers of horizons, equations and unknowns, and
-        whether the caller gave a mesh or a guess. Other conditions are evaluated by the base class.
+        This class evaluates the conditions that there is one horizon only (always true here), that
+        there are as many equations as free unknowns, or more, and that the caller gave no mesh or
+        no guess. Other conditions are evaluated by the base class.
         """
         known = {
             Fact.ONE_HORIZON: True,

@@ -338,7 +338,8 @@ class OutputStates:
         start : ndarray, shape (n_outputs,)
             Initial values.
         path_variables : ndarray, shape (n_points, n_variables)
-            Rates, states, algebraic and static variables of the nonlinear program, at the points.
+            Rates (derivatives of the states with respect to the fraction of the horizon), states,
+            algebraic and static variables of the nonlinear program, at the collocation points.
         data : ndarray, shape (n_points, n_data)
             Fraction of the horizon, time-dependent parameters and constant parameters.
 
@@ -542,11 +543,11 @@ class Formulation:
     def data_at_starts(self, instance: Instance) -> FloatArray:
         """Return the values of all parameters at the start of the horizon and just after each jump.
 
-        A jump is a discontinuity of a time-dependent parameter. The values at the collocation
-        points do not include these times; the bounds of variables at these times are evaluated from
-        this result (`program.bounds.bounds_of`). `instance` holds the parameter values of one
-        solve. The result has shape (1 + n_jumps, n_data). Its columns are the fraction of the
-        horizon, the time-dependent parameters and the constant parameters.
+        A jump is a discontinuity of a time-dependent parameter. None of these times is a
+        collocation point. The function `bounds_of` of the module `program.bounds` needs the
+        parameters at these times to evaluate the bounds of variables there. `instance` holds the
+        parameter values of one solve. The result has shape (1 + n_jumps, n_data). Its columns are
+        the fraction of the horizon, the time-dependent parameters and the constant parameters.
         """
         after = np.array(instance.jumps) + 2.0 * BESIDE
         return self.data_of(instance, np.concatenate([np.zeros(1), after])).at_points()

@@ -197,7 +197,8 @@ class JointSolution(Outcome):
         Returns
         -------
         float or ndarray
-            In the shape of `t`.
+            In the shape of `t`. The cost is the minimised objective: the negative of the declared
+            objective if that is maximised.
 
         Raises
         ------

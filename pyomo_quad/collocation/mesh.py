@@ -270,8 +270,9 @@ class Trajectory:
 class Timeline:
     """Mapping between fractions of the declared horizon and physical time, linear in each phase.
 
-    A phase ends at a free time (a time that the solve determines) or at the end of the horizon, and
-    begins where the previous phase ends. The time at which a phase ends belongs to that phase.
+    The declared horizon is the range of the continuous set in the Pyomo model. A phase ends at a
+    free time (a physical time that the solve determines) or at the end of the horizon, and begins
+    where the previous phase ends. The time at which a phase ends belongs to that phase.
 
     Attributes
     ----------
@@ -310,7 +311,7 @@ class Timeline:
         Parameters
         ----------
         fractions : float or ndarray
-            Fractions of the declared horizon, from 0 to 1.
+            Fractions of the declared horizon, the range of the model's continuous set, from 0 to 1.
 
         Returns
         -------
@@ -324,6 +325,8 @@ class Timeline:
 
     def fraction(self, times: Any) -> Any:
         """Return the fractions of the declared horizon at physical times.
+
+        The declared horizon is the range of the continuous set in the Pyomo model.
 
         Parameters
         ----------
@@ -356,8 +359,9 @@ class Timeline:
     def fraction_at(self, time: float) -> float:
         """Return the fraction of the declared horizon at one physical time.
 
-        The result is that of `fraction`. For a single time, Python's numbers are several times
-        faster than arrays, and simulations need the fraction in each evaluation of the equations.
+        The declared horizon is the range of the continuous set in the Pyomo model. The result is
+        that of the method `fraction`. For a single time, Python's numbers are several times faster
+        than arrays, and simulations need the fraction in each evaluation of the equations.
 
         Parameters
         ----------

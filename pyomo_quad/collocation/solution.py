@@ -117,7 +117,7 @@ class MeshRecord:
     iterations : int
         Iterations of Ipopt.
     objective : float
-        Objective as declared.
+        Objective that the Pyomo model declares; it is not negated if it is maximised.
     error : float
         Estimated largest relative error of the states.
     wall_s : float
@@ -145,7 +145,8 @@ class Outcome(Summarised):
     message : str
         Reason why the solve ended, in one sentence.
     objective : float
-        Objective as declared, with integrals by Radau quadrature at the collocation points.
+        Objective that the Pyomo model declares (not negated if it is maximised), with integrals by
+        Radau quadrature at the collocation points.
     iterations : tuple of Iteration
         Ipopt's progress in the last solve.
     wall_s : float
@@ -330,9 +331,11 @@ class Solution(Outcome):
     def mesh_in_time(self) -> Mesh:
         """Mesh of the solution, with element boundaries as fractions of the physical duration.
 
-        The boundaries of `mesh` are fractions of the declared horizon instead. The two meshes
-        differ only if interior times are free, because phases then have other shares of the
-        duration than declared. The trajectory's values at the nodes are the same on both meshes.
+        The boundaries of the attribute `mesh` are instead fractions of the declared horizon, the
+        range of the model's continuous set. The two meshes differ only if the solve determines
+        times inside the horizon (free times): the phases between these times then have other shares
+        of the physical duration than of the declared horizon. The trajectory's values at the nodes
+        are the same on both meshes.
         """
         if len(self.timeline.times) == 2:
             return self.mesh

@@ -155,7 +155,8 @@ def within_budget(
     progress : callable or None
         Called at each iteration; returning False stops the solve.
     is_known : bool, default True
-        Whether the recorded iterations may serve as a budget.
+        Whether the recorded iterations may serve as a budget. They must not if this solve uses
+        several initial points, which take more iterations than one.
 
     Returns
     -------
@@ -204,7 +205,8 @@ def carried_out(
     progress : callable or None
         Called at each iteration; returning False stops the solve.
     is_known : bool, default True
-        Whether the iterations recorded in a warm start are its budget; see `within_budget`.
+        Whether the iterations recorded in a warm start are its budget (see `within_budget`); False
+        if the solve uses several initial points, which take more iterations than one.
 
     Returns
     -------

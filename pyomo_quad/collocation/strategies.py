@@ -119,8 +119,8 @@ class Strategy:
     is_scaled : bool
         Whether Ipopt solves the scaled program.
     is_firm : bool
-        Whether the damping of the controls (see `refining.damping`) is increased, and the barrier
-        parameter begins larger.
+        Whether the damping of the controls (a penalty on their distance from the controls of the
+        previous mesh) is increased, and Ipopt begins with a larger barrier parameter.
     iterations : float or None
         Limit of iterations on each mesh. None: a warm start may take as many iterations as the
         solve from the guess took, on its first mesh and on all meshes together.

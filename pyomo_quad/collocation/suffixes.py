@@ -29,8 +29,9 @@ if TYPE_CHECKING:
 class Sensitivities:
     """Derivatives of the declared objective with respect to constraints, bounds or states.
 
-    For a constraint, the derivative is with respect to its constant side; for a bound, with respect
-    to the value of the bound. For a state it is the costate: the derivative with respect to the
+    The declared objective is that of the Pyomo model, not negated if it is maximised. For a
+    constraint, the derivative is with respect to its constant side; for a bound, with respect to
+    the value of the bound. For a state it is the costate: the derivative with respect to the
     value of the state at one time.
 
     Attributes
@@ -64,11 +65,12 @@ class Sensitivities:
 def load_suffixes(*solutions: Solution) -> None:
     """Fill the suffixes `dual`, `rc` and `costate` of a model that imports them.
 
-    The suffixes hold derivatives of the declared objective: with respect to the constant side of a
-    constraint (`dual`), to a bound of a variable (`rc`), and to a state (`costate`). For a
-    constraint or bound over time, the derivative is per unit of time. A model with several horizons
-    has one solution per horizon. Nothing is done for a problem that was pickled, which has no
-    model.
+    The suffixes hold derivatives of the objective that the Pyomo model declares: with respect to
+    the constant side of a constraint (`dual`), to a bound of a variable (`rc`), and to a state
+    (`costate`). For a constraint or bound over time, the derivative is per unit of time.
+    `solutions` are the solutions from which the derivatives are computed: a single one; or, for a
+    model with several horizons, one per horizon and one for the constraints that couple the
+    horizons. Nothing is done for a problem that was pickled, which has no model.
     """
     source = solutions[0].problem.source
     if not isinstance(source, LiveModel):

@@ -235,9 +235,9 @@ def doubted(solution: S) -> S:
 
 
 def _without_objective(solution: S) -> S:
-    """Return a converged solution with a message if its problem has no objective.
+    """Return a solution; if its problem has no objective, with a message that says so.
 
-    Other solutions are returned unchanged.
+    Only a converged solution gets the message. Any other solution is returned unchanged.
     """
     declared = solution.parts[0].problem.compiled.declared
     if declared.objective_name or solution.status is not Status.CONVERGED:
@@ -270,7 +270,8 @@ def _undoubted(solution: S) -> S:
 def _within_tables(solution: S) -> S:
     """Mark a solution as not converged if it evaluates a table outside the range of its data.
 
-    A table is an interpolation table of the model. The message of the solution names the table.
+    A table is an interpolation table of the model. The message of the returned solution names the
+    table. If all tables are evaluated inside their ranges, the solution is returned unchanged.
     """
     line = next(filter(None, map(outside_tables, solution.parts)), "")
     if not line:
