@@ -432,8 +432,8 @@ def fly_baseline(
     Parameters
     ----------
     scenario : Scenario
-        The mission with fixed times; for an autopilot's cruise, the times that `routes.cruise_at`
-        computes.
+        The mission with fixed times. If the reference is an autopilot's cruise, they are the times
+        that the function `routes.cruise_at` computes.
     reference : Reference
         Path that the controller follows.
     dynamics : Dynamics

@@ -220,9 +220,9 @@ class Candidate:
     def starts_warm(self) -> bool:
         """Return whether the search can start from the variables and multipliers of a solve.
 
-        These values are a warm start, given to the search by itself or as a part of a plan. They
-        come from an earlier solve and can be used only if that solve had the same variables and
-        equations as the mission's problem.
+        These values are a warm start. The caller gives it to the search either directly or as a
+        part of a plan. It can be used only if the solve that it comes from had the same variables
+        and equations as the mission's problem.
         """
         start = self._warm_start
         return start is not None and start.fits(self.mission.problem.compiled)
@@ -230,10 +230,10 @@ class Candidate:
     def from_warm_start(self) -> str | None:
         """Solve the mission from a warm start: variables and multipliers of an earlier solve.
 
-        If the solve does not converge, its result is as a rule kept as a failed solution. In a
-        mission without regeneration the power has a corner at zero, which makes the problem hard to
-        solve directly. For such a mission the result is discarded, so that other strategies are
-        tried.
+        If the solve does not converge, its result is as a rule kept as a failed solution. The
+        exception is a mission without regeneration, for which the result is discarded, so that
+        other strategies are tried. The power of such a mission has a kink at zero, because a rotor
+        that brakes returns no energy; the kink makes the problem hard to solve directly.
 
         Returns
         -------
@@ -250,7 +250,7 @@ class Candidate:
     def starts_at_plan(self) -> bool:
         """Return whether the search starts from a plan and no strategy has made a solution yet.
 
-        The plan's trajectory is then used as an initial guess (`from_plan`).
+        The method `from_plan` then uses the plan's trajectory as an initial guess.
         """
         return self.solution is None and isinstance(self.start, Plan)
 
@@ -274,7 +274,8 @@ class Candidate:
         Long means long compared with the time in which the vehicle changes its attitude. The
         result is False if the mission is solved already, or if its route is not straight. It is
         also False for two kinds of models that need another initial guess: a user's own model, and
-        a model without regeneration, whose power has a corner at zero.
+        a model without regeneration, whose power has a kink at zero because a rotor that brakes
+        returns no energy.
         """
         mission = self.mission
         is_simple = self.solution is None and mission.problems.is_declared and not mission.easier
@@ -339,11 +340,11 @@ class Candidate:
         return self.found.status.has_failed and not self.is_closed
 
     def has_failed_at_waypoints(self) -> bool:
-        """Return whether the mission's solve failed, and an easier mission may help it.
+        """Return whether the mission's solve failed and there is an easier mission to solve first.
 
-        In the easier mission, the vehicle passes each waypoint exactly and at any speed. Its
-        solution serves as initial guess of another attempt. There is such a mission if a waypoint
-        has a radius or a speed limit.
+        In the easier mission, the vehicle passes each waypoint exactly and at any speed. The
+        solution of the easier mission serves as initial guess of another attempt. There is an
+        easier mission if a waypoint has a radius or a speed limit.
         """
         return self.has_failed() and self.mission.past_waypoints is not None
 
@@ -388,9 +389,9 @@ class Candidate:
     def slow_down(self, by: float) -> str:
         """Solve the mission with its duration multiplied by ``by``.
 
-        The longer flight serves as the initial guess of a later solve with the original duration
-        (`speed_up`). It is itself solved from the longer flight that the previous call found or, if
-        there is none, from the model's own initial guess.
+        The solution of longer duration serves as the initial guess when the method `speed_up`
+        solves for the original duration. The initial guess of this call is the solution that the
+        previous call found or, if there is none, the default guess of the model.
 
         Returns
         -------
@@ -515,7 +516,7 @@ class Candidate:
         `diagnosis` is the result of the elastic problem, in which all limits may be violated at a
         penalty. It names the limits that the solution of this problem violates, and the limits that
         are active there. For each of the first few of them, the elastic problem is solved again,
-        with this limit alone relaxed. If the limit turns out to be a remedy, it is returned
+        with this limit alone relaxed. If this makes the mission feasible, the limit is returned
         together with the relaxation that is necessary.
         """
         candidates = [r.name for r in diagnosis.relaxations] + [a.name for a in diagnosis.active]
@@ -548,9 +549,9 @@ class Candidate:
     def breaks_limits(self) -> bool:
         """Return whether solves with stricter limits may turn the solution into a verified plan.
 
-        This is the case if the solve converged but its simulated flight is not verified
-        (`is_astray`), and the scenario requires an accuracy below the highest level, `proof`. At
-        this level limits are not made stricter, because stricter limits cost energy.
+        This is the case if the solve converged but its simulated flight is not verified (see the
+        method `is_astray`), and if the scenario requires an accuracy below the highest level,
+        `proof`. At the highest level, limits are not made stricter, because this costs energy.
         """
         return self.is_astray() and self.scenario.solver.accuracy is not Accuracy.PROOF
 
@@ -587,8 +588,8 @@ class Candidate:
         `plan` is the plan with stricter limits, `relaxed` the solution with the mission's own
         limits. Stricter limits cannot reduce the energy of a global optimum. If the plan's energy
         is nevertheless lower, by more than the solver's relative tolerance, `relaxed` is only a
-        local optimum, and the plan is near a better one. The search then continues from the plan's
-        solution.
+        local optimum, and the plan is near a better optimum. The search then continues from the
+        plan's solution.
         """
         least, tolerance = energy_of(self.mission.told, relaxed), self.scenario.solver.tolerance
         return least - plan.energy > tolerance * abs(least)
@@ -639,9 +640,10 @@ class Candidate:
         return f"tolerance {self.tolerance:.0e}"
 
     def lacks_power(self) -> bool:
-        """Return whether the battery can supply the mean power of a flight but not its peak power.
+        """Return whether the battery can supply the plan's mean power but not its peak power.
 
-        A gentler flight with a lower peak power may then be possible.
+        These are the powers of the plan's simulated flight. A gentler flight with a lower peak
+        power may then be possible.
         """
         plan, mission, limits = self.flown, self.mission, self.scenario.limits
         if not mission.problems.is_declared or limits.battery_power_share_max is not None:

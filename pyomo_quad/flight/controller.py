@@ -417,10 +417,11 @@ class BacksteppingLoop:
     The three axes are x, y and z, or roll, pitch and yaw. Law and proof: see
     docs/theory/controller.md, eqs. (1) to (7).
 
-    The loop has nine states, three for each quantity. In order they are xi_p, the effect of the
-    actuators' lag on the tracking error; xi_v, the effect of this lag on the error rate; and d_hat,
-    the estimated disturbance, which is an acceleration. Errors are in m for the position and in rad
-    for the attitude; rates and accelerations are in the same unit per s and per s^2.
+    The loop has nine states: three quantities, each with one value per axis. In this order, the
+    quantities are xi_p, the effect of the actuators' lag on the tracking error; xi_v, the effect of
+    this lag on the error rate; and d_hat, the estimated disturbance, an acceleration. Errors are in
+    m for the position and in rad for the attitude; rates and accelerations are in the same unit per
+    s and per s^2.
     """
 
     outer: tuple[float, float, float]

@@ -231,10 +231,11 @@ class _MeanFlight:
         )
 
     def flown(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the joint states and the controller's commands at n given times [s].
+        """Return the joint states and the commands to the controller at n given times [s].
 
         Their shapes are (n, n_joint) and (n, `COMMAND_SIZE`). A joint state holds the states of
-        vehicle, turbulence filters and controller, and the energy.
+        vehicle, turbulence filters and controller, and the energy. The commands are the
+        controller's input, which it computes from the plan.
         """
         flight = fly(
             dynamics=self.dynamics,
@@ -261,7 +262,8 @@ class _MeanFlight:
         t : ndarray, shape (n,)
             Times [s].
         joint, commands : ndarray
-            Joint states and commands at these times, as `flown` returns them.
+            Joint states and commands to the controller at these times, as the method `flown`
+            returns them.
 
         Returns
         -------
@@ -281,7 +283,8 @@ class _MeanFlight:
         """Return the derivatives of the joint rates with respect to the uncertain parameters.
 
         The joint rates are the time derivatives of the joint state. `joint` and `commands` hold the
-        joint states and the controller's commands at the n times `t` [s], as `flown` returns them.
+        joint states and the commands to the controller at the n times `t` [s], as the method
+        `flown` returns them.
         The derivatives are central differences over one standard deviation of each parameter, and
         are given per standard deviation. The result has shape (n, n_joint, n_parameters).
         """

@@ -26,8 +26,9 @@ class TimeIsUpError(SolveError):
 class _Watch:
     """Clock that measures the processor time of a thread against a time limit.
 
-    The clock also works in a process that was forked after the clock was started: the time left at
-    the fork then remains. `is_over` states whether the limit had passed at the last call of `look`.
+    The clock also works in a process that was forked after the clock was started: there, it
+    continues with the time that was left at the fork. The attribute `is_over` states whether the
+    limit had passed at the last call of the method `look`.
     """
 
     limit_s: float

@@ -1,10 +1,10 @@
 """Displacements of a path on a coarse mesh that lead its simulated flight out of keep-out zones.
 
 Between its collocation points, the path of a solution on a coarse mesh may cut corners of keep-out
-zones. A vehicle that follows the path under feedback (`flight.tracking`) then enters the zones too.
-To avoid this, the path is displaced outwards during the time that the simulated flight spends
-inside a zone, and the flight is simulated again. Each attempt costs one simulated flight, and no
-solve. See docs/theory/tracking.md, eq. (8).
+zones. A vehicle that follows the path under feedback, as the module `flight.tracking` simulates it,
+then enters the zones too. To avoid this, the path is displaced outwards during the time that the
+simulated flight spends inside a zone, and the flight is simulated again. Each attempt costs one
+simulated flight, and no solve. See docs/theory/tracking.md, eq. (8).
 
 With the displacements, a coarse solution may become a usable plan: a plan that simulation confirms,
 at lower accuracy than requested.

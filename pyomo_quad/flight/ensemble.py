@@ -115,9 +115,10 @@ class Ending:
         Largest distance from the reference position at the same time, and largest tilt.
     broken : mapping
         Name of each broken limit in words -> largest violation, relative to the larger of 1 and the
-        limit. For two kinds of limits the value is another: the distance [m] or the speed [m/s] at
-        the end for limits on the arrival, and the missing fraction of power or charge for the
-        battery. The mapping is empty if the flight arrived and kept every limit.
+        limit. For two kinds of limits the value is a different one: for limits on the arrival, it
+        is the distance [m] or the speed [m/s] at the end; for limits of the battery, it is the
+        fraction of power or charge that is missing. The mapping is empty if the flight arrived and
+        kept every limit.
     """
 
     energy_J: float

@@ -48,8 +48,8 @@ class Failure:
     def causes(self) -> Iterator[str]:
         """Yield one sentence for each cause of the failure and each remedy, the simplest first.
 
-        If there is a reason to believe that the mission is possible (`doubt`), this reason is the
-        only sentence, because the causes and remedies assume that the mission is impossible.
+        If the attribute `doubt` gives a reason to believe that the mission is possible, this reason
+        is the only sentence, because causes and remedies assume that the mission is impossible.
         """
         if self.doubt:
             yield self.doubt

@@ -153,7 +153,8 @@ class Flight(Summarised):
         """Return the flight with an estimate of the energy still needed at its end.
 
         This is the energy needed to reach the required final state from the flight's final state.
-        It is estimated to first order, with the costates of a plan (`Flight.owed_energy_J`).
+        It is estimated to first order, with the costates of a plan. The estimate is stored in the
+        attribute `owed_energy_J` of the returned flight.
 
         Parameters
         ----------

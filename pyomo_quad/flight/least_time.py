@@ -111,8 +111,9 @@ def declared_free_times(model: Any, scenario: Scenario) -> dict[float, Any]:
     Returns
     -------
     dict
-        Nominal value of a free time [s] -> its variable. The nominal value is the member of the
-        model's time set that stands for the variable.
+        Nominal value of a free time [s] -> its Pyomo variable. The nominal value is the time that
+        the scenario prescribes or estimates; as a member of the model's continuous time set, it
+        stands for the variable.
 
     Raises
     ------

@@ -1,8 +1,10 @@
 """Compiled optimal control problem of a mission, and its solution by continuation.
 
-If braking returns no energy, the power has a corner at zero, which makes the problem hard to solve.
-Continuation solves easier problems first, in which the corner is rounded more widely. The solution
-of each problem is the initial point for the next.
+Without regeneration, a rotor that brakes returns no energy: a negative power is replaced by zero.
+The power then has a kink at zero, which makes the problem hard to solve. The parameter
+`power.smoothing` of the Pyomo model sets the width [W] over which the kink is smoothed.
+Continuation solves easier problems first, in which this width is larger. The solution of each
+problem is the initial point for the next.
 """
 
 from __future__ import annotations
@@ -71,8 +73,10 @@ class MissionProblem:
     timings : mapping
         Seconds spent on building and compiling.
     easier : tuple of mapping
-        Parameter values that make the problem easier, the easiest first. They widen the smoothing
-        of the corner of the power at zero. A final plan never uses them.
+        Values of model parameters that make the problem easier, the easiest first. Without
+        regeneration, the power has a kink at zero, because a rotor that brakes returns no energy;
+        each mapping (parameter name -> value) sets a larger width over which this kink is smoothed.
+        A final plan never uses these values. The tuple is empty for a mission with regeneration.
     """
 
     def __init__(self, problems: Problems, told: Scenario, search: Search | None = None) -> None:
@@ -123,9 +127,9 @@ class MissionProblem:
         Such errors are violations of limits and errors of the states; a simulation of the planned
         controls reveals them. The tolerances are wide for the package's own model and an accuracy
         below the highest level, `proof`, so that a coarse mesh suffices. Two later steps then
-        remove the errors: feedback corrects the controls before the simulation
-        (`flight.tracking`), and limits that the simulated flight breaks are made stricter
-        (`flight.stricter_limits`).
+        remove the errors: the module `flight.tracking` corrects the controls by feedback before the
+        simulation, and the module `flight.stricter_limits` tightens the limits that the simulated
+        flight breaks.
         """
         figures = FIGURES[self.told.solver.accuracy]
         if self.told.solver.accuracy is not Accuracy.PROOF and self.problems.is_declared:
@@ -141,11 +145,12 @@ class MissionProblem:
         )
 
     def stricter_refinement(self, share: float) -> RefinementOptions:
-        """Return the options of the mesh refinement with tolerances below those of `allowance`.
+        """Return the options of the mesh refinement with two of its tolerances reduced.
 
-        The tolerances on the errors of the states and on the violation of limits, both between the
-        collocation points, are multiplied by the factor `share`, less than 1. Options without a
-        tolerance on the errors of the states are returned unchanged.
+        The tolerance on the errors of the states and the tolerance on the violation of limits are
+        multiplied by the factor `share`, less than 1. Both apply between the collocation points;
+        the property `allowance` has their values before the reduction. If there is no tolerance on
+        the errors of the states, the mission's own options are returned unchanged.
         """
         refinement: RefinementOptions = self.arguments["refinement"]
         allowed = refinement.allowance
@@ -168,7 +173,7 @@ class MissionProblem:
             usable plans are made from the solutions on intermediate meshes. A usable plan is a plan
             that simulation confirms at lower accuracy than requested.
         **chosen
-            Arguments of `Problem.solve` that replace those of `arguments`.
+            Arguments of the method `Problem.solve` that replace those of the property `arguments`.
 
         Returns
         -------
@@ -184,18 +189,23 @@ class MissionProblem:
     def solve_roughly(self, **chosen: Any) -> Solution:
         """Solve the mission on one mesh, with the parameter values that make it easiest.
 
-        These values round the corner of the power at zero most widely. ``chosen`` holds arguments
-        of `Problem.solve` that replace those of `arguments`.
+        Without regeneration, the power has a kink at zero, because a rotor that brakes returns no
+        energy. The easiest parameter values set the largest width over which this kink is smoothed.
+        A mission that has no easier values is solved with its own. ``chosen`` holds arguments of
+        the method `Problem.solve` that replace those of the property `arguments`.
         """
         return self.solve(next(iter(self.easier), None), **{"tolerance": None} | chosen)
 
     def solve_from(self, guess: Any = None, mesh: Mesh | None = None) -> Solution:
         """Solve the mission from an initial guess, by continuation from easier problems.
 
-        Easier problems have parameter values that round the corner of the power at zero more
-        widely. Each solve starts from the solution of the previous solve. If the last solve fails
-        on a refined mesh, the easiest problem is solved on that mesh, and the continuation is
-        repeated from that solution. A mission without easier problems is solved once.
+        Without regeneration, the power has a kink at zero, because a rotor that brakes returns no
+        energy. A parameter of the model sets the width over which the kink is smoothed. The easier
+        problems have a larger width than the mission. They are solved in order of decreasing width,
+        each from the solution of the one before, and the mission itself is solved last. If this
+        last solve fails on a refined mesh, the easiest problem is solved on that mesh, and the
+        continuation is repeated from its solution. A mission with regeneration has no easier
+        problems and is solved once.
 
         Parameters
         ----------
@@ -227,10 +237,10 @@ class MissionProblem:
         mesh: Mesh,
         reached: Solution | None = None,
     ) -> tuple[Solution, Solution | None]:
-        """Solve the mission by continuation, from easier parameter values to its own.
+        """Solve the mission by continuation: with easier parameter values first, then with its own.
 
-        `easier` holds the parameter values, the easiest first. If the solution `reached` is given,
-        the first solve starts from it; otherwise it starts from `guess` on `mesh`.
+        `easier` holds the easier parameter values, the easiest first. If the solution `reached` is
+        given, the first solve starts from it; otherwise it starts from `guess` on `mesh`.
 
         Returns
         -------
@@ -256,11 +266,12 @@ class MissionProblem:
         return self.solve(mesh=reached.mesh, warm_start=reached), first
 
     def _as_far_as(self, stopped: Solution) -> Solution:
-        """Return the last point of an interrupted solve, evaluated with the mission's parameters.
+        """Return the last iterate of an interrupted solve, evaluated with the mission's parameters.
 
-        `stopped` is the result of the interrupted solve. That solve had easier parameter values,
-        which round the power at zero more widely. Energy and errors of the returned solution are
-        those of the mission itself.
+        `stopped` is the result of the interrupted solve. That solve had easier parameter values: a
+        larger width over which the power is smoothed at its kink at zero, where rotors begin to
+        brake. Energy and errors of the returned solution are computed with the mission's own
+        values instead.
         """
         read = self.unsolved(mesh=stopped.mesh, warm_start=stopped)
         return replace(read, status=stopped.status, message=stopped.message)
@@ -269,8 +280,8 @@ class MissionProblem:
         """Return the initial point of a solve as a solution that is not converged.
 
         The point is evaluated without any iteration, to represent a mission that was not solved or
-        a solve that was interrupted. ``chosen`` holds arguments of `Problem.solve` that replace
-        those of `arguments`, such as the mesh and the initial point.
+        a solve that was interrupted. ``chosen`` holds arguments of the method `Problem.solve` that
+        replace those of the property `arguments`, such as the mesh and the initial point.
         """
         options = SolverOptions(max_iterations=0)
         return self.solve(**{"tolerance": None, "options": options, "progress": None} | chosen)
@@ -357,7 +368,7 @@ class MissionProblem:
         return solved[-1]
 
     def go_on(self, flown: Solution, **changed: Any) -> Solution:
-        """Continue the mesh refinement from a converged solution, without solving its mesh again.
+        """Continue the mesh refinement from a converged solution, without a new solve on its mesh.
 
         Parameters
         ----------
@@ -380,7 +391,7 @@ class MissionProblem:
 
         A usable plan is a plan that simulation confirms at lower accuracy than requested; a search
         that is stopped returns it. `finished` is the solution. The mesh refinement calls this
-        function after the solve on each mesh.
+        method after the solve on each mesh.
         """
         search = self.search
         if search is None:

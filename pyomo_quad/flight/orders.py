@@ -274,8 +274,9 @@ def _descended(costs: FloatArray, neighbours: IntArray, order: IntArray) -> IntA
 
     `costs` is the table of leg costs: row 0 has the legs from the start, the last column those to
     the goal. The initial order `order` and the result have the places between start and goal, given
-    by their indices in the table, from 1. Each row of `neighbours`, a result of `_neighbours`,
-    describes a local change of an order. The descent ends when no local change reduces the cost.
+    by their indices in the table, from 1. A local change of an order exchanges two neighbouring
+    blocks of it, or reverses a block; each row of `neighbours` describes one local change, as the
+    function `_neighbours` returns them. The descent ends when no local change reduces the cost.
     """
     cost = _cost(costs, order[None])[0]
     while True:

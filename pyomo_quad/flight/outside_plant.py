@@ -337,18 +337,26 @@ class OutsidePlant:
         return joint[_SIZE + len(self._others) : -1].tolist()
 
     def rates(self, t: float, joint: FloatArray, law: OutsideLaw) -> FloatArray:
-        """Return the time derivative of the joint state under a control law.
+        """Return the time derivative of the simulation's joint state under a control law.
+
+        Declared states are the states of the scenario's Pyomo model.
 
         Parameters
         ----------
         t : float
             Time [s].
-        joint : ndarray
-            RotorPy's state vector, the declared states that RotorPy lacks, the states of the law,
-            and the energy spent.
+        joint : ndarray, shape (n_joint,)
+            Joint state at this time: RotorPy's state vector, the declared states that RotorPy lacks
+            (such as the charge drawn from the battery), the states of the law, and the energy
+            spent.
         law : callable
-            Control law: takes time, declared states and the law's own states; returns rotor
-            accelerations [rad/s^2] and the rates of the law's states.
+            Control law: takes time, all declared states and the law's own states; returns rotor
+            accelerations [rad/s^2] and the time derivatives of the law's own states.
+
+        Returns
+        -------
+        ndarray, shape (n_joint,)
+            Time derivative of each entry of the joint state.
         """
         x = self.read(joint)
         alpha, own_rates = law(t, x, self.own(joint))
@@ -393,10 +401,11 @@ class OutsidePlant:
         Parameters
         ----------
         law : callable
-            Control law: takes time, declared states and the law's own states; returns rotor
-            accelerations [rad/s^2] and the rates of the law's states.
+            Control law: takes time, the states of the scenario's Pyomo model and the law's own
+            states; returns rotor accelerations [rad/s^2] and the time derivatives of the law's own
+            states.
         start : ndarray, shape (n_states,)
-            Declared states (those of the scenario's Pyomo model) at the start.
+            States of the scenario's Pyomo model at the start.
         own : sequence of float
             Initial values of the law's own states.
         borders : sequence of float
@@ -604,8 +613,8 @@ def fly_under(
     name : str
         Name of the flight in comparisons.
     law : callable
-        Control law: takes time, declared states and the law's own states; returns rotor
-        accelerations [rad/s^2] and the rates of the law's states.
+        Control law: takes time, the states of the scenario's Pyomo model and the law's own states;
+        returns rotor accelerations [rad/s^2] and the time derivatives of the law's own states.
     plan : Plan, optional
         Plan whose initial state is the initial state of the flight. Its costates give an estimate
         of the energy that is needed to reach the goal from the end of the flight.
