@@ -89,7 +89,10 @@ class Trajectories:
     hamiltonian: FloatArray
 
     def fractions(self, t: FloatArray) -> FloatArray:
-        """Return the times `t` [s] as fractions of the flight's horizon, clipped to 0 and 1."""
+        """Return n times `t` [s] as fractions of the flight's duration, shape (n,).
+
+        The fraction is 0 at and before the start of the flight, 1 at and after its end.
+        """
         start, end = self.horizon
         return np.clip((np.asarray(t, dtype=float) - start) / (end - start), 0.0, 1.0)
 
@@ -691,7 +694,8 @@ class Plan(Summarised):
         Returns
         -------
         DataFrame
-            Columns as in `columns.COLUMNS`; the index is the time, "time_s".
+            One column for each quantity of the plan; the tuple `flight.COLUMNS` lists the columns
+            of a quadrotor with their units. The index is the time, "time_s".
 
         Raises
         ------
@@ -742,7 +746,8 @@ class Plan(Summarised):
     def times(self, rate_hz: float | None = None) -> FloatArray:
         """Return the times of the rows of `to_frame` [s].
 
-        These are the nodes of the mesh or, if ``rate_hz`` is given, ``rate_hz`` times per second.
+        They are the times of the mesh nodes. If a sampling rate ``rate_hz`` [Hz] is given, they are
+        equally spaced times from the start to the end of the flight.
 
         Raises
         ------

@@ -1,8 +1,8 @@
 """Planner, which makes a verified plan from a scenario.
 
-It compiles the optimal control problem of the scenario, and solves it by strategies (such as a
-first solve and retries from other initial guesses, `flight.strategies`). It then verifies the plan
-by simulation.
+It compiles the optimal control problem of the scenario, and solves it by strategies, such as a
+first solve and retries from other initial guesses (see the module `flight.strategies`). It then
+verifies the plan by simulation.
 """
 
 import time
@@ -75,10 +75,10 @@ class Planner(Problems):
         Plan
             The plan with its status; a failed solve gives a plan with a failed status, not an
             exception. A usable plan is a plan that simulation confirms at lower accuracy than
-            requested. The best usable plan is returned if the search is stopped, if it fails
-            later, or if it exceeds `solver.time_limit` (processor time, verification included).
-            Without a usable plan, the plan returned has a failed status. Apart from the time limit,
-            no result depends on the speed of the machine.
+            requested. The best usable plan is returned if the search is stopped, if it fails later,
+            or if it exceeds the time limit of the scenario, `solver.time_limit` (processor time,
+            verification included). Without a usable plan, the plan returned has a failed status.
+            Apart from the time limit, no result depends on the speed of the machine.
         """
         scenario = with_return_flight(self, scenario)
         solve = self._solve_quickest if scenario.mission.aim is Aim.TIME else self._solve

@@ -50,9 +50,9 @@ class Problems:
     """Compiler of scenarios, which caches compiled problems.
 
     Scenarios of the same structure, which differ only in parameter values, share a compiled
-    problem. Problems of the package's own model are shared by all planners of the process
-    (`caches.PROBLEMS`). Initial guess and scaling are always computed for the scenario to be
-    solved, so that no result depends on earlier solves.
+    problem. Problems of the package's own model are in a cache that all planners of the process
+    share. Initial guess and scaling are always computed for the scenario to be solved, so that no
+    result depends on earlier solves.
 
     Parameters
     ----------

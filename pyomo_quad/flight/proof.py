@@ -111,7 +111,7 @@ def _refuse_failed(
 
     Limits, energy, waypoints and the supply by the battery are checked. `verification` compares the
     simulated flight with the plan, `energy` is the energy that the plan states [J], and `allowed`
-    has the tolerances. `scenario` gives the name for the message.
+    has the tolerances. `scenario` gives the name of the mission for the error message.
     """
     share = abs(verification.energy_difference_J) / max(1.0, abs(energy))
     passed = max(verification.passing_misses_m, default=0.0)
@@ -220,9 +220,10 @@ def _refuse_other_ends(
 ) -> None:
     """Raise a ScenarioError if the initial or final state of a plan differs from the mission's.
 
-    `states` has the planned states at the nodes, shape (n_points + 1, n_states), in the order of
-    the equations `dynamics`. The tolerance is `allowed.miss`, relative to the larger of 1 and the
-    value that the mission prescribes.
+    `scenario` has the mission. `states` has the planned states at the nodes, shape (n_points + 1,
+    n_states), in the order of the equations `dynamics`. `allowed` has the tolerances; its attribute
+    `miss` is the one used here, relative to the larger of 1 and the value that the mission
+    prescribes.
     """
     for end, wanted, found in (
         ("start", declared_start(scenario, dynamics), states[0]),
@@ -249,8 +250,9 @@ def _refuse_astray(
     """Raise a ScenarioError if the simulated states deviate from the states of the plan.
 
     `planned` is the plan, and `flown` has the simulated states, which follow from the plan's
-    controls and the equations `dynamics`. The tolerance `allowed.miss`, relative to the larger of 1
-    and the planned value, applies at all times.
+    controls and the equations `dynamics`. `allowed` has the tolerances; its attribute `miss`,
+    relative to the larger of 1 and the planned value, applies to every state at all times.
+    `scenario` gives the name of the mission for the error message.
     """
     expected = planned.states_at(flown.t)
     worst, when, which = 0.0, 0.0, ""

@@ -41,9 +41,10 @@ _STEP = Polynomial((1,))
 class Setpoint(NamedTuple):
     """Values of a reference path at one time: x, y, z and yaw with two time derivatives.
 
-    The accelerations exclude the acceleration that the reference expects from the air. `tilting`
-    has the rates and accelerations of roll and pitch if the reference is a plan; it is None for
-    other references, which do not define the attitude.
+    If the reference is a plan, its accelerations are only the part that the rotors cause, without
+    the part that the air causes according to the plan. `tilting` then has the rates and
+    accelerations of roll and pitch. It is None for other references, which do not define the
+    attitude.
     """
 
     place: Sequence[float]

@@ -2,11 +2,11 @@
 
 A re-plan is a new plan for the rest of the mission, made in flight.  It ends at the goal, or in the
 next hover at a waypoint, because later parts of the mission do not affect a hovering vehicle.  Its
-limits are soft: they may be violated at a penalty (`model.soft_limits`). They are tightened by the
-margins of the plan made before take-off (`flight.margins`).  The mesh has short elements at the
-present time, where a disturbance is corrected, and near the passages of waypoints; it has long
-elements elsewhere.  The clearance from keep-out zones is three centimetres larger than the mission
-requires, to allow for the error of a coarse mesh.
+limits are soft: they may be violated at a penalty (see the module `model.soft_limits`). They are
+tightened by the margins of the plan made before take-off (see the module `flight.margins`).  The
+mesh has short elements at the present time, where a disturbance is corrected, and near the passages
+of waypoints; it has long elements elsewhere.  The clearance from keep-out zones is three
+centimetres larger than the mission requires, to allow for the error of a coarse mesh.
 
 The remaining mission after each waypoint has its own equations, which are compiled and solved once
 before take-off. docs/theory/soft_limits.md, eqs. (1) to (3), derives the penalty and the state from
@@ -361,7 +361,8 @@ class Replanner:
         t : float
             Start of the re-plan [s].
         state : ndarray, shape (n_states,)
-            State at this time, in the order of `dynamics`.
+            State at this time, in the order of the equations of the whole mission (attribute
+            `dynamics`).
         belief : Belief
             Estimated mass and wind.
         is_patient : bool, optional
@@ -469,11 +470,12 @@ class Replanner:
     ) -> FloatArray:
         """Predict the state from which the next re-plan (new plan in flight) starts.
 
-        If the flight is near its plan (within the distance `tube`), the result is the planned
-        state. The controller corrects the deviation in this case; a re-plan from the measured state
-        would follow each lag of the vehicle. If the flight is not near its plan, position and
-        velocity are moved from the plan towards the measured values, just as far as needed to bring
-        the flight near the re-plan.
+        If the flight is near its plan, the result is the planned state. Near means that the
+        distance between the measured and the planned position is at most the attribute `tube` [m],
+        at which the controller uses its largest correction. In this case the controller corrects
+        the deviation; a re-plan from the measured state would follow each lag of the vehicle. If
+        the flight is not near its plan, position and velocity are moved from the plan towards the
+        measured values, just as far as needed to bring the flight near the re-plan.
 
         Attitude and rotor speeds are those of the plan, changed by the amount that balances the
         estimated unexplained acceleration. Without this change, the re-plan would begin with a turn

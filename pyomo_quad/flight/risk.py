@@ -3,11 +3,11 @@
 The risk is the probability that a flight in turbulence breaks any limit; a margin is the amount by
 which a limit is tightened for the plan.  The margins are found by iteration.  The covariance of
 flights about a plan gives the margins that the allowed risk requires, and a new plan is solved with
-these margins.  Both steps are repeated until the margins agree; each repetition solves the same
-compiled problem on the same mesh again.  The plan is then refined and verified, and simulated
-flights in turbulence test it.  If the test flights break a limit too often, the margin on this
-limit is increased and the plan is solved, refined and tested again. See docs/theory/risk.md, eqs.
-(7) to (9).
+these margins.  Both steps are repeated until the margins hardly change any more; each repetition
+solves the same compiled problem on the same mesh again.  The plan is then refined and verified, and
+simulated flights in turbulence test it.  If the test flights break a limit too often, the margin on
+this limit is increased and the plan is solved, refined and tested again. See docs/theory/risk.md,
+eqs. (7) to (9).
 """
 
 from collections import Counter
@@ -117,10 +117,10 @@ def risk_asked(scenario: Scenario) -> float:
     """Return the allowed risk of a plan: the largest probability that a flight breaks a limit.
 
     It is the risk that the scenario states. If the scenario states no risk, the result is 1, which
-    allows any risk and needs no margins. A plan of free duration is an exception and gets the risk
-    `_USUAL_RISK`: without margins, such a plan uses the full thrust of the rotors, so that no
-    controller can follow it. This exception is not made for the simplified attitude equations of
-    the paper (Yacef et al.).
+    allows any risk and needs no margins. A plan of free duration is an exception and gets a risk of
+    one per cent (`_USUAL_RISK`): without margins, such a plan uses the full thrust of the rotors,
+    so that no controller can follow it. This exception is not made for the simplified attitude
+    equations of the paper (Yacef et al.).
     """
     stated = scenario.mission.risk
     if stated is not None:
@@ -258,10 +258,10 @@ class _Tried:
     def missing_places(self) -> float:
         """Probability that a flight misses the goal or a waypoint for lack of thrust.
 
-        It is the sum of the probabilities of breaking those limits at the goal and the waypoints
-        for which a scenario field cannot be tightened, such as the distance from the goal at the
-        end. Flights break these limits less often only if the plan leaves the rotors a reserve of
-        thrust.
+        Some limits at the goal and the waypoints cannot be tightened for the plan by a field of the
+        scenario, for example the distance from the goal at the end. The result is the sum of the
+        probabilities of breaking these limits. Flights break them less often only if the plan
+        leaves the rotors a reserve of thrust.
         """
         return sum(miss.probability for miss in self.missed if not miss.field)
 
@@ -622,10 +622,11 @@ class _Search:
         return margins
 
     def _steeper_than_the_controller(self) -> dict[str, float]:
-        """Return the amounts by which roll and pitch limits exceed the controller's tilt [rad].
+        """Return the amounts by which roll and pitch limits exceed the controller's limit [rad].
 
-        A plan with these amounts as margins stays within the tilt that the controller may command.
-        The result is empty if the scenario does not limit the controller's tilt.
+        The controller's limit is the largest tilt that it may command. A plan with these amounts as
+        margins stays within this tilt. The result maps the scenario fields of the two limits to the
+        amounts; it is empty if the scenario does not limit the controller's tilt.
         """
         limits, most = self._scenario.limits, self._scenario.baseline.gains.tilt_max
         if most is None:
@@ -659,9 +660,9 @@ class _Search:
         Margins are the amounts by which limits are tightened for the plan; the risk is the
         probability that a flight in turbulence breaks any limit. First, two probabilities are
         subtracted from the allowed risk: the probability of missing the goal, and the probability
-        of breaking limits that need no margin. The rest is divided equally among the limits that
-        need a margin. `tried` is a plan with the statistics of flights that follow it. The result
-        maps each scenario field to its margin.
+        of breaking limits that need no margin because flights hardly ever break them. The rest is
+        divided equally among the limits that need a margin. `tried` is a plan with the statistics
+        of flights that follow it. The result maps each scenario field to its margin.
         """
         held = tried.margins
         alone = {a: a.probability(held.get(a.field, 0.0), 0.0) for a in tried.near}

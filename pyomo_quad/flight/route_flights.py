@@ -223,7 +223,8 @@ class RouteFlights:
     def energy_of(self, solution: Solution) -> float:
         """Return the energy of a solution [J], which may differ from the objective of the solve.
 
-        The objective may also contain the price of time and the loss in the battery.
+        The objective may also contain the price of time (weight of the duration) times the
+        duration, and the energy lost inside the battery.
         """
         return energy_of(self._scenario, solution)
 
@@ -257,10 +258,11 @@ class RouteFlights:
     def _cost_per_metre(self, shortest: Journey) -> Callable[[FloatArray], float]:
         """Return a function that gives the cost per metre of steady flight in a direction [J/m].
 
-        The cost is the energy plus the price of time. The function takes the unit vector of the
-        direction, shape (3,). It uses the same ground speed for all directions. If the duration is
-        fixed, the speed is the length of the shortest journey divided by the duration; if the
-        duration is free, it is the speed of least cost.
+        The cost is the energy plus the duration times the price of time [W], which is the weight of
+        a free duration. The function takes the unit vector of the direction, shape (3,), and
+        assumes the same ground speed for all directions. If the duration is fixed, the speed is the
+        length of `shortest` divided by the duration; if it is free, the speed is that of least
+        cost. `shortest` is the shortest journey, a sequence of routes, one for each leg.
         """
         told, steady = self._scenario, self._mission.steady
         mission = told.mission
@@ -490,9 +492,10 @@ def sides_touched(told: Scenario, journey: Journey, solution: Solution) -> _Side
 def _is_dominated(journey: Journey, touched: _SidesTouched) -> bool:
     """Return whether a journey need not be solved, because an optimum along another costs no more.
 
-    A journey is a route for each leg of the mission. A journey need not be solved if, on each leg,
-    it passes all zones that the known optimum touches on the same sides as the optimum. `touched`
-    describes the optimum: one set of pairs (name of a zone that it touches, side) for each leg.
+    A journey is a route for each leg of the mission. The optimum along another journey touches some
+    of the zones. `journey` need not be solved if, on each leg, it passes each of these zones on the
+    same side as the optimum. `touched` describes the optimum: one set of pairs (name of a zone that
+    it touches, side on which it passes the zone) for each leg.
     """
     return all(sides <= set(route.sides) for route, sides in zip(journey, touched, strict=True))
 

@@ -132,7 +132,8 @@ def find_routes(
     Returns
     -------
     tuple of Route
-        Empty if no passage of width `MARGIN_M` is free.
+        Empty if there is no route. Corners of a route keep the distance `zones.MARGIN_M` from each
+        zone and its clearance, so that a narrower gap between zones counts as closed.
     """
     ends = np.array([start, goal], dtype=float)
     relevant = zones_hit(airspace.keep_out, ends, airspace.clearance)
@@ -204,9 +205,10 @@ Journey = tuple[Route, ...]
 
 
 def find_journeys(airspace: Airspace, stops: Sequence[Place]) -> tuple[Journey, ...]:
-    """Return the shortest journeys through all stops, at most `MOST_ROUTES`.
+    """Return the shortest journeys through all stops of a mission.
 
-    A journey is a sequence of routes, one for each leg from one stop to the next.
+    A journey is a sequence of routes, one for each leg from one stop to the next. The constant
+    `MOST_ROUTES` is the largest number of journeys returned.
 
     Parameters
     ----------

@@ -342,7 +342,7 @@ class SteadyFlight:
     def uncredited_power(self, speed: ArrayLike) -> FloatArray:
         """Return the total power [W] if all rotors turn at the same, constant speed.
 
-        If braking returns no energy, the model replaces a negative power by zero (see
+        If braking returns no energy, the model replaces a negative power by zero (see the module
         `model.power`). Unlike `power`, this method returns the value before the replacement, which
         may be negative. `speed` has rotor speeds [rad/s].
         """

@@ -5,9 +5,9 @@ corner of a zone, or go below the floor (least height above the ground). The pro
 solved again with a stricter limit: the limit is changed by the amount of the violation, so that the
 path between the points just satisfies the limit of the mission.
 
-A stricter limit costs energy. The least energy of the mission itself, which the plan is compared
-with, is estimated from the solution with the original limits and the solution with stricter limits.
-See docs/theory/tracking.md, eq. (9).
+A stricter limit costs energy. The energy of the plan is therefore compared with the least energy of
+the mission with its original limits. This least energy is estimated from the solution with the
+original limits and the solution with stricter limits; see docs/theory/tracking.md, eq. (9).
 """
 
 from __future__ import annotations
@@ -215,8 +215,9 @@ def _helps(breach: Violation, figures: Figures) -> bool:
     `breach` is the violation, and `figures` has the tolerances that the plan must meet. A stricter
     limit helps if a parameter of the model sets the limit, and if the violation is small. Limits on
     the rotors' speed and thrust are an exception: stricter ones cost more energy than any accuracy
-    level tolerates. They are tried only if a usable plan is enough (`figures` is `USABLE`). In all
-    other cases only a finer mesh helps.
+    level tolerates. They are tried only if a usable plan is enough, that is if `figures` is
+    `scenario.accuracy.USABLE`, the wider tolerances of a plan of which lower accuracy than
+    requested is accepted. In all other cases only a finer mesh helps.
     """
     name = breach.name.partition("[")[0]
     is_affordable = name not in _DEAR or figures is USABLE

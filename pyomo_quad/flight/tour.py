@@ -213,8 +213,9 @@ def find_orders(
     A leg is the flight between two places, from hover to hover. The legs of the cheapest orders are
     solved, which changes their costs, until all legs of the cheapest orders have been solved. The
     costs of unsolved legs are optimistic predictions, so that no unsolved leg could then lead to a
-    cheaper order. With more than `orders.MOST_EXACT` waypoints, the search also ends after a fixed
-    number of rounds.
+    cheaper order. With more waypoints than the constant `orders.MOST_EXACT`, the search also ends
+    after a fixed number of rounds, in each of which the legs of the present cheapest orders are
+    solved.
 
     Parameters
     ----------
@@ -383,8 +384,8 @@ class BestOrder:
 
         `alone` is the scenario of this flight, without waypoints. `route` leads round the zones and
         is the initial guess; if it is None, the flight is straight and the solve starts from the
-        model's own initial guess. An initial guess from the solution of another leg would need as
-        many iterations.
+        model's own initial guess. (Starting from the solution of another leg would not save
+        iterations.) `mesh` is the mesh.
         """
         mission, guess = MissionProblem(self._problems, alone, self._search), None
         if route is not None:

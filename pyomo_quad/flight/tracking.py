@@ -100,7 +100,8 @@ def tracked(
     coarse : Trajectories
         States and controls of a solution.
     displacement : tuple of Push, optional
-        Displacement of the path that the vehicle follows.
+        Displacement of the path that the vehicle follows, relative to the solution. It is the sum
+        of pushes, each of which displaces the path by one vector during a span of time.
     previous : Trajectories, optional
         An earlier result for the same solution, with any displacement. The corrections then
         anticipate the deviations that this flight shows.
@@ -422,7 +423,7 @@ def _followed(
         States and energy at the nodes.
     ndarray, shape (n_points, n_controls)
         Controls at the collocation points, with the corrections by feedback. None instead of both
-        arrays if a state grows beyond any physical value (`_LOST`).
+        arrays if a state grows beyond any physical value (the constant `_LOST`).
     """
     mesh, controls = path.mesh, path.controls.copy()
     limits, held = dynamics.control_limits(), dynamics.control_limits(HELD_BREACH)

@@ -107,7 +107,8 @@ def horizon_of(scenario: Scenario) -> tuple[float, float] | None:
 def energy_of(scenario: Scenario, solution: Solution) -> float:
     """Return the energy of a solution [J], which may differ from the objective of the solve.
 
-    The objective may also contain the price of time and the loss in the battery.
+    The objective may also contain the price of time (weight of the duration) times the duration,
+    and the energy lost inside the battery.
     """
     if not scenario.mission.is_free and scenario.mission.aim is Aim.ENERGY:
         return solution.objective
@@ -124,11 +125,11 @@ def verified(
 ) -> Plan:
     """Return a plan with the result of its verification, by simulation of its controls.
 
-    Unless the accuracy is the highest level, `proof`, feedback first corrects the controls
-    (`flight.tracking`). Without this correction, the controls of a solution on a coarse mesh would
-    miss the goal. If the corrected flight breaks limits, the corrections are computed again: they
-    then anticipate the deviations of that flight, and lead the vehicle along a path that is
-    displaced out of the zones that the flight entered (`flight.displacement`).
+    Unless the accuracy is the highest level, `proof`, feedback first corrects the controls (see the
+    module `flight.tracking`). Without this correction, the controls of a solution on a coarse mesh
+    would miss the goal. If the corrected flight breaks limits, the corrections are computed again:
+    they then anticipate the deviations of that flight, and lead the vehicle along a path that is
+    displaced out of the zones that the flight entered (see the module `flight.displacement`).
 
     Parameters
     ----------
@@ -312,13 +313,13 @@ def _followed(
 ) -> Plan:
     """Return a plan whose controls are corrected by feedback, so that they fly the planned path.
 
-    The corrected plan is a simulated flight that follows `plan` (`flight.tracking`), with the
-    energy of this flight. The relative difference between this energy and `least_energy`, the
-    energy of the optimum [J], replaces the plan's error estimate if it is larger; see
-    docs/theory/tracking.md, eq. (5). The plan is returned unchanged if the vehicle cannot follow
-    it. `displacement` pushes the path that the vehicle follows out of zones. `previous` is an
-    earlier flight along the plan, whose deviations the corrections anticipate, or None. `rests` has
-    the start and end times [s] of hovers in which the vehicle is to be at rest.
+    The corrected plan is a simulated flight that follows `plan` under feedback (see the module
+    `flight.tracking`), with the energy of this flight. The relative difference between this energy
+    and `least_energy`, the energy of the optimum [J], replaces the plan's error estimate if it is
+    larger; see docs/theory/tracking.md, eq. (5). The plan is returned unchanged if the vehicle
+    cannot follow it. `displacement` pushes the path that the vehicle follows out of zones.
+    `previous` is an earlier flight along the plan, whose deviations the corrections anticipate, or
+    None. `rests` has the start and end times [s] of hovers in which the vehicle is to be at rest.
     """
     followed = tracked(plan.dynamics, plan.trajectories, displacement, previous, rests)
     if followed is None:

@@ -278,7 +278,8 @@ def wind_lacking(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> str:
     """Return a message if a flight leaves the wind field of its plan; empty otherwise.
 
     A wind field (wind as a function of place and time) is known in a limited region and period
-    only. `flown` has the samples of the flight. For a model without positions the result is empty.
+    only. `scenario` has the wind field, and `flown` has the samples of the flight in the order of
+    the equations `dynamics`. For a model without positions the result is empty.
     """
     if not set(POSITION_STATES) <= set(dynamics.state_names):
         return ""
@@ -316,7 +317,7 @@ def balance_lacking(balance: FloatArray) -> tuple[float, float]:
     ----------
     balance : ndarray, shape (n, 4)
         Power drawn [W], and voltage [V], current [A] and state of charge [%] of the battery, at n
-        times of the flight; the columns are the quantities `BALANCE_KEYS`.
+        times of the flight. The constant `BALANCE_KEYS` has the names of these four columns.
 
     Returns
     -------

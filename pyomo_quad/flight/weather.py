@@ -142,8 +142,8 @@ def unknowns(planner: Planner, scenario: Scenario) -> tuple[dict[str, float], ..
     Returns
     -------
     tuple of dict
-        For each quantity, full name of a parameter of `problem_in_turbulence` -> change of its
-        value.
+        For each quantity, full name of a parameter -> change of its value. The parameters are those
+        of the problem that the function `problem_in_turbulence` returns.
     """
     told = scenario.as_forecast()
     along, aside = mean_wind(told).tolist()
