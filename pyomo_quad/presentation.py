@@ -16,7 +16,7 @@ class Picture(Protocol):
 
     @property
     def name(self) -> str:
-        """Name of the figure, or the trajectory table's column that the figure shows."""
+        """Name of the figure, or of the column of the trajectory table that the figure shows."""
 
     @property
     def caption(self) -> str:
@@ -37,7 +37,7 @@ class Picture(Protocol):
 
 
 class Presenter(Protocol):
-    """Interface of the module that draws and reports plans and runs: `report.presenting`.
+    """Interface of the module `report.presenting`, which draws and reports plans and runs.
 
     A run is the result of `run_scenario`: a plan together with the baseline flights that it is
     compared with.
@@ -118,7 +118,9 @@ _supply: list[Callable[[], Presenter]] = []
 
 
 def register_presenter(supply: Callable[[], Presenter]) -> None:
-    """Register the function that imports and returns the presenter, `report.presenting`.
+    """Register the function that imports and returns the presenter.
+
+    The presenter is the module `report.presenting`, which draws and reports plans and runs.
 
     A second registration replaces the first.
 

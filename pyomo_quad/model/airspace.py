@@ -10,16 +10,16 @@ c | clearance | m | distance kept from every zone
 d_k | beyond[zone, ball] | m | distance of the vehicle from ball k (negative inside), minus c
 w | edge_width | m | width over which two faces of a zone are blended
 
-A ball (`scenario.airspace.Ball`) contains the places within a radius of its centre. The distance is
-measured in one coordinate (an interval), in two (a disk) or in three (a sphere). A cylinder is the
-intersection of a disk and an interval of height, a box that of three intervals. A prism over a
-convex polygon is the intersection of an interval across each edge and an interval of height. A
-place is outside the zone if it is outside at least one of the balls, that is, if the largest of the
-d_k is positive. A smooth lower bound replaces this maximum in the model, so that no place inside a
-zone is allowed. Near an edge of the zone, where two of the d_k differ by less than about w, places
-up to 0.14 w = 70 mm outside the zone (0.28 w = 140 mm at the corners of a box) are forbidden, too.
-Elsewhere the forbidden places are exactly the zone. The clearance moves each face outwards by the
-distance c, and does not round the edges between the faces.
+A ball (the class `scenario.airspace.Ball`) contains the places within a radius of its centre. The
+distance is measured in one coordinate (an interval), in two (a disk) or in three (a sphere). A
+cylinder is the intersection of a disk and an interval of height, a box that of three intervals. A
+prism over a convex polygon is the intersection of an interval across each edge and an interval of
+height. A place is outside the zone if it is outside at least one of the balls, that is, if the
+largest of the d_k is positive. A smooth lower bound replaces this maximum in the model, so that no
+place inside a zone is allowed. Near an edge of the zone, where two of the d_k differ by less than
+about w, places up to 0.14 w = 70 mm outside the zone (0.28 w = 140 mm at the corners of a box) are
+forbidden, too. Elsewhere the forbidden places are exactly the zone. The clearance moves each face
+outwards by the distance c, and does not round the edges between the faces.
 
 A polygon with k corners has k + 1 faces, blended in the same way. Near a corner with several faces
 at nearly the same distance, up to 0.14 w more is forbidden for each further face.
@@ -27,11 +27,11 @@ at nearly the same distance, up to 0.14 w more is forbidden for each further fac
 The fence (`keep_in`) is a linear limit for each of its edges. The fence is exact everywhere,
 corners included, and has no clearance.
 
-Over terrain, floor and ceiling limit the height above the ground (`model.ground`), and flights stay
-where the ground is known, within the edges of the terrain's grid. In a wind field, flights stay
-within the edges of the field's grid, unless the scenario extends the field beyond them
-(`wind.beyond = "hold"`). Bottom and top of a zone are coordinates z, to which the height of the
-ground is not added.
+Over terrain, floor and ceiling limit the height above the ground, which the module `model.ground`
+declares, and flights stay where the ground is known, within the edges of the terrain's grid. In a
+wind field, flights stay within the edges of the field's grid, unless the scenario extends the field
+beyond them (`wind.beyond = "hold"`). Bottom and top of a zone are coordinates z, to which the
+height of the ground is not added.
 
 `declare_airspace` raises an error for a mission with a start, goal or waypoint on the surface of a
 zone, because there the smallest deviation towards the zone would be forbidden.
@@ -130,10 +130,11 @@ def _axes_and_centre(ball: Ball) -> tuple[tuple[int, ...], tuple[float, ...]]:
     """Return the axes in which a ball measures distances, and the ball's centre on these axes [m].
 
     A ball contains the places whose distance from its centre, measured along one, two or three
-    axes, is at most its radius. A ball of one axis is a slab between two parallel faces, a ball of
-    two axes a vertical cylinder. A slab between an edge of a polygon and the farthest corner has a
-    horizontal normal in any direction. For such a slab, the returned axes are x and y, and the
-    returned centre is midway between the faces, on the normal through the origin.
+    axes, is at most its radius. A ball of one axis is a slab between two parallel planes, a ball of
+    two axes a vertical cylinder. The ball of a polygon's edge is a slab between two vertical
+    planes, whose normal need not be along x or y. The returned axes of such a slab are therefore
+    both x and y, and the returned centre is the place midway between the planes that is nearest to
+    the origin.
 
     Returns
     -------
@@ -281,9 +282,9 @@ def _inside(
     edges : mapping
         For each edge of the grid, by name: the axis across the edge (0, 1 or 2 for x, y or z), the
         side (1 if the edge limits the coordinate from above, -1 from below) and the edge's
-        coordinate [m]. The coordinate is not used here: the parameter below holds it.
+        coordinate [m]. The coordinate is not used here, because the model has it as a parameter.
     parameter : str
-        Name of the parameter of block `airspace` that holds the coordinate of each edge [m].
+        Name of the Pyomo parameter of block `airspace` that holds the coordinate of each edge [m].
     b : Block
         Block `airspace`.
     edge : str

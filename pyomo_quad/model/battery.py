@@ -1,7 +1,7 @@
 """Battery, eqs. (4), (5) of Yacef et al.: equal cells in series and parallel, as a circuit.
 
 symbol | name | unit | meaning
-int i_bat | charge_drawn | A h | charge drawn from the full pack, a state
+int i_bat | charge_drawn | A h | charge drawn since the pack was full, a state
 i_bat | current | A | pack current, from the power balance V i = P
 V_bat | voltage | V | terminal voltage, eq. (4)
 e_m | open_circuit_voltage | V | eq. (5), cells in series added
@@ -85,7 +85,11 @@ _CELL = (
 
 @parameters_in("battery")
 def _parameters(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters that the model of a scenario declares in its block `battery`."""
+    """Return the parameters that the model of a scenario declares in its block `battery`.
+
+    Each `Parameter` states name, unit and meaning of a number, such as the capacity of a cell, and
+    how its value follows from a scenario.
+    """
     return _CELL + circuit.parameters_of(scenario)
 
 
@@ -99,10 +103,11 @@ def may_lose_voltage(scenario: Scenario) -> bool:
 
 
 def build_pack(scenario: Scenario) -> ConcreteModel:
-    """Build a model of the battery alone that delivers a constant power, `power.load` [W].
+    """Build a model of the battery alone that delivers a given power, `power.load` [W].
 
-    The package `identification` simulates this model under the measured power of flights, to fit
-    the constants of the battery.
+    The power is a parameter that does not depend on time in this model. To fit the constants of the
+    battery, the package `identification` simulates the model with the measured power of flights, a
+    value of this parameter for each time step.
 
     Parameters
     ----------

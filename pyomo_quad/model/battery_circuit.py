@@ -72,9 +72,9 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 def states_at_start(scenario: Scenario) -> dict[str, float]:
     """Return the initial values of the battery's states other than its charge, by full name.
 
-    The states are the relaxation voltage [V], the temperature [K] and the lost energy [J]. A full
-    name is a name such as "battery.temperature". A state that the model of the scenario does not
-    declare is left out.
+    The states are the relaxation voltage [V], the temperature [K] and the energy lost inside the
+    battery [J]. A full name is a name such as "battery.temperature". A state that the model of the
+    scenario does not declare is left out.
     """
     pack, states = scenario.battery, {}
     if pack.relaxation is not None:
@@ -87,9 +87,11 @@ def states_at_start(scenario: Scenario) -> dict[str, float]:
 
 
 def fields_after(scenario: Scenario, ended: Mapping[str, float]) -> dict[str, float]:
-    """Return scenario fields with which the next flight starts at the battery's present state.
+    """Return scenario fields with which the next flight continues from the state of the battery.
 
-    The fields are the initial relaxation voltage and temperature, but not the initial charge.
+    The next flight then starts with the relaxation voltage and the temperature that the battery has
+    at the end of the previous flight. The initial charge is not among the fields; the caller sets
+    it.
 
     Parameters
     ----------

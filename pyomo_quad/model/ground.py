@@ -6,12 +6,13 @@ L(x, y) | below | m | height of a smooth surface that is nowhere above the groun
 z - U | height_limited_below | m | lower bound of the height above the ground, which floors limit
 z - L | height_limited_above | m | upper bound of the height above the ground, which ceilings limit
 
-The ground of `airspace.terrain` is bilinear between the points of its grid.  U and L are splines
-through values on the same grid (`scenario.surfaces`). These splines are twice differentiable with
-exact derivatives, and the cost of an evaluation does not grow with the grid (`collocation.Table`).
-The vertical distance of U and L from the ground is at most `Surface.excess`. A floor requires a
-least height above the ground. A flight at just this height above U is at or above the required
-height, by `Surface.excess` at most.
+The ground of `airspace.terrain` is bilinear between the points of its grid. U and L are splines
+through values on the same grid; the module `scenario.surfaces` computes the values. Pyomo evaluates
+the splines through the class `collocation.Table`: they are twice differentiable with exact
+derivatives, and the cost of an evaluation does not grow with the grid. The vertical distance of U
+and L from the ground is at most the attribute `excess` of the surface. A floor requires a least
+height above the ground. A flight at just this height above U is at or above the required height, by
+`excess` at most.
 
 Over flat ground both heights are z, and no block is declared.
 """

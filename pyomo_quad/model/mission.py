@@ -159,8 +159,8 @@ def declare_mission(m: ConcreteModel, scenario: Scenario) -> None:
 def _hover_speed(m: ConcreteModel, mass: NumericExpression) -> NumericExpression:
     """Return the rotor speed at which the thrust balances the weight of a mass [rad/s].
 
-    `m` is the model with vehicle and rotors, which share the weight equally, and `mass` the mass
-    [kg] as a Pyomo expression.
+    All rotors bear an equal share of the weight. `m` is the model, which already declares vehicle
+    and rotors, and `mass` is the mass [kg] as a Pyomo expression.
     """
     rotor_thrust = mass * m.vehicle.gravity / len(m.rotors.rotor)
     return sqrt(rotor_thrust / m.vehicle.thrust_coefficient) * units.rad
@@ -279,7 +279,7 @@ def _speed_squared(body: Block, t: float) -> NumericExpression:
 
 
 def declare_duration(m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare the duration of the flight as a variable, for a mission whose duration is free [s].
+    """Declare the duration of the flight [s] as a variable, for a mission whose duration is free.
 
     The variable is added to the model `m`, whose block `mission` has the bounds of the duration.
     The initial guess is the duration that the scenario estimates.
@@ -326,9 +326,10 @@ def _declare_end(
 def _goal_of_turning(b: Block) -> tuple[Any, ...]:
     """Return the two conditions at the goal on yaw (prescribed) and on yaw rate (zero).
 
-    They are constraints of `b`, the block `mission`. With a constant heading (constraint
-    `yaw_keeping`), these conditions are redundant. `_declare_kept_yaw` therefore deactivates them,
-    and `start_where_measured`, which deactivates `yaw_keeping`, activates them again.
+    They are constraints of `b`, the block `mission`. The constraint `yaw_keeping` keeps the heading
+    constant and makes these two conditions redundant. The function that declares `yaw_keeping`
+    therefore deactivates the two conditions, and the function `start_where_measured`, which
+    deactivates `yaw_keeping`, activates them again.
     """
     return b.goal_place["psi"], b.goal_rest["r"]
 

@@ -3,10 +3,10 @@
 Each model is a function that declares the power of every rotor, which may be negative while the
 rotor brakes. With regeneration (`power.regeneration`), this power counts as it is; without
 regeneration, a negative power is replaced by zero, with a smooth transition. The energy of the
-flight is the integral of the sum, eq. (8) of the paper (Yacef et al.). The paper's second sum, over
-every speed for every rotor, is read as one sum over the four rotors. In the table, v and i are
-voltage and current of the motor, tau its torque, omega the rotor speed and alpha the rotor
-acceleration:
+flight is the integral over time of the power of all rotors, eq. (8) of the paper (Yacef et al.).
+The paper prints two sums, one over the rotors and one, for each rotor, over the speeds of all
+rotors. They are read as a single sum over the four rotors. In the table, v and i are voltage and
+current of the motor, tau its torque, omega the rotor speed and alpha the rotor acceleration:
 
 name | power of one rotor | convex in alpha | convex in thrust in steady flight
 motor | v i | yes | yes
@@ -136,17 +136,19 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 
 
 def wider_smoothings(scenario: Scenario) -> tuple[dict[str, float], ...]:
-    """Return parameter values that widen the smoothed corner of the power at zero, widest first.
+    """Return parameter values that smooth the power of a rotor near zero more strongly.
 
-    Without regeneration, the power is max(P, 0), rounded over `power.smoothing`. A solve with a
-    wide rounding converges more easily, and gives a warm start for the solve with the next narrower
-    rounding.
+    Without regeneration, a rotor that brakes returns no energy, so that its power is max(P, 0).
+    This power has a kink at P = 0, which the model smooths over the width `power.smoothing` [W] of
+    the scenario. A solve with a larger width converges more easily, and gives a warm start for the
+    solve with the next smaller width. Each item of the result sets one such larger width; the
+    largest comes first.
 
     Returns
     -------
     tuple of dict
-        Full component name to value [W]; empty if regeneration is enabled, so that there is no
-        corner.
+        Full name of the model's width parameter to the width [W]. The tuple is empty if
+        regeneration is enabled, because the power then has no kink.
     """
     if scenario.power.regeneration:
         return ()

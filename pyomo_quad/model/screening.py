@@ -60,7 +60,8 @@ class _Interval:
     Attributes
     ----------
     source : str
-        Words for the declaration: "bounds of NAME", or the name of the constraint.
+        The declaration as messages name it: "bounds of NAME" for the bounds of a variable, or
+        the name of a constraint.
     lower, upper : float
         Ends of the interval, infinite where there is no limit.
     """

@@ -6,8 +6,7 @@ pack (greatest power) stay hard.
 
 symbol | name | unit | meaning
 s_k | most[k] | unit of limit k | largest violation of limit k over time
-s+_j, s-_j | above[j], below[j] | unit of condition j | violation of condition j, upwards and
-downwards
+s+_j, s-_j | above[j], below[j] | unit of condition j | violations of condition j, up and down
 rho | price | J/unit | penalty per unit of violation
 
 A limit g(t) <= u over time becomes g(t) - s <= u with one s >= 0, a condition h = c becomes h = c +

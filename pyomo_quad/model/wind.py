@@ -13,13 +13,13 @@ law | factor at height h | source
 power | (h / h_r)^exponent | Justus and Mikhail (1976)
 logarithmic | ln(h / z_0) / ln(h_r / z_0), of roughness z_0 | Stull (1988), section 9.7
 
-with h the vehicle's height above the ground: z, or over terrain the height over the smooth surface
-that is nowhere below the ground (`model.ground`). Below the larger of 0.1 m and z_0, where neither
-law is valid, the wind is constant: the laws use a smooth maximum of h and this lowest height. The
-maximum increases with h, and equals h to 1e-12 m if h is half a metre above the lowest height or
-higher. A wind measured over heights is a cubic spline through the measurements between the lowest
-and the highest height, and constant beyond them, with the same smoothing. The heights of these
-measurements are heights above the ground, but the heights of a wind field are coordinates z.
+with h the vehicle's height above the ground: z, or over terrain the height over a smooth surface
+that is nowhere below the ground (see the module `model.ground`). Below the larger of 0.1 m and z_0,
+where neither law is valid, the wind is constant: the laws use a smooth maximum of h and this lowest
+height. The maximum increases with h, and equals h to 1e-12 m if h is half a metre above the lowest
+height or higher. A wind measured over heights is a cubic spline through the measurements between
+the lowest and the highest height, and constant beyond them, with the same smoothing. The heights of
+these measurements are heights above the ground, but the heights of a wind field are coordinates z.
 
 A wind measured over time is a function of the wind time: the cubic spline through the measurements,
 and a constant after the last measurement. The spline is twice differentiable at any time, so that
@@ -144,8 +144,9 @@ def _mean(scenario: Scenario, name: str) -> float:
 def mean_wind(scenario: Scenario) -> FloatArray:
     """Return the mean horizontal wind along world x and y, shape (2,) [m/s].
 
-    A wind with a profile is taken at the reference height, a wind measured over heights at the
-    height `USUAL_HEIGHT`. For a wind field, the result is the mean over all places that have wind.
+    A wind with a profile is taken at the reference height, a wind measured over heights at 10 m
+    above the ground (the constant `USUAL_HEIGHT`). For a wind field, the result is the mean over
+    all places that have wind.
     """
     wind = scenario.wind
     if wind.grid is not None:

@@ -5,15 +5,16 @@ s | field_unit | m/s | factor on the splines, which have no unit: `wind.field_sc
 x, y, z, t | - | m, s | the vehicle's place, and the wind time
 
 Each component of the wind velocity is a tensor product of cubic not-a-knot B-splines through its
-values on the grid (`collocation.Table`). It is twice differentiable with exact derivatives, and the
-cost of an evaluation does not grow with the grid. Along an axis of two or three points, the
-component is the line or parabola through the values. Grid points without wind, such as points
-inside a building, get the wind of the nearest point with wind, because a spline needs a value
-everywhere. A flight through places whose nearest grid point has no wind is refused
-(`unknown_wind`) unless `wind.beyond` is "hold".
+values on the grid. The class `collocation.Table` evaluates this product. The component is twice
+differentiable with exact derivatives, and the cost of an evaluation does not grow with the grid.
+Along an axis of two or three points, the component is the line or parabola through the values. Grid
+points without wind, such as points inside a building, get the wind of the nearest point with wind,
+because a spline needs a value everywhere. A flight through places whose nearest grid point has no
+wind is refused, with the message of the function `unknown_wind`, unless `wind.beyond` is "hold".
 
 Outside of the grid the spline has no meaning, and its values could make it seem favourable to fly
-there. Flights therefore stay within the edges of the grid (`model.airspace`).
+there. Flights therefore stay within the edges of the grid; the module `model.airspace` declares
+this limit.
 
 With `wind.beyond` "hold", there is no such limit: the place is clipped smoothly to the grid, and
 outside of the grid the wind of the border blows. Inside of the grid, at more than a tenth of a step
@@ -176,8 +177,8 @@ def wind_corners(scenario: Scenario) -> FloatArray:
     ndarray, shape (n, 3)
         Components of the wind along x, y and z [m/s] at the n corners. The polyhedron is a prism in
         the space of these components. Its base is the smallest polygon around the horizontal
-        components whose sides have `_SIDES` equally spaced directions; along z it extends from the
-        least to the greatest vertical wind.
+        components whose sides have eight (the constant `_SIDES`) equally spaced directions; along z
+        it extends from the least to the greatest vertical wind.
 
     Raises
     ------

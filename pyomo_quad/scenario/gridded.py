@@ -361,11 +361,11 @@ def _check_columns(columns: list[str], place: str, quantity: Quantity) -> None:
 
 
 def _rising(field: Gridded, place: str) -> Gridded:
-    """Return gridded data with ascending axes, without a height or time axis of a single point.
+    """Return gridded data with ascending axes.
 
-    `field` is the data as read from the file; its values are reordered with the axes. Raises a
-    ScenarioError, whose message begins with `place`, if the data lack the axis x or y or have too
-    many values.
+    `field` is the data as read from the file; its values are reordered with the axes. A height or
+    time axis that has a single point is dropped. Raises a ScenarioError, whose message begins with
+    `place`, if the data lack the axis x or y or have too many values.
     """
     axes, components = dict(field.axes), field.components
     for lacking in (axis for axis in PLACE_AXES if axis not in axes):

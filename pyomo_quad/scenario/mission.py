@@ -312,7 +312,7 @@ class Mission(Part):
 
     @property
     def fixed_duration(self) -> float:
-        """Prescribed duration [s]. A free duration can be fixed by `Scenario.lasting`.
+        """Prescribed duration [s]. The method `Scenario.lasting` fixes a free duration.
 
         Raises
         ------

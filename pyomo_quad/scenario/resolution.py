@@ -609,7 +609,7 @@ class _Filled:
         self.unfilled.extend(places)
 
     def add_library(self, place: tuple[str, ...], kind: str) -> None:
-        """Add the values of the library entry that a table of the scenario names by `use`.
+        """Add the values of the library entry that a table of the scenario names by its key `use`.
 
         Parameters
         ----------

@@ -247,8 +247,8 @@ class Scenario(Part):
         Returns
         -------
         Scenario
-            Copy without limits on the duration and without a price (value) of time; the same object
-            if nothing changes.
+            Copy without limits on the duration and without a price of time (the energy that the
+            planner adds for each second of a free duration); the same object if nothing changes.
         """
         if duration == self.mission.duration and not passing_times:
             return self
