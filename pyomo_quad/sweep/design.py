@@ -30,9 +30,9 @@ _SIGNIFICANT_DIGITS = 12
 
 
 class Spacing(Part):
-    """First value, last value and number of the spaced values of a field that a sweep varies.
+    """First value, last value and number of values of a field that a sweep varies in steps.
 
-    The steps between the values are equal, or equal in ratio for a logarithmic spacing.
+    Neighbouring values have equal differences or, for a logarithmic spacing, equal ratios.
     """
 
     first: Number = quantity(
@@ -343,7 +343,7 @@ class SweepDesign:
         ------
         ValueError
             If a dimension has missing or wrong values, the cases are too many, a field varies twice
-            or an output column is unknown; one line that names the fault.
+            or an output column is unknown. The message is one line that names the fault.
         """
         Scenario.model_validate(self.base)
         if not self.dimensions or not all(one.is_sound for one in self.dimensions):
