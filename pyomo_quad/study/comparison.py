@@ -63,9 +63,10 @@ def adaptation_study(scenario: Scenario, *, dynamics: Dynamics) -> "pd.DataFrame
     -------
     DataFrame
         One row for each time. The columns `ERROR_WITH` and `ERROR_WITHOUT` hold the distance of the
-        vehicle from its position on the path [m], with adaptation and without. The columns
-        `ESTIMATED` and `TRUE`, three each, hold the components of the disturbance acceleration in
-        the flight with adaptation [m/s^2]: the controller's estimate, and the true value.
+        vehicle from the place that the path has at that time [m], with adaptation and without. The
+        columns `ESTIMATED` and `TRUE`, three each, hold the components of the disturbance
+        acceleration in the flight with adaptation [m/s^2]: the controller's estimate, and the true
+        value.
     """
     import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
