@@ -30,9 +30,9 @@ _SIGNIFICANT_DIGITS = 12
 
 
 class Spacing(Part):
-    """First value, last value and number of values of a field that a sweep varies in steps.
+    """First value, last value and number of the spaced values of a field that a sweep varies.
 
-    Neighbouring values have equal differences or, for a logarithmic spacing, equal ratios.
+    The steps between the values are equal, or equal in ratio for a logarithmic spacing.
     """
 
     first: Number = quantity(
